@@ -60,11 +60,14 @@ class Finding:
     place: tuple[float, ...] | None = None
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, repr=False)
 class Findings:
     """A list of findings that only grows while a file is read."""
 
     items: list[Finding] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        return f"Findings({', '.join(f'{count} x {name}' for name, count in self.counts().items())})"
 
     def add(
         self,

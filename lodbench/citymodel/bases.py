@@ -16,15 +16,19 @@ _OF_FOOTPRINTS = (
     "layer", "height_column", "storeys_column", "storey_height_m", "ground_column", "default_height_m",
 )  # fmt: skip
 _OF_GROUND = ("ground_m", "terrain")
+# What has its heights in z, whatever is asked for.
+_UPRIGHT = (*_FOOTPRINTS, "CityGML", "CityJSON", "CityJSONSeq")
 
 
 def tell_unused(format: str, options: ReadOptions, findings: Findings) -> None:
     """Adds a finding for every option that was given and that a city of this format does not hear."""
-    if format in _FOOTPRINTS:
-        return
-    unheard = {name: f"{name}: it is of footprints" for name in _OF_FOOTPRINTS}
-    if options.base != "ground":
-        unheard |= {name: f"{name}: base=ground sets buildings on the ground" for name in _OF_GROUND}
+    unheard = {}
+    if format not in _FOOTPRINTS:
+        unheard = {name: f"{name}: it is of footprints" for name in _OF_FOOTPRINTS}
+        if options.base != "ground":
+            unheard |= {name: f"{name}: base=ground sets buildings on the ground" for name in _OF_GROUND}
+    if format in _UPRIGHT:
+        unheard["up_axis"] = "up_axis: it is of meshes"
     usual = ReadOptions()
     for name, why in unheard.items():
         if getattr(options, name) != getattr(usual, name):

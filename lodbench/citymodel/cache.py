@@ -7,16 +7,22 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache
+from glob import escape
 from pathlib import Path
 
+import numpy as np
+
+from lodbench.citymodel.crs import is_same_plane, require_crs
 from lodbench.citymodel.meshing import CityMesh, mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import read_city_model
+from lodbench.citymodel.scale import is_true_to_scale
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene, read_scene, write_scene
 from lodbench.citymodel.source import Source, open_sources
 from lodbench.errors import CityModelError
+from lodbench.findings import Findings
 from lodbench.plugins import find_plugin
 from lodbench.storage import digest_of, file_digest, make_folder
 from lodbench.storage.digest import digest_of_code, package_files
@@ -24,6 +30,8 @@ from lodbench.storage.paths import cache_limit_bytes, cache_root
 from lodbench.storage.pruning import mark_used, prune_cache
 
 _LOGGER = logging.getLogger(__name__)
+# Mercator of the whole world: what is read in it now is projected anew, away from the equator.
+_WORLD = "EPSG:3857"
 # What decides the numbers besides our own code. Those of extras need not be there.
 _LIBRARIES = (
     "mapbox_earcut", "numpy", "pyproj", "shapely", "lxml", "trimesh", "scipy",
@@ -79,12 +87,13 @@ def open_cached_city(
         progress: As for ``read_city_model``; never called where the cache has the scene.
 
     Raises:
-        CityModelError: The file cannot be read, or has no building at that level.
+        CityModelError: The file cannot be read, or has no building at that level; or a scene is of another
+            level or reference system.
         ConfigError: ``LODBENCH_CACHE_GB`` is no size.
     """
     path, options = Path(path), options or ReadOptions()
     if is_scene(path):
-        return _open_scene_folder(path, lod)
+        return _open_scene_folder(path, lod, options.crs)
     limit_bytes = cache_limit_bytes()
     folder = cache_root() / "scenes" / scene_key(path, lod, options, roof_height)
     if is_scene(folder):
@@ -168,14 +177,35 @@ def source_digest(source: Source) -> object:
     return source.stamp or _digest(source.path)
 
 
-def _open_scene_folder(folder: Path, lod: str | None) -> OpenCity:
+def _open_scene_folder(folder: Path, lod: str | None, crs: str | None) -> OpenCity:
+    """Returns a scene that was converted: what was asked for then stays.
+
+    Raises:
+        CityModelError: It is damaged, of another level of detail or reference system than asked for, or
+            was written when Mercator of the whole world was taken as metres.
+    """
     city = _load(folder)
+    again = "Convert the file it was made from again"
     if lod is not None and lod != city.scene.lod:
         raise CityModelError(
-            f"{folder} holds level of detail {city.scene.lod or 'none'}, not {lod}.",
-            "Convert the file it was made from again.",
+            f"{folder} holds level of detail {city.scene.lod or 'none'}, not {lod}.", f"{again}."
         )
+    own = city.scene.crs
+    # Degrees and feet of the file were projected when the scene was made, to a system of another name.
+    is_other = crs is not None and require_crs(crs).is_metric and (own is None or not is_same_plane(own, crs))
+    if is_other:
+        raise CityModelError(
+            f"{folder} is in {own or 'no reference system that is known'}, not in {crs}.",
+            f"{again}, with crs={crs}.",
+        )
+    if own is not None and own.startswith(_WORLD) and not _is_true_to_scale(city.scene, own):
+        raise CityModelError(f"{folder} is in {own}, whose metres are no metres there.", f"{again}.")
     return city
+
+
+def _is_true_to_scale(scene: Scene, crs: str) -> bool:
+    middle = scene.origin[:2] + np.mean(scene.extent_m, axis=0)[:2]
+    return is_true_to_scale(require_crs(crs), middle, Findings())
 
 
 def _load(folder: Path) -> OpenCity:
@@ -209,5 +239,8 @@ def _digest(path: Path) -> list[str]:
     if path.is_dir():
         return [file_digest(file) for file in sorted(path.rglob("*")) if file.is_file()]
     if path.suffix.lower() == ".shp":
-        return [file_digest(file) for file in sorted(path.parent.glob(f"{path.stem}.*"))]
-    return [file_digest(path)]
+        # Names from browsers have brackets: "houses [2].shp".
+        return [file_digest(file) for file in sorted(path.parent.glob(f"{escape(path.stem)}.*"))]
+    # What a GIS that has a GeoPackage open wrote last stands beside it.
+    log = path.with_name(f"{path.name}-wal")
+    return [file_digest(file) for file in (path, log) if file == path or log.is_file()]

@@ -9,6 +9,7 @@ import numpy as np
 from lodbench.citymodel.check import CityReport, FindingRow
 from lodbench.citymodel.codes import VAL3DITY
 from lodbench.citymodel.crs import require_crs
+from lodbench.citymodel.source import OWN_GEOJSON
 from lodbench.errors import CityModelError
 
 
@@ -46,7 +47,7 @@ def findings_geojson(report: CityReport) -> dict[str, Any]:
             placed, longitudes.tolist(), latitudes.tolist(), points[:, 2].tolist(), strict=True
         )
     ]
-    return {"type": "FeatureCollection", "features": features}
+    return {**OWN_GEOJSON, "features": features}
 
 
 def format_report(report: CityReport) -> str:

@@ -26,7 +26,7 @@ from lodbench.citymodel.subset import drop_repeats_of_mesh, keep_level
 from lodbench.citymodel.texture_files import read_textured
 from lodbench.citymodel.textured_model import textured_model
 from lodbench.citymodel.textured_writer import write_textured
-from lodbench.citymodel.tiling import cut_into_tiles, tile_index
+from lodbench.citymodel.tiling import cut_into_tiles, require_no_others, tile_index
 from lodbench.citymodel.triangulate import CHUNK_POLYGONS, triangulate
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
@@ -191,13 +191,14 @@ def convert_tiles(
         write: Writes one of them.
 
     Raises:
-        CityModelError: As for ``convert_city``.
+        CityModelError: As for ``convert_city``, or something else than an index of these tiles has its name.
     """
     stem, dot, ending = target.name.partition(".")
     tiles = [(tile, f"{stem}_{tile.name}{dot}{ending}") for tile in cut_into_tiles(model, size_m)]
+    index = target.with_name(f"{stem}.geojson")
+    require_no_others(index, [file for _, file in tiles])
     done = [write(tile.model, target.with_name(file)) for tile, file in tiles]
-    index = json.dumps(tile_index(tiles, model.crs), indent=1)
-    write_chunks(target.with_name(f"{stem}.geojson"), (index.encode(),))
+    write_chunks(index, (json.dumps(tile_index(tiles, model.crs), indent=1).encode(),))
     return done
 
 

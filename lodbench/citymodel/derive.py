@@ -29,6 +29,16 @@ _SAMPLES = np.array(
 ) / np.array(4.0)
 
 
+def require_rule(roof_height: str) -> None:
+    """Makes sure that a rule is known.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    if roof_height not in ROOF_HEIGHTS:
+        raise ConfigError(f"roof_height={roof_height} is unknown.", f"Known: {', '.join(ROOF_HEIGHTS)}.")
+
+
 def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polygons:
     """Returns block polygons of level 1 for every building of the lowest finer level.
 
@@ -46,8 +56,7 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
         ConfigError: The rule is unknown.
         CityModelError: The model has no finer level, or no building gives a block.
     """
-    if roof_height not in ROOF_HEIGHTS:
-        raise ConfigError(f"roof_height={roof_height} is unknown.", f"Known: {', '.join(ROOF_HEIGHTS)}.")
+    require_rule(roof_height)
     finer = _finer_level(model)
     plans, owner, bottom, top, building_of, partly = _blocks(model, finer, ROOF_HEIGHTS[roof_height])
     for building in np.setdiff1d(np.arange(len(model.building_ids)), building_of[owner]):

@@ -24,7 +24,7 @@ from lodbench.citymodel.crs import resolve_crs
 from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.gdal import missing_bytes, read_vector
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.raw import RawCity, starts_of, take_segments
+from lodbench.citymodel.raw import NotACity, RawCity, starts_of, take_segments
 from lodbench.citymodel.terrain import HIGHEST_M, LOWEST_M, ground_under
 from lodbench.citymodel.vector_columns import Columns
 from lodbench.citymodel.vector_surfaces import surfaces_as_read
@@ -43,8 +43,9 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
 
     A file whose polygons stand upright (the MultiPatches of a FileGDB) holds the buildings' surfaces
     themselves; they come back as they are, as level 2. So do slanting ones where nothing tells heights:
-    with heights they are footprints draped over the ground. Ground heights come from a column, else from
-    ``options.terrain``, else ``options.ground_m``.
+    with heights they are footprints draped over the ground. Ground heights come from
+    ``options.ground_column``, else ``options.terrain``, else a column that looks like one, else
+    ``options.ground_m``.
 
     Args:
         path: What GDAL opens, ``/vsizip/`` paths included.
@@ -54,6 +55,7 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
     Raises:
         CityModelError: pyogrio is not installed, the file cannot be read, has no reference system
             or no heights.
+        NotACity: It is empty.
     """
     findings = Findings()
     for what in missing_bytes(path):
@@ -65,8 +67,10 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
         raise CityModelError(
             f"{source} names no reference system (a Shapefile needs its .prj).", "Name it: crs=EPSG:4326."
         )
+    if not geometries:
+        raise NotACity(f"{source} has no footprints.", "Is it the building tile of the city?")
     polygons = _parse(geometries, source)
-    columns = Columns(table, len(geometries))
+    columns = Columns(table, len(geometries), source)
     if polygons.has_z and _are_surfaces(polygons, columns, options):
         city = surfaces_as_read(polygons, columns.ids(), source, crs)
     else:
@@ -145,13 +149,18 @@ def _ground(
     crs: str,
     options: ReadOptions,
 ) -> NDArray[np.float64]:
-    """Returns the ground height of each polygon: from a column, else the terrain, else NaN."""
+    """Returns the ground height of each polygon, NaN where nothing gives it.
+
+    A column that is named goes before the terrain, which fills its gaps; one whose name is merely known
+    is asked only where there is no terrain.
+    """
     ground = np.full(len(owner), np.nan)
-    column = columns.ground(options)
-    if column is not None:
-        ground = column[owner]
-    elif options.terrain is not None:
-        ground = ground_under(corners, crs, options)
+    if options.terrain is None or options.ground_column is not None:
+        column = columns.ground(options)
+        ground = ground if column is None else column[owner]
+    if options.terrain is not None:
+        under = ground_under(corners, crs, options)
+        ground = np.where(np.isfinite(ground), ground, under)
     return ground
 
 

@@ -20,6 +20,8 @@ NESTED_TYPES = {
     "Room": "BuildingRoom",
     "BuildingRoom": "BuildingRoom",
     "BuildingFurniture": "BuildingFurniture",
+    "Storey": "BuildingStorey",
+    "BuildingUnit": "BuildingUnit",
     "BridgePart": "BridgePart",
     "BridgeInstallation": "BridgeInstallation",
     "BridgeConstructionElement": "BridgeConstructiveElement",

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import INTERIOR_SKIPPED, LOD_ABSENT
-from lodbench.citymodel.derive import derive_lod1
+from lodbench.citymodel.codes import INTERIOR_SKIPPED, LOD_ABSENT, OPTION_UNUSED
+from lodbench.citymodel.derive import derive_lod1, require_rule
 from lodbench.citymodel.lods import has_lod, lod_in_words, polygons_at
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.scene import Scene, SceneBuilder
@@ -72,10 +72,15 @@ def mesh_model(
 
     Raises:
         CityModelError: The level is absent, or holds no surface.
+        ConfigError: The rule is unknown.
     """
     findings = Findings()
-    if roof_height is not None and lod is not None and not has_lod(model.lods, lod):
-        if lod.lower().removeprefix("lod") == "1":
+    lod = None if lod is None else str(lod)  # in notebooks levels are numbers
+    if roof_height is not None:
+        require_rule(roof_height)
+        if lod is None or lod.lower().removeprefix("lod") != "1":
+            findings.add(OPTION_UNUSED, "", "roof_height: level 1 alone is derived, where lod=1 asks for it")
+        elif not has_lod(model.lods, lod):
             blocks = derive_lod1(model, roof_height, findings)
             model = replace(model, lods=("1",), polygons=blocks, polygons_read=(len(blocks),))
     name, at_level = polygons_at(model, lod, findings, stands_in)

@@ -63,7 +63,7 @@ class Polygons:
         return len(self.building)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class CityModel:
     """Buildings with their polygons, in metres, in a local frame.
 
@@ -107,6 +107,11 @@ class CityModel:
     has_interiors: bool = False
     has_textures: bool = False
     pictures: Pictures | None = None
+
+    def __repr__(self) -> str:
+        counts = f"{len(self.building_ids)} buildings, {len(self.polygons)} polygons"
+        levels = ", ".join(name or "unnamed" for name in self.lods)
+        return f"CityModel({counts}, LoD {levels}, {self.crs or 'local frame'}, {self.source})"
 
     def types(self) -> tuple[str, ...]:
         """Returns what each of ``building_ids`` is, as CityJSON calls it; buildings where nothing is said."""

@@ -31,7 +31,8 @@ class ReadOptions:
             in feet; None looks for one.
         storeys_column: Column of storey counts, used where there is no height.
         storey_height_m: Height of one storey.
-        ground_column: Column of ground heights, in the unit of ``height_column``; None looks for one.
+        ground_column: Column of ground heights, in the unit of ``height_column``; None looks for one where
+            there is no ``terrain``.
         ground_m: Ground height where neither column nor terrain gives one.
         terrain: Raster terrain model to take ground heights from, in the unit that its band or system names.
         default_height_m: Height of footprints without one; None drops them with a finding.

@@ -87,8 +87,8 @@ def reader_of(source: Source) -> str:
     raise NotACity(
         f"{source.name} is no city model that lodbench can read.",
         "Supported: CityGML (.gml, .xml, .citygml), CityJSON (.json, .jsonl), meshes (.obj, .ply, .stl, "
-        ".glb), footprints (.gpkg, .shp, .geojson, .fgb, .parquet), these as .gz or in a .zip, and "
-        "folders of them.",
+        ".glb), these as .gz, footprints (.gpkg, .shp, .geojson, .fgb, .parquet), all of them in a .zip, "
+        "and folders of them.",
     )
 
 

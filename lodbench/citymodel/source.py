@@ -32,9 +32,12 @@ _ARCHIVE_SUFFIXES = (".gz", ".zip")
 # Beside the tiles, PLATEAU and others deliver these; none holds a building.
 _OTHER_FOLDERS = frozenset({"codelists", "metadata", "schemas", "specification"})
 _MAX_MEMBERS = 100_000
-# How the index begins that stands beside tiles cut by ``city convert --tiles``: it is no footprints.
-TILE_INDEX = {"type": "FeatureCollection", "lodbench": "tile index"}
-_TILE_INDEX = re.compile(rb'\s*\{\s*"type"\s*:\s*"FeatureCollection"\s*,\s*"lodbench"\s*:\s*"tile index"')
+_NO_NESTING = "Archives inside an archive are not read"
+# How GeoJSON begins that lodbench writes, which is no footprints: the index beside tiles cut by
+# ``city convert --tiles``, findings, and what was found of photos.
+OWN_GEOJSON = {"type": "FeatureCollection", "lodbench": "result"}
+TILE_INDEX = {**OWN_GEOJSON, "lodbench": "tile index"}
+_OWN = re.compile(rb'\s*\{\s*"type"\s*:\s*"FeatureCollection"\s*,\s*"lodbench"\s*:\s*"([^"]*)"')
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +126,7 @@ def open_sources(path: Path, layers: Sequence[str] = ()) -> tuple[Source, ...]:
         return (_gzip_source(path),)
     if magic == b"PK\x03\x04":
         return _zip_sources(path, layers)
-    return (_file_source(path),)
+    return (file_source(path),)
 
 
 def is_city_file(path: Path) -> bool:
@@ -145,7 +148,7 @@ def _folder_sources(folder: Path, layers: Sequence[str]) -> tuple[Source, ...]:
         if file.suffix.lower() in suffixes
         and file.is_file()
         and _may_hold_buildings(file.relative_to(folder))
-        and not _is_tile_index(_file_source(file))
+        and own_geojson(file_source(file)) is None
     ]
     chosen = _of_layers([(file.relative_to(folder), file) for file in files], layers)
     sources = tuple(source for file in chosen for source in _sources_among(file, layers))
@@ -162,12 +165,16 @@ def _sources_among(file: Path, layers: Sequence[str]) -> tuple[Source, ...]:
     try:
         return open_sources(file, layers)
     except NotACity as error:
-        fault = error
+        return (_refused(str(file), file, error),)
+
+
+def _refused(name: str, path: Path, fault: NotACity, stamp: tuple[int, ...] = ()) -> Source:
+    """Returns what is passed over among tiles, and told."""
 
     def refuse() -> BinaryIO:
         raise fault
 
-    return (Source(str(file), refuse, file),)
+    return Source(name, refuse, path, stamp=stamp)
 
 
 def _of_layers(files: Sequence[tuple[PurePath, Item]], layers: Sequence[str]) -> list[Item]:
@@ -182,18 +189,21 @@ def _may_hold_buildings(path: Path | PurePosixPath) -> bool:
     return not _OTHER_FOLDERS.intersection(part.lower() for part in path.parts)
 
 
-def _file_source(path: Path) -> Source:
+def file_source(path: Path) -> Source:
+    """Returns the source of a file that is neither compressed nor an archive."""
     return Source(str(path), lambda: path.open("rb"), path)
 
 
-def _is_tile_index(source: Source) -> bool:
+def own_geojson(source: Source) -> str | None:
+    """Returns what GeoJSON of lodbench's own says it is, ``tile index`` or ``result``; None of others."""
     if not source.name.lower().endswith(".geojson"):
-        return False
+        return None
     try:
         with source.open() as stream:
-            return _TILE_INDEX.match(stream.read(HEAD_BYTES)) is not None
+            found = _OWN.match(stream.read(HEAD_BYTES))
     except (OSError, CityModelError):
-        return False  # whoever reads it says what is wrong with it
+        return None  # whoever reads it says what is wrong with it
+    return None if found is None else found[1].decode("utf-8", "replace")
 
 
 def _gzip_source(path: Path) -> Source:
@@ -212,15 +222,26 @@ def _zip_sources(path: Path, layers: Sequence[str]) -> tuple[Source, ...]:
     if len(members) > _MAX_MEMBERS:
         raise CityModelError(f"{path} holds more than {_MAX_MEMBERS} files.", "Unpack the tiles you need.")
     sources = tuple(_zip_members(path, members, layers))
+    packed = tuple(_packed_members(path, members))
     if not sources:
         names = ", ".join(member.filename for member in members[:5])
         hint = f"It holds: {names}." if names else "It is empty."
-        if any(member.filename.lower().endswith(_ARCHIVE_SUFFIXES) for member in members):
+        if packed:
             # These may well hold tiles: no folder passes over them.
-            hint = "Archives inside an archive are not read: unpack the outer one."
-            raise CityModelError(f"{path} holds no city file.", hint)
+            raise CityModelError(f"{path} holds no city file.", f"{_NO_NESTING}: unpack the outer one.")
         raise NotACity(f"{path} holds no city file.", hint)
-    return sources
+    return sources + packed
+
+
+def _packed_members(path: Path, members: list[zipfile.ZipInfo]) -> Iterator[Source]:
+    """Yields the archives inside an archive, which are not read."""
+    for member in members:
+        if member.filename.lower().endswith(_ARCHIVE_SUFFIXES) and _may_hold_buildings(
+            PurePosixPath(member.filename)
+        ):
+            name = f"{path}!{member.filename}"
+            fault = NotACity(f"{name}: {_NO_NESTING}.", "Unpack the outer one.")
+            yield _refused(name, path, fault, (member.CRC, member.file_size))
 
 
 def _zip_members(path: Path, members: list[zipfile.ZipInfo], layers: Sequence[str]) -> Iterator[Source]:
@@ -235,7 +256,7 @@ def _zip_members(path: Path, members: list[zipfile.ZipInfo], layers: Sequence[st
             not member.is_dir()
             and name.suffix.lower() in _CITY_SUFFIXES + _VECTOR_SUFFIXES
             and _may_hold_buildings(name)
-            and not _is_tile_index(_zip_source(path, member))
+            and own_geojson(_zip_source(path, member)) is None
         ):
             chosen.append((name, member))
     for member in _of_layers(sorted(chosen, key=lambda pair: str(pair[0])), layers):

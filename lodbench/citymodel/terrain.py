@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,11 +93,12 @@ def _raster_heights_m(path: Path, points: NDArray[np.float64], crs: str) -> NDAr
     shut = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": "{none}"}
     driver, place = raster_driver(path), path.resolve()
     try:
-        with rasterio.Env(**shut), rasterio.open(place, driver=driver) as raster:
-            step = raster.transform
-            if step.b or step.d or step.e >= 0:
-                raise CityModelError(f"The raster {path} is turned.", "Warp it to north up (gdalwarp).")
-            grid = Terrain(np.zeros((0, 0)), step.c, step.f, step.a, -step.e)
+        with (
+            warnings.catch_warnings(action="ignore", category=rasterio.errors.NotGeoreferencedWarning),
+            rasterio.Env(**shut),
+            rasterio.open(place, driver=driver) as raster,
+        ):
+            grid = _empty_grid(raster.transform, path)
             own_crs = crs if raster.crs is None else raster.crs.to_wkt()
             if raster.crs is not None:
                 points = _projected(points, crs, own_crs)
@@ -116,6 +119,22 @@ def _raster_heights_m(path: Path, points: NDArray[np.float64], crs: str) -> NDAr
         north=grid.north - rows[0] * grid.cell_y,
     )
     return part.at(points) * unit_m
+
+
+def _empty_grid(step: Any, path: Path) -> Terrain:
+    """Returns the place and the cells of a raster, without heights, by its affine transform.
+
+    Raises:
+        CityModelError: It has none, or is turned.
+    """
+    if step.is_identity:
+        raise CityModelError(
+            f"The raster {path} does not say where it lies; a world file beside it is not read.",
+            "Put its place into it: gdal_translate -of GTiff FILE PLACED.tif",
+        )
+    if step.b or step.d or step.e >= 0:
+        raise CityModelError(f"The raster {path} is turned.", "Warp it to north up (gdalwarp).")
+    return Terrain(np.zeros((0, 0)), step.c, step.f, step.a, -step.e)
 
 
 def _projected(points: NDArray[np.float64], crs: str, target: str) -> NDArray[np.float64]:
@@ -152,8 +171,9 @@ def _read_ascii(path: Path) -> Terrain:
             shape = int(header["nrows"]), int(header["ncols"])
             if not 0 < shape[0] * shape[1] <= _MAX_CELLS:
                 raise ValueError("the size is out of range")
+            cells = [header.get(name) or header["cellsize"] for name in ("dx", "dy")]
             placing = [value for name, value in header.items() if name != "nodata_value"]
-            if not all(map(math.isfinite, placing)) or header.get("cellsize", 1.0) <= 0:
+            if not all(map(math.isfinite, placing)) or min(cells) <= 0:
                 raise ValueError("its place is not finite, or its cells have no size")
             stream.seek(position)
             heights = np.array(stream.read().split(), dtype=np.float64).reshape(shape)
@@ -162,8 +182,7 @@ def _read_ascii(path: Path) -> Terrain:
             f"{path} is no ASCII grid ({error}).", "It begins with ncols and nrows."
         ) from None
     heights[heights == header.get("nodata_value", -9999.0)] = np.nan
-    size = header.get("cellsize", 1.0)
-    half = 0.5 * size
-    west = header.get("xllcorner", header.get("xllcenter", 0.0) - half)
-    south = header.get("yllcorner", header.get("yllcenter", 0.0) - half)
-    return Terrain(heights, west, south + shape[0] * size, size, size)
+    width, height = cells
+    west = header.get("xllcorner", header.get("xllcenter", 0.0) - 0.5 * width)
+    south = header.get("yllcorner", header.get("yllcenter", 0.0) - 0.5 * height)
+    return Terrain(heights, west, south + shape[0] * height, width, height)

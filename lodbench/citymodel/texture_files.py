@@ -16,8 +16,8 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.pictures import PictureTable, counted_lines
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.texture_names import named_files, picture_name
-from lodbench.citymodel.texture_pictures import MAX_ALL_PIXELS, TextureFolder, pixels_of
+from lodbench.citymodel.texture_names import embedded_pictures, named_files, picture_name
+from lodbench.citymodel.texture_pictures import MAX_ALL_PIXELS, TextureFolder, check_picture, pixels_of
 from lodbench.citymodel.textured_mesh import TexturedMesh, join_textured, offset_to_city
 from lodbench.citymodel.textured_model import textured_model
 from lodbench.errors import DatasetError
@@ -58,7 +58,9 @@ def read_textured(path: Path, up_axis: str = "auto", options: ReadOptions | None
         CityModelError: It is CityGML or a mesh that cannot be read, or has no triangles.
     """
     if path.is_dir():
-        files = sorted(file for file in path.rglob("*") if file.suffix.lower() in _MESHES + _CITIES)
+        found = sorted(file for file in path.rglob("*") if file.suffix.lower() in _MESHES + _CITIES)
+        # Beside each file macOS keeps one of its own, of the same ending.
+        files = [file for file in found if not file.name.startswith("._")]
         if not files:
             raise DatasetError(
                 f"{path} holds no textured mesh.", f"Looked for {', '.join(_MESHES + _CITIES)}."
@@ -124,6 +126,8 @@ def _read_mesh(path: Path, folder: TextureFolder) -> TexturedMesh:
         )
     for name in pictures:
         folder.check_picture(name)
+    for name, content in embedded_pictures(path).items():
+        check_picture(content, f"{path.name}: {name}")
     _, parts = load_parts(path.read_bytes(), str(path), path.suffix.lower(), _part, _resolver(folder))
     mesh = join_textured(parts)
     if not (np.isfinite(mesh.corners).all() and np.isfinite(mesh.uv).all()):

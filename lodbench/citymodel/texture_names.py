@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import struct
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -13,7 +14,8 @@ from lodbench.storage.json_text import parse_json
 _TRANSFORM, _WEBP = "KHR_texture_transform", "EXT_texture_webp"
 # A transform that leaves every place where it is.
 _STAYS = {"offset": [0, 0], "scale": [1, 1], "rotation": 0, "texCoord": 0}
-_GLB_HEAD = struct.Struct("<4sIIII")
+# Head of a binary glTF and of its first chunk, which is JSON; another chunk's.
+_GLB_HEAD, _CHUNK_HEAD_BYTES = struct.Struct("<4sIIII"), 8
 
 
 def named_files(path: Path, folder: TextureFolder) -> tuple[list[str], list[str]]:
@@ -101,6 +103,48 @@ def _named_by_gltf(path: Path) -> tuple[list[str], list[str]]:
         return [], []  # the reader says what is wrong
     others, pictures = ([uri for uri in uris if uri and not uri.startswith("data:")] for uris in found)
     return sorted(set(others)), sorted(set(pictures))
+
+
+def embedded_pictures(path: Path) -> dict[str, bytes]:
+    """Returns the base colour pictures that stand in a glTF file itself, by name; none of those beside it.
+
+    Where the file is no glTF, or not as it should be, there are none: the reader says what is wrong.
+    """
+    if path.suffix.lower() not in (".gltf", ".glb"):
+        return {}
+    try:
+        content, data = _gltf_content(path), path.read_bytes()
+        return {
+            str(content["images"][n].get("name") or f"picture {n}"): picture
+            for n in sorted(_base_colours(content))
+            if (picture := _embedded(data, content, content["images"][n])) is not None
+        }
+    except (ValueError, AttributeError, TypeError, LookupError, struct.error):
+        return {}
+
+
+def _base_colours(content: dict[str, Any]) -> set[int]:
+    """Returns the numbers of the images that materials lay on surfaces."""
+    found = set()
+    for material in content.get("materials", []):
+        texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
+        if texture:
+            named = content["textures"][texture["index"]]
+            found.add(int(named.get("extensions", {}).get(_WEBP, named)["source"]))
+    return found
+
+
+def _embedded(data: bytes, content: dict[str, Any], image: dict[str, Any]) -> bytes | None:
+    """Returns the bytes of an image in a data URI or in the second chunk of a binary file, or None."""
+    if "bufferView" not in image:
+        head, _, text = str(image.get("uri", "")).partition(",")
+        return base64.b64decode(text) if head.startswith("data:") else None
+    view = content["bufferViews"][image["bufferView"]]
+    if not data.startswith(b"glTF") or view["buffer"] != 0:
+        return None
+    *_, length, _ = _GLB_HEAD.unpack_from(data)
+    start = _GLB_HEAD.size + length + _CHUNK_HEAD_BYTES + view.get("byteOffset", 0)
+    return data[start : start + view["byteLength"]]
 
 
 def _gltf_content(path: Path) -> dict[str, Any]:

@@ -100,24 +100,39 @@ class TextureFolder:
         Raises:
             DatasetError: As for ``picture``.
         """
-        self._opened(name, lambda image: require_size(image, name))
+        check_picture(self.read(name), name)
 
     def _opened(self, name: str, look: Callable[[Any], T]) -> T:
         """Returns what a look at a picture, not decoded yet, finds."""
-        from PIL import Image
+        return _look_at(self.read(name), name, look)
 
-        content = self.read(name)
-        try:
-            # Its own limit is told in other words, and far lower.
-            with warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning):
-                with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
-                    return look(image)
-        except DatasetError:
-            raise
-        except Exception as error:  # Pillow lets the errors of every decoder through
-            raise DatasetError(
-                f"{name[:120]!r} cannot be read as a picture ({error}).", f"One of {', '.join(_FORMATS)}."
-            ) from None
+
+def check_picture(content: bytes, name: str) -> None:
+    """Makes sure by its header that a picture can be taken.
+
+    Raises:
+        DatasetError: It is no picture, or has too many pixels.
+    """
+    _look_at(content, name, lambda image: require_size(image, name))
+
+
+def _look_at(content: bytes, name: str, look: Callable[[Any], T]) -> T:
+    """Returns what a look at a picture, not decoded yet, finds."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        # Its own limit is told in other words, and far lower.
+        with warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning):
+            with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
+                return look(image)
+    except DatasetError:
+        raise
+    except Exception as error:  # Pillow lets the errors of every decoder through
+        # Of what it does not know it names the object in memory.
+        why = "" if isinstance(error, UnidentifiedImageError) else f" ({error})"
+        raise DatasetError(
+            f"{name[:120]!r} cannot be read as a picture{why}.", f"One of {', '.join(_FORMATS)}."
+        ) from None
 
 
 def require_size(image: Any, name: str) -> None:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.source import TILE_INDEX
+from lodbench.citymodel.source import TILE_INDEX, file_source, own_geojson
 from lodbench.citymodel.subset import footprint_boxes, keep_buildings
 from lodbench.errors import CityModelError
+from lodbench.storage.json_text import parse_json
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +65,36 @@ def cut_into_tiles(model: CityModel, size_m: float) -> list[Tile]:
         Tile(west, south, size_m, keep_buildings(model, number == n))
         for n, (south, west) in enumerate(corners.tolist())
     ]
+
+
+def require_no_others(index: Path, files: Collection[str]) -> None:
+    """Makes sure that an index replaces none but one of the same tiles.
+
+    Args:
+        index: Where it will be written, beside the tiles.
+        files: Their names.
+
+    Raises:
+        CityModelError: Something else is there, or tiles of an earlier cut, which would be read with these.
+    """
+    if not index.exists():
+        return
+    if not index.is_file() or own_geojson(file_source(index)) != TILE_INDEX["lodbench"]:
+        raise CityModelError(
+            f"{index} is there already, and is no index of tiles.", "Name the tiles otherwise: -o OUT."
+        )
+    try:
+        former = [
+            Path(each["properties"]["file"]).name for each in parse_json(index.read_bytes())["features"]
+        ]
+    except (ValueError, TypeError, LookupError):
+        return  # cut off: it names nothing
+    others = [name for name in former if name not in files and (index.parent / name).exists()]
+    if others:
+        raise CityModelError(
+            f"{len(others)} tiles of an earlier cut lie beside {index}, {others[0]} for example.",
+            "Remove them, which would be read with the new ones, or name the tiles otherwise: -o OUT.",
+        )
 
 
 def tile_index(tiles: list[tuple[Tile, str]], crs: str | None) -> dict[str, Any]:

@@ -27,20 +27,13 @@ _STOREYS = (
 _IDS = ("gmlid", "identificatie", "buildingid", "bldgid", "ubid", "uuid", "osmid", "id", "fid", "objectid")
 
 
-def find_column(names: Sequence[str], asked: str | None, known: Sequence[str]) -> str | None:
-    """Returns the column asked for, or the best of the known names that is there, or None.
-
-    Raises:
-        CityModelError: The column asked for is not there.
+def find_column(names: Sequence[str], known: Sequence[str]) -> str | None:
+    """Returns the best of the known names that is there, or None.
 
     Example:
-        >>> find_column(["ID", "Bldg_Height"], None, ("height", "bldgheight"))
+        >>> find_column(["ID", "Bldg_Height"], ("height", "bldgheight"))
         'Bldg_Height'
     """
-    if asked is not None:
-        if asked not in names:
-            raise CityModelError(f"There is no column {asked!r}.", nearest_names(asked, names))
-        return asked
     plain = {re.sub(r"[^a-z0-9]", "", name.lower()): name for name in reversed(names)}
     return next((plain[name] for name in known if name in plain), None)
 
@@ -51,11 +44,11 @@ class Columns:
     Args:
         table: Column name to values, one per footprint.
         count: Number of footprints.
+        source: Name of the file, for messages.
     """
 
-    def __init__(self, table: dict[str, NDArray[np.generic]], count: int) -> None:
-        self._table = table
-        self._count = count
+    def __init__(self, table: dict[str, NDArray[np.generic]], count: int, source: str) -> None:
+        self._table, self._count, self._source = table, count, source
 
     def heights(self, options: ReadOptions, unit_m: float = 1.0) -> tuple[NDArray[np.float64], list[str]]:
         """Returns (N,) heights above ground in the columns' unit, NaN where there is none, and the columns.
@@ -69,19 +62,20 @@ class Columns:
         """
         names = list(self._table)
         if options.height_column is None and options.storeys_column is None:
-            roof, ground = (find_column(names, None, known) for known in (_ROOFS, _GROUNDS))
+            roof, ground = (find_column(names, known) for known in (_ROOFS, _GROUNDS))
             if roof is not None and ground is not None:
                 return self._numbers(roof) - self._numbers(ground), [roof, ground]
         height = None
         if options.height_column is not None or options.storeys_column is None:
-            height = find_column(names, options.height_column, _HEIGHTS)
-        storeys = find_column(names, options.storeys_column, _STOREYS)
-        height = height or (None if storeys else find_column(names, None, _HEIGHTS_PERHAPS))
+            height = self._asked_or_known(options.height_column, _HEIGHTS)
+        storeys = self._asked_or_known(options.storeys_column, _STOREYS)
+        height = height or (None if storeys else find_column(names, _HEIGHTS_PERHAPS))
         if height is None and storeys is None:
             if options.default_height_m is not None:
                 return np.full(self._count, np.nan), []
+            listed = ", ".join(names) or "none at all"
             raise CityModelError(
-                f"No column of heights or storeys among: {', '.join(names) or 'no columns at all'}.",
+                f"{self._source} has no column of heights or storeys among: {listed}.",
                 "Name it: height_column=..., storeys_column=... or default_height_m=...",
             )
         values = self._numbers(height) if height is not None else np.full(self._count, np.nan)
@@ -108,18 +102,24 @@ class Columns:
 
     def ground(self, options: ReadOptions) -> NDArray[np.float64] | None:
         """Returns (N,) ground heights in the columns' unit, or None where no column has them."""
-        name = find_column(list(self._table), options.ground_column, _GROUNDS)
+        name = self._asked_or_known(options.ground_column, _GROUNDS)
         return None if name is None else self._numbers(name)
 
     def ids(self) -> list[str]:
         """Returns one id per footprint: the id column where it is one, else numbers from 1."""
-        name = find_column(list(self._table), None, _IDS)
+        name = find_column(list(self._table), _IDS)
         if name is not None:
             values = [str(value) for value in self._table[name].tolist()]
             if len(set(values)) == len(values):
                 return values
         width = len(str(self._count))
         return [f"footprint-{i + 1:0{width}d}" for i in range(self._count)]
+
+    def _asked_or_known(self, asked: str | None, known: Sequence[str]) -> str | None:
+        names = list(self._table)
+        if asked is not None and asked not in names:
+            raise CityModelError(f"{self._source} has no column {asked!r}.", nearest_names(asked, names))
+        return asked or find_column(names, known)
 
     def _numbers(self, name: str) -> NDArray[np.float64]:
         values = self._table[name]

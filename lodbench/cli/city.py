@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from lodbench.citymodel.options import ReadOptions
 from lodbench.cli.city_parser import city_parser
 from lodbench.cli.source_profiles import load_profile
-from lodbench.errors import CityModelError
+from lodbench.errors import CityModelError, ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.storage import make_folder
 
@@ -63,10 +63,15 @@ def _info(asked: argparse.Namespace, options: ReadOptions) -> int:
 def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
     from lodbench.citymodel.check import check_city
     from lodbench.citymodel.check_report import findings_geojson, format_report
+    from lodbench.citymodel.source import OWN_GEOJSON, file_source, own_geojson
     from lodbench.storage import write_bytes
 
     if asked.geojson is not None:
-        _require_other(asked.geojson, [asked.file])
+        is_ours = own_geojson(file_source(asked.geojson)) == OWN_GEOJSON["lodbench"]
+        if not is_ours and (asked.geojson.exists() or asked.geojson.suffix.lower() != ".geojson"):
+            _require_other(asked.geojson, [asked.file])
+        if asked.geojson.is_dir() or not asked.geojson.parent.is_dir():
+            raise CityModelError(f"{asked.geojson} is no file in a folder that is there.", "--geojson FILE")
     start = time.perf_counter()
     model = _read([asked.file], replace(options, is_strict=False, has_details=True))
     read_seconds = time.perf_counter() - start
@@ -91,25 +96,27 @@ def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -
     from lodbench.cli.city_text import conversion_summary, format_conversion
 
     files, out = _from_and_to(asked)
-    is_whole = not (asked.id or asked.where or asked.bbox or asked.to_crs or asked.tiles)
-    if (
-        out.suffix == ".scene"
-        and len(files) == 1
-        and is_whole
-        and len(open_sources(files[0], options.layers)) > 1
-    ):
-        return _compile(asked, files[0], out, options, lod)
+    _require_heard(asked, out, lod)
     if asked.textures and not has_room_for_pictures(out):
         raise CityModelError(f"{out} has no room for pictures.", "Name it .glb, .obj, .json, .jsonl or .gml.")
+    is_tiles = out.suffix == ".scene" and _is_whole(asked, files)
+    if is_tiles and len(open_sources(files[0], options.layers)) > 1:
+        return _compile(asked, files[0], out, options, lod)
     has_details = keeps_details(out) or bool(asked.where) or asked.textures
     options = replace(options, has_details=has_details, has_textures=asked.textures)
     model = _chosen(asked, _read(files, options))
+    is_mesh = asked.textures and model.pictures is None
+    if is_mesh and (keeps_details(out) or not _is_whole(asked, files) or files[0].suffix in _PACKED):
+        raise CityModelError(
+            f"Of {files[0].name} no pictures can be kept so.",
+            "Those of a mesh are kept in .glb and .obj, of a whole file or folder. Or leave out --textures.",
+        )
 
     def write(part: CityModel, target: Path) -> Conversion:
-        if not asked.textures or keeps_details(target):
-            return convert_city(part, target, lod=lod, roof_height=asked.roof_height, citygml=asked.citygml)
-        is_mesh = model.pictures is None and is_whole and len(files) == 1 and files[0].suffix not in _PACKED
-        return convert_textured(part, target, files[0] if is_mesh else None, options)
+        if asked.textures and not keeps_details(target):
+            return convert_textured(part, target, files[0] if is_mesh else None, options)
+        version = asked.citygml or "2.0"
+        return convert_city(part, target, lod=lod, roof_height=asked.roof_height, citygml=version)
 
     if asked.tiles is None:
         summaries = [conversion_summary(str(out), write(model, out))]
@@ -146,10 +153,46 @@ def _from_and_to(asked: argparse.Namespace) -> tuple[list[Path], Path]:
     return files, out
 
 
+def _is_whole(asked: argparse.Namespace, files: Sequence[Path]) -> bool:
+    """Tells whether one file or folder is converted as it is: nothing chosen, cut, joined or projected."""
+    is_part = asked.id or asked.where or asked.bbox or asked.to_crs or asked.tiles
+    return len(files) == 1 and not is_part
+
+
+def _require_heard(asked: argparse.Namespace, out: Path, lod: str | None) -> None:
+    """Raises ConfigError if an option means nothing to what is written."""
+    suffix = out.suffix.lower()
+    is_gml = suffix in (".gml", ".xml", ".citygml")
+    is_parallel = asked.executor is not None or asked.workers is not None or asked.address is not None
+    is_level_1 = lod is not None and lod.lower().removeprefix("lod") == "1"
+    unheard = [
+        ("--citygml", "without a .gml", asked.citygml is not None and not is_gml),
+        ("--executor, --workers or --address", "without a .scene", is_parallel and suffix != ".scene"),
+        ("--roof-height", "without --lod 1", asked.roof_height is not None and not is_level_1),
+        ("--lod", "with --textures", asked.lod and asked.textures and suffix in (".glb", ".obj")),
+    ]
+    for option, how, is_unheard in unheard:
+        if is_unheard:
+            raise ConfigError(f"{option} is not used {how}.", f"Leave {option} out.")
+    for pair in asked.where:
+        if "=" not in pair:
+            raise ConfigError(f"--where {pair} names no value.", "It reads: --where ATTRIBUTE=VALUE")
+    west, south, east, north = asked.bbox or (0.0, 0.0, 1.0, 1.0)
+    if not (west < east and south < north):
+        raise ConfigError("--bbox holds nothing: its west is not below its east, or its south its north.")
+
+
 def _require_other(out: Path, files: Sequence[Path]) -> None:
-    """Raises CityModelError if a file to write is one of those to read."""
-    if any(out.resolve() == file.resolve() for file in files):
-        raise CityModelError(f"{out} is the city itself.", "Choose another name to write to.")
+    """Raises CityModelError if a file to write is one of those to read, or would be from then on."""
+    place = out.resolve()
+    for file in files:
+        if place == file.resolve():
+            raise CityModelError(f"{out} is the city itself.", "Choose another name to write to.")
+        if file.is_dir() and place.is_relative_to(file.resolve()):
+            raise CityModelError(
+                f"{out} lies in the folder that is read, and would be one of its tiles.",
+                f"Write it outside of {file}.",
+            )
 
 
 def _may_be_a_tile(out: Path, files: Sequence[Path]) -> bool:
@@ -180,7 +223,7 @@ def _compile(asked: argparse.Namespace, tiles: Path, out: Path, options: ReadOpt
     from lodbench.execution.executor import ExecutorParams
     from lodbench.harness.tiled_city import compile_tiles
 
-    executor = ExecutorParams(asked.executor, asked.workers, None, asked.address)
+    executor = ExecutorParams(asked.executor or "process", asked.workers, None, asked.address)
     with ProgressCallback(f"compiling {tiles.name}", "tiles") as progress:
         compile_tiles(
             tiles, out, lod=lod, roof_height=asked.roof_height, options=options, executor=executor,

@@ -11,7 +11,7 @@ from lodbench.cli.parser import Parser
 
 _EXAMPLES = """\
 FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb, .parquet) or a mesh
-(.obj, .ply, .stl, .glb); a .gz or .zip of these, or a folder of tiles.
+(.obj, .ply, .stl, .glb); a .zip of these, a .gz of all but footprints, or a folder of tiles.
 
 examples:
   lodbench city info 53394525_bldg_6697_op.gml
@@ -51,7 +51,7 @@ def city_parser() -> argparse.ArgumentParser:
         if name == "convert":
             _add_convert(action.add_argument)
         else:
-            what = "file, archive, folder of tiles or scene"
+            what = "file, archive or folder of tiles" + ("; or a scene" if name == "info" else "")
             action.add_argument("file", type=Path, metavar="FILE", help=what)
         if name == "check":
             points = "write the findings as points, for QGIS"
@@ -68,14 +68,14 @@ def _add_convert(add: Any) -> None:
     add("-o", "--out", type=Path, metavar="OUT", help="its ending names the format")
     add("--tiles", type=float, metavar="M", help="write squares of this side, and their index")
     where = "where the tiles of a .scene are read (process)"
-    add("--executor", choices=("serial", "process", "dask"), default="process", help=where)
+    add("--executor", choices=("serial", "process", "dask"), help=where)
     pictures = "keep the pictures of surfaces (.gml, .json, .jsonl, .glb, .obj)"
     add("--textures", action="store_true", help=pictures)
     add("--workers", type=int, help="how many processes (one per core)")
     add("--address", help="of Dask's scheduler")
     one = "the one level to write, or finest: each building's own (meshes: lowest; CityJSON: all)"
     add("--lod", help=one)
-    add("--citygml", choices=("2.0", "3.0"), default="2.0", help="version of a .gml (2.0)")
+    add("--citygml", choices=("2.0", "3.0"), help="version of a .gml (2.0)")
     add("--to-crs", metavar="CRS", help="project to another system in metres")
     add("--id", action="append", default=[], help="only the building of this id; may be repeated")
     inside = "only buildings whose middle lies inside, in the system written"

@@ -173,8 +173,9 @@ def _require_used(asked: argparse.Namespace) -> None:
 def _describe(made: OwnDataset, asked: argparse.Namespace) -> str:
     """Returns what was made, what was not, and the next command."""
     written = made.written
+    count = len(written.names)
     lines = [
-        f"{written.folder}: {len(written.names)} images, {made.num_priors} with a prior, "
+        f"{written.folder}: {count} image{'s' * (count != 1)}, {made.num_priors} with a prior, "
         f"{'with' if made.has_truth else 'without'} truth, {written.undistorted} undistorted"
     ]
     lines += [f"  left out: {name}: {reason}" for name, reason in written.left_out]
@@ -190,6 +191,7 @@ def _describe(made: OwnDataset, asked: argparse.Namespace) -> str:
         "segmenter=oracle" if asked.images is None else "",
         # The run must read the city as it was read here.
         f"dataset.crs={asked.crs}" if asked.crs else "",
+        f"dataset.lod={asked.lod}" if asked.lod else "",
         f"source={asked.source}" if asked.source != "folder" else "",
         *(f"source.options.{option}" for option in asked.option),
     ]

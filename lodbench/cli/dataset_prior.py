@@ -13,7 +13,7 @@ from lodbench.cli.named_dataset import add_dataset_options, open_named
 from lodbench.cli.parser import Parser
 from lodbench.datasets.prior_sources import is_prior_text, prior_digest, prior_text
 from lodbench.datasets.registry import draw_priors, make_priors
-from lodbench.errors import ConfigError, LodbenchError
+from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.harness.dataset_check import prior_errors_in_words
 from lodbench.plugins import plugin_names
 from lodbench.storage import write_text
@@ -54,10 +54,15 @@ def main(argv: Sequence[str]) -> int:
         )
     with _in_own_words():
         settings = dict(map(_pair, options.set))
-        priors = make_priors(options.kind, settings, "--set")
+        priors = make_priors(options.kind, settings)
         dataset = draw_priors(open_named(options), options.kind, priors, options.seed)
-    write_text(options.out, prior_text(dataset.entries, priors.describe(), options.seed))
     made = sum(entry.prior is not None for entry in dataset.entries)
+    if not made:
+        raise DatasetError(
+            f"No query of {options.dataset} has a prior of --kind {options.kind}: nothing is written.",
+            "Another kind draws them around the truth, or asks the photos; see --help.",
+        )
+    write_text(options.out, prior_text(dataset.entries, priors.describe(), options.seed))
     lines = [f"{options.out}: {made} of {len(dataset.entries)} queries, {priors.describe()}"]
     lines += [f"digest {prior_digest(dataset.entries)}"]
     lines += [f"{split}: {words}" for split, words in prior_errors_in_words(dataset).items()]

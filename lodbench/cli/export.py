@@ -10,6 +10,7 @@ from pathlib import Path
 from lodbench.citymodel.scene import Scene
 from lodbench.cli.parser import Parser
 from lodbench.cli.verify import add_path_options, reopen_dataset
+from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.harness.city import open_city
@@ -31,6 +32,10 @@ def main(argv: Sequence[str]) -> int:
     require_writable(asked.out, [asked.run], may_be_folder=True)
     run = read_whole_run(asked.run)
     form = make_format(asked.format)
+    if asked.crs is not None:
+        if CRS not in form.requires:
+            raise ConfigError(f"--format {asked.format} states no reference system.", "Leave --crs out.")
+        MapFrame(asked.crs)  # the poses are in metres, and stay as they are
     needs = set(form.requires) - ({CRS} if asked.crs is not None else set())
     if not needs and (asked.dataset_root or asked.city_model):
         raise ConfigError(
@@ -48,7 +53,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _report(done: Exported) -> int:
     """Says what was written; returns the exit code."""
-    sys.stdout.write(f"{done.path}: {done.count} poses\n")
+    sys.stdout.write(f"{done.path}: {done.count} pose{'s' * (done.count != 1)}\n")
     if done.without_pose:
         names = ", ".join(done.without_pose[:3]) + (", ..." if len(done.without_pose) > 3 else "")
         sys.stdout.write(f"  {len(done.without_pose)} queries have no pose: {names}\n")
@@ -76,7 +81,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--format", required=True, metavar="FORMAT", help=names)
     parser.add_argument("--out", type=Path, metavar="PATH", help="file or folder to write (RUN/export/...)")
     parser.add_argument(
-        "--crs", help="reference system of the poses, for formats that state one (the city model's)"
+        "--crs", help="reference system that the poses are in, for formats that state one (the city model's)"
     )
     add_path_options(parser)
     return parser

@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from lodbench.datasets.folder import write_poses
+from lodbench.datasets.folder import SEQUENCE_FILE, write_poses
 from lodbench.datasets.folder_about import ABOUT_FILE, sealed_about
 from lodbench.datasets.photo_files import PHOTO_SUFFIXES, in_pose_lines, mask_names
+from lodbench.datasets.photo_flights import split_flights
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.picture_faults import is_decodable, mask_fault
 from lodbench.datasets.pictures import encoded, read_picture
+from lodbench.datasets.pose_text import lines_to_text
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
@@ -226,11 +228,25 @@ def _encoded(source: Path, camera: Camera, pinhole: Camera, target: Path) -> byt
     return encoded(undistorted(picture, camera, pinhole), target.suffix, options)
 
 
+def _flights(images: Sequence[tuple[str, OwnImage]]) -> list[str]:
+    """Returns a line for each image, its name and its flight; none where one says nothing of itself."""
+    stated = [(image.photo, image.stated) for _, image in images]
+    known = [(photo, said) for photo, said in stated if photo is not None and said is not None]
+    if len(known) < len(images):
+        return []
+    flights = enumerate(split_flights(known), start=1)
+    flight_of = {row: number for number, flight in flights for row in flight.rows}
+    return [f"{name} flight_{flight_of[row]}" for row, (name, _) in enumerate(images)]
+
+
 def _write_texts(
     folder: Path, kept: Sequence[tuple[str, OwnImage, Camera]], about: Mapping[str, Any]
 ) -> None:
     truth = {name: image.truth for name, image, _ in kept if image.truth is not None}
     priors = {name: image.prior for name, image, _ in kept if image.prior is not None}
     write_poses(folder, {name: pinhole for name, _, pinhole in kept}, truth, priors)
+    flights = _flights([(name, image) for name, image, _ in kept])
+    if flights:
+        write_text(folder / SEQUENCE_FILE, lines_to_text(flights))
     stated = sealed_about({"truth": bool(truth), "priors": bool(priors), **about})
     write_text(folder / ABOUT_FILE, json.dumps(stated, indent=2, ensure_ascii=False) + "\n")

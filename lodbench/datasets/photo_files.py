@@ -33,7 +33,7 @@ def find_photos(folder: Path, masks: Path | None = None, *others: Path | None) -
         return [folder]
     pictures = (path for path in folder.rglob("*") if path.suffix.lower() in PHOTO_SUFFIXES)
     # macOS keeps files of its own beside photos that it copies to a card, in the same ending.
-    found = sorted(path for path in pictures if not path.name.startswith("._"))
+    found = sorted(path for path in pictures if not path.name.startswith("._") and not path.is_dir())
     if not found:
         raise DatasetError(f"{folder} holds no photos.", f"Looked for {', '.join(PHOTO_SUFFIXES)} files.")
     aside = [masks.resolve()] if masks is not None else []

@@ -47,20 +47,19 @@ def dataset_settings(name: str) -> set[str]:
         return {field.name for field in fields(_params_type(opener))}
 
 
-def make_priors(name: str, settings: Mapping[str, Any], section: str = "prior") -> Priors:
+def make_priors(name: str, settings: Mapping[str, Any]) -> Priors:
     """Returns what draws priors of a kind.
 
     Args:
         name: An entry point under ``lodbench.priors``.
         settings: Of it.
-        section: What settings are called with on a command line.
 
     Raises:
         LodbenchError: The kind is unknown, or a setting is wrong.
     """
     kind = load_plugin("priors", name)
     with blaming("priors", name, "take its settings"):
-        made: Priors = to_params(settings, kind, section)
+        made: Priors = to_params(settings, kind, "prior")
         return made
 
 

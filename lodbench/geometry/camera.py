@@ -63,6 +63,10 @@ class Camera:
     lens: str = "OPENCV"
 
     def __post_init__(self) -> None:
+        if self.width % 1 or self.height % 1:
+            raise LodbenchError(f"A camera's size is whole pixels, not {self.width} x {self.height}.")
+        for name in ("width", "height"):  # 640.0, as tables and files have it
+            object.__setattr__(self, name, int(getattr(self, name)))
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if self.width < 1 or self.height < 1 or self.fx <= 0 or self.fy <= 0:
             given = f"{self.width} x {self.height} and {self.fx:g}, {self.fy:g}"

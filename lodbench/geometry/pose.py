@@ -80,33 +80,38 @@ class Pose:
         """Returns the pose of a camera at a world position with a cam_from_world rotation.
 
         Raises:
-            LodbenchError: The rotation is not orthonormal with determinant +1.
+            LodbenchError: The rotation is not orthonormal with determinant +1, or the place no three numbers.
         """
         rotation = np.array(rotation, dtype=np.float64)
         _require_rotation(rotation)
-        return cls(rotation, -rotation @ np.asarray(center, dtype=np.float64))
+        return cls(rotation, -rotation @ _three("center", center))
 
     @classmethod
     def from_euler(cls, angles: EulerAngles, center: Sequence[float] | Matrix) -> Pose:
         """Returns the pose of a camera at a world position with pitch, roll and yaw in degrees.
 
         Raises:
-            LodbenchError: An angle is not finite.
+            LodbenchError: An angle is not finite, or the place no three numbers.
         """
         if not all(map(math.isfinite, angles)):
             raise LodbenchError("A pitch, roll or yaw is not finite.")
         rotation = rotation_from_euler(angles)
-        return cls(rotation, -rotation @ np.asarray(center, dtype=np.float64))
+        return cls(rotation, -rotation @ _three("center", center))
 
     @classmethod
     def from_matrix(cls, cam_from_world: Matrix) -> Pose:
         """Returns the pose of a (4, 4) or (3, 4) world-to-camera matrix.
 
         Raises:
-            LodbenchError: The matrix is not finite, or its rotation is not orthonormal with
-                determinant +1.
+            LodbenchError: The matrix is of another shape or not finite, or its rotation is not orthonormal
+                with determinant +1.
         """
         matrix = np.asarray(cam_from_world, dtype=np.float64)
+        if matrix.shape not in ((4, 4), (3, 4)):
+            raise LodbenchError(
+                f"A pose matrix is (4, 4) or (3, 4), not {matrix.shape}.",
+                "Pose.from_center takes a rotation and a place.",
+            )
         rotation = np.array(matrix[:3, :3])
         if not np.isfinite(matrix).all():
             raise LodbenchError("A pose matrix has values that are not finite.")
@@ -126,8 +131,12 @@ class Pose:
         return cls(rotation_from_quaternion(quat_wxyz), offset)
 
     def shifted(self, offset_m: Sequence[float] | Matrix) -> Pose:
-        """Returns the pose with its centre moved by (3,) world metres."""
-        return Pose(self.rotation, self.translation - self.rotation @ np.asarray(offset_m, dtype=np.float64))
+        """Returns the pose with its centre moved by (3,) world metres.
+
+        Raises:
+            LodbenchError: The offset is no three numbers.
+        """
+        return Pose(self.rotation, self.translation - self.rotation @ _three("offset_m", offset_m))
 
     def with_tilt_of(self, other: Pose) -> Pose:
         """Returns this pose with the pitch and roll of another; yaw and centre stay."""
@@ -136,7 +145,17 @@ class Pose:
         return Pose.from_euler(angles, self.center)
 
 
+def _three(name: str, values: Sequence[float] | Matrix) -> Matrix:
+    """Returns a place or an offset as (3,) float64."""
+    found = np.asarray(values, dtype=np.float64)
+    if found.shape != (3,):
+        raise LodbenchError(f"{name} holds east, north and up: (3,), not {found.shape}.")
+    return found
+
+
 def _require_rotation(rotation: Matrix) -> None:
+    if rotation.shape != (3, 3):
+        raise LodbenchError(f"A rotation is (3, 3), not {rotation.shape}.")
     # The other way round NaN would pass.
     is_orthonormal = np.abs(rotation @ rotation.T - np.eye(3)).max() <= UNIT_TOLERANCE
     if not is_orthonormal or np.linalg.det(rotation) < 0:

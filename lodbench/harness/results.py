@@ -125,20 +125,22 @@ def _settings(part: object) -> dict[str, Any]:
 
 
 def compare(
-    runs: Sequence[str | Path | StoredRun], thresholds: Sequence[Threshold] = DEFAULT_THRESHOLDS
+    runs: str | Path | StoredRun | Sequence[str | Path | StoredRun],
+    thresholds: Sequence[Threshold] = DEFAULT_THRESHOLDS,
 ) -> pd.DataFrame:
     """Returns the numbers of runs, one row per method and split, and of their priors.
 
     The column ``protocol`` says what rows share: only rows of one protocol compare.
 
     Args:
-        runs: Run folders, or what ``load_run`` made of them.
+        runs: Run folders, or what ``load_run`` made of them; or one of these.
         thresholds: Where to measure recall.
 
     Raises:
         DatasetError: A folder holds no run.
     """
-    stored = [run if isinstance(run, StoredRun) else read_whole_run(run) for run in runs]
+    given = [runs] if isinstance(runs, str | Path | StoredRun) else runs
+    stored = [run if isinstance(run, StoredRun) else read_whole_run(run) for run in given]
     if not stored:
         raise ConfigError("There are no runs to compare.")
     return frame_of(tables_of([summary_at(run, thresholds) for run in stored]))

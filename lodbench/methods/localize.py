@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
+from lodbench.errors import LodbenchError
 from lodbench.geometry import Camera, Pose
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.measured_calls import localize_query
@@ -50,8 +51,10 @@ def localize(
 
     Raises:
         QueryFault: The mask is not as described or holds no building, or no building is near the prior.
-        LodbenchError: The prior is no pose, or the method is not known.
+        LodbenchError: The scene is none, the prior is no pose, or the method is not known.
     """
+    if not isinstance(scene, Scene):
+        raise LodbenchError(f"{scene!r} is no scene.", "lodbench.open_scene(FILE) makes one.")
     prior = Pose.from_matrix(prior.cam_from_world)
     photo = None if image is None else Path(image)
     probability = None if mask is None else check_mask(mask, camera)

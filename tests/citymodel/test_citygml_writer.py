@@ -116,6 +116,20 @@ def test_what_cannot_be_said_is_told(tmp_path: Path) -> None:
     assert "BuildingStorey, which lodbench does not write as CityGML 2.0" in done.left_out
 
 
+def test_storeys_and_units_of_citygml_3_come_back(tmp_path: Path) -> None:
+    """Their names and attributes were gone without a word."""
+    town, inside = json.loads(twin()), {"BuildingStorey": "first floor", "BuildingUnit": "flat 7"}
+    town["CityObjects"]["house"]["children"] = list(inside)
+    for type_, name in inside.items():
+        town["CityObjects"][type_] = {"type": type_, "parents": ["house"], "attributes": {"name": name}}
+    model = read_city_model(write(tmp_path / "town.json", json.dumps(town)), options=DETAILS)
+    again, done = written(model, tmp_path / "a.gml", "3.0")
+    assert again.objects is not None
+    told = zip(again.objects.types, again.objects.attributes, strict=True)
+    assert {type_: each["name"] for type_, each in told if type_ in inside} == inside
+    assert done.left_out == ()
+
+
 def test_names_of_reference_systems() -> None:
     assert srs_name(None) is None
     assert srs_name("EPSG:25832") == "http://www.opengis.net/def/crs/EPSG/0/25832"

@@ -143,6 +143,26 @@ class TestReading:
         model = self.read(tmp_path, geojson([([square()], {"height": 5})]), terrain=str(terrain))
         assert model.polygons.points[:, 2].min() == 31.5
 
+    @pytest.mark.parametrize(("column", "ground"), [(None, 31.5), ("base", 3.0)])
+    def test_a_terrain_goes_before_a_column_that_nobody_named(
+        self, tmp_path: Path, column: str | None, ground: float
+    ) -> None:
+        """``base`` may count from anywhere; the terrain that is given does not."""
+        corner = f"xllcorner {LON - 1}\nyllcorner {LAT - 1}\n"
+        terrain = write(tmp_path / "d.asc", f"ncols 1\nnrows 1\n{corner}cellsize 2\n31.5\n")
+        rows = [([square(0)], {"height": 5, "base": 3.0}), ([square(2)], {"height": 5, "base": None})]
+        model = self.read(tmp_path, geojson(rows), terrain=str(terrain), ground_column=column)
+        lowest = np.unique(model.polygons.points[:, 2]).tolist()
+        assert lowest == sorted({ground, ground + 5, 31.5, 36.5})
+
+    def test_cells_that_are_no_squares(self, tmp_path: Path) -> None:
+        """GDAL writes ``dx`` and ``dy`` then, and no ``cellsize``."""
+        head = f"ncols 2\nnrows 2\nxllcenter {LON}\nyllcenter {LAT}\ndx {2 * STEP}\ndy {4 * STEP}\n"
+        terrain = write(tmp_path / "d.asc", head + "10 20\n30 40\n")
+        points = np.array([[0.0, 0.0], [0.9, 1.9], [1.1, -1.9], [0.9, 2.1], [1.1, 2.1]]) * STEP + [LON, LAT]
+        heights = ground_under(points, "EPSG:4326", ReadOptions(terrain=str(terrain)))
+        assert heights.tolist() == [30, 30, 40, 10, 20]
+
     def test_a_raster_of_which_only_a_window_is_read(self, tmp_path: Path) -> None:
         rasterio = pytest.importorskip("rasterio")
         heights = np.arange(12, dtype=np.float32).reshape(3, 4) * 10
@@ -163,6 +183,11 @@ class TestReading:
             raster.write(heights, 1)
         with pytest.raises(CityModelError, match="turned"):
             self.read(tmp_path, text, terrain=str(tmp_path / "t.tif"))
+        with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+            with rasterio.open(tmp_path / "nowhere.tif", "w", **shape) as raster:
+                raster.write(heights, 1)
+        with pytest.raises(CityModelError, match="does not say where it lies"):
+            self.read(tmp_path, text, terrain=str(tmp_path / "nowhere.tif"))
         with pytest.raises(CityModelError, match="as a raster"):
             self.read(tmp_path, text, terrain=str(write(tmp_path / "no.tif", "II*")))
 
@@ -254,7 +279,7 @@ class TestReading:
         assert tops == pytest.approx([50 * foot, 4 * 3.0, 20.0])
 
     def test_faults(self, tmp_path: Path) -> None:
-        with pytest.raises(CityModelError, match="No column of heights"):
+        with pytest.raises(CityModelError, match="has no column of heights"):
             self.read(tmp_path, geojson([([square()], {"name": "x"})]))
         with pytest.raises(CityModelError, match="no column 'hight'") as caught:
             self.read(tmp_path, geojson([([square()], {"height": 3})]), height_column="hight")
@@ -353,8 +378,8 @@ class TestParts:
         assert blocks.kind.tolist() == [3, 2, 1, 1, 1]
 
     def test_find_column(self) -> None:
-        assert find_column(["ID", "Bldg_Height"], None, ("height", "bldgheight")) == "Bldg_Height"
-        assert find_column(["a"], None, ("height",)) is None
+        assert find_column(["ID", "Bldg_Height"], ("height", "bldgheight")) == "Bldg_Height"
+        assert find_column(["a"], ("height",)) is None
 
     @pytest.mark.parametrize(
         "text",
@@ -365,6 +390,7 @@ class TestParts:
             "ncols 0\nnrows 9\n",
             "ncols inf\nnrows 9\n",
             "ncols 1\nnrows 1\ncellsize 0\n1\n",
+            "ncols 1\nnrows 1\nxllcorner 0\nyllcorner 0\n1\n",
             "ncols 1\nnrows 1\ncellsize 1e999\n1\n",
             "ncols 1\nnrows 1\nxllcorner nan\n1\n",
         ],

@@ -124,6 +124,29 @@ class TestDerivedLevel:
         with pytest.raises(ConfigError, match="roof_height=middle"):
             open_scene(path, lod="1", roof_height="middle")
 
+    def test_a_rule_that_derives_nothing_is_told(self, tmp_path: Path) -> None:
+        model = read_city_model(write(tmp_path / "a.gml", gable()))
+        for lod in (None, "2", "finest"):
+            found = mesh_model(model, lod, roof_height="max").findings.counts()
+            assert found == {"LB411 OPTION_UNUSED": 1}
+        with pytest.raises(ConfigError, match="roof_height=middle"):
+            mesh_model(model, roof_height="middle")
+
+    def test_what_a_notebook_shows_of_a_city_is_short(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.gml", gable())
+        model = read_city_model(path)
+        said = f"1 buildings, {len(model.polygons)} polygons, LoD 2, {model.crs}, {path}"
+        assert repr(model) == f"CityModel({said})"
+        shown = repr(mesh_model(model, roof_height="max"))
+        assert "findings=Findings(1 x LB411 OPTION_UNUSED)" in shown
+        assert len(shown) < 300
+
+    def test_a_level_may_be_a_number(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.gml", gable())
+        assert open_scene(path, lod=2).lod == "2"  # type: ignore[arg-type]
+        with pytest.raises(CityModelError, match="level of detail 3"):
+            open_scene(path, lod=3)  # type: ignore[arg-type]
+
     def test_real_tile_stands_where_it_stood(self, shared_data: Path) -> None:
         path = shared_data / "city/germany_lod2/LoD2_32_280_5657_1_NW.gml"
         model = read_city_model(path)

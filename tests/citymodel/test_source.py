@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import mesh_city, read_city_model
+from lodbench.citymodel.check import check_city
+from lodbench.citymodel.check_report import findings_geojson
+from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.errors import CityModelError
 
 from .gml_text import box_city, box_rings, city, member, polygon, solid, surface_members, write
@@ -95,6 +98,15 @@ class TestZip:
         with pytest.raises(CityModelError, match="unsafe path"):
             read_city_model(self.archive(tmp_path, {name: BOX}))
 
+    def test_archives_inside_are_told(self, tmp_path: Path) -> None:
+        """Publishers pack tiles twice: those were missing from the city without a word."""
+        members = {"a.gml": BOX, "tiles/b.zip": b"PK", "__MACOSX/tiles/._b.zip": b"PK"}
+        path = self.archive(tmp_path, members)
+        model = read_city_model(path)
+        told = [item for item in model.findings.items if item.code.number == 211]
+        assert [item.object_id for item in told] == [f"{path}!tiles/b.zip"]
+        assert "not read" in told[0].detail
+
     def test_nothing_inside(self, tmp_path: Path) -> None:
         with pytest.raises(CityModelError, match="no city file") as caught:
             read_city_model(self.archive(tmp_path, {"inner.zip": b"PK"}))
@@ -139,6 +151,26 @@ class TestFolder:
         write(tmp_path / "notes.txt", b"hello")
         model = read_city_model(tmp_path)
         assert model.findings.counts() == {"LB211 FILE_SKIPPED": 2}
+
+    def test_results_of_one_s_own_are_no_footprints(self, tmp_path: Path) -> None:
+        """``localize --city .`` wrote them beside the tiles, and could not read the city again."""
+        write(tmp_path / "1.gml", BOX)
+        (tmp_path / "localized").mkdir()
+        square = {"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [1, 1], [0, 0]]]}
+        feature = {"type": "Feature", "geometry": square, "properties": {}}
+        write_geojson([feature], tmp_path / "localized" / "a.geojson")
+        findings = findings_geojson(check_city(read_city_model(tmp_path)))
+        write(tmp_path / "findings.geojson", json.dumps(findings).encode())
+        assert read_city_model(tmp_path).findings.counts() == {}
+
+    def test_footprints_of_nothing_are_passed_over_and_told(self, tmp_path: Path) -> None:
+        """A tile of the woods has no houses; nor has it, often, any column."""
+        pytest.importorskip("pyogrio")
+        write(tmp_path / "1.gml", BOX)
+        write(tmp_path / "2.geojson", b'{"type": "FeatureCollection", "features": []}')
+        assert read_city_model(tmp_path).findings.counts() == {"LB211 FILE_SKIPPED": 1}
+        with pytest.raises(CityModelError, match=r"2\.geojson has no footprints"):
+            read_city_model(tmp_path / "2.geojson")
 
     def test_an_archive_of_other_things_is_passed_over_and_told(self, tmp_path: Path) -> None:
         write(tmp_path / "1.gml", BOX)

@@ -128,6 +128,7 @@ def _box() -> list[list[tuple[float, float, float]]]:
         ({"ground_m": 400.0, "terrain": "nowhere.tif"}, 2),
         ({"height_column": "H", "default_height_m": 9.0, "layer": "houses"}, 3),
         ({"base": "ground", "ground_m": 400.0}, 0),
+        ({"up_axis": "y"}, 1),
         ({"storey_height_m": 3.0, "axis_order": "east_first"}, 0),
     ],
 )

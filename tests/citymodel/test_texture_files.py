@@ -6,6 +6,8 @@ import struct
 
 import numpy as np
 import pytest
+import trimesh
+from PIL import Image
 
 from lodbench.citymodel import ReadOptions, open_scene, read_city_model
 from lodbench.citymodel.texture_files import open_textured_map, read_textured
@@ -135,6 +137,7 @@ def test_a_folder_of_tiles_is_one_map(tmp_path):
     for number in range(3):
         tile = tmp_path / f"tile_{number}"
         write_obj(tile, "../pictures/roof.png", shift=(30.0 * number, 0, 0))
+        (tile / "._map.obj").write_bytes(b"\0\5\x16\7 of macOS")
     write_picture(tmp_path / "pictures" / "roof.png")
     mesh = read_textured(tmp_path)
     assert len(mesh.corners) == 6
@@ -180,6 +183,26 @@ def test_what_is_no_picture_is_one_line(tmp_path):
     (tmp_path / "roof.png").write_text("GIF89a no picture")
     with pytest.raises(DatasetError, match="cannot be read as a picture"):
         read_textured(write_obj(tmp_path))
+
+
+@pytest.mark.parametrize("is_chunk", [False, True])
+def test_a_damaged_picture_within_a_gltf_is_one_line(tmp_path, is_chunk):
+    """trimesh leaves it out, and the surface was grey."""
+    write_picture(tmp_path / "roof.png")
+    path = tmp_path / "map.glb"
+    if is_chunk:
+        image = Image.open(tmp_path / "roof.png")
+        material = trimesh.visual.material.PBRMaterial(name="roof", baseColorTexture=image)
+        visual = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1]], material=material)
+        mesh = trimesh.Trimesh([[0, 0, 0], [9, 0, 0], [9, 9, 0]], [[0, 1, 2]], visual=visual, process=False)
+        path.write_bytes(mesh.export(file_type="glb"))
+        assert len(read_textured(path).pictures) == 1
+        path.write_bytes(path.read_bytes().replace(b"\x89PNG", b"\x89P?G"))
+    else:
+        (tmp_path / "roof.png").write_bytes(b"\x89P?G")
+        path = write_glb(tmp_path)
+    with pytest.raises(DatasetError, match=r"map\.glb: picture 0' cannot be read as a picture\."):
+        read_textured(path)
 
 
 def test_a_map_is_set_over_its_city(tmp_path):

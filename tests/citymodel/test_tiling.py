@@ -75,3 +75,26 @@ def test_a_side_of_nothing(tmp_path: Path) -> None:
     for side in (0.0, -5.0, 0.5):
         with pytest.raises(CityModelError, match="is none"):
             cut_into_tiles(model, side)
+
+
+def test_tiles_of_an_earlier_cut_are_not_left_among_new_ones(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Buildings stood twice in the folder, which is read as one city."""
+    words = ["city", "convert", str(shared_data / NRW), str(tmp_path / "town.gml"), "--tiles"]
+    assert [main([*words, "300"]) for _ in range(2)] == [0, 0]
+    before = sorted(tmp_path.iterdir())
+    assert main([*words, "200"]) == 2
+    assert "tiles of an earlier cut lie beside" in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_the_index_replaces_no_footprints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(tmp_path / "town.gml", box_city())
+    houses = tmp_path / "t.geojson"
+    houses.write_text('{"type": "FeatureCollection", "features": []}')
+    words = ["city", "convert", str(tmp_path / "town.gml"), str(tmp_path / "t.json"), "--tiles", "100"]
+    assert main(words) == 2
+    assert "t.geojson is there already, and is no index" in capsys.readouterr().err
+    assert houses.read_text() == '{"type": "FeatureCollection", "features": []}'
+    assert len(list(tmp_path.iterdir())) == 2

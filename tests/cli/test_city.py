@@ -120,6 +120,32 @@ class TestCheck:
         is_clear(lodbench("city", "check", "a.gml", "--geojson", "./a.gml"), "a.gml is the city itself")
         assert path.read_bytes() == before
 
+    @pytest.mark.parametrize("name", [".", "nowhere/a.geojson"])
+    def test_findings_go_to_a_file(self, lodbench, tmp_path, name):
+        write(tmp_path / "a.gml", box_city())
+        is_clear(
+            lodbench("city", "check", "a.gml", "--geojson", name), "is no file in a folder that is there"
+        )
+
+    @pytest.mark.parametrize(
+        "words", [["check", "tiles", "--geojson"], ["convert", "tiles"], ["convert", "tiles", "--tiles", "9"]]
+    )
+    def test_nothing_is_written_among_the_tiles_that_are_read(self, lodbench, tmp_path, words):
+        """It would replace one of them, or be a tile the next time."""
+        (tmp_path / "tiles").mkdir()
+        path = write(tmp_path / "tiles" / "a.gml", box_city())
+        out = [] if "convert" not in words else ["-o"]
+        done = lodbench("city", *words, *out, "tiles/a.gml")
+        is_clear(done, "tiles/a.gml lies in the folder that is read", "outside of tiles")
+        assert path.read_text() == box_city()
+
+    def test_findings_may_lie_beside_tiles_and_replace_none(self, lodbench, tmp_path):
+        write(tmp_path / "a.gml", box_city())
+        words = ["city", "check", ".", "--geojson"]
+        assert [lodbench(*words, "findings.geojson").returncode for _ in range(2)] == [0, 0]
+        (tmp_path / "houses.geojson").write_text('{"type": "FeatureCollection", "features": []}')
+        is_clear(lodbench(*words, "houses.geojson"), "lies in the folder that is read")
+
 
 class TestConvert:
     @pytest.mark.parametrize("suffix", ["obj", "ply", "glb", "json", "scene"])
@@ -169,6 +195,28 @@ class TestConvert:
         assert "-o OUT" in done.stderr
         assert (tmp_path / words[-1]).read_text() == (tmp_path / "a.gml").read_text()
         assert lodbench("city", "convert", "a.gml", "-o", words[-1]).returncode == 0
+
+    @pytest.mark.parametrize(
+        ("words", "expected"),
+        [
+            (["a.obj", "--citygml", "3.0"], "--citygml is not used without a .gml"),
+            (["a.glb", "--workers", "2"], "--workers or --address is not used without a .scene"),
+            (["a.glb", "--roof-height", "median"], "--roof-height is not used without --lod 1"),
+            (["a.glb", "--textures", "--lod", "2"], "--lod is not used with --textures"),
+            (["a.json", "--where", "function"], "ATTRIBUTE=VALUE"),
+            (["a.json", "--bbox", "9", "0", "3", "1"], "--bbox holds nothing"),
+        ],
+    )
+    def test_what_would_change_nothing_is_refused(self, lodbench, tmp_path, words, expected):
+        write(tmp_path / "a.gml", box_city())
+        is_clear(lodbench("city", "convert", "a.gml", *words), expected)
+        assert [file.name for file in tmp_path.iterdir()] == ["a.gml"]
+
+    @pytest.mark.parametrize("words", [["b.json"], ["b.gml"], ["b.glb", "--bbox", "-9", "-9", "99", "99"]])
+    def test_pictures_of_a_mesh_are_not_lost_without_a_word(self, lodbench, tmp_path, words):
+        write(tmp_path / "a.obj", box_obj())
+        is_clear(lodbench("city", "convert", "a.obj", *words, "--textures"), "Of a.obj no pictures")
+        assert [file.name for file in tmp_path.iterdir()] == ["a.obj"]
 
     def test_what_one_city_became_is_written_again(self, lodbench, tmp_path):
         write(tmp_path / "a.gml", box_city())

@@ -15,6 +15,8 @@ from lodbench.datasets.pose_text import format_pose, lines_to_text, read_poses
 from tests.data.published_layouts import UAVD4L_NAMES, write_swiss, write_uavd4l
 from tests.town import write_dataset
 
+from .test_faults import is_clear
+
 
 @pytest.fixture(scope="module")
 def uavd4l(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -190,6 +192,15 @@ class TestPriors:
         assert "GPS_pose.txt is there already" in done.stderr
         assert "--out FILE" in done.stderr
         assert own.read_bytes() == before
+
+    def test_a_file_without_priors_is_not_written(self, lodbench, tmp_path):
+        root, _ = write_dataset(tmp_path / "town")
+        (root / "GPS_pose.txt").unlink()
+        (root / "dataset.json").write_text('{"priors": false}')
+        done = lodbench("dataset", "prior", str(root), "--kind", "file", "--out", "a.txt")
+        is_clear(done, "has a prior of --kind file")
+        is_clear(lodbench("dataset", "prior", str(root), "--set", "x=1", "--out", "a.txt"), "--set x is not")
+        assert not (tmp_path / "a.txt").exists()
 
     def test_a_changed_file_of_priors_is_found(self, lodbench, tmp_path):
         root, city = write_dataset(tmp_path / "town")

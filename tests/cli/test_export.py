@@ -90,6 +90,8 @@ def test_a_map_of_every_query(capsys, tmp_path, run):
         (["--format", "geojson"], ["reference system", "--crs"]),
         (["--format", "geojson", "--crs", "EPSG:4326"], ["degrees"]),
         (["--format", "geojson", "--crs", "EPSG:1"], ["EPSG:1"]),
+        (["--format", "metashape", "--crs", "EPSG:4326"], ["degrees"]),
+        (["--format", "tum", "--crs", "EPSG:25832"], ["tum states no reference system", "--crs out"]),
         (["--format", "geojson", "--city-model", "nowhere.gml"], ["nowhere.gml"]),
     ],
 )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import open_scene
-from lodbench.datasets.pose_text import read_cameras, read_poses
+from lodbench.datasets.pose_text import format_pose, read_cameras, read_poses
 from lodbench.datasets.references import read_references
 from lodbench.rendering.raster import RasterRenderer
 from tests.town import write_dataset
@@ -141,6 +141,20 @@ def test_photos_and_other_pictures_are_never_replaced(render, tmp_path, layers):
         assert (out / "view_00.png").read_bytes() == photo
 
 
+@pytest.mark.parametrize(("kind", "name"), [("instance", "view_01.json"), ("label", "labels.json")])
+def test_files_of_one_s_own_are_never_replaced(render, tmp_path, kind, name):
+    """Tools of annotation write JSON under the name of the photo."""
+    out = tmp_path / "out, (1)"
+    out.mkdir()
+    (out / name).write_text('{"shapes": []}')
+    done, _ = render(f"kind={kind}")
+    assert done.returncode == 2
+    assert f"{name} is there already, and is no such file" in done.stderr
+    assert [file.name for file in out.iterdir()] == [name]
+    (out / name).unlink()
+    assert [render(f"kind={kind}")[0].returncode for _ in range(2)] == [0, 0]
+
+
 @pytest.mark.parametrize("renderer", ["reference", "raster"])
 def test_silhouettes_are_the_same_bytes_whatever_the_renderer(render, renderer):
     done, out = render()
@@ -195,9 +209,20 @@ def test_inputs_that_do_not_go_together(render, dataset, file, edit, expected):
     assert not out.exists()
 
 
+def test_cameras_that_see_nothing_of_the_city_are_told(render, dataset):
+    """Poses of another tile, or in local coordinates, draw empty pictures."""
+    file = dataset[0] / "GT_pose.txt"
+    poses = {name: pose.shifted((90_000.0, 0.0, 0.0)) for name, pose in read_poses(file).items()}
+    file.write_text("".join(f"{format_pose(name, pose)}\n" for name, pose in poses.items()))
+    done, _ = render()
+    assert done.returncode == 0
+    assert "note: the cameras are 89." in done.stdout
+    assert "Is it the right tile" in done.stdout
+
+
 def test_help_says_what_the_pictures_hold(lodbench):
     text = lodbench("render", "--help").stdout
-    for word in ("centimetres", "655.35 m", "labels.json", "images=DIR", "0.1 m"):
+    for word in ("centimetres", "655.35 m", "labels.json", "images=DIR", "NAME.json", "0.1 m"):
         assert word in text
 
 
@@ -207,6 +232,18 @@ def test_a_photo_that_is_none(render, tmp_path, layers):
     done, out = render("kind=overlay", f"images={tmp_path}")
     assert done.returncode == 2
     assert "view_00.png is no picture" in done.stderr
+    assert not out.exists()
+
+
+def test_a_photo_of_another_shape_is_no_background(render, tmp_path, layers):
+    """It was pressed into the camera's, and nothing in the overlay lay where it should."""
+    for name in layers:
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((240, 240, 3), dtype=np.uint8))
+    done, out = render("kind=overlay", f"images={tmp_path}")
+    assert done.returncode == 2
+    assert "view_00.png is 240 x 240, its camera 320 x 240: another aspect" in done.stderr
+    done, _ = render("kind=depth", f"images={tmp_path}")
+    assert "images= is not used by kind=depth" in done.stderr
     assert not out.exists()
 
 
@@ -229,6 +266,10 @@ def test_a_textured_map_is_drawn_and_its_pictures_serve_as_references(dataset, r
     ]
     for reference in references:
         assert (read(reference.image) == (40, 120, 200)).all(axis=2).mean() > 0.05
+    before = (root / "intrinsic.txt").read_text()
+    done, _ = render("kind=colour", f"textured_map={tmp_path / 'map.obj'}", "size=[64,48]", f"out={root}")
+    assert "intrinsic.txt is read" in done.stderr
+    assert (root / "intrinsic.txt").read_text() == before
     done, _ = render("kind=depth", f"textured_map={tmp_path / 'map.obj'}")
     assert done.returncode == 2
     assert "textured map" in done.stderr

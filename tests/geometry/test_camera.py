@@ -102,3 +102,12 @@ def test_every_value_is_finite(value):
         numbers[index] = value
         with pytest.raises(LodbenchError):
             Camera(6, 4, *numbers)
+
+
+def test_sizes_are_whole_pixels():
+    camera = Camera(640.0, np.int64(480), 9, 9, 3, 2)
+    assert (camera.width, camera.height) == (640, 480)
+    assert type(camera.width) is type(camera.height) is int
+    for size in (640.5, math.nan, math.inf):
+        with pytest.raises(LodbenchError, match="whole pixels"):
+            Camera(size, 480, 9, 9, 3, 2)

@@ -109,3 +109,19 @@ class TestPose:
     def test_angles_that_are_not_finite_are_refused(self, angles):
         with pytest.raises(LodbenchError, match="not finite"):
             Pose.from_euler(EulerAngles(*angles), (1, 2, 3))
+
+    @pytest.mark.parametrize("place", [(1, 2), 5, np.eye(3)])
+    def test_a_place_is_three_numbers(self, place):
+        for make in (
+            lambda: Pose.from_euler(EulerAngles(0, 0, 0), place),
+            lambda: Pose.from_center(np.eye(3), place),
+            lambda: Pose.from_center(np.eye(3), (1, 2, 3)).shifted(place),
+        ):
+            with pytest.raises(LodbenchError, match="holds east, north and up"):
+                make()
+
+    def test_matrices_of_another_shape_are_refused(self):
+        with pytest.raises(LodbenchError, match=r"not \(3, 3\)"):
+            Pose.from_matrix(np.eye(3))
+        with pytest.raises(LodbenchError, match=r"not \(4, 4\)"):
+            Pose.from_center(np.eye(4), (1, 2, 3))

@@ -71,7 +71,7 @@ def init(capsys, case: Case, root: Path, *words) -> str:
 class TestFromPhotos:
     def test_the_dataset_is_a_pinhole_s_and_runs(self, capsys, tmp_path, case):
         out = init(capsys, case, tmp_path / "town")
-        assert "1 images, 1 with a prior, without truth, 1 undistorted" in out
+        assert "1 image, 1 with a prior, without truth, 1 undistorted" in out
         assert f"dataset.root={tmp_path / 'town'}" in out
         assert "segmenter" not in out
         dataset = open_folder(FolderParams(str(tmp_path / "town"), str(case.city)))
@@ -154,7 +154,7 @@ class TestFromPhotos:
         }
         write_photo(flight / "far.jpg", xmp=xmp_packet(elsewhere))
         out = init(capsys, case, tmp_path / "town", "--images", flight)
-        assert "1 images" in out
+        assert "1 image" in out
         assert "left out: silent.jpg: silent.jpg does not say where" in out
         assert "left out: broken.jpg" in out
         assert "cut.jpg is damaged or cut off" in out
@@ -197,7 +197,7 @@ class TestFromPhotos:
         shutil.copytree(case.mask.parent, tmp_path / "flight" / "masks")
         words = ["--images", tmp_path / "flight", "--masks", tmp_path / "flight" / "masks"]
         out = init(capsys, case, tmp_path / "town", *words)
-        assert "1 images" in out
+        assert "1 image" in out
         assert "left out" not in out
 
     def test_without_masks_the_next_command_needs_none(self, capsys, tmp_path, case):
@@ -206,6 +206,29 @@ class TestFromPhotos:
         )
         assert code == 0, err
         assert out.splitlines()[-1].endswith(" method=region")
+
+    def test_the_next_command_reads_the_city_as_it_was_read_here(self, capsys, tmp_path, case):
+        out = init(capsys, case, tmp_path / "town", "--lod", "2", "--crs", "EPSG:25832+7837")
+        assert " dataset.crs=EPSG:25832+7837 dataset.lod=2" in out.splitlines()[-1]
+
+    def test_flights_are_told_apart(self, capsys, tmp_path, case):
+        """A run of a method for flights took both for one."""
+        photo = case.photo.read_bytes()
+        for folder, clock in (("a", b"2023:10:18 11"), ("b", b"2023:10:18 15")):
+            for number in (1, 2):
+                copy = tmp_path / "flights" / folder / f"DJI_{folder}{number}.JPG"
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy.write_bytes(photo.replace(b"2023:10:18 11", clock))
+        words = ["--images", tmp_path / "flights", "--city", case.city]
+        code, _, err = run(capsys, "dataset init", tmp_path / "town", *words)
+        assert code == 0, err
+        entries = open_folder(FolderParams(str(tmp_path / "town"), str(case.city))).entries
+        assert [(entry.name, entry.sequence) for entry in entries] == [
+            ("DJI_a1.JPG", "flight_1"),
+            ("DJI_a2.JPG", "flight_1"),
+            ("DJI_b1.JPG", "flight_2"),
+            ("DJI_b2.JPG", "flight_2"),
+        ]
 
     def test_nothing_is_written_over(self, capsys, tmp_path, case):
         (tmp_path / "town").mkdir()

@@ -57,3 +57,12 @@ def test_a_link_to_nowhere_does_not_lose_the_others(flight):
     _, reasons = masks_of([gone, flight / "a.JPG"], None)
     assert list(reasons) == [0]
     assert "cannot be read" in reasons[0]
+
+
+def test_a_folder_that_is_called_as_photos_are_is_none(flight):
+    """Some programs name folders after the photo that they tell of; a link that leads nowhere is told."""
+    (flight / "c.jpg").mkdir()
+    (flight / "c.jpg" / "tile.png").write_bytes(b"")
+    (flight / "d.jpg").symlink_to(flight / "nothing.jpg")
+    found = photos_of([flight], flight / "masks", flight / "better", flight / "out")
+    assert [photo.name for photo in found] == ["a.JPG", "b.JPG", "tile.png", "d.jpg"]

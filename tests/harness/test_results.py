@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib.metadata
+import linecache
 import re
 import shutil
 import sys
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -123,6 +125,24 @@ class TestTheCodeThatNamesARun:
         with pytest.raises(ConfigError, match="Typed cannot be read"):
             code_digest(typed())
 
+    def test_cells_of_a_notebook_count(self, monkeypatch):
+        """Python finds no source of a class that was typed; what it calls may stand in another cell."""
+        notebook = ModuleType("__main__")
+        monkeypatch.setitem(sys.modules, "__main__", notebook)
+
+        def digest_after(name: str, text: str) -> str:
+            monkeypatch.setitem(linecache.cache, name, (len(text), None, text.splitlines(True), name))
+            exec(compile(text, name, "exec"), vars(notebook))  # noqa: S102 - as a notebook does
+            return code_digest(notebook.Method())
+
+        method = "class Method:\n    far_m = 1\n    def localize(self): return step(self)\n"
+        before = digest_after("<cell 1>", method)
+        assert digest_after("<cell 2>", method) == before
+        stepped = digest_after("<cell 3>", "def step(method): return 0\n")
+        assert digest_after("<cell 4>", "def step(method): return 50\n") != stepped
+        assert digest_after("<cell 5>", "def step(method): return 0\n") == stepped
+        assert digest_after("<cell 6>", method.replace("1", "2")) != stepped
+
 
 def test_the_public_names_are_there():
     assert issubclass(lodbench.QueryFault, lodbench.LodbenchError)
@@ -189,6 +209,7 @@ def test_rows_of_other_queries_have_another_protocol(tmp_path):
         for name, limit in (("prior_only", None), ("prior_only", 1), ("lodlocv2", None))
     ]
     table = lodbench.compare(runs)
+    assert lodbench.compare(runs[0]).equals(lodbench.compare(runs[:1]))
     protocols = table[table["method"] != "Prior"].groupby("method")["protocol"].agg(set)
     alone, other = protocols["prior_only"], protocols[protocols.index != "prior_only"].item()
     assert len(alone) == 2

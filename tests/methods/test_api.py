@@ -49,6 +49,8 @@ class TestLocalize:
             lodbench.localize(scene, camera, prior, image=str(photo), method="region")
         with pytest.raises(ConfigError, match="method"):
             lodbench.localize(scene, camera, prior, image=photo, method="regions")
+        with pytest.raises(lodbench.LodbenchError, match=r"'city\.gml' is no scene"):
+            lodbench.localize("city.gml", camera, prior)  # type: ignore[arg-type]
 
     def test_a_prior_that_is_no_pose_is_refused(self, scene, queries):
         prior = lodbench.Pose(2.0 * np.eye(3), np.zeros(3))

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.source import OWN_GEOJSON
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.geometry import Camera, Pose
 from lodbench.storage import write_text
@@ -109,8 +110,8 @@ def nowhere_feature(properties: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def write_geojson(features: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Writes a feature collection."""
-    values = {"type": "FeatureCollection", "features": list(features)}
+    """Writes a feature collection, which is never taken for a city where it lies among tiles."""
+    values = {**OWN_GEOJSON, "features": list(features)}
     write_text(path, json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 

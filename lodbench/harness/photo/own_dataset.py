@@ -131,7 +131,7 @@ def _mask_notes(folder: Path, images: Sequence[OwnImage]) -> list[str]:
     lacking = [image.name for image in images if image.mask is None]
     used = {image.mask.resolve() for image in images if image.mask is not None}
     files = (path for path in sorted(folder.rglob("*")) if path.suffix.lower() in PHOTO_SUFFIXES)
-    strays = [path.name for path in files if path.resolve() not in used]
+    strays = [path.name for path in files if path.resolve() not in used and not path.name.startswith("._")]
     scaled = [
         image.name
         for image in images

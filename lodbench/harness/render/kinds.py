@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
@@ -31,8 +31,10 @@ from lodbench.storage import write_bytes, write_text
 
 # The largest value of a 16-bit PNG.
 _MOST = 65535
-# What the header of a PNG says of its pixels, where it says it: bits, and grey or colour.
-_PIXELS_AT, _GREY, _COLOUR = 24, 0, 2
+# What the files of a kind say of themselves, and from which byte on: PNGs their bits, and grey or colour.
+Mark = tuple[int, bytes]
+_GREY_8, _GREY_16, _COLOUR_8 = (24, bytes([8, 0])), (24, bytes([16, 0])), (24, bytes([8, 2]))
+_NPY, _INSTANCES, _NAMES = (0, b"\x93NUMPY"), (0, b'{"instances": ['), (0, b'{\n"1": ')
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +70,8 @@ class Kind:
         write: Draws and writes a view; returns its files.
         check: Raises a LodbenchError if a scene cannot be drawn so.
         prepare: Writes what all views of a scene share to the folder; returns its files.
-        pixels: Bits and colour type of its PNGs, as their headers say them; None where it writes none.
+        marks: What the files it writes of a view say of themselves, by their suffixes.
+        shared: What those say that all views share, by their names.
     """
 
     default: str
@@ -76,14 +79,23 @@ class Kind:
     write: Callable[[View], list[Path]]
     check: Callable[[Scene], None] = lambda _scene: None
     prepare: Callable[[Scene, Path], list[Path]] = lambda _scene, _out: []
-    pixels: tuple[int, int] | None = None
+    marks: Mapping[str, Mark] = field(default_factory=dict)
+    shared: Mapping[str, Mark] = field(default_factory=dict)
 
-    def may_replace(self, file: Path) -> bool:
-        """Tells whether a file is absent, or a picture with the pixels of this kind: an earlier one of it."""
-        if self.pixels is None or not file.exists():
-            return True
-        with file.open("rb") as stream:
-            return stream.read(_PIXELS_AT + 2)[_PIXELS_AT:] == bytes(self.pixels)
+    def in_the_way(self, out: Path, stems: Iterable[str]) -> Path | None:
+        """Returns a file that views would replace and that is no earlier one of this kind, or None."""
+        files = [(out / name, mark) for name, mark in self.shared.items()]
+        files += [(out / (stem + suffix), mark) for stem in stems for suffix, mark in self.marks.items()]
+        return next((file for file, mark in files if not _may_replace(file, mark)), None)
+
+
+def _may_replace(file: Path, mark: Mark) -> bool:
+    """Tells whether a file is absent, or says of itself what files of a kind do."""
+    if not file.exists():
+        return True
+    start, said = mark
+    with file.open("rb") as stream:
+        return stream.read(start + len(said))[start:] == said
 
 
 def choose_renderer(kind: str, renderer: str | None) -> str:
@@ -189,10 +201,13 @@ def _write_png(view: View, picture: NDArray[np.uint8] | NDArray[np.uint16]) -> l
 
 
 KINDS = {
-    "silhouette": Kind("silhouette", "render", _write_silhouette, pixels=(8, _GREY)),
-    "depth": Kind("raster", DEPTH, _write_depth, pixels=(16, _GREY)),
-    "label": Kind("raster", LAYERS, _write_label, _check_labels, _write_label_names, (16, _GREY)),
-    "colour": Kind("raster", LAYERS, _write_colour, pixels=(8, _COLOUR)),
-    "overlay": Kind("silhouette", "render", _write_overlay, pixels=(8, _COLOUR)),
-    "instance": Kind("silhouette", INSTANCES, _write_instances),
-}
+    "silhouette": Kind("silhouette", "render", _write_silhouette, marks={".png": _GREY_8}),
+    "depth": Kind("raster", DEPTH, _write_depth, marks={".png": _GREY_16, ".npy": _NPY}),
+    "label": Kind(
+        "raster", LAYERS, _write_label, _check_labels, _write_label_names,
+        {".png": _GREY_16}, {"labels.json": _NAMES},
+    ),
+    "colour": Kind("raster", LAYERS, _write_colour, marks={".png": _COLOUR_8}),
+    "overlay": Kind("silhouette", "render", _write_overlay, marks={".png": _COLOUR_8}),
+    "instance": Kind("silhouette", INSTANCES, _write_instances, marks={".json": _INSTANCES}),
+}  # fmt: skip

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.texture_files import open_textured_map
+from lodbench.datasets.picture_faults import aspect_fault
+from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.pose_text import (
     format_camera,
     format_pose,
@@ -21,7 +23,7 @@ from lodbench.datasets.pose_text import (
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.city import open_city
+from lodbench.harness.city import far_words, open_city
 from lodbench.harness.render.kinds import KINDS, Kind, View, choose_renderer
 from lodbench.plugins import blaming
 from lodbench.rendering import open_renderer
@@ -33,6 +35,9 @@ from lodbench.storage import make_folder, write_text
 
 # Kinds and renderers that can draw a textured map.
 _TEXTURED = (("colour", None), ("colour", "raster"), ("colour", "pyrender"))
+# What is written beside views of a textured map, so that they serve as references.
+_REFERENCES = ("poses.txt", "intrinsic.txt")
+_OTHER_FOLDER = "Name another folder: out=DIR."
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +66,7 @@ class Rendered:
     Attributes:
         files: What the views share, then the views in the order of the poses; of a textured map the
             views, then their poses and cameras.
-        notes: What was met in the city.
+        notes: What was met in the city, and how far off cameras are that see none of it.
     """
 
     files: tuple[Path, ...]
@@ -93,25 +98,26 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
             cannot draw the kind, the textured map lies elsewhere, or pictures are in the way that are not
             of the kind; nothing is written then.
     """
-    if params.textured_map is not None and (params.kind, params.renderer) not in _TEXTURED:
-        raise ConfigError(
-            "A textured map is drawn by kind=colour and renderer=raster or pyrender.", "Add kind=colour."
-        )
+    _require_heard(params)
     name = choose_renderer(params.kind, None if params.textured_map else params.renderer)
     kind = KINDS[params.kind]
     shots, out = _shots(params), Path(params.out).expanduser()
     _require_room(shots, out, kind)
+    if params.textured_map is not None:
+        _require_inputs_kept(params, out)
     options = options or ReadOptions()
     options = options if params.crs is None else replace(options, crs=params.crs)
     options = replace(options, layers=tuple(params.layers)) if params.layers else options
     city = open_city(Path(params.city).expanduser(), params.lod, options, params.roof_height)
     renderer = open_renderer(name, city.scene)
     kind.check(city.scene)
+    far = far_words([shot.pose for shot in shots], city.scene)
+    notes = (*([] if far is None else [f"the cameras are {far[0]}. {far[1]}"]), *city.notes())
     if params.textured_map is not None:
         mesh = open_textured_map(Path(params.textured_map).expanduser(), city.scene, options=options)
         textured = PyrenderTextured(mesh) if params.renderer == "pyrender" else TexturedRenderer(mesh)
         drawn = _draw_textured(textured, shots, city.scene.origin, out)
-        return Rendered(drawn, city.notes() + mesh.notes)
+        return Rendered(drawn, notes + mesh.notes)
     make_folder(out)
     files = kind.prepare(city.scene, out)
     with Progress(f"{params.kind} pictures", len(shots)) as progress:
@@ -120,18 +126,35 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
             with blaming("renderers", name, f"draw {shot.name}"):
                 files += kind.write(View(renderer, shot.camera, pose, path, shot.photo))
             progress.advance()
-    return Rendered(tuple(files), city.notes())
+    return Rendered(tuple(files), notes)
+
+
+def _require_heard(params: RenderParams) -> None:
+    """Raises ConfigError where the kind or the renderer draws neither photos nor textured maps."""
+    if params.textured_map is not None and (params.kind, params.renderer) not in _TEXTURED:
+        raise ConfigError(
+            "A textured map is drawn by kind=colour and renderer=raster or pyrender.", "Add kind=colour."
+        )
+    if params.images is not None and params.kind in KINDS and params.kind != "overlay":
+        raise ConfigError(f"images= is not used by kind={params.kind}.", "Add kind=overlay.")
 
 
 def _require_room(shots: list[Shot], out: Path, kind: Kind) -> None:
-    """Raises ConfigError where photos would be replaced, or pictures that are not of the kind drawn."""
-    hint = "Name another folder: out=DIR."
-    for shot in shots:
-        if shot.photo is not None and shot.photo.resolve().parent == out.resolve():
-            raise ConfigError(f"{out} holds the photos: pictures drawn would replace them.", hint)
-        file = out / f"{Path(shot.name).stem}.png"
-        if not kind.may_replace(file):
-            raise ConfigError(f"{file} is there already, and is no such picture.", hint)
+    """Raises ConfigError where photos would be replaced, or files that are not of the kind drawn."""
+    if any(shot.photo is not None and shot.photo.resolve().parent == out.resolve() for shot in shots):
+        raise ConfigError(f"{out} holds the photos: pictures drawn would replace them.", _OTHER_FOLDER)
+    file = kind.in_the_way(out, [Path(shot.name).stem for shot in shots])
+    if file is not None:
+        what = "picture" if file.suffix == ".png" else "file"
+        raise ConfigError(f"{file} is there already, and is no such {what}.", _OTHER_FOLDER)
+
+
+def _require_inputs_kept(params: RenderParams, out: Path) -> None:
+    """Raises ConfigError where what is written beside views of a textured map would replace the inputs."""
+    inputs = {Path(name).expanduser().resolve() for name in (params.poses, params.intrinsics)}
+    for name in _REFERENCES:
+        if (out / name).resolve() in inputs:
+            raise ConfigError(f"{out / name} is read: what is written would replace it.", _OTHER_FOLDER)
 
 
 def _draw_textured(
@@ -148,13 +171,11 @@ def _draw_textured(
             files.append(path)
             progress.advance()
     names = [path.name for path in files]
-    lines = {
-        "poses.txt": [format_pose(name, shot.pose) for name, shot in zip(names, shots, strict=True)],
-        "intrinsic.txt": [format_camera(name, shot.camera) for name, shot in zip(names, shots, strict=True)],
-    }
-    for name, content in lines.items():
-        write_text(out / name, lines_to_text(content))
-    return *files, *(out / name for name in lines)
+    poses = [format_pose(name, shot.pose) for name, shot in zip(names, shots, strict=True)]
+    cameras = [format_camera(name, shot.camera) for name, shot in zip(names, shots, strict=True)]
+    for name, lines in zip(_REFERENCES, (poses, cameras), strict=True):
+        write_text(out / name, lines_to_text(lines))
+    return *files, *(out / name for name in _REFERENCES)
 
 
 def _shots(params: RenderParams) -> list[Shot]:
@@ -179,5 +200,12 @@ def _shot(params: RenderParams, name: str, pose: Pose, cameras: dict[str, Camera
     if photo is not None and not is_readable_picture(photo):
         raise DatasetError(
             f"{photo} is no picture, or not there.", "images= holds photos named as the poses."
+        )
+    size = None if photo is None else picture_size(photo)
+    own = cameras[name].width, cameras[name].height
+    if size is not None and aspect_fault(size, own):
+        raise DatasetError(
+            f"{photo} is {size[0]} x {size[1]}, its camera {own[0]} x {own[1]}: another aspect.",
+            "images= holds the photos that the intrinsics are of, of any size.",
         )
     return Shot(name, pose, camera, photo)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import linecache
 import sys
 from collections.abc import Collection, Iterator
 from functools import cache
@@ -55,18 +56,32 @@ def words_in(settings: object) -> Iterator[str]:
 
 
 def _typed_code(part: object) -> str:
-    """Returns a digest of the script that defines a part, or of its class where there is none: a notebook."""
-    script = getattr(sys.modules["__main__"], "__file__", None)
+    """Returns a digest of the script that defines a part, or of what was typed: in a notebook there is none.
+
+    There all cells count that define a function or a class which is there still: the part may use any.
+    """
+    main = sys.modules["__main__"]
+    script = getattr(main, "__file__", None)
     if script is not None and Path(script).is_file():
         return file_digest(Path(script))
-    try:
-        return digest_of(inspect.getsource(type(part)))
-    except (OSError, TypeError) as error:
+    if not any(map(linecache.getlines, _cells_of(type(part)))):
         raise ConfigError(
             f"The code of {type(part).__name__} cannot be read, so its results could not be told from "
             "those of another version.",
             "Define it in a file, and import it.",
-        ) from error
+        )
+    cells = _cells_of(type(part)).union(*map(_cells_of, list(vars(main).values())))
+    return digest_of(sorted("".join(linecache.getlines(cell)) for cell in cells))
+
+
+def _cells_of(thing: object) -> set[str]:
+    """Returns the names under which Python keeps the cells that a typed function or class stands in."""
+    if getattr(thing, "__module__", None) != "__main__":
+        return set()
+    # Python finds the lines of a class by its module's file alone, of which a notebook has none.
+    members = [*vars(thing).values()] if isinstance(thing, type) else [thing]
+    plain = [getattr(each, "__func__", getattr(each, "fget", each)) for each in members]
+    return {each.__code__.co_filename for each in plain if inspect.isfunction(each)}
 
 
 @cache
