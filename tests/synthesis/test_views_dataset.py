@@ -15,7 +15,7 @@ from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation.masks import read_mask
 from lodbench.synthesis.mask_degradation import mask_iou
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
-from lodbench.synthesis.views_dataset import ViewsParams, draw_queries, drawing_facts, open_views
+from lodbench.synthesis.views_dataset import ViewsParams, World, draw_queries, drawing_facts, open_views
 from tests.town import box_obj
 
 
@@ -119,6 +119,21 @@ def test_photos_show_the_city_and_change_nothing_else(city):
     seen = SilhouetteRenderer(scene).render(entry.camera, truth)
     inside, outside = (photo[part].mean(axis=0) for part in (seen, ~seen))
     assert np.abs(inside - outside).max() > 5.0
+
+
+def test_photos_show_the_world_that_is_told(city):
+    """A lens a third longer shows the buildings larger: of what both show one part only is roof and wall."""
+    world = World(focal=0.3)
+    longer = open_views(ViewsParams(str(city), num_views=1, look="hard", world=world))
+    plain = open_views(ViewsParams(str(city), num_views=1, look="hard"))
+    (entry,), scene = longer.entries, open_scene(city)
+    assert entry.camera == plain.entries[0].camera
+    truth, renderer = longer.truth[entry.key].shifted(-scene.origin), SilhouetteRenderer(scene)
+    seen, told = (renderer.render(camera, truth) for camera in (world.lens(entry.camera, 0), entry.camera))
+    photo, other = (cv2.imread(str(data.entries[0].image)).astype(float) for data in (longer, plain))
+    for picture, right, wrong in ((photo, seen, told), (other, told, seen)):
+        contrasts = [np.abs(picture[m].mean(axis=0) - picture[~m].mean(axis=0)).max() for m in (right, wrong)]
+        assert contrasts[0] > contrasts[1]
 
 
 def test_a_look_that_is_not_known_is_refused(city):
