@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from itertools import islice
 from multiprocessing import resource_tracker
+from pathlib import Path
 from typing import Any, TypeVar
 from uuid import uuid4
 
@@ -61,7 +63,7 @@ class DaskWorkers:
         # to each other, and what one of them works with, such as a network it has loaded, cannot be sent.
         dumps = import_module("distributed.protocol.pickle").dumps
         self._common = client.submit(
-            _together, uuid4().hex, dumps((prepare, prepare_with)), pure=False, retries=_RETRIES
+            _together, uuid4().hex, dumps((Path.cwd(), prepare, prepare_with)), pure=False, retries=_RETRIES
         )
 
     def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
@@ -208,6 +210,10 @@ def _on_worker(common: tuple[str, bytes], work: Callable[[Any], Any], item: Any)
     token, preparation = common
     with _one_at_a_time:
         if _prepared != [token]:
-            begin(*import_module("distributed.protocol.pickle").loads(preparation))
+            folder, *prepared = import_module("distributed.protocol.pickle").loads(preparation)
+            # Paths that the user typed are relative to the command's folder, not to where the worker began.
+            with suppress(OSError):
+                os.chdir(folder)
+            begin(*prepared)
             _prepared[:] = [token]
         return work(item)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -56,6 +57,23 @@ def test_what_a_worker_was_prepared_with_can_be_handed_to_the_next() -> None:
     assert _on_worker(common, is_loaded, 0)
     _, preparation = protocol.loads(protocol.dumps(common))
     assert isinstance(preparation, bytes)
+
+
+def nothing(*_: Any) -> None:
+    pass
+
+
+def folder_of(_: int) -> str:
+    return str(Path.cwd())
+
+
+def test_paths_are_relative_to_the_command_s_folder(tmp_path, monkeypatch) -> None:
+    pytest.importorskip("distributed")
+    client = OneWorker()
+    monkeypatch.chdir(tmp_path)
+    DaskWorkers(client, "here", nothing, (), 1, 1.0)
+    monkeypatch.chdir("/")  # where the worker was started
+    assert _on_worker(client.kept[0], folder_of, 0) == str(tmp_path)
 
 
 _inside: list[int] = []
