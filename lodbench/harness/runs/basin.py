@@ -15,9 +15,10 @@ from lodbench.harness.runs.cost_maps import CostGrid, cost_csv, measure_cost_map
 from lodbench.harness.runs.result import chosen_entries
 from lodbench.harness.runs.run import Run
 from lodbench.reporting.basin_figures import RecallCurve, draw_cost_maps, draw_recall_curves
+from lodbench.reporting.run_names import title_of
 from lodbench.reporting.split_numbers import numbers_of
 from lodbench.reporting.table_formats import format_latex, format_markdown
-from lodbench.reporting.tables import Line, RecallTable, title_of
+from lodbench.reporting.tables import Line, RecallTable
 from lodbench.storage import digest_of, make_folder, write_bytes, write_text
 
 _AXES = {
