@@ -13,7 +13,7 @@ from lodbench.evaluation.recall import Threshold
 from lodbench.evaluation.statistics import Comparison
 from lodbench.harness.runs.compare import agreement, paired_comparison, require_same_queries
 from lodbench.harness.runs.stored import StoredRun
-from lodbench.reporting.comparison import agreement_text, comparison_cells
+from lodbench.reporting.comparison import PAIRED_NOTE, agreement_text, comparison_cells
 from lodbench.reporting.comparison_figures import ErrorCurve, draw_comparison
 from lodbench.reporting.page import Picture, markup, rendered
 from lodbench.reporting.table_formats import format_html
@@ -54,6 +54,7 @@ def comparison_page(
         tables=[markup(format_html(table)) for table in tables],
         pictures=pictures,
         pairs=pairs,
+        note=PAIRED_NOTE if any(not reason for _, reason, _, _ in pairs) else "",
     )
 
 

@@ -149,7 +149,9 @@ def _query_table(verdict: Verdict, tilt: str) -> str:
 
 
 def _holds_anything(cells: pd.Series[Any]) -> bool:
-    return bool((cells.ne("") & cells.ne("-")).any() if cells.dtype == object else cells.notna().any())
+    # Numbers, and texts under whichever of its types pandas keeps them.
+    is_number = cells.dtype.kind in "fiu"
+    return bool(cells.notna().any() if is_number else (cells.ne("") & cells.ne("-")).any())
 
 
 def _failures(verdict: Verdict) -> Mapping[str, int]:
