@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from lodbench.cli.parser import Parser
@@ -50,10 +51,11 @@ def main(argv: Sequence[str]) -> int:
         for line in changed_files(run):
             sys.stderr.write(f"lodbench: {run.folder}: {line}: edited by hand?\n")
     thresholds = parse_thresholds(options.thresholds)
-    summaries = [
-        with_settings(summary_at(run, thresholds), config, run.provenance.get("city_model"))
+    runs = [
+        replace(run, summary=with_settings(run.summary, config, run.provenance.get("city_model")))
         for run, config in zip(runs, configs, strict=True)
     ]
+    summaries = [summary_at(run, thresholds) for run in runs]
     scored = [summary for run, summary in zip(runs, summaries, strict=True) if has_truth(run.queries).any()]
     if options.format not in ("text", "html"):
         _require_truth(options.format, len(runs) - len(scored), len(scored))
