@@ -105,9 +105,9 @@ def test_a_lone_house_is_flown_over_lower(tmp_path, capsys):
         (["--building-share", "0.1"], "0.1 is not LOW,HIGH"),
     ],
 )
-def test_methods_that_look_at_photos_need_a_look_that_there_is(options, said, capsys):
+def test_methods_that_look_at_photos_need_a_look_that_there_is(city, options, said, capsys):
     """A look that is not known left out one city after the other."""
-    assert main(["bench", "accuracy", "--city", "absent.gml", "--city", "gone.gml", *options]) == 2
+    assert main(["bench", "accuracy", "--city", str(city), "--city", str(city), *options]) == 2
     assert said in capsys.readouterr().err
 
 
