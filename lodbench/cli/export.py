@@ -31,6 +31,8 @@ def main(argv: Sequence[str]) -> int:
     require_writable(asked.out, [asked.run], may_be_folder=True)
     run = read_whole_run(asked.run)
     form = make_format(asked.format)
+    if asked.crs is not None and CRS not in form.requires:
+        raise ConfigError(f"--format {asked.format} states no reference system.", "Leave --crs out.")
     needs = set(form.requires) - ({CRS} if asked.crs is not None else set())
     if not needs and (asked.dataset_root or asked.city_model):
         raise ConfigError(

@@ -38,7 +38,9 @@ def run(tmp_path_factory) -> Path:
     return found
 
 
-@pytest.mark.parametrize("name", ["colmap", "kapture", "nerfstudio", "tum", "visuallocalization"])
+@pytest.mark.parametrize(
+    "name", ["colmap", "kapture", "metashape", "nerfstudio", "odm", "pix4d", "tum", "visuallocalization"]
+)
 def test_every_format_is_read_back(capsys, tmp_path, run, name):
     # Where the poses are only ODM's file must say; angles in degrees cost a digit or two.
     place = ["--crs", "EPSG:25832"] if name == "odm" else []
@@ -90,6 +92,7 @@ def test_a_map_of_every_query(capsys, tmp_path, run):
         (["--format", "geojson"], ["reference system", "--crs"]),
         (["--format", "geojson", "--crs", "EPSG:4326"], ["degrees"]),
         (["--format", "geojson", "--crs", "EPSG:1"], ["EPSG:1"]),
+        (["--format", "tum", "--crs", "EPSG:25832"], ["states no reference system", "Leave --crs out"]),
         (["--format", "geojson", "--city-model", "nowhere.gml"], ["nowhere.gml"]),
     ],
 )
