@@ -16,6 +16,7 @@ from lodbench.harness.city import open_city
 from lodbench.harness.export.export import CITY, CRS, Export, Exported, export_run, make_format
 from lodbench.harness.runs.stored import read_whole_run, require_writable
 from lodbench.plugins import blaming, plugin_names
+from lodbench.reporting.aligned_text import count_of
 
 _EPILOG = """\
 Poses are written in the dataset's coordinates; queries without one are named, not written (in GeoJSON they
@@ -50,10 +51,10 @@ def main(argv: Sequence[str]) -> int:
 
 def _report(done: Exported) -> int:
     """Says what was written; returns the exit code."""
-    sys.stdout.write(f"{done.path}: {done.count} poses\n")
+    sys.stdout.write(f"{done.path}: {count_of(done.count, 'poses')}\n")
     if done.without_pose:
         names = ", ".join(done.without_pose[:3]) + (", ..." if len(done.without_pose) > 3 else "")
-        sys.stdout.write(f"  {len(done.without_pose)} queries have no pose: {names}\n")
+        sys.stdout.write(f"  without a pose: {count_of(len(done.without_pose), 'queries')}: {names}\n")
     return 0
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from lodbench.evaluation.statistics import Agreement, Comparison
-from lodbench.reporting.aligned_text import format_columns
+from lodbench.reporting.aligned_text import count_of, format_columns
 from lodbench.reporting.table_columns import finite_text
 
 PAIRED_NOTE = (
@@ -37,8 +37,8 @@ def agreement_text(found: Agreement | None) -> str:
     if found is None:
         return ""
     return (
-        f"Answers of both: {found.answered} queries, {found.within} within 2 m and 2 deg of each other; "
-        f"medians apart {found.median_m:.2f} m and {found.median_deg:.2f} deg."
+        f"Answers of both: {count_of(found.answered, 'queries')}, {found.within} within 2 m and 2 deg of "
+        f"each other; medians apart {found.median_m:.2f} m and {found.median_deg:.2f} deg."
     )
 
 

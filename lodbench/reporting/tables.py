@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.run_names import labels_of, method_name, natural, title_of, titles_of
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.split_numbers import mean_numbers, numbers_of, require_one_run_a_seed
@@ -189,7 +190,7 @@ def _table(title: str, members: list[dict[str, Any]], free: set[str], over_seeds
     found = []
     for label, runs in labelled.items():
         require_one_run_a_seed(label, runs)
-        shown = label.split("\0")[0] + (f" ({len(runs)} seeds)" if over_seeds else "")
+        shown = label.split("\0")[0] + (f" ({count_of(len(runs), 'seeds')})" if over_seeds else "")
         found.append(Line(shown, {name: mean_numbers(runs, name) for name in runs[0]["splits"]}))
     if len({method_name(member) for member in members}) == 1:
         # One method under several settings: in their order, whatever the order of the folders.

@@ -91,7 +91,7 @@ def test_a_lone_house_is_flown_over_lower(tmp_path, capsys):
     assert "hint: Give --camera-height [40,80] to fly lower" in capsys.readouterr().err
     low = ["--camera-height", "[30,50]", "--building-share", "0.02,0.8"]
     assert main([*words, *low]) == 0
-    assert "1 views" in capsys.readouterr().out
+    assert "1 view (" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -136,5 +136,5 @@ def test_status_finds_the_runs_below_a_folder(lodbench, tmp_path):
         lodbench("run", "dataset=folder", f"root={root}", f"city={city}", "method=prior_only", f"tilt={tilt}")
     done = lodbench("status", "runs")
     assert done.returncode == 0
-    assert done.stdout.count("1 of 1 queries, finished") == 2
+    assert done.stdout.count("1 of 1 query, finished") == 2
     assert lodbench("status", str(root)).returncode == 2

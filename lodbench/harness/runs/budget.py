@@ -9,6 +9,7 @@ from typing import Any
 from lodbench.citymodel.lods import lod_in_words
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
 from lodbench.harness.runs.stored import StoredRun
+from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.calibration_figures import BudgetPoint
 
 _LABEL = DEFAULT_THRESHOLDS[0].label
@@ -36,7 +37,7 @@ def budget_panels(runs: Sequence[StoredRun]) -> dict[str, Curves]:
         for split, numbers in summary["splits"].items():
             if numbers["recall"].get(_LABEL) is None:
                 continue
-            count = f"({numbers['num_queries']} queries)" if counted else ""
+            count = f"({count_of(numbers['num_queries'], 'queries')})" if counted else ""
             name = " ".join(str(word) for word in (method, *words, count) if word)
             panels[f"{dataset}, {split}, tilt={summary['protocol']['tilt']}"][name].append(_point(numbers))
     return {

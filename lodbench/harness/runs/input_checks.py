@@ -21,6 +21,7 @@ from lodbench.harness.city import FURTHEST_M, distance_outside_m
 from lodbench.harness.runs.requirements import needs_segmenter
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsFlights
+from lodbench.reporting.aligned_text import count_of
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.masks import MaskFiles
 
@@ -105,7 +106,7 @@ def tell_flights(method: Method, entries: Sequence[Entry]) -> None:
     """Says which photos are taken for one flight because nothing names theirs: they may not be one."""
     unnamed = Counter(entry.split for entry in entries if not entry.sequence)
     if isinstance(method, SupportsFlights) and max(unnamed.values(), default=0) > 1:
-        listed = ", ".join(f"{count} photos of {split}" for split, count in unnamed.items())
+        listed = ", ".join(f"{count_of(count, 'photos')} of {split}" for split, count in unnamed.items())
         _LOG.warning("nothing names the flights (sequences.txt): taken for one flight each: %s", listed)
 
 
