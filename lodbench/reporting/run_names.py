@@ -25,12 +25,18 @@ def title_of(summary: dict[str, Any], free: Collection[str] = ()) -> str:
 
 
 def titles_of(heads: Sequence[str], summaries: Sequence[dict[str, Any]]) -> list[str]:
-    """Returns the titles of tables, given a run of each; alike ones say how the runs' data were set."""
+    """Returns the titles of tables, given a run of each; those of one dataset say how its data were set."""
     titles = []
     for head, summary in zip(heads, summaries, strict=True):
-        peers = [other for other, theirs in zip(summaries, heads, strict=True) if theirs == head]
-        titles.append(" · ".join([head, *_set_apart(summary, peers)]))
+        peers = [other for other in summaries if _dataset_of(other) == _dataset_of(summary)]
+        # The level of detail is in the head, where it is known.
+        words = [word for word in _set_apart(summary, peers) if not word.startswith("lod=")]
+        titles.append(" · ".join([head, *words]))
     return titles
+
+
+def _dataset_of(summary: dict[str, Any]) -> tuple[str, str]:
+    return summary["dataset"]["name"], summary["dataset"]["version"]
 
 
 def _set_apart(summary: dict[str, Any], peers: Sequence[dict[str, Any]]) -> list[str]:
