@@ -140,8 +140,10 @@ def _tell_scaled(entries: Sequence[Entry]) -> None:
     if other:
         entry, size = other[0]
         assert entry.camera is not None and size is not None  # noqa: S101, PT018 - the filter has looked
+        # Drawn views have no photos, but cameras of such.
+        whose = "camera" if entry.image is None else "photo"
         _LOG.warning(
-            "%d of %d masks are of another size than their photos and are scaled; the first, %s, is %d x %d, "
-            "its photo %d x %d",
-            len(other), len(entries), entry.key, *size, entry.camera.width, entry.camera.height,
+            "%d of %d masks are of another size than their %ss and are scaled; the first, %s, is %d x %d, "
+            "its %s %d x %d",
+            len(other), len(entries), whose, entry.key, *size, whose, entry.camera.width, entry.camera.height,
         )  # fmt: skip
