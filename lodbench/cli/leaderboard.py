@@ -39,7 +39,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("lodbench leaderboard", description="Rows people can trust.")
-    actions = parser.add_subparsers(dest="action", required=True)
+    actions = parser.add_subparsers(dest="action", required=True, metavar="add|build")
     add = actions.add_parser(
         "add", help="verify a run and store its row; oracle and unverifiable runs are kept out of the ranking"
     )
