@@ -214,20 +214,20 @@ def test_other_code_is_another_run(tmp_path, monkeypatch, place):
     shutil.copytree(Path(find_spec("lodbench.baselines").origin).parent, baselines)
     monkeypatch.setattr(module, "__file__", str(changed / "harness" / "runs" / "code_digest.py"))
     monkeypatch.setattr(module, "package_files", lambda name: sorted(baselines.rglob("*.py")))
-    before = module._own_digest.__wrapped__()
+    before = module.own_digest.__wrapped__()
     with (tmp_path / (place if place.startswith("baselines") else f"lodbench/{place}")).open("a") as stream:
         stream.write("# changed\n")
-    assert module._own_digest.__wrapped__() != before
+    assert module.own_digest.__wrapped__() != before
 
 
 def test_another_scipy_is_another_run(monkeypatch):
     from lodbench.harness.runs import code_digest as module
     from lodbench.storage import digest
 
-    before = module._own_digest.__wrapped__()
+    before = module.own_digest.__wrapped__()
     there = digest.version
     monkeypatch.setattr(digest, "version", lambda name: "0.1" if name == "scipy" else there(name))
-    assert module._own_digest.__wrapped__() != before
+    assert module.own_digest.__wrapped__() != before
 
 
 def test_a_setting_names_the_same_run_however_it_is_written(lodbench, tmp_path, dataset):
