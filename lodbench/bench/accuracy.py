@@ -24,7 +24,7 @@ from lodbench.evaluation.calibration import Calibration, calibrate
 from lodbench.evaluation.queries import ERROR, summarize_queries
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.methods import Method
-from lodbench.reporting.aligned_text import format_columns
+from lodbench.reporting.aligned_text import count_of, format_columns
 from lodbench.reporting.calibration_figures import draw_calibration
 from lodbench.reporting.table_columns import finite_text
 from lodbench.synthesis.views_dataset import SPLIT, ViewsParams
@@ -93,7 +93,8 @@ def _drawn(views: ViewsParams, queries: pd.DataFrame) -> str:
     city = Path(views.city_model).name
     if views.mask_lod is not None or views.lod is not None:
         city += f" (masks {lod_in_words(first['mask_lod'])}, map {lod_in_words(first['map_lod'])})"
-    return f"{city}, {views.num_views * len(runs)} views ({runs['rejections'].sum()} draws rejected)"
+    count = count_of(views.num_views * len(runs), "views")
+    return f"{city}, {count} ({runs['rejections'].sum()} draws rejected)"
 
 
 def _is_found(rows: pd.DataFrame) -> NDArray[np.bool_]:

@@ -15,7 +15,7 @@ from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, summarize
 from lodbench.methods import Method
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.lodlocv2 import LodLocV2
-from lodbench.reporting.aligned_text import format_columns
+from lodbench.reporting.aligned_text import count_of, format_columns
 from lodbench.reporting.calibration_figures import BudgetPoint, draw_budget
 from lodbench.synthesis.views_dataset import ViewsParams
 
@@ -58,7 +58,9 @@ def measure_budget(
         Figure(f"recall {_LABEL} of {m} at {p.hypotheses:.0f} hypotheses", p.recall, "%") for m, p in points
     ]
     cells = [[m, f"{p.hypotheses:.0f}", f"{p.recall:.1f} [{p.low:.1f}, {p.high:.1f}]"] for m, p in points]
-    count = f"{Path(views.city_model).name}: {views.num_views * len(drawn)} views with tilt=prior"
+    count = (
+        f"{Path(views.city_model).name}: {count_of(views.num_views * len(drawn), 'views')} with tilt=prior"
+    )
     table = format_columns([["", "hypotheses", f"{_LABEL} %"], *cells])
     return Report(
         f"{table}\n{count}, {protocol_of(views, seeds)}", figures, queries, partial(_pictures, curves, count)

@@ -60,11 +60,15 @@ def measure_reconstructions(
     """
     rows = [["path", "seed", "median m", "median deg", "worst m", "off m", "sigma m", "start m"]]
     paths = list(FLIGHT_PATHS) if flights.path is None else [flights.path]
-    medians, count = [], len(seeds) * len(paths)
-    for number, (seed, path) in enumerate((seed, path) for seed in seeds for path in paths):
-        drawn = replace(flights, num_flights=1, path=path, flights_seed=seed)
+    asked = [(path, seed) for seed in seeds for path in paths]
+    # All are drawn before the first is placed: what cannot be drawn is told before the work.
+    drawn = [
+        open_flights(replace(flights, num_flights=1, path=path, flights_seed=seed)) for path, seed in asked
+    ]
+    medians, count = [], len(asked)
+    for number, ((path, seed), dataset) in enumerate(zip(asked, drawn, strict=True)):
         try:
-            numbers = _placed(drawn, noise)
+            numbers = _placed(dataset, noise, seed)
             medians.append(numbers[0])
             rows.append([path, str(seed), *(f"{number:.2f}" for number in numbers)])
         except LodbenchError as fault:
@@ -84,16 +88,15 @@ def measure_reconstructions(
     return Report("\n".join([format_columns(rows), note]), figures)
 
 
-def _placed(flights: FlightsParams, noise: Noise) -> list[float]:
+def _placed(dataset: Dataset, noise: Noise, seed: int) -> list[float]:
     """Returns the numbers of a flight's row."""
-    dataset = open_flights(flights)
     assert dataset.city_model is not None  # noqa: S101 - it was drawn over one
     truth = {entry.name: dataset.truth[entry.key] for entry in dataset.entries}
     masks = dataset.entries[0].mask
     assert masks is not None  # noqa: S101 - they were drawn
     with TemporaryDirectory() as name:
         folder = Path(name)
-        write_reconstruction(dataset, folder, noise, flights.flights_seed)
+        write_reconstruction(dataset, folder, noise, seed)
         request = GeoreferenceRequest(
             model=folder / "model",
             city=dataset.city_model,

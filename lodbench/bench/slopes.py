@@ -18,6 +18,7 @@ from lodbench.bench.options import SEED, option
 from lodbench.bench.slope_points import Reach, points_within
 from lodbench.errors import ConfigError
 from lodbench.reporting.aligned_text import format_columns
+from lodbench.reporting.table_columns import finite_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -79,7 +80,7 @@ def _text(data: pd.DataFrame, slopes: dict[str, float]) -> str:
     rows = [["axis", "size", "CPU s", "slope", "peak MB"]]
     for axis, points in data.groupby("axis", sort=False):
         for number, point in enumerate(points.itertuples()):
-            slope = f"{slopes[str(axis)]:.2f}" if number == len(points) - 1 else ""
+            slope = finite_text(slopes[str(axis)], ".2f") if number == len(points) - 1 else ""
             rows.append([str(axis), f"{point.size:,}", f"{point.cpu_s:.4g}", slope, f"{point.peak_mb:,.0f}"])
     return format_columns(rows) + (
         "\nslope: of the last half of the axis, doubly logarithmic; 1 is in proportion. One thread per "
@@ -101,7 +102,7 @@ def _picture(data: pd.DataFrame, slopes: dict[str, float]) -> dict[str, bytes]:
             axes.set_axis_off()
         for axes, (axis, mine) in zip(panels.flat, groups, strict=False):
             axes.loglog(mine["size"], mine["cpu_s"], "o-", color=SERIES[0])
-            axes.set_title(f"{axis}\nslope {slopes[str(axis)]:.2f}", fontsize=8)
+            axes.set_title(f"{axis}\nslope {finite_text(slopes[str(axis)], '.2f')}", fontsize=8)
             axes.set_ylabel("CPU s", color=SERIES[0])
             beside = axes.twinx()
             beside.loglog(mine["size"], mine["peak_mb"], "s--", color=SERIES[1])

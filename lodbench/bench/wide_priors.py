@@ -12,7 +12,7 @@ from lodbench.bench.views import Job, of_seeds, protocol_of, sweep
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.errors import FAILED
 from lodbench.methods.contour_alignment import ContourAlignment
-from lodbench.reporting.aligned_text import format_columns
+from lodbench.reporting.aligned_text import count_of, format_columns
 from lodbench.synthesis.views_dataset import ViewsParams
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def measure_wide_priors(
         for search, method in methods.items()
     ]
     pairs = pairs_of(sweep(jobs, progress, threads))
-    city = f"{Path(views.city_model).name}, {len(pairs)} views with tilt=prior"
+    city = f"{Path(views.city_model).name}, {count_of(len(pairs), 'views')} with tilt=prior"
     return report_pairs(pairs, f"{city}, {protocol_of(views, seeds)}.")
 
 

@@ -48,7 +48,7 @@ def task(config: DictConfig) -> None:
     """Runs one basin and leaves its folder, and those of its runs."""
     values = plain(config)
     options = to_params(
-        {key: values.pop(key) for key in ("ranges", "yaw_ranges", "limits", "maps")}, BasinOptions, "basin"
+        {key: values.pop(key) for key in ("ranges", "yaw_ranges", "limits", "maps")}, BasinOptions, ""
     )
     steps = basin_steps(options.ranges, options.yaw_ranges, options.limits or [values["limit"]])
     # Every step's configuration is made before the first one runs: a fault stops before any work.

@@ -78,7 +78,7 @@ MEASURES: dict[str, Measure] = {
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("lodbench bench", description="Measure speed and accuracy.")
-    actions: Any = parser.add_subparsers(dest="what", required=True)
+    actions: Any = parser.add_subparsers(dest="what", required=True, metavar="|".join(MEASURES))
 
     def add(name: str, kind: type, meaning: str, pictures: str = "") -> Any:
         action = actions.add_parser(name, help=meaning)

@@ -10,8 +10,8 @@ from typing import Any
 from lodbench.bench.figures import Report
 from lodbench.bench.flights import measure_flights
 from lodbench.bench.joint_solves import measure_joint_solves
-from lodbench.cli.bench_views import seeds, whole_numbers
-from lodbench.errors import ConfigError, DatasetError, require_within
+from lodbench.cli.bench_views import city_file, seeds, whole_numbers
+from lodbench.errors import ConfigError, require_within
 from lodbench.execution import ProgressCallback
 from lodbench.methods.flight import FlightMethod, Params
 from lodbench.methods.flight.params import RELATIVE_POSES
@@ -106,8 +106,7 @@ def require_city(options: argparse.Namespace) -> None:
     Raises:
         DatasetError: It is not.
     """
-    if not options.city.exists():
-        raise DatasetError(f"The city model {options.city} does not exist.", "Check the path after --city.")
+    city_file(options)
 
 
 def _counts(text: str) -> list[int]:

@@ -15,7 +15,7 @@ from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, require_within
 from lodbench.execution import ProgressCallback
 from lodbench.harness.city import open_city
 from lodbench.methods.registry import configure_method
@@ -57,6 +57,8 @@ def add_real(actions: Any) -> argparse.ArgumentParser:
 
 def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     """Returns what was asked for."""
+    for name in ("range", "height", "yaw", "tilt"):
+        require_within(f"--prior-{name}", getattr(options, f"prior_{name}"), 0)
     dataset, scene = _photos_and_map(options)
     width = UniformPrior(
         x_m=options.prior_range,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from lodbench.bench.figures import Report
 from lodbench.bench.options import SEED
 from lodbench.bench.wide_priors import measure_wide_priors
 from lodbench.datasets.inputs import Input
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method
 from lodbench.synthesis.photo import look_ranges
@@ -25,6 +26,16 @@ _WORLD = (
     "how what is seen differs from the map: shared_roofs and hidden_feet in metres, focal as a share, "
     "tilt as a factor on the told one"
 )
+# What settings of views are called here.
+_OPTIONS = {
+    "num_views": "--views",
+    "mask_iou": "--mask-iou",
+    "tilt_deg": "--tilt-width",
+    "range_m": "--prior-range",
+    "height_m": "--prior-height",
+    "camera_height_m": "--camera-height",
+    "building_share": "--building-share",
+}
 # Fewer masks say nothing about how masks err.
 _FEWEST_MASKS = 20
 
@@ -82,12 +93,18 @@ def add_city(parser: argparse.ArgumentParser) -> None:
 
 
 def city_file(given: argparse.Namespace) -> Path:
-    """Returns the city asked for, or the demo town's."""
+    """Returns the city asked for, or the demo town's.
+
+    Raises:
+        DatasetError: It is not there.
+    """
     return _or_demo(given.city)
 
 
 def _or_demo(city: Path | None) -> Path:
     if city is not None:
+        if not city.exists():
+            raise DatasetError(f"The city model {city} does not exist.", "Check the path after --city.")
         return city
     from lodbench.synthesis.demo import DemoParams, open_demo
     from lodbench.synthesis.town.build import CITY_FILE
@@ -129,6 +146,19 @@ def wide_priors(given: argparse.Namespace, steps: ProgressCallback) -> Report:
 
 
 def _views(given: argparse.Namespace, city: Path | None) -> ViewsParams:
+    """Returns what is drawn over a city.
+
+    Raises:
+        LodbenchError: The city is not there, or an option is out of range.
+    """
+    try:
+        return _params(given, city)
+    except ConfigError as fault:
+        said = re.sub(r"dataset\.(\w+)", lambda name: _OPTIONS.get(name[1], name[0]), fault.message)
+        raise ConfigError(said, fault.hint) from fault
+
+
+def _params(given: argparse.Namespace, city: Path | None) -> ViewsParams:
     return ViewsParams(
         city_model=str(_or_demo(city)),
         num_views=given.views,

@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from lodbench.cli.parser import Parser
+from lodbench.cli.verify import read_config
 from lodbench.errors import ConfigError
 from lodbench.evaluation.queries import has_truth
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
@@ -20,9 +22,11 @@ from lodbench.harness.runs.verify import changed_files
 from lodbench.reporting.answers import format_answers
 from lodbench.reporting.calibration_figures import draw_budget
 from lodbench.reporting.comparison import agreement_text, format_comparison
+from lodbench.reporting.run_names import FREE, names_of
+from lodbench.reporting.summaries import with_settings
 from lodbench.reporting.table_columns import COLUMNS
 from lodbench.reporting.table_formats import FORMATS, format_csv
-from lodbench.reporting.tables import FREE, names_of, tables_of
+from lodbench.reporting.tables import tables_of
 from lodbench.storage import make_folder, write_bytes, write_text
 
 _MOST_PANELS = 4
@@ -41,11 +45,16 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = _parser().parse_args(argv)
     require_writable(options.out, options.runs)
+    configs = [read_config(folder) for folder in options.runs]
     runs = [read_whole_run(folder) for folder in options.runs]
     for run in runs:
         for line in changed_files(run):
             sys.stderr.write(f"lodbench: {run.folder}: {line}: edited by hand?\n")
     thresholds = parse_thresholds(options.thresholds)
+    runs = [
+        replace(run, summary=with_settings(run.summary, config, run.provenance.get("city_model")))
+        for run, config in zip(runs, configs, strict=True)
+    ]
     summaries = [summary_at(run, thresholds) for run in runs]
     scored = [summary for run, summary in zip(runs, summaries, strict=True) if has_truth(run.queries).any()]
     if options.format not in ("text", "html"):

@@ -17,6 +17,7 @@ from lodbench.harness.city import open_city
 from lodbench.harness.export.export import CITY, CRS, Export, Exported, export_run, make_format
 from lodbench.harness.runs.stored import read_whole_run, require_writable
 from lodbench.plugins import blaming, plugin_names
+from lodbench.reporting.aligned_text import count_of
 
 _EPILOG = """\
 Poses are written in the dataset's coordinates; queries without one are named, not written (in GeoJSON they
@@ -56,7 +57,7 @@ def _report(done: Exported) -> int:
     sys.stdout.write(f"{done.path}: {done.count} pose{'s' * (done.count != 1)}\n")
     if done.without_pose:
         names = ", ".join(done.without_pose[:3]) + (", ..." if len(done.without_pose) > 3 else "")
-        sys.stdout.write(f"  {len(done.without_pose)} queries have no pose: {names}\n")
+        sys.stdout.write(f"  without a pose: {count_of(len(done.without_pose), 'queries')}: {names}\n")
     return 0
 
 

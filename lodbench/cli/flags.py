@@ -24,6 +24,13 @@ _FLAGS = {
 }
 # Commands that read a finished run: where the data lies now is not what they are about.
 _OF_RUNS = ("verify", "report", "export", "leaderboard")
+# What else benches call settings.
+_OF_BENCHES = {
+    **dict.fromkeys(
+        ("accuracy", "budget", "wide-priors", "flights", "georeference"), ("--lod ", "--map-lod ")
+    ),
+    "real": ("--root ", "--query "),
+}
 _OPTIONS = {field.name: f"--option {field.name}" for field in fields(ReadOptions)}
 # These take settings as ``KEY=VALUE`` alone.
 _CHECKS = ("check-method", "check-plugin")
@@ -74,6 +81,8 @@ def in_syntax_of(words: Sequence[str], hint: str) -> str:
         'Set segmenter.weights=FILE.'
         >>> in_syntax_of(["verify", "RUN"], "Set dataset.root=FOLDER.")
         'Give --dataset-root FOLDER.'
+        >>> in_syntax_of(["bench", "flights"], "Ask for lod=2.2.")
+        'Ask for --map-lod 2.2.'
     """
     if words[0] in _CHECKS:
         return hint
@@ -82,7 +91,11 @@ def in_syntax_of(words: Sequence[str], hint: str) -> str:
     # Another command that a hint names in full keeps its own syntax.
     own, named, rest = _NAMED.split(hint, maxsplit=1) if _NAMED.search(hint) else (hint, "", "")
     own = in_flags(own)
-    return (own.replace("--root ", "--dataset-root ") if words[0] in _OF_RUNS else own) + named + rest
+    if words[0] in _OF_RUNS:
+        own = own.replace("--root ", "--dataset-root ")
+    elif words[0] == "bench" and len(words) > 1 and words[1] in _OF_BENCHES:
+        own = own.replace(*_OF_BENCHES[words[1]])
+    return own + named + rest
 
 
 def _as_long_flags(command: str, hint: str) -> str:

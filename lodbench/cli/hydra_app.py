@@ -149,7 +149,22 @@ def _hydra_words(argv: Sequence[str], config_name: str) -> list[str]:
     placed = {group.key: f"{group.folder}@{group.key}" for group in groups_of(config_name)}
     settings = [word for word in argv if word not in _SWEEP_FLAGS]
     flags = [word for word in argv if word in _SWEEP_FLAGS]
-    return flags + [free_option(quote_path(_in_place(word, placed))) for word in settings]
+    quoted = _quoted_paths if flags else quote_path
+    return flags + [free_option(quoted(_in_place(word, placed))) for word in settings]
+
+
+def _quoted_paths(word: str) -> str:
+    """Returns an override of a sweep as ``quote_path`` does, one value for each of several files."""
+    key, _, value = word.partition("=")
+    paths = value.split(",")
+    # A file's name may hold commas of its own.
+    if key not in PATH_KEYS or _is_there(value) or not all(map(_is_there, paths)):
+        return quote_path(word)
+    return f"{key}=" + ",".join(quote_path(f"{key}={path}").partition("=")[2] for path in paths)
+
+
+def _is_there(path: str) -> bool:
+    return Path(path).expanduser().exists()
 
 
 def _in_place(word: str, placed: Mapping[str, str]) -> str:

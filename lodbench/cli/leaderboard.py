@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from lodbench.cli.parser import Parser
@@ -39,7 +39,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("lodbench leaderboard", description="Rows people can trust.")
-    actions = parser.add_subparsers(dest="action", required=True)
+    actions = parser.add_subparsers(dest="action", required=True, metavar="add|build")
     add = actions.add_parser(
         "add", help="verify a run and store its row; oracle and unverifiable runs are kept out of the ranking"
     )
@@ -132,9 +132,21 @@ def _build(root: Path, check: bool) -> int:
         if not check:
             write_text(path, texts[path])
         sys.stdout.write(f"{path}{': not what the entries make' if check else ''}\n")
-    if not changed:
+    stale = _stale(root, texts)
+    for path in stale:
+        sys.stdout.write(f"{path}: no entry makes it any more: remove it\n")
+    if not (changed or stale):
         sys.stdout.write(f"{len(texts)} files are what the entries make\n")
-    return 1 if check and changed else 0
+    return 1 if check and (changed or stale) else 0
+
+
+def _stale(root: Path, texts: Collection[Path]) -> list[Path]:
+    """Returns the files of boards whose last entry is gone; a board is told by its LaTeX."""
+    names = {path.stem for path in root.glob("*.tex")} - {path.stem for path in texts}
+    files = (
+        root / f"{name}{ending}" for name in sorted(names) for ending in (".csv", ".html", ".md", ".tex")
+    )
+    return [path for path in files if path.is_file()]
 
 
 def _holds(path: Path, text: str) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from lodbench.reporting.aligned_text import format_columns
+from lodbench.reporting.aligned_text import count_of, format_columns
 from lodbench.reporting.answers import trust_word
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_columns import finite_text
@@ -36,7 +36,8 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
     lines += _doubt_lines(answers)
     doubted = sum(not found.is_trusted for found in answers.found)
     good, failed = len(answers.found) - doubted, len(answers.photos) - len(answers.found)
-    lines.append(f"{len(answers.photos)} photos: {good} found, {doubted} not to be trusted, {failed} failed")
+    count = count_of(len(answers.photos), "photos")
+    lines.append(f"{count}: {good} found, {doubted} not to be trusted, {failed} failed")
     if doubted:
         helps = "mending their masks (lodbench mask PHOTO)" if has_masks else "a mask of each (--masks DIR)"
         # Flights look as far as they must.

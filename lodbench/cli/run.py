@@ -30,6 +30,7 @@ from lodbench.params import to_params
 from lodbench.plugins import load_plugin
 from lodbench.reporting.answers import format_answers, untrusted_note
 from lodbench.reporting.safe_text import plain_lines, plain_text
+from lodbench.reporting.summaries import with_settings
 from lodbench.reporting.table_formats import format_text
 from lodbench.reporting.tables import RecallTable, tables_of
 from lodbench.segmentation import notes_of
@@ -149,7 +150,7 @@ def _options_of(values: dict[str, Any]) -> RunOptions:
 
 def report(runs: Sequence[Run]) -> str:
     """Returns the tables of runs and what a reader wants next to them."""
-    summaries = [summary_of(run) for run in runs]
+    summaries = [with_settings(summary_of(run), run.config, run.dataset.city_model) for run in runs]
     scored = [has_truth(run.queries).any() for run in runs]
     pairs = zip(summaries, scored, strict=True)
     valid = [summary for summary, is_scored in pairs if is_scored and "invalid" not in summary]

@@ -11,6 +11,7 @@ from lodbench.cli.parser import Parser
 from lodbench.errors import DatasetError
 from lodbench.execution.progress import format_seconds
 from lodbench.harness.runs.status import RunStatus, find_runs, read_status
+from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.safe_text import plain_text
 
 
@@ -36,7 +37,7 @@ def main(argv: Sequence[str]) -> int:
 
 def describe(status: RunStatus) -> str:
     """Returns a line per run, and one per reason of failure."""
-    done = f"{status.num_done} of {status.num_queries} queries"
+    done = f"{status.num_done} of {count_of(status.num_queries, 'queries')}"
     if status.is_finished:
         state = "finished"
     elif status.num_done == status.num_queries:

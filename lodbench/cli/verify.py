@@ -22,6 +22,7 @@ from lodbench.harness.runs.named_paths import is_own, without_paths
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import Verdict, verify_run
+from lodbench.reporting.aligned_text import count_of
 from lodbench.segmentation.registry import make_segmenter
 
 _EPILOG = """\
@@ -175,7 +176,9 @@ def describe(verdict: Verdict) -> str:
     else:
         truth = "the truth" if has_truth(verdict.stored.queries).any() else "nothing else: there is no truth"
         basis = "their rows" if verdict.is_weak else f"their poses and {truth}"
-        lines.append(f"{verdict.stored.folder}: the numbers of {queries} queries follow from {basis}")
+        lines.append(
+            f"{verdict.stored.folder}: the numbers of {count_of(queries, 'queries')} follow from {basis}"
+        )
     return "\n".join(lines) + "\n"
 
 

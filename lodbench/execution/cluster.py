@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from itertools import islice
 from multiprocessing import resource_tracker
+from pathlib import Path
 from typing import Any, TypeVar
 from uuid import uuid4
 
@@ -21,7 +24,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _LOGGER = logging.getLogger(__name__)
-# Items handed to the cluster per thread of it: one at work, one waiting.
+# Items handed to the cluster per worker of it: one at work, one waiting.
 _AHEAD = 2
 # So often an item is tried again on another worker when the one it was on died or hung.
 _RETRIES = 3
@@ -51,13 +54,16 @@ class DaskWorkers:
         patience_s: float,
     ) -> None:
         self._client, self._address, self._patience_s = client, address, patience_s
-        self.count = max(1, sum(client.nthreads().values()) or workers)
+        threads = client.nthreads().values()
+        self.count = len(threads) or max(1, workers)
+        if max(threads, default=1) > 1:
+            _LOGGER.warning("Dask's workers have several threads, of which one works: --nthreads 1 is better")
         # One name for all that is prepared alike: a worker does it once, a new one does it again.
         # A task, not scattered data: made again where the worker that held it died. As bytes: workers hand it
         # to each other, and what one of them works with, such as a network it has loaded, cannot be sent.
         dumps = import_module("distributed.protocol.pickle").dumps
         self._common = client.submit(
-            _together, uuid4().hex, dumps((prepare, prepare_with)), pure=False, retries=_RETRIES
+            _together, uuid4().hex, dumps((Path.cwd(), prepare, prepare_with)), pure=False, retries=_RETRIES
         )
 
     def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
@@ -191,6 +197,9 @@ def _one_line_for(address: str) -> Iterator[None]:
 
 # What this worker has prepared, by its token; the latest only, since it may hold a city.
 _prepared: list[str] = []
+# A worker of several threads does one item at a time all the same: they would share a method and a map, which
+# counts the poses that it draws.
+_one_at_a_time = threading.Lock()
 
 
 def _together(token: str, preparation: bytes) -> tuple[str, bytes]:
@@ -199,7 +208,12 @@ def _together(token: str, preparation: bytes) -> tuple[str, bytes]:
 
 def _on_worker(common: tuple[str, bytes], work: Callable[[Any], Any], item: Any) -> Any:
     token, preparation = common
-    if _prepared != [token]:
-        begin(*import_module("distributed.protocol.pickle").loads(preparation))
-        _prepared[:] = [token]
-    return work(item)
+    with _one_at_a_time:
+        if _prepared != [token]:
+            folder, *prepared = import_module("distributed.protocol.pickle").loads(preparation)
+            # Paths that the user typed are relative to the command's folder, not to where the worker began.
+            with suppress(OSError):
+                os.chdir(folder)
+            begin(*prepared)
+            _prepared[:] = [token]
+        return work(item)

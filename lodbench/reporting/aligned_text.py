@@ -5,6 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 
+def count_of(number: int | str, things: str) -> str:
+    """Returns how many things there are, given their plural.
+
+    Example:
+        >>> count_of(1, "queries"), count_of(1, "views"), count_of(20, "queries")
+        ('1 query', '1 view', '20 queries')
+    """
+    if str(number) != "1":
+        return f"{number} {things}"
+    return f"1 {things[:-3]}y" if things.endswith("ies") else f"1 {things.removesuffix('s')}"
+
+
 def format_columns(rows: Sequence[Sequence[str]]) -> str:
     """Returns rows of cells as lines of text: first column flush left, the others flush right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.evaluation.recall import SplitSummary
+from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.figures import LINE_STYLES, SERIES, draw_figure
 
 if TYPE_CHECKING:
@@ -109,7 +110,8 @@ def draw_cost_maps(
             axis.set(xlabel=label, title=title, ylim=(0, 1), xlim=(offsets[0], offsets[-1]))
         height.set_ylabel("IoU: mean and standard deviation")
         figure.suptitle(
-            f"Average IoU with the query mask around the truth, {num_queries} queries", fontsize=10
+            f"Average IoU with the query mask around the truth, {count_of(num_queries, 'queries')}",
+            fontsize=10,
         )
 
     return draw_figure(10.2, 3.3, draw)

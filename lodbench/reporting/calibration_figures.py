@@ -50,21 +50,19 @@ def draw_calibration(curves: Mapping[str, Calibration]) -> dict[str, bytes]:
 def draw_budget(panels: Mapping[str, Mapping[str, Sequence[BudgetPoint]]]) -> dict[str, bytes]:
     """Returns recall over poses drawn, panels side by side, one line a method, as PNG and SVG.
 
-    A method that draws none is a dashed line.
+    A method that draws none is a dashed line. Where colours come again marks and dashes are others.
     """
 
     def draw(figure: Figure) -> None:
         from matplotlib.ticker import LogLocator, NullLocator
 
         names = list(dict.fromkeys(name for curves in panels.values() for name in curves))
-        marks = "os^Dv*"
         row = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
         for axes, (title, curves) in zip(row, panels.items(), strict=True):
             for name, points in curves.items():
-                number = names.index(name)
-                _budget_curve(
-                    axes, name, points, SERIES[number % len(SERIES)], marks[number // len(SERIES) % 6]
-                )
+                turn, colour = divmod(names.index(name), len(SERIES))
+                mark, dashes = "os^Dv*"[turn % 6], ("--", ":", "-.")[turn % 3]
+                _budget_curve(axes, name, points, SERIES[colour], mark, dashes)
             axes.set_xscale("log")
             axes.xaxis.set_major_locator(LogLocator(subs=(1,) if len(panels) > 1 else (1, 2, 5)))
             axes.xaxis.set_major_formatter("{x:g}")
@@ -81,11 +79,13 @@ def draw_budget(panels: Mapping[str, Mapping[str, Sequence[BudgetPoint]]]) -> di
     return draw_figure(wide + (1.9 if len(panels) > 1 else 0.0), 3.6, draw)
 
 
-def _budget_curve(axes: Axes, name: str, points: Sequence[BudgetPoint], colour: str, mark: str) -> None:
+def _budget_curve(
+    axes: Axes, name: str, points: Sequence[BudgetPoint], colour: str, mark: str, dashes: str
+) -> None:
     drawn = [point for point in points if point.hypotheses > 0]
     for point in points:
         if point.hypotheses <= 0:
-            axes.axhline(point.recall, color=colour, linestyle="--", linewidth=1, label=name)
+            axes.axhline(point.recall, color=colour, linestyle=dashes, linewidth=1, label=name)
     if drawn:
         x = [point.hypotheses for point in drawn]
         axes.plot(x, [p.recall for p in drawn], color=colour, marker=mark, markersize=4, label=name)

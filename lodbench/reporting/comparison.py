@@ -6,17 +6,18 @@ import math
 from collections.abc import Iterable
 
 from lodbench.evaluation.statistics import Agreement, Comparison
-from lodbench.reporting.aligned_text import format_columns
+from lodbench.reporting.aligned_text import count_of, format_columns
 from lodbench.reporting.table_columns import finite_text
+
+PAIRED_NOTE = (
+    "Paired by query. Recall: exact McNemar test, interval of Bonett and Price. Medians: permutation "
+    "test (1,999 swaps), bootstrap over queries. No correction for the number of tests."
+)
 
 
 def format_comparison(rows: Iterable[Comparison], names: tuple[str, str]) -> str:
     """Returns the tests of two runs as a table with a line that says what they are."""
-    note = (
-        "Paired by query. Recall: exact McNemar test, interval of Bonett and Price. Medians: permutation "
-        "test (1,999 swaps), bootstrap over queries. No correction for the number of tests."
-    )
-    return f"{format_columns(comparison_cells(rows, names))}\n\n{note}"
+    return f"{format_columns(comparison_cells(rows, names))}\n\n{PAIRED_NOTE}"
 
 
 def comparison_cells(rows: Iterable[Comparison], names: tuple[str, str]) -> list[list[str]]:
@@ -36,8 +37,8 @@ def agreement_text(found: Agreement | None) -> str:
     if found is None:
         return ""
     return (
-        f"Answers of both: {found.answered} queries, {found.within} within 2 m and 2 deg of each other; "
-        f"medians apart {found.median_m:.2f} m and {found.median_deg:.2f} deg."
+        f"Answers of both: {count_of(found.answered, 'queries')}, {found.within} within 2 m and 2 deg of "
+        f"each other; medians apart {found.median_m:.2f} m and {found.median_deg:.2f} deg."
     )
 
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lodbench.reporting.aligned_text import count_of
+
 # What constants are called where people read them, in this order.
 _CALLED = {
     "east": "positions, to the east", "north": "positions, to the north", "pitch": "gimbal pitch",
@@ -85,13 +87,13 @@ def map_rows(findings: Mapping[str, Any]) -> list[tuple[str, str, str]]:
             str(each["id"]),
             f"{abs(each['higher_m']):.1f} m +-{each['sigma_m']:.1f} "
             f"{'higher' if each['higher_m'] > 0 else 'lower'} than in the map",
-            f"{each['photos']} photos",
+            count_of(each["photos"], "photos"),
         )
         for each in doubted_buildings(findings.get("buildings", []))
     ]
     for change in findings.get("changes", []):
         listed = ", ".join(change["photos"][:3]) + (", ..." if len(change["photos"]) > 3 else "")
-        photos = f"{len(change['photos'])} photos ({listed})"
+        photos = f"{count_of(len(change['photos']), 'photos')} ({listed})"
         if change["kind"] == "gone":
             rows.append((str(change["id"]), f"gone, {100 * change['probability']:.0f} % sure", photos))
         else:

@@ -10,6 +10,7 @@ from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.figures import SERIES
 from lodbench.reporting.safe_text import plain_text
 
@@ -90,7 +91,7 @@ def _environment(is_html: bool) -> Environment:
         **({} if is_html else _TEX),  # type: ignore[arg-type]
     )
     environment.globals |= {"policy": _POLICY, "resource": _resource}
-    environment.filters["path"] = urllib.parse.quote
+    environment.filters |= {"path": urllib.parse.quote, "count_of": count_of}
     return environment
 
 

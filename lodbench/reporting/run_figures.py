@@ -76,6 +76,10 @@ def shares_below(errors: Floats, count: int, furthest: float) -> tuple[Floats, F
     return np.concatenate([[1e-4], np.maximum(ordered, 1e-3), [furthest]]), np.append(shares, shares[-1])
 
 
+# Of traces that are no beam's, in turn.
+_DASHES = (":", "-.", "--")
+
+
 def draw_traces(traces: Sequence[Trace]) -> dict[str, bytes]:
     """Returns the best score after each step of each query, all beams and the best of them."""
     columns = min(3, len(traces))
@@ -85,12 +89,14 @@ def draw_traces(traces: Sequence[Trace]) -> dict[str, bytes]:
         axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
         for axis, trace in zip(axes, traces, strict=False):
             stages = {name: scores for name, scores in trace.stages.items() if len(scores) > 1}
+            beams = sum("beam" in name for name in stages)
             for number, (name, scores) in enumerate(
                 sorted(stages.items(), key=lambda item: "beam" not in item[0])
             ):
                 is_beam = "beam" in name
                 colour = SERIES[number % len(SERIES)] if is_beam else TRUTH
-                style = {"linewidth": 1.2} if is_beam else {"linewidth": 0.8, "linestyle": ":"}
+                dashes = _DASHES[(number - beams) % len(_DASHES)]
+                style = {"linewidth": 1.2} if is_beam else {"linewidth": 0.8, "linestyle": dashes}
                 axis.plot(range(1, len(scores) + 1), scores, color=colour, label=name, **style)
             axis.set_title(trace.name, fontsize=8)
         for axis in axes[len(traces) :]:

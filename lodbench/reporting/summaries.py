@@ -111,6 +111,23 @@ def with_seconds(summary: dict[str, Any], seconds: dict[str, float | None]) -> d
     return {**summary, "splits": splits}
 
 
+def with_settings(summary: dict[str, Any], config: dict[str, Any], city: str | Path | None) -> dict[str, Any]:
+    """Returns a summary with the ``settings`` of its data, by name: no part of the summary's file.
+
+    Tables and runs that are called alike are told apart by them.
+
+    Args:
+        summary: Of a run.
+        config: The run's configuration.
+        city: The city model's path, where it is known.
+    """
+    told = {**config["dataset"], "limit": config.get("limit"), "city": Path(city).name if city else None}
+    nested = {key: value for key, value in told.items() if isinstance(value, dict)}
+    inner = {f"{key}.{name}": value for key, values in nested.items() for name, value in values.items()}
+    settings = {key: value for key, value in {**told, **inner}.items() if key not in nested}
+    return {**summary, "settings": settings}
+
+
 def upgraded_split(split: dict[str, Any]) -> dict[str, Any]:
     """Returns the numbers of a split; those of older summaries and entries are put under ``metrics``."""
     known = {_RENAMED.get(name, name): value for name, value in split.get("calibration", {}).items()}

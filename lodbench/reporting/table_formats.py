@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 
+from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.page import rendered
 from lodbench.reporting.safe_text import csv_cell, plain_text
 from lodbench.reporting.table_columns import Column
@@ -19,7 +20,10 @@ def format_text(table: RecallTable) -> str:
     head = [["", ""], ["", "method"]]
     for split in table.splits:
         count = table.denominators(split)
-        head[0] += [plain_text(split) + (f" ({count} queries)" if count else ""), *[""] * (width - 1)]
+        head[0] += [
+            plain_text(split) + (f" ({count_of(count, 'queries')})" if count else ""),
+            *[""] * (width - 1),
+        ]
         head[1] += [column.head for column in table.shown()]
     body = [[group, plain_text(line.label), *table.texts(line)] for group, line in _grouped(table)]
     if not any(row[0] for row in body):

@@ -7,7 +7,8 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from lodbench.citymodel.lods import lod_in_words
+from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting.run_names import labels_of, method_name, natural, title_of, titles_of
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.split_numbers import mean_numbers, numbers_of, require_one_run_a_seed
 from lodbench.reporting.table_columns import Column, columns_named, paper_columns
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _LABEL = re.compile(r"[\d.e+-]+m-[\d.e+-]+deg")
-# Parts of the protocol that may be freed to differ within a table.
-FREE = ("lod", "segmenter", "renderer", "tilt", "prior", "seed")
 # What is no number in the rows of a table.
 _WORDS = ("group", "method", "split", "is_printed")
 
@@ -152,9 +151,10 @@ def tables_of(
         inputs = [str(summary["dataset"].get(name, "")) for name in _fixed_inputs(summary, free)]
         renderer = "" if "renderer" in free else str(summary["protocol"].get("renderer", ""))
         groups.setdefault((title_of(summary, free), renderer, *inputs), []).append(summary)
+    titles = titles_of([shared[0] for shared in groups], [members[0] for members in groups.values()])
     return [
-        replace(_table(shared[0], members, free, over_seeds), protocol=f"{shared[0]} · {digest_of(shared)}")
-        for shared, members in groups.items()
+        replace(_table(title, members, free, over_seeds), protocol=f"{title} · {digest_of(shared)}")
+        for title, (shared, members) in zip(titles, groups.items(), strict=True)
     ]
 
 
@@ -164,18 +164,6 @@ def frame_of(tables: Sequence[RecallTable]) -> pd.DataFrame:
 
     frames = [table.frame().assign(protocol=table.protocol or table.title) for table in tables]
     return pd.concat(frames, ignore_index=True)
-
-
-def title_of(summary: dict[str, Any], free: Collection[str] = ()) -> str:
-    """Returns what a run's table is headed with: everything that must agree to compare rows."""
-    dataset, protocol = summary["dataset"], summary["protocol"]
-    version = f" ({dataset['version']})" if dataset.get("version") else ""
-    lod = f" · {lod_in_words(str(protocol['lod']))}" if protocol.get("lod") and "lod" not in free else ""
-    words = [f"{name}={protocol[name]}" for name in ("tilt", "segmenter", "seed") if name not in free]
-    drawn = protocol.get("prior", "file")
-    if drawn != "file" and "prior" not in free:
-        words.append(f"priors {drawn}")
-    return " · ".join([f"{dataset['name']}{version}{lod}", *words])
 
 
 def _fixed_inputs(summary: dict[str, Any], free: Collection[str]) -> list[str]:
@@ -196,69 +184,15 @@ def _table(title: str, members: list[dict[str, Any]], free: set[str], over_seeds
     if all(prior == priors[0] for prior in priors):
         rows.append(Line("Prior", {split: numbers_of(value) for split, value in priors[0].items()}))
     labelled: dict[str, list[dict[str, Any]]] = {}
-    labels = _labels(members, free - {"seed"} if over_seeds else free)
+    labels = labels_of(members, free - {"seed"} if over_seeds else free)
     for label, member in zip(labels, members, strict=True):
         labelled.setdefault(label if over_seeds else f"{label}\0{len(labelled)}", []).append(member)
     found = []
     for label, runs in labelled.items():
         require_one_run_a_seed(label, runs)
-        shown = label.split("\0")[0] + (f" ({len(runs)} seeds)" if over_seeds else "")
+        shown = label.split("\0")[0] + (f" ({count_of(len(runs), 'seeds')})" if over_seeds else "")
         found.append(Line(shown, {name: mean_numbers(runs, name) for name in runs[0]["splits"]}))
-    if len({_name(member) for member in members}) == 1:
+    if len({method_name(member) for member in members}) == 1:
         # One method under several settings: in their order, whatever the order of the folders.
-        found.sort(key=lambda row: _natural(row.label))
+        found.sort(key=lambda row: natural(row.label))
     return RecallTable(title, tuple([*rows, *found]))
-
-
-def names_of(summaries: Sequence[dict[str, Any]], free: Collection[str] = ()) -> list[str]:
-    """Returns a name for each run: its method, and whatever sets it apart from the others; unique.
-
-    Where tilts differ all say theirs: one of them is an oracle.
-    """
-    labels = _labels(summaries, free)
-    names = []
-    for label, summary in zip(labels, summaries, strict=True):
-        peers = [other for other, theirs in zip(summaries, labels, strict=True) if theirs == label]
-        differing = [*_differing(("tilt",), summaries), *_differing(FREE, peers)]
-        words = [
-            f"{key}={summary['protocol'].get(key)}" for key in dict.fromkeys(differing) if key not in free
-        ]
-        names.append(" ".join([label, *words]))
-    seen: dict[str, int] = {}
-    unique = []
-    for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        unique.append(f"{name} #{seen[name]}" if names.count(name) > 1 else name)
-    return unique
-
-
-def _differing(keys: Sequence[str], summaries: Sequence[dict[str, Any]]) -> list[str]:
-    """Returns the parts of the protocol that some summaries do not agree on."""
-    return [key for key in keys if len({str(each["protocol"].get(key)) for each in summaries}) > 1]
-
-
-def _natural(text: str) -> list[tuple[float, str]]:
-    """Returns what sorts steps=5 before steps=10."""
-    words = re.split(r"(\d+(?:\.\d+)?)", text)
-    return [(float(word), "") if number % 2 else (0.0, word) for number, word in enumerate(words)]
-
-
-def _name(member: dict[str, Any]) -> str:
-    method = member["method"]
-    return " ".join(filter(None, [method["name"], method.get("variant", "").replace("_", " ")]))
-
-
-def _labels(members: Sequence[dict[str, Any]], free: Collection[str]) -> list[str]:
-    """Returns a name for each run: method, variant, and whatever else differs between runs of that method."""
-    names = [_name(member) for member in members]
-    labels = []
-    for member, name in zip(members, names, strict=True):
-        peers = [other for other, theirs in zip(members, names, strict=True) if theirs == name]
-        params = member["method"].get("params", {})
-        differing = [
-            key for key in params if any(p["method"].get("params", {}).get(key) != params[key] for p in peers)
-        ]
-        words = [f"{key}={params[key]}" for key in differing]
-        words += [f"{key}={member['protocol'].get(key)}" for key in sorted(free)]
-        labels.append(" ".join([name, *words]))
-    return labels

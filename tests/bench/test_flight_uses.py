@@ -13,7 +13,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.cli import main
 from lodbench.datasets.query import Query
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, LodbenchError
 from lodbench.geometry import EulerAngles
 from lodbench.methods.flight import FlightMethod, Params
 from lodbench.methods.protocol import FlightEstimate
@@ -66,6 +66,13 @@ def test_frames_are_counted_whether_found_or_lost(city):
         ("georeference --noise-m -1", "--noise-m=-1 is not at least 0"),
         ("georeference --noise-deg nan", "--noise-deg=nan is not finite"),
         ("georeference --city absent.gml", "absent.gml does not exist"),
+        ("accuracy --city absent.gml", "absent.gml does not exist"),
+        ("accuracy --views 0", "--views=0 is not a number of views"),
+        ("budget --mask-iou 2", "--mask-iou=2 is not in (0, 1]"),
+        ("accuracy --camera-height 80,40", "--camera-height=40 is not"),
+        ("wide-priors --prior-range -1", "--prior-range=-1 is not at least 0"),
+        ("real --query . --prior-yaw -1", "--prior-yaw=-1 is not at least 0"),
+        ("real --query absent", "hint: Give --query FOLDER"),
         ("flights --relative-poses reconstruction --look plain", "--relative-poses reconstruction needs one"),
         ("flights --relative-poses tracks", "--relative-poses tracks needs photos"),
     ],
@@ -75,6 +82,11 @@ def test_what_cannot_be_measured_is_told_before_any_work(city, capsys, words, sa
     place = [] if "--city" in more else ["--city", str(city)]
     assert main(["bench", what, *place, *more]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_flights_that_cannot_be_drawn_are_no_rows_that_failed(tmp_path):
+    with pytest.raises(LodbenchError, match="absent"):
+        measure_reconstructions(FlightsParams(str(tmp_path / "absent.gml"), path="orbit"), [0], Noise())
 
 
 def test_joint_solves_have_one_thread_for_linear_algebra_as_runs_have(city):

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lodbench.bench import slope_points
+from lodbench.bench import slope_points, slopes
 from lodbench.bench.slopes import slope_of
 from lodbench.cli import main
 
@@ -18,6 +18,11 @@ def test_the_slope_is_that_of_the_last_half() -> None:
     sizes = np.array([1, 10, 100, 1000])
     costs = np.array([5.0, 5.0, 0.3 * 100**1.5, 0.3 * 1000**1.5])
     assert slope_of(pd.DataFrame({"size": sizes, "cpu_s": costs})) == pytest.approx(1.5)
+
+
+def test_a_single_point_has_no_slope() -> None:
+    point = pd.DataFrame({"axis": ["workers"], "size": [1], "cpu_s": [2.0], "peak_mb": [200.0]})
+    assert slopes._text(point, {"workers": slope_of(point)}).splitlines()[1].split()[-2:] == ["-", "200"]
 
 
 @pytest.mark.slow

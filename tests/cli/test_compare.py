@@ -143,3 +143,10 @@ def test_a_bad_threshold_is_one_line(lodbench, data, word):
     prior = scored(lodbench, data, data[0] / "GPS_pose.txt", "prior")
     done = lodbench("compare", prior, f"--thresholds={word}")
     assert (done.returncode, "is not METRES/DEGREES" in done.stderr) == (2, True), done.stderr
+
+
+def test_a_run_that_is_not_finished_is_told_as_elsewhere(lodbench, tmp_path):
+    (tmp_path / "plan.json").write_text('{"queries": ["a/1.jpg"]}')
+    done = lodbench("compare", str(tmp_path))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"The run {tmp_path} is not finished." in done.stderr

@@ -38,7 +38,9 @@ def run(tmp_path_factory) -> Path:
     return found
 
 
-@pytest.mark.parametrize("name", ["colmap", "kapture", "nerfstudio", "tum", "visuallocalization"])
+@pytest.mark.parametrize(
+    "name", ["colmap", "kapture", "metashape", "nerfstudio", "odm", "pix4d", "tum", "visuallocalization"]
+)
 def test_every_format_is_read_back(capsys, tmp_path, run, name):
     # Where the poses are only ODM's file must say; angles in degrees cost a digit or two.
     place = ["--crs", "EPSG:25832"] if name == "odm" else []
@@ -46,7 +48,7 @@ def test_every_format_is_read_back(capsys, tmp_path, run, name):
     assert main(["export", str(run), "--format", name, "--out", str(tmp_path / "out"), *place]) == 0
     told = capsys.readouterr().out
     assert "2 poses" in told
-    assert "1 queries have no pose: view_02.png" in told
+    assert "without a pose: 1 query: view_02.png" in told
     kind = "lines" if name == "visuallocalization" else name
     path = tmp_path / "out"
     if name == "nerfstudio":

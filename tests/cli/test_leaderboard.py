@@ -46,6 +46,21 @@ def test_a_run_ranks_and_its_oracle_twin_does_not(lodbench, tmp_path, data):
     assert [(line["tilt"], line["rank"]) for line in lines] == [("prior", "1"), ("truth", "")]
 
 
+def test_the_board_of_a_dataset_whose_last_entry_is_gone_is_told(lodbench, tmp_path, data):
+    assert lodbench("leaderboard", "add", str(run(lodbench, tmp_path, data))).returncode == 0
+    entries = tmp_path / "leaderboard" / "entries" / "folder"
+    shutil.copytree(entries, entries.with_name("other"))
+    for path in entries.with_name("other").glob("*.json"):
+        entry = json.loads(path.read_text())
+        path.write_text(json.dumps({**entry, "dataset": {**entry["dataset"], "name": "other"}}))
+    assert lodbench("leaderboard", "build").returncode == 0
+    shutil.rmtree(entries.with_name("other"))
+    assert lodbench("leaderboard", "build").returncode == 0
+    done = lodbench("leaderboard", "build", "--check")
+    assert done.returncode == 1
+    assert "leaderboard/other.csv: no entry makes it any more: remove it" in done.stdout
+
+
 def test_a_tampered_run_is_refused_and_an_unverifiable_one_stands_apart(lodbench, tmp_path, data):
     folder = run(lodbench, tmp_path, data)
     provenance = (folder if folder.is_absolute() else tmp_path / folder) / "provenance.json"

@@ -229,6 +229,14 @@ def test_results_of_other_photos_are_not_written_over(capsys, flight, tmp_path):
     assert set(errors_m(tmp_path, flight.truth)) == {"DJI_0001.JPG", "DJI_0002.JPG"}
 
 
+def test_photos_that_are_localised_alone_leave_what_their_flight_was_found_to_be(tmp_path):
+    answers = [PhotoAnswer(Path("DJI_0001.JPG"), None, "it has no pose")]
+    assert write_answers(tmp_path, answers, []).table.name == "localized.csv"
+    (tmp_path / FLIGHTS_FILE).write_text("of the flight")
+    assert [write_answers(tmp_path, answers).table.name for _ in range(2)] == ["localized_2.csv"] * 2
+    assert write_answers(tmp_path, answers, []).table.name == "localized.csv"
+
+
 def test_findings_of_another_command_are_not_written_over(tmp_path):
     (tmp_path / FINDINGS_FILE).write_text("of georeference")
     written = write_answers(tmp_path, [PhotoAnswer(Path("DJI_0001.JPG"), None, "it has no pose")])

@@ -16,7 +16,7 @@ from lodbench import __version__
 from lodbench.cli import main
 from lodbench.datasets.pose_text import read_poses
 from lodbench.evaluation import pose_error
-from tests.town import write_dataset
+from tests.town import box_obj, write_dataset
 
 STABLE = ["config.yaml", "poses.txt", "queries.csv", "summary.json"]
 
@@ -214,20 +214,20 @@ def test_other_code_is_another_run(tmp_path, monkeypatch, place):
     shutil.copytree(Path(find_spec("lodbench.baselines").origin).parent, baselines)
     monkeypatch.setattr(module, "__file__", str(changed / "harness" / "runs" / "code_digest.py"))
     monkeypatch.setattr(module, "package_files", lambda name: sorted(baselines.rglob("*.py")))
-    before = module._own_digest.__wrapped__()
+    before = module.own_digest.__wrapped__()
     with (tmp_path / (place if place.startswith("baselines") else f"lodbench/{place}")).open("a") as stream:
         stream.write("# changed\n")
-    assert module._own_digest.__wrapped__() != before
+    assert module.own_digest.__wrapped__() != before
 
 
 def test_another_scipy_is_another_run(monkeypatch):
     from lodbench.harness.runs import code_digest as module
     from lodbench.storage import digest
 
-    before = module._own_digest.__wrapped__()
+    before = module.own_digest.__wrapped__()
     there = digest.version
     monkeypatch.setattr(digest, "version", lambda name: "0.1" if name == "scipy" else there(name))
-    assert module._own_digest.__wrapped__() != before
+    assert module.own_digest.__wrapped__() != before
 
 
 def test_a_setting_names_the_same_run_however_it_is_written(lodbench, tmp_path, dataset):
@@ -242,6 +242,19 @@ def test_baseline_plugin_answers_the_prior(lodbench, tmp_path, dataset):
     (folder,) = (tmp_path / "runs" / "folder" / "prior_only").iterdir()
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["splits"]["data"]["recall"] == summary["prior"]["data"]["recall"]
+
+
+def test_a_sweep_goes_over_cities_and_tables_say_which(lodbench, tmp_path):
+    for name, height in (("a, old.obj", 15), ("b.obj", 20), ("c.obj", 30)):
+        (tmp_path / name).write_text(box_obj([(0, 0, 40, 30, 0, height)]))
+    words = ["run", "--multirun", "method=prior_only", "dataset=views", "dataset.num_views=1"]
+    done = lodbench(*words, "city=b.obj,c.obj")
+    assert done.returncode == 0, done.stderr
+    heads = [line for line in done.stdout.splitlines() if line.startswith("views (")]
+    assert [head.rpartition(" · ")[2] for head in heads] == ["city=b.obj", "city=c.obj"]
+    # A comma within a name is none between two.
+    done = lodbench(*words, "city=a, old.obj")
+    assert done.returncode == 0, done.stderr
 
 
 def test_compare_puts_runs_in_one_table(lodbench, tmp_path, dataset):

@@ -55,6 +55,8 @@ def test_a_run_takes_flags_and_tells_the_former_name(lodbench, tmp_path):
         ("localize --citty x a.jpg", "no option --citty", "--city"),
         ("localize a.jpg", "these words are missing: --city", "--help"),
         ("compare", "these words are missing: RUN", "--help"),
+        ("leaderboard", "these words are missing: add|build", "--help"),
+        ("bench", "these words are missing: silhouettes|scale|", "--help"),
         ("compare --columns paper a b", "these words are missing: RUN", "They come before the options."),
         ("run --multirn seed=0,1", "has no option --multirn", "Did you mean --multirun?"),
         ("run dataset=demo seed=0,1", "seed=0,1 has several values", "Add --multirun for a run of each"),
@@ -136,5 +138,5 @@ def test_status_finds_the_runs_below_a_folder(lodbench, tmp_path):
         lodbench("run", "dataset=folder", f"root={root}", f"city={city}", "method=prior_only", f"tilt={tilt}")
     done = lodbench("status", "runs")
     assert done.returncode == 0
-    assert done.stdout.count("1 of 1 queries, finished") == 2
+    assert done.stdout.count("1 of 1 query, finished") == 2
     assert lodbench("status", str(root)).returncode == 2

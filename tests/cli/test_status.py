@@ -55,4 +55,4 @@ def test_a_damaged_run_does_not_hide_those_after_it(lodbench, tmp_path):
     done = lodbench("status", str(tmp_path / "runs"))
     assert done.returncode == 2
     assert "a holds no run" in done.stderr
-    assert "b: 0 of 1 queries, unfinished" in done.stdout
+    assert "b: 0 of 1 query, unfinished" in done.stdout

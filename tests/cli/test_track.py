@@ -19,6 +19,7 @@ from lodbench.datasets.pose_text import read_poses
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.harness.track.frames import Footage as TrackedFootage
+from lodbench.methods.tracking import Frame, Tracked, Tracker
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from tests.town import CAMERA, box_obj
 
@@ -273,3 +274,25 @@ def test_photos_with_masks_are_not_decoded_but_of_the_camera_s_size(capsys, foot
     assert "note: no clock tells the photos apart: 1 a second is assumed; --fps says how many" in told
     assert main([*words, "--fps", "2"]) == 3
     assert "no clock" not in capsys.readouterr().out
+
+
+def test_what_was_tracked_until_it_was_stopped_is_written(capsys, caplog, footage, tmp_path, monkeypatch):
+    once = Tracker.track
+    done: list[str] = []
+
+    def stopped(self: Tracker, frame: Frame) -> Tracked:
+        if len(done) == 3:
+            raise KeyboardInterrupt
+        done.append(frame.name)
+        return once(self, frame)
+
+    monkeypatch.setattr(Tracker, "track", stopped)
+    words = footage.words("photos", "--masks", footage.folder / "masks", "--fps", 4, "--out", tmp_path)
+    assert main(words) == 130
+    assert [row["frame"] for row in rows(tmp_path)] == done
+    assert len(read_poses(tmp_path / "poses.txt")) == 3
+    assert f"3 frames were tracked until then: {tmp_path}" in caplog.text
+    # A whole track goes before one that was stopped.
+    del done[1:]
+    assert main(words) == 130
+    assert len(rows(tmp_path)) == 3

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -53,6 +57,52 @@ def test_what_a_worker_was_prepared_with_can_be_handed_to_the_next() -> None:
     assert _on_worker(common, is_loaded, 0)
     _, preparation = protocol.loads(protocol.dumps(common))
     assert isinstance(preparation, bytes)
+
+
+def nothing(*_: Any) -> None:
+    pass
+
+
+def folder_of(_: int) -> str:
+    return str(Path.cwd())
+
+
+def test_paths_are_relative_to_the_command_s_folder(tmp_path, monkeypatch) -> None:
+    pytest.importorskip("distributed")
+    client = OneWorker()
+    monkeypatch.chdir(tmp_path)
+    DaskWorkers(client, "here", nothing, (), 1, 1.0)
+    monkeypatch.chdir("/")  # where the worker was started
+    assert _on_worker(client.kept[0], folder_of, 0) == str(tmp_path)
+
+
+_inside: list[int] = []
+
+
+def stay(item: int) -> int:
+    """Returns how many items this process is at."""
+    _inside.append(item)
+    time.sleep(0.02)
+    count = len(_inside)
+    _inside.remove(item)
+    return count
+
+
+def test_a_worker_of_several_threads_does_one_item_at_a_time() -> None:
+    """They would share a map that counts the poses drawn: `dask worker` starts a thread for each core."""
+    pytest.importorskip("distributed")
+    client = OneWorker()
+    DaskWorkers(client, "here", load, (Segmenter(),), 1, 1.0)
+    with ThreadPoolExecutor(3) as threads:
+        assert set(threads.map(partial(_on_worker, client.kept[0], stay), range(6))) == {1}
+
+
+def test_workers_are_counted_not_their_threads(caplog) -> None:
+    pytest.importorskip("distributed")
+    client = OneWorker()
+    client.nthreads = lambda: {"one": 4, "two": 4}  # type: ignore[method-assign]
+    assert DaskWorkers(client, "here", load, (Segmenter(),), 1, 1.0).count == 2
+    assert "--nthreads 1" in caplog.text
 
 
 def test_the_dashboard_is_for_this_machine_alone() -> None:

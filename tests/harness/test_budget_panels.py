@@ -36,6 +36,17 @@ def test_runs_of_other_masks_levels_and_priors_are_other_lines():
         assert [len(points) for line, points in curves.items() if name in line] == [1]
 
 
+def test_runs_over_other_data_of_one_version_are_other_lines():
+    """As views of one seed with priors of another width: their recalls are no curve."""
+    near, far = run(90, 100), run(50, 100)
+    for each, range_m, limit in ((near, 10.0, None), (far, 50.0, 5)):
+        each.summary["settings"] = {"range_m": range_m, "limit": limit}
+    assert list(budget_panels([near, far])["town, a, tilt=prior"]) == [
+        "ours range_m=10.0",
+        "ours range_m=50.0",
+    ]
+
+
 def test_two_versions_of_a_dataset_share_no_panel():
     assert list(budget_panels([run(50, 100), run(90, 1000, "2")])) == [
         "town (1), a, tilt=prior",

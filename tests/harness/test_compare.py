@@ -34,10 +34,26 @@ def test_rows_are_paired_by_name_and_a_split_without_a_truth_is_left_out():
     assert tests[2].test.difference == 50.0
 
 
-def test_answers_to_other_datasets_are_not_said_to_agree():
-    def answered(version: str) -> SimpleNamespace:
-        poses = {"a/0": Pose.from_quaternion([1, 0, 0, 0], [0, 0, 0])}
-        return SimpleNamespace(poses=poses, summary={"dataset": {"name": "town", "version": version}})
+def answered(place_m: float, version: str = "1", error: PoseError | None = None) -> SimpleNamespace:
+    """A run of one query, answered at a place along x; without an error the truth is not known."""
+    found = {"failure": NO_TRUTH} if error is None else dict(zip(ERROR, error, strict=True))
+    return SimpleNamespace(
+        poses={"a/0": Pose.from_quaternion([1, 0, 0, 0], [place_m, 0, 0])},
+        summary={"dataset": {"name": "town", "version": version}},
+        queries=queries_frame([{"query": "0", "split": "a", **found}]),
+    )
 
-    assert agreement(answered("1"), answered("1")).within == 1
-    assert agreement(answered("1"), answered("2")) is None
+
+def test_answers_to_other_datasets_are_not_said_to_agree():
+    assert agreement(answered(0.0), answered(0.0)).within == 1
+    assert agreement(answered(0.0), answered(0.0, "2")) is None
+
+
+def test_answers_to_photos_of_one_name_that_are_not_the_same_are_not_compared():
+    """Two orbits of dataset=flights have the same names, and other truths 160 m apart."""
+    near = PoseError(1.0, 0.0)
+    assert agreement(answered(0.0, error=near), answered(160.0, error=near)) is None
+    assert agreement(answered(0.0, error=near), answered(2.0, error=near)).median_m == 2.0
+    # One of them far off, and where nobody knows the truth: that may be.
+    assert agreement(answered(0.0, error=near), answered(160.0, error=PoseError(160.5, 0.0))).answered == 1
+    assert agreement(answered(0.0), answered(160.0)).answered == 1

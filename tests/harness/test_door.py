@@ -72,7 +72,7 @@ def test_masks_of_another_aspect_are_refused_and_of_another_size_told(capsys, ca
         assert "None of 3 queries can be used" in err
         assert "the mask is 160 x 160, the photo 320 x 240: another aspect" in err
     else:
-        assert "3 of 3 masks are of another size than their photos and are scaled" in caplog.text
+        assert "3 of 3 masks are of another size than their cameras and are scaled" in caplog.text
 
 
 def photos(root: Path, sizes: list[tuple[int, int]]) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,9 +13,11 @@ import pytest
 from lodbench.cli import main
 from lodbench.cli.run import _failure_lines
 from lodbench.datasets.query import Query
-from lodbench.errors import ConfigError, QueryFault
+from lodbench.errors import ConfigError, LodbenchError, QueryFault
+from lodbench.execution.executor import ExecutorParams
 from lodbench.harness import RunSettings, run_method
 from lodbench.harness.runs.gallery import write_overlays
+from lodbench.harness.runs.predict import _open_here
 from lodbench.methods import Estimate
 from lodbench.methods.protocol import FlightEstimate
 from lodbench.segmentation import notes_of
@@ -274,3 +278,19 @@ def test_a_flight_that_breaks_is_each_photo_s_failure(dataset, tmp_path):
     told = "\n".join(_failure_lines(done))
     assert told.count("Traceback") == 1
     assert "FlightEstimate of 3 photos" in told.splitlines()[-1]
+
+
+def test_a_worker_of_other_code_cannot_begin(dataset, tmp_path, monkeypatch):
+    """Its answers would be another version's, under the name of this one's run."""
+    sent = []
+
+    @contextmanager
+    def here(executor, prepare, prepare_with):
+        sent.extend(prepare_with)
+        prepare(*prepare_with)
+        yield SimpleNamespace(count=1, map=map)
+
+    monkeypatch.setattr("lodbench.harness.runs.predict.open_workers", here)
+    assert failures(run(Scripted(), dataset, tmp_path, executor=ExecutorParams("dask"))) == ["", "", ""]
+    with pytest.raises(LodbenchError, match="is not the command's"):
+        _open_here(replace(sent[0], code=sent[0].code[::-1]))

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+
 from lodbench.evaluation.calibration import calibrate
 from lodbench.reporting.calibration_figures import BudgetPoint, draw_budget, draw_calibration
 
@@ -31,3 +33,10 @@ def test_budget_has_a_panel_for_each_split_and_a_line_for_what_draws_nothing():
     for text in ("in place", "out of place", ">a<", ">d<", ">prior_only<"):
         assert svg.count(text) >= 1
     assert svg.count(">a<") == 1
+
+
+def test_methods_that_draw_nothing_can_be_told_apart_where_colours_come_again():
+    many = {name: [BudgetPoint(0, 5, 1, 20)] for name in "abcdefgh"}
+    svg = draw_budget({"in place": many})["svg"].decode()
+    lines = re.findall(r"stroke-dasharray: ([^;]+);[^\"]*stroke: (#\w+)", svg)
+    assert len(set(lines)) == 8

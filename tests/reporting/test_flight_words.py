@@ -55,7 +55,7 @@ def test_the_surest_building_in_doubt_comes_first_and_changes_follow():
         "- b: 1.5 m +-0.2 higher than in the map, by 9 photos",
         "- a: 2.0 m +-0.9 lower than in the map, by 4 photos",
         "- d: gone, 97 % sure, by 4 photos (p1, p2, p3, ...)",
-        "- a building that the map lacks: 120 m2 and 8 m high, by 1 photos (p5)",
+        "- a building that the map lacks: 120 m2 and 8 m high, by 1 photo (p5)",
     ]
     assert map_in_words({"buildings": [sure]}) == []
     assert map_in_words(findings, most=1)[-1] == "- and 3 more"

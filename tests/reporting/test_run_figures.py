@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -21,6 +23,12 @@ def test_a_name_between_dollars_is_no_formula(name):
     # The numbers along a logarithmic axis are plain ones too.
     assert "mathdefault" not in curves["svg"].decode()
     assert ">0.1<" in curves["svg"].decode()
+
+
+def test_traces_of_one_query_can_be_told_apart():
+    traces = {"beam 1": (0.1, 0.4), "fine": (0.1, 0.3), "coarse": (0.2, 0.3)}
+    svg = draw_traces([Trace("worst: a.jpg", traces)])["svg"].decode()
+    assert len(set(re.findall(r"stroke-dasharray: ([^;]+);", svg))) == 2
 
 
 def test_every_split_is_drawn_however_many_there_are():

@@ -6,9 +6,10 @@ import json
 import pytest
 
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.reporting.summaries import read_summary, with_seconds
+from lodbench.reporting.run_names import names_of
+from lodbench.reporting.summaries import read_summary, with_seconds, with_settings
 from lodbench.reporting.table_formats import FORMATS, format_csv, format_text
-from lodbench.reporting.tables import names_of, tables_of
+from lodbench.reporting.tables import tables_of
 
 
 def summary(variant: str, recall: float, tilt: str = "truth", queries: str = "q", masks: str = "m") -> dict:
@@ -137,6 +138,31 @@ def test_runs_of_one_method_are_named_by_what_sets_them_apart():
         "lodlocv2 no select tilt=truth",
     ]
     assert names_of([runs[0], runs[0]]) == ["lodlocv2 full #1", "lodlocv2 full #2"]
+
+
+def test_tables_and_runs_that_are_called_alike_say_how_their_data_were_set():
+    """As of dataset=views: its version says neither the city nor how far priors are off."""
+    runs = [
+        with_settings(
+            summary("full", value, queries=city),
+            {
+                "dataset": {"name": "views", "range_m": 30.0, "area": None, "world": {"focal": focal}},
+                "limit": None,
+            },
+            f"cities/{city}",
+        )
+        for value, city, focal in ((90.0, "a.obj", 0.0), (80.0, "b.obj", 0.03))
+    ]
+    head = "demo (town 1) · LoD1 · tilt=truth · segmenter=masks · seed=0"
+    assert [table.title for table in tables_of(runs)] == [
+        f"{head} · city=a.obj · world.focal=0.0",
+        f"{head} · city=b.obj · world.focal=0.03",
+    ]
+    assert names_of(runs) == [
+        "lodlocv2 full city=a.obj world.focal=0.0",
+        "lodlocv2 full city=b.obj world.focal=0.03",
+    ]
+    assert [table.title for table in tables_of(runs[:1])] == [head]
 
 
 def test_failures_over_seeds_are_a_mean_and_none_is_rounded_away():

@@ -11,6 +11,7 @@ from lodbench.evaluation import PoseError
 from lodbench.harness.flights.map_findings import city_and_marks
 from lodbench.harness.photo.flight_answer import FlightAnswer
 from lodbench.harness.photo.many import PhotoAnswer
+from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.flight_page import chosen_for_pictures, flight_page, photo_on_page
 from lodbench.reporting.overlays import jpeg_bytes
 from lodbench.reporting.page import Picture
@@ -49,7 +50,7 @@ def page_of_photos(
             pictures.append(Picture(jpeg_bytes(drawn), "jpeg", caption, "", key))
     # Photos that are on no flight are on every flight's page: nobody knows which they belong to.
     left_out = [(names[each.photo], each.failure) for each in answers if each.found is None]
-    title = f"{flight.name[0].upper()}{flight.name[1:]}: {len(photos)} photos"
+    title = f"{flight.name[0].upper()}{flight.name[1:]}: {count_of(len(photos), 'photos')}"
     return flight_page(
         title,
         flight.taken,

@@ -45,6 +45,7 @@ from lodbench.harness.tracebacks import told_as_fault
 from lodbench.methods import Estimate
 from lodbench.methods.measured_calls import localize_flight
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
+from lodbench.reporting.aligned_text import count_of
 from lodbench.storage import random_stream, write_text
 from lodbench.storage.json_text import finite
 
@@ -175,7 +176,7 @@ def _taken(flight: Flight, names: Sequence[str]) -> list[str]:
     if flight.started is not None and flight.ended is not None:
         when = f"{flight.started:%Y-%m-%d %H:%M:%S} to {flight.ended:%H:%M:%S}"
     first, last = names[flight.rows[0]], names[flight.rows[-1]]
-    lines = [f"{len(flight.rows)} photos, {first} to {last}, {flight.camera}, {when}"]
+    lines = [f"{count_of(len(flight.rows), 'photos')}, {first} to {last}, {flight.camera}, {when}"]
     if flight.odd_clocks:
         odd = [names[row] for row in flight.odd_clocks]
         listed = ", ".join(odd[:3]) + (", ..." if len(odd) > 3 else "")

@@ -135,12 +135,22 @@ def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path |
     return write_answers(request.out, answers)
 
 
-def write_answers(out: Path, answers: Sequence[PhotoAnswer], flights: Sequence[FlightAnswer] = ()) -> Answers:
-    """Writes ``localized.csv`` and ``localized.geojson``, numbered where those of other photos are there."""
+def write_answers(
+    out: Path, answers: Sequence[PhotoAnswer], flights: Sequence[FlightAnswer] | None = None
+) -> Answers:
+    """Writes ``localized.csv`` and ``localized.geojson``, numbered where those of other photos are there.
+
+    So they are where flights were looked for then and are not now (``flights`` None): what is said of these
+    would stand beside other answers.
+    """
     make_folder(out)
     photos = {hide_formula(str(answer.photo)) for answer in answers}
-    number = next(n for n in itertools.count(1) if _is_free(out, n, photos))
-    written = Answers(tuple(answers), tuple(flights), out, number)
+    number = next(
+        n
+        for n in itertools.count(1)
+        if _is_free(out, n, photos) and (flights is not None or not numbered(out / FLIGHTS_FILE, n).exists())
+    )
+    written = Answers(tuple(answers), tuple(flights or ()), out, number)
     _write_table(written.table, answers)
     _write_map(written.map, answers)
     return written

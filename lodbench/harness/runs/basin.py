@@ -14,10 +14,12 @@ from lodbench.harness.runs.artefacts import summary_of
 from lodbench.harness.runs.cost_maps import CostGrid, cost_csv, measure_cost_maps
 from lodbench.harness.runs.result import chosen_entries
 from lodbench.harness.runs.run import Run
+from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.basin_figures import RecallCurve, draw_cost_maps, draw_recall_curves
+from lodbench.reporting.run_names import title_of
 from lodbench.reporting.split_numbers import numbers_of
 from lodbench.reporting.table_formats import format_latex, format_markdown
-from lodbench.reporting.tables import Line, RecallTable, title_of
+from lodbench.reporting.tables import Line, RecallTable
 from lodbench.storage import digest_of, make_folder, write_bytes, write_text
 
 _AXES = {
@@ -111,7 +113,7 @@ def _table(basin: Basin, kind: str) -> RecallTable:
     for step, run in rows:
         cells = {split: numbers_of(basin.summary(step, split).to_json()) for split in run.splits}
         counts = {numbers["queries"] for numbers in cells.values()}
-        queries = "" if len(rows) == 1 else f" ({'/'.join(map(str, sorted(counts)))} queries)"
+        queries = "" if len(rows) == 1 else f" ({count_of('/'.join(map(str, sorted(counts))), 'queries')})"
         body.append(Line(f"{step.label}{queries}", cells))
     method = f"{summary['method']['name']} {summary['method']['variant']}".strip()
     title = f"{method}, {kind} of the prior · {title_of(summary, {'prior'})}"

@@ -9,6 +9,7 @@ from typing import Any
 from lodbench.citymodel.lods import lod_in_words
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
 from lodbench.harness.runs.stored import StoredRun
+from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.calibration_figures import BudgetPoint
 
 _LABEL = DEFAULT_THRESHOLDS[0].label
@@ -19,9 +20,9 @@ def budget_panels(runs: Sequence[StoredRun]) -> dict[str, Curves]:
     """Returns points by panel and by method: a panel for each split of a dataset at a tilt.
 
     Runs of a method are one line, fewest poses first; but those whose settings in words differ
-    (``features=hog``, ``features=xfeat``), or their segmenter, level of detail or priors, are lines of their
-    own, named so. Where runs differ in their number of queries, names say it. A split without a truth has
-    no recall, and no point.
+    (``features=hog``, ``features=xfeat``), or their segmenter, level of detail, priors or the ``settings`` of
+    their data, where summaries have them, are lines of their own, named so. Where runs differ in their number
+    of queries, names say it. A split without a truth has no recall, and no point.
     """
     worded = _differing_words(runs)
     versions = {(run.summary["dataset"]["name"], run.summary["dataset"]["version"]) for run in runs}
@@ -36,7 +37,7 @@ def budget_panels(runs: Sequence[StoredRun]) -> dict[str, Curves]:
         for split, numbers in summary["splits"].items():
             if numbers["recall"].get(_LABEL) is None:
                 continue
-            count = f"({numbers['num_queries']} queries)" if counted else ""
+            count = f"({count_of(numbers['num_queries'], 'queries')})" if counted else ""
             name = " ".join(str(word) for word in (method, *words, count) if word)
             panels[f"{dataset}, {split}, tilt={summary['protocol']['tilt']}"][name].append(_point(numbers))
     return {
@@ -60,11 +61,14 @@ def _words(summary: dict[str, Any]) -> dict[str, str | None]:
     """Returns what may tell lines of one method apart: settings that are words, or none, and the protocol."""
     params, protocol = summary["method"].get("params", {}).items(), summary["protocol"]
     lod, drawn = protocol.get("lod"), protocol.get("prior", "file")
+    # A level of detail is named above, numbers of queries where they differ.
+    settings = {k: v for k, v in summary.get("settings", {}).items() if k not in ("lod", "limit")}
     return {
         **{key: value for key, value in params if value is None or isinstance(value, str)},
         "protocol.segmenter": str(protocol["segmenter"]),
         "protocol.lod": lod_in_words(str(lod)) if lod else None,
         "protocol.prior": None if drawn == "file" else f"priors {drawn}",
+        **{f"data.{key}": None if value is None else f"{key}={value}" for key, value in settings.items()},
     }
 
 

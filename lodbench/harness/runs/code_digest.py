@@ -43,7 +43,7 @@ def code_digest(*parts: object, names: Collection[object] = ()) -> str:
     tops = sorted({module.partition(".")[0] for module in modules} - {_OURS, "__main__"})
     files = [file_digest(file) for top in tops for file in package_files(top)]
     typed = [_typed_code(part) for part in parts if type(part).__module__ == "__main__"]
-    return digest_of([_own_digest(), files, *typed, *elsewhere])
+    return digest_of([own_digest(), files, *typed, *elsewhere])
 
 
 def words_in(settings: object) -> Iterator[str]:
@@ -85,7 +85,8 @@ def _cells_of(thing: object) -> set[str]:
 
 
 @cache
-def _own_digest() -> str:
+def own_digest() -> str:
+    """Returns a digest of lodbench's own code and of the libraries that compute, as installed here."""
     package = Path(__file__).parents[2]
     files = [
         file for file in sorted(package.rglob("*.py")) if file.relative_to(package).parts[0] not in _IDLE

@@ -10,6 +10,7 @@ from lodbench.evaluation import pose_error
 from lodbench.evaluation.queries import ERROR, has_truth, of_split
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, Threshold, hits_of
 from lodbench.evaluation.statistics import Agreement, Comparison, mcnemar, paired_medians
+from lodbench.harness.runs.changed_answers import TOLERANCE_M
 from lodbench.harness.runs.stored import StoredRun
 
 
@@ -59,12 +60,16 @@ def paired_comparison(
 def agreement(first: StoredRun, second: StoredRun) -> Agreement | None:
     """Returns how far the answers of two runs lie apart; None where no query has an answer of both.
 
-    Queries of two datasets, or of two versions of one, are not the same, whatever their names.
+    Queries of two datasets, or of two versions of one, are not the same, whatever their names; nor are those
+    whose answers are further apart than both are from the truth together: it is not one truth.
     """
     shared = [key for key in first.poses if key in second.poses]
     datasets = [[run.summary["dataset"][name] for name in ("name", "version")] for run in (first, second)]
     if not shared or datasets[0] != datasets[1]:
         return None
     errors = np.array([pose_error(first.poses[key], second.poses[key]) for key in shared])
+    reach = sum(run.queries.loc[shared, list(ERROR)].to_numpy() for run in (first, second))
+    if (errors > reach + TOLERANCE_M).any():  # never where a truth, NaN, is not known
+        return None
     within = hits_of(errors, PROBABILITY_THRESHOLD)
     return Agreement(len(shared), int(within.sum()), *map(float, np.median(errors, axis=0)))

@@ -13,7 +13,8 @@ from lodbench.evaluation.recall import Threshold
 from lodbench.evaluation.statistics import Comparison
 from lodbench.harness.runs.compare import agreement, paired_comparison, require_same_queries
 from lodbench.harness.runs.stored import StoredRun
-from lodbench.reporting.comparison import agreement_text, comparison_cells
+from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting.comparison import PAIRED_NOTE, agreement_text, comparison_cells
 from lodbench.reporting.comparison_figures import ErrorCurve, draw_comparison
 from lodbench.reporting.page import Picture, markup, rendered
 from lodbench.reporting.table_formats import format_html
@@ -54,6 +55,7 @@ def comparison_page(
         tables=[markup(format_html(table)) for table in tables],
         pictures=pictures,
         pairs=pairs,
+        note=PAIRED_NOTE if any(not reason for _, reason, _, _ in pairs) else "",
     )
 
 
@@ -72,7 +74,7 @@ def _charts(scored: Sequence[tuple[StoredRun, str]]) -> dict[tuple[str, str], li
     per_split = Counter(split for split, _, _ in groups)
     charts: dict[tuple[str, str], list[tuple[StoredRun, str]]] = {}
     for number, ((split, words, keys), found) in enumerate(groups.items(), start=1):
-        of = f"{words}, {len(keys)} queries" if per_split[split] > 1 else ""
+        of = f"{words}, {count_of(len(keys), 'queries')}" if per_split[split] > 1 else ""
         charts[split, f"{of}, chart {number}" if (split, of) in charts else of] = found
     return charts
 

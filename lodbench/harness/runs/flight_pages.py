@@ -17,6 +17,7 @@ from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.query_pictures import picture_of
 from lodbench.harness.runs.verify import Verdict
 from lodbench.rendering import make_renderer
+from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.answers import trust_of
 from lodbench.reporting.flight_page import PhotoOnPage, chosen_for_pictures, flight_page, photo_on_page
 from lodbench.reporting.flight_words import constants_in_words, map_in_words
@@ -77,7 +78,7 @@ def _page_of_sequence(
     ]
     lines = [f"{dataset.name} {dataset.version}".strip(), f"run {stored.folder.resolve().name}"]
     return flight_page(
-        f"{name}: {len(photos)} photos",
+        f"{name}: {count_of(len(photos), 'photos')}",
         lines,
         findings,
         photos,

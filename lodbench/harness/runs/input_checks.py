@@ -21,6 +21,7 @@ from lodbench.harness.city import FURTHEST_M, distance_outside_m
 from lodbench.harness.runs.requirements import needs_segmenter
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsFlights
+from lodbench.reporting.aligned_text import count_of
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.masks import MaskFiles
 
@@ -105,7 +106,7 @@ def tell_flights(method: Method, entries: Sequence[Entry]) -> None:
     """Says which photos are taken for one flight because nothing names theirs: they may not be one."""
     unnamed = Counter(entry.split for entry in entries if not entry.sequence)
     if isinstance(method, SupportsFlights) and max(unnamed.values(), default=0) > 1:
-        listed = ", ".join(f"{count} photos of {split}" for split, count in unnamed.items())
+        listed = ", ".join(f"{count_of(count, 'photos')} of {split}" for split, count in unnamed.items())
         _LOG.warning("nothing names the flights (sequences.txt): taken for one flight each: %s", listed)
 
 
@@ -139,8 +140,10 @@ def _tell_scaled(entries: Sequence[Entry]) -> None:
     if other:
         entry, size = other[0]
         assert entry.camera is not None and size is not None  # noqa: S101, PT018 - the filter has looked
+        # Drawn views have no photos, but cameras of such.
+        whose = "camera" if entry.image is None else "photo"
         _LOG.warning(
-            "%d of %d masks are of another size than their photos and are scaled; the first, %s, is %d x %d, "
-            "its photo %d x %d",
-            len(other), len(entries), entry.key, *size, entry.camera.width, entry.camera.height,
+            "%d of %d masks are of another size than their %ss and are scaled; the first, %s, is %d x %d, "
+            "its %s %d x %d",
+            len(other), len(entries), whose, entry.key, *size, whose, entry.camera.width, entry.camera.height,
         )  # fmt: skip

@@ -15,13 +15,14 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.texture_files import open_textured_map
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset, Entry, Reference
-from lodbench.errors import ConfigError, DatasetError
+from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.evaluation.predictions import Prediction
 from lodbench.execution import Ledger, Progress
 from lodbench.execution.executor import QUERIES, SERIAL, ExecutorParams, open_workers
 from lodbench.geometry import Camera
 from lodbench.harness.city import open_city, scene_digest
 from lodbench.harness.runs.answer import Asked, answer
+from lodbench.harness.runs.code_digest import own_digest
 from lodbench.harness.runs.method_inputs import prepare_method
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.shared_scoring import Part, SharedScorer, score
@@ -49,6 +50,7 @@ class Work:
     Attributes:
         threads: Of the renderer; None for one per core.
         contents: SHA-256 of the files that are read again for single queries.
+        code: Digest of the command's code and libraries (``own_digest``), "" where workers have no others.
     """
 
     method: Method
@@ -64,6 +66,7 @@ class Work:
     folder: Path
     contents: Mapping[Path, str] = field(default_factory=dict)
     stream_names: Callable[[Entry], tuple[str, ...]] | None = None
+    code: str = ""
 
     def streams_of(self, entry: Entry) -> Streams:
         """Returns the random numbers of a query: never by worker or order."""
@@ -169,6 +172,11 @@ _here: list[tuple[Work, Preparation, CityMap]] = []
 
 
 def _open_here(work: Work) -> None:
+    if work.code and work.code != own_digest():
+        raise LodbenchError(
+            "its code of lodbench, or a version of its libraries, is not the command's.",
+            "Install the same on all machines: `lodbench doctor` lists versions.",
+        )
     remember_contents(work.contents)
     dataset = work.dataset
     if dataset.city_model is None:

@@ -22,6 +22,7 @@ from lodbench.harness.runs.predict import open_predictions
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.query_pictures import query_pictures
 from lodbench.harness.runs.verify import Verdict
+from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.answers import trust_of, untrusted_note
 from lodbench.reporting.calibration_figures import draw_calibration
 from lodbench.reporting.flight_words import constants_in_words, map_in_words
@@ -149,7 +150,9 @@ def _query_table(verdict: Verdict, tilt: str) -> str:
 
 
 def _holds_anything(cells: pd.Series[Any]) -> bool:
-    return bool((cells.ne("") & cells.ne("-")).any() if cells.dtype == object else cells.notna().any())
+    # Numbers, and texts under whichever of its types pandas keeps them.
+    is_number = cells.dtype.kind in "fiu"
+    return bool(cells.notna().any() if is_number else (cells.ne("") & cells.ne("-")).any())
 
 
 def _failures(verdict: Verdict) -> Mapping[str, int]:
@@ -245,7 +248,7 @@ def _provenance(verdict: Verdict) -> str:
     shown["run"] = stored.folder.resolve().name
     inputs = stored.summary["dataset"].items()
     shown |= {f"{key} digest": value for key, value in inputs if key not in ("name", "version")}
-    failures = {reason: f"{count} queries" for reason, count in _failures(verdict).items()}
+    failures = {reason: count_of(count, "queries") for reason, count in _failures(verdict).items()}
     return rendered(
         "provenance.html.jinja",
         facts=facts(shown),

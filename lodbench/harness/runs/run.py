@@ -23,11 +23,11 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.evaluate import evaluate
 from lodbench.evaluation.predictions import Prediction
-from lodbench.execution.executor import PROCESS, SERIAL, ExecutorParams
+from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams
 from lodbench.execution.fan_out import expect_workers
 from lodbench.execution.lock import only_one_in
 from lodbench.harness.city import open_city, scene_digest
-from lodbench.harness.runs.code_digest import code_digest, words_in
+from lodbench.harness.runs.code_digest import code_digest, own_digest, words_in
 from lodbench.harness.runs.input_checks import (
     looks_at_photos,
     require_pictures,
@@ -133,6 +133,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         make_folder(folder).absolute(),
         known_contents(),
         settings.stream_names,
+        own_digest() if settings.executor.name == DASK else "",
     )
     predictions, resumed = _answered(method, work, preparation, city_map, entries, folder, settings)
     priors = {entry.key: preparation.prior(entry) for entry in entries}

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,7 @@ from lodbench.datasets.photo_files import in_pose_lines
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_pose import place_notes, pose_at, pose_from_photo
 from lodbench.datasets.undistort import pinhole_of
-from lodbench.errors import ConfigError, DatasetError
+from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city, require_near_city
@@ -35,11 +37,13 @@ from lodbench.harness.track.folder import (
     require_no_other,
     source_word,
 )
-from lodbench.harness.track.frames import Footage, MaskMaker, with_masks
+from lodbench.harness.track.frames import Footage, Mask, MaskMaker, Shot, with_masks
 from lodbench.methods.tracking import Frame, Params, Tracker
 from lodbench.methods.tracking.tracker import LOST
 from lodbench.segmentation import notes_of
 from lodbench.storage import hide_formula, make_folder, write_text
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +125,7 @@ def track(request: TrackRequest) -> Track:
 
     Raises:
         LodbenchError: The frames, the city or what is known of the first cannot be read, or the folder to be
-            written holds something else.
+            written holds something else. What was tracked until then is written, as where it is stopped.
     """
     require_no_other(request.out, request.footage.source, request.footage.names())
     city = open_city(request.city, request.lod, request.options, request.roof_height)
@@ -133,34 +137,62 @@ def track(request: TrackRequest) -> Track:
     maker = MaskMaker(camera, pinhole, request.masks, request.segmenter)
     tracker = Tracker(CityMap(scene), pinhole, start.shifted(-scene.origin), request.params)
     frames: list[TrackedFrame] = []
-    poses_s = started = cpu = masks_s = 0.0
-    with Progress("frames", None) as progress:
-        for shot, mask in with_masks(request.footage.shots(), maker):
-            began = time.perf_counter()
-            if isinstance(mask, str):
-                frames.append(TrackedFrame(shot.name, shot.time_s, LOST, None, 0.0, mask))
-            else:
-                found = tracker.track(Frame(shot.name, shot.time_s, mask))
-                pose = None if found.state == LOST else found.pose.shifted(scene.origin)
-                sigmas = None if found.covariance is None else _sigmas(found.covariance)
-                told = found.state, pose, found.score, "", sigmas, found.probability
-                frames.append(TrackedFrame(shot.name, shot.time_s, *told))
-            poses_s += time.perf_counter() - began
-            if len(frames) == 1:
-                # The first is searched for: what it takes says nothing of the rate.
-                started, cpu, masks_s, poses_s = time.perf_counter(), time.process_time(), maker.seconds, 0.0
-            progress.advance()
+    with _keeping(frames, request, frame):
+        seconds, cpu_s = _follow(request.footage, maker, tracker, scene.origin, frames)
     if request.masks is not None:
         require_some_mask(request.masks, [each.name for each in frames])
-    seconds = {"total": time.perf_counter() - started, "masks": maker.seconds - masks_s, "poses": poses_s}
     notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ())
     notes += place_notes(frame, stated, request.heights) + tuple(request.footage.notes)
-    cpu_s = time.process_time() - cpu
     if all(each.pose is None for each in frames) and (request.out / TABLE_FILE).exists():
         notes += (f"no frame was found: the earlier track in {request.out} is left as it is",)
         return Track(tuple(frames), seconds, cpu_s, None, notes)
     _write(frames, request, frame)
     return Track(tuple(frames), seconds, cpu_s, request.out, notes)
+
+
+@contextmanager
+def _keeping(frames: Sequence[TrackedFrame], request: TrackRequest, frame: MapFrame | None) -> Iterator[None]:
+    """Writes the frames that are done when the block ends before its time; an earlier track goes before."""
+    try:
+        yield
+    except (KeyboardInterrupt, LodbenchError):
+        if any(each.pose is not None for each in frames) and not (request.out / TABLE_FILE).exists():
+            _write(frames, request, frame)
+            _LOG.warning("%d frames were tracked until then: %s", len(frames), request.out)
+        raise
+
+
+def _follow(
+    footage: Footage,
+    maker: MaskMaker,
+    tracker: Tracker,
+    origin: NDArray[np.float64],
+    frames: list[TrackedFrame],
+) -> tuple[dict[str, float], float]:
+    """Adds frame after frame; returns the wall times and the processor time, as ``Track`` has them."""
+    poses_s = started = cpu = masks_s = 0.0
+    with Progress("frames", None) as progress:
+        for shot, mask in with_masks(footage.shots(), maker):
+            began = time.perf_counter()
+            frames.append(_tracked(tracker, shot, mask, origin))
+            poses_s += time.perf_counter() - began
+            if len(frames) == 1:
+                # The first is searched for: what it takes says nothing of the rate.
+                started, cpu, masks_s, poses_s = time.perf_counter(), time.process_time(), maker.seconds, 0.0
+            progress.advance()
+    seconds = {"total": time.perf_counter() - started, "masks": maker.seconds - masks_s, "poses": poses_s}
+    return seconds, time.process_time() - cpu
+
+
+def _tracked(tracker: Tracker, shot: Shot, mask: Mask | str, origin: NDArray[np.float64]) -> TrackedFrame:
+    """Returns what becomes of a frame, given its mask, or why there is none."""
+    if isinstance(mask, str):
+        return TrackedFrame(shot.name, shot.time_s, LOST, None, 0.0, mask)
+    found = tracker.track(Frame(shot.name, shot.time_s, mask))
+    pose = None if found.state == LOST else found.pose.shifted(origin)
+    sigmas = None if found.covariance is None else _sigmas(found.covariance)
+    told = found.state, pose, found.score, "", sigmas, found.probability
+    return TrackedFrame(shot.name, shot.time_s, *told)
 
 
 def _sigmas(covariance: NDArray[np.float64]) -> tuple[float, float]:

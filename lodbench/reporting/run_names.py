@@ -1,0 +1,102 @@
+"""What runs and their tables are called: what they have in common, and what sets each apart."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from lodbench.citymodel.lods import lod_in_words
+
+# Parts of the protocol that may be freed to differ within a table.
+FREE = ("lod", "segmenter", "renderer", "tilt", "prior", "seed")
+
+
+def title_of(summary: dict[str, Any], free: Collection[str] = ()) -> str:
+    """Returns what a run's table is headed with: everything that must agree to compare rows."""
+    dataset, protocol = summary["dataset"], summary["protocol"]
+    version = f" ({dataset['version']})" if dataset.get("version") else ""
+    lod = f" · {lod_in_words(str(protocol['lod']))}" if protocol.get("lod") and "lod" not in free else ""
+    words = [f"{name}={protocol[name]}" for name in ("tilt", "segmenter", "seed") if name not in free]
+    drawn = protocol.get("prior", "file")
+    if drawn != "file" and "prior" not in free:
+        words.append(f"priors {drawn}")
+    return " · ".join([f"{dataset['name']}{version}{lod}", *words])
+
+
+def titles_of(heads: Sequence[str], summaries: Sequence[dict[str, Any]]) -> list[str]:
+    """Returns the titles of tables, given a run of each; those of one dataset say how its data were set."""
+    titles = []
+    for head, summary in zip(heads, summaries, strict=True):
+        peers = [other for other in summaries if _dataset_of(other) == _dataset_of(summary)]
+        # The level of detail is in the head, where it is known.
+        words = [word for word in _set_apart(summary, peers) if not word.startswith("lod=")]
+        titles.append(" · ".join([head, *words]))
+    return titles
+
+
+def _dataset_of(summary: dict[str, Any]) -> tuple[str, str]:
+    return summary["dataset"]["name"], summary["dataset"]["version"]
+
+
+def _set_apart(summary: dict[str, Any], peers: Sequence[dict[str, Any]]) -> list[str]:
+    """Returns the settings of a run's data that are not those of its peers, where they are known."""
+    settings = summary.get("settings", {}).items()
+    others = [peer.get("settings", {}) for peer in peers]
+    known = {key: value for key, value in settings if value is not None}
+    return [f"{key}={value}" for key, value in known.items() if any(o.get(key) != value for o in others)]
+
+
+def names_of(summaries: Sequence[dict[str, Any]], free: Collection[str] = ()) -> list[str]:
+    """Returns a name for each run: its method, and whatever sets it apart from the others; unique.
+
+    Where tilts differ all say theirs: one of them is an oracle.
+    """
+    labels = labels_of(summaries, free)
+    names = []
+    for label, summary in zip(labels, summaries, strict=True):
+        peers = [other for other, theirs in zip(summaries, labels, strict=True) if theirs == label]
+        differing = [*_differing(("tilt",), summaries), *_differing(FREE, peers)]
+        words = [
+            f"{key}={summary['protocol'].get(key)}" for key in dict.fromkeys(differing) if key not in free
+        ]
+        names.append(" ".join(dict.fromkeys([label, *words, *_set_apart(summary, peers)])))
+    seen: dict[str, int] = {}
+    unique = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        unique.append(f"{name} #{seen[name]}" if names.count(name) > 1 else name)
+    return unique
+
+
+def _differing(keys: Sequence[str], summaries: Sequence[dict[str, Any]]) -> list[str]:
+    """Returns the parts of the protocol that some summaries do not agree on."""
+    return [key for key in keys if len({str(each["protocol"].get(key)) for each in summaries}) > 1]
+
+
+def natural(text: str) -> list[tuple[float, str]]:
+    """Returns what sorts steps=5 before steps=10."""
+    words = re.split(r"(\d+(?:\.\d+)?)", text)
+    return [(float(word), "") if number % 2 else (0.0, word) for number, word in enumerate(words)]
+
+
+def method_name(member: dict[str, Any]) -> str:
+    """Returns the method of a run's summary with its variant."""
+    method = member["method"]
+    return " ".join(filter(None, [method["name"], method.get("variant", "").replace("_", " ")]))
+
+
+def labels_of(members: Sequence[dict[str, Any]], free: Collection[str]) -> list[str]:
+    """Returns a name for each run: method, variant, and whatever else differs between runs of that method."""
+    names = [method_name(member) for member in members]
+    labels = []
+    for member, name in zip(members, names, strict=True):
+        peers = [other for other, theirs in zip(members, names, strict=True) if theirs == name]
+        params = member["method"].get("params", {})
+        differing = [
+            key for key in params if any(p["method"].get("params", {}).get(key) != params[key] for p in peers)
+        ]
+        words = [f"{key}={params[key]}" for key in differing]
+        words += [f"{key}={member['protocol'].get(key)}" for key in sorted(free)]
+        labels.append(" ".join([name, *words]))
+    return labels

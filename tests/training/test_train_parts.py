@@ -1,0 +1,124 @@
+"""Losses by hand, optimizers, schedules and settings of a training."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+
+from lodbench.errors import ConfigError
+from lodbench.training.train_params import TrainParams
+
+torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
+pytest.importorskip("onnx", reason="onnx is not installed (extra [torch])")
+
+
+def structure_loss_by_hand(logits, truth, weighting):
+    height, width = truth.shape
+    padded = np.pad(truth, 15)
+    mean = np.array(
+        [[padded[r : r + 31, c : c + 31].sum() / 961 for c in range(width)] for r in range(height)]
+    )
+    weights = 1 + 5 * abs(mean - truth)
+    p = 1 / (1 + np.exp(-logits))
+    each = -(truth * np.log(p) + (1 - truth) * np.log(1 - p))
+    entropy = (weights * each).sum() / weights.sum() if weighting == "paper" else each.mean()
+    shared, both = (p * truth * weights).sum(), ((p + truth) * weights).sum()
+    return entropy + 1 - (shared + 1) / (both - shared + 1)
+
+
+@pytest.mark.parametrize("weighting", ["paper", "released"])
+def test_the_loss_is_the_papers(weighting):
+    from lodbench.training.nets.losses import total_loss
+
+    generator = np.random.default_rng(0)
+    logits, truth = generator.normal(0, 2, (40, 50)), (generator.random((40, 50)) < 0.3) * 1.0
+    expected = structure_loss_by_hand(logits, truth, weighting)
+    pair = [torch.tensor(a, dtype=torch.float32)[None, None] for a in (logits, truth)]
+    assert float(total_loss((pair[0],), pair[1], weighting)) == pytest.approx(expected, rel=1e-5)
+    assert float(total_loss((pair[0],) * 3, pair[1], weighting)) == pytest.approx(3 * expected, rel=1e-5)
+
+
+def test_the_learning_rate_rises_and_falls_along_a_cosine():
+    from lodbench.training.nets.loop import learning_rate
+
+    params = TrainParams("d", lr=1.0, lr_end=0.0, warmup=0.1)
+    rates = [learning_rate(params, step, 100) for step in range(100)]
+    assert rates[0] == pytest.approx(0.1)
+    assert rates[10] == pytest.approx(1.0)
+    assert rates[55] == pytest.approx(0.5)
+    assert rates[99] < 0.001
+    assert max(rates) <= 1.0
+
+
+@pytest.mark.parametrize("wrong", [{"weighting": "fair"}, {"batch": 0}, {"lr": math.nan}, {"size": 0}])
+def test_settings_out_of_range_are_named(wrong):
+    with pytest.raises(ConfigError, match=next(iter(wrong))):
+        TrainParams("d", **wrong)
+
+
+def test_muon_moves_a_kernel_as_it_moves_the_matrix_it_is():
+    from torch import nn
+
+    from lodbench.training.nets.optimizers import KernelMuon
+
+    torch.manual_seed(0)
+    values, gradient = torch.randn(24, 16, 3, 3), torch.randn(24, 16, 3, 3)
+    plain = nn.Parameter(values.flatten(1).clone())
+    plain.grad = gradient.flatten(1).clone()
+    torch.optim.Muon([plain], lr=0.1, weight_decay=0.01, momentum=0.9, ns_steps=4).step()
+    for memory in (torch.contiguous_format, torch.channels_last):
+        kernel = nn.Parameter(values.clone(memory_format=memory))
+        kernel.grad = gradient.clone()
+        KernelMuon([kernel], lr=0.1, weight_decay=0.01).step()
+        assert not torch.equal(kernel, values)
+        # Half precision within Muon: the order of a matrix's columns changes the last digits.
+        torch.testing.assert_close(kernel.detach(), plain.detach().view_as(kernel), rtol=0, atol=2e-3)
+
+
+def test_given_weights_answer_the_same_while_training():
+    from lodbench.segmentation.nets.compact import CompactNet
+    from lodbench.training.nets.warm_start import adapt_norms
+
+    torch.manual_seed(2)
+    net, images = CompactNet(), torch.rand(4, 3, 64, 64)
+    net.unused = torch.nn.BatchNorm2d(3)  # what no answer passes through stays as it is
+    for norm in net.modules():  # statistics that these pictures do not have
+        if isinstance(norm, torch.nn.BatchNorm2d):
+            norm.running_mean.normal_(0, 0.3)
+            norm.running_var.uniform_(0.5, 2.0)
+            norm.bias.data.normal_(0, 0.3)
+    with torch.no_grad():
+        before = net.eval()(images)[0]
+        assert (before - copy.deepcopy(net).train()(images)[0]).abs().max() > 0.01
+        adapt_norms(net, [images[:2], images[2:]])
+        torch.testing.assert_close(net.eval()(images)[0], before, rtol=0, atol=1e-4)
+        torch.testing.assert_close(net.train()(images)[0], before, rtol=0, atol=1e-3)
+    assert torch.isfinite(net.unused.weight).all()
+
+
+def test_a_frozen_encoder_stays_and_a_slow_one_moves_less():
+    from lodbench.segmentation.nets.efficient_unet import EfficientUnetNet
+    from lodbench.training.nets.optimizers import make_optimizers, set_rate
+
+    net = EfficientUnetNet()
+    (alone,) = make_optimizers(net, TrainParams("d", encoder_rate=0.0))
+    assert not any(weight.requires_grad for weight in net.encoder.parameters())
+    decoder = sum(weight.numel() for name, weight in net.named_parameters() if not name.startswith("encoder"))
+    assert sum(w.numel() for group in alone.param_groups for w in group["params"]) == decoder
+    (slow,) = make_optimizers(EfficientUnetNet(), TrainParams("d", lr=0.01, encoder_rate=0.1))
+    set_rate([slow], 0.5)
+    assert [group["lr"] for group in slow.param_groups] == pytest.approx([0.005, 0.0005])
+
+
+def test_every_weight_has_one_optimizer_and_the_paper_has_adamw_alone():
+    from lodbench.segmentation.nets.compact import CompactNet
+    from lodbench.training.nets.optimizers import make_optimizers
+
+    net = CompactNet()
+    (alone,) = make_optimizers(net, TrainParams("d"))
+    assert isinstance(alone, torch.optim.AdamW)
+    adamw, muon = make_optimizers(net, TrainParams("d", optimizer="muon"))
+    counts = [sum(w.numel() for group in o.param_groups for w in group["params"]) for o in (adamw, muon)]
+    assert sum(counts) == sum(w.numel() for w in net.parameters())
+    assert counts[1] > 0.9 * sum(counts)
