@@ -56,10 +56,10 @@ class Aligned(NamedTuple):
         """Returns the (N,) logarithm of the likelihood of such, (N, 9), of a share of the photo's nats."""
         return _nats(self.lines, self.regions, vectors, share)
 
-    def lead_over(self, other: Aligned) -> float:
-        """Returns by how many nats its lines are likelier than another's, as either at least has it."""
+    def lead_over(self, other: Aligned, *fits: LineFit) -> float:
+        """Returns by how many nats lines are likelier than at another place, in each fit's eyes at least."""
         both = np.stack([self.vector, other.vector])
-        return min(float(lines(both) @ (1.0, -1.0)) for lines in (self.lines, other.lines))
+        return min(float(lines(both) @ (1.0, -1.0)) for lines in fits)
 
 
 def _nats(lines: LineFit, regions: RoofEvidence, vectors: Floats, share: float = 1.0) -> Floats:
@@ -91,6 +91,7 @@ class Alignment:
         around: How the outline moves.
         params: The method's.
         streams: Of random numbers.
+        has_feet: Whether lines count where walls end.
     """
 
     def __init__(
@@ -101,8 +102,10 @@ class Alignment:
         around: Surroundings,
         params: Params,
         streams: Streams,
+        *,
+        has_feet: bool,
     ) -> None:
-        self._photo, self._query, self._regions_of = photo, query, regions_of
+        self._photo, self._query, self._regions_of, self._has_feet = photo, query, regions_of, has_feet
         self._around, self._params, self._streams = around, params, streams
 
     def from_best(self, starts: Floats, roofs: RaisedRoofs) -> Aligned | None:
@@ -119,14 +122,23 @@ class Alignment:
             begun[k] = self._ended(0, begun[k])
             evidence[k] = begun[k].evidence()
         found = begun[int(evidence.argmax())]
-        for number in range(1, len(_ROUNDS)):
-            roofs = roofs.each_by_itself(found.lines.own_roofs_m(found.vector), float(found.vector[8]))
-            next_round = self._begun(number, found.vector[None], roofs)
-            if not next_round:
+        return self._refined(1, found.vector, found.lines, roofs, evidence)
+
+    def from_aligned(self, other: Aligned, roofs: RaisedRoofs) -> Aligned | None:
+        """Returns what is near a place that another belief led to; None without lines in view."""
+        return self._refined(len(_ROUNDS) - 1, other.vector, other.lines, roofs, other.evidence)
+
+    def _refined(
+        self, first: int, vector: Floats, lines: LineFit, roofs: RaisedRoofs, evidence: Floats
+    ) -> Aligned | None:
+        """Returns where all rounds from the first lead to from (9,)."""
+        for number in range(first, len(_ROUNDS)):
+            roofs = roofs.each_by_itself(lines.own_roofs_m(vector), float(vector[8]))
+            begun = self._begun(number, vector[None], roofs)
+            if not begun:
                 return None
-            found = self._ended(number, next_round[0])
-        sharpness = found.lines.sharpness(found.vector)
-        return Aligned(found.vector, found.lines, found.regions, sharpness, evidence)
+            vector, lines, regions, _ = self._ended(number, begun[0])
+        return Aligned(vector, lines, regions, lines.sharpness(vector), evidence)
 
     def _begun(self, number: int, starts: Floats, roofs: RaisedRoofs) -> dict[int, _Round]:
         """Returns what a round sees from each of (M, 9), but for those without lines in view."""
@@ -134,7 +146,7 @@ class Alignment:
         levels, regions = levels_of(self._photo, self._query, blur_px, self._params), self._regions_of(roofs)
 
         def begin(start: Floats) -> _Round | None:
-            lines = LineFit(levels, self._query, roofs, start, self._params)
+            lines = LineFit(levels, self._query, roofs, start, self._params, has_feet=self._has_feet)
             cloud = self._around.cloud(
                 start[:7], regions.at(start[7]), spread_px, regions.prior_information()
             )

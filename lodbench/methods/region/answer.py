@@ -90,7 +90,7 @@ class Answering:
         searched = np.array([top.log_posterior for top in tops])
         if params.lines_weight <= 0:
             return self._by_regions(starts[0], TYPICAL_LINES, searched)
-        aligned = self._of_either_lens(starts, streams)
+        aligned = self._best_aligned(starts, streams)
         if aligned is None:
             return self._by_regions(starts[0], NO_LINES, searched)
         start = starts[int(aligned.evidence.argmax())]
@@ -103,28 +103,40 @@ class Answering:
         mean = self._mean(aligned.nats, aligned.vector, covariances[0], aligned.regions)
         return Answer(mean[:6], *covariances, *signs, aligned.evidence, float(mean[6]))
 
-    def _of_either_lens(self, starts: Floats, streams: Streams) -> Aligned | None:
-        """Returns the lines on the edges with the lens as told, or another where that is plainly better.
+    def _best_aligned(self, starts: Floats, streams: Streams) -> Aligned | None:
+        """Returns the lines on the edges as is told, or otherwise where that is plainly better.
 
-        Only beside an exact map does a photo tell its lens: elsewhere roofs make up for it (docs/adr/0061).
+        First the lens, then whether walls are seen down to their feet. Only beside an exact map does a
+        photo tell its lens: elsewhere roofs make up for it (docs/adr/0061).
         """
-        params = self._params
-        told = self._aligned(starts, params.lens_percent, streams)
-        if told is None or params.lens_doubt_percent <= 0 or told.sharpness < params.least_sharpness:
-            return told
-        start = starts[[int(told.evidence.argmax())]]
-        other = self._aligned(start, params.lens_doubt_percent, streams)
-        if other is None or other.lead_over(told) < params.lens_nats:
-            return told
-        return other._replace(evidence=told.evidence)
+        params, roofs = self._params, self._roofs
+        lens_percent = params.lens_percent
+        best = self._alignment(streams, lens_percent).from_best(starts, roofs)
+        if best is None or best.sharpness < params.least_sharpness or params.doubt_nats <= 0:
+            return best
+        if params.lens_doubt_percent > 0:
+            other = self._alignment(streams, params.lens_doubt_percent).from_aligned(best, roofs)
+            if other is not None and other.lead_over(best, other.lines, best.lines) >= params.doubt_nats:
+                best, lens_percent = other, params.lens_doubt_percent
+        other = self._alignment(streams, lens_percent, has_feet=False).from_aligned(best, roofs)
+        if other is not None and other.lead_over(best, other.lines) >= params.doubt_nats:
+            best = other
+        return best
 
-    def _aligned(self, starts: Floats, lens_percent: float, streams: Streams) -> Aligned | None:
-        """Returns the lines of the model on the photo's edges, the lens off by so much: a deviation."""
+    def _alignment(self, streams: Streams, lens_percent: float, *, has_feet: bool = True) -> Alignment:
+        """Returns what lays the model's lines on the photo's edges.
+
+        Args:
+            streams: Of random numbers.
+            lens_percent: How far the lens may be off, a deviation.
+            has_feet: Whether lines count where walls end.
+        """
         # Lines say what edges say, and more: the regions join them without.
         fit, params = self._fit.with_edges(0.0), self._params
         regions_of = partial(RoofEvidence, self._query, fit=fit, params=params, lens_percent=lens_percent)
-        alignment = Alignment(self._photo, self._query, regions_of, self._around, params, streams)
-        return alignment.from_best(starts, self._roofs)
+        return Alignment(
+            self._photo, self._query, regions_of, self._around, params, streams, has_feet=has_feet
+        )
 
     def _by_regions(self, vector: Floats, signs: LineSigns, evidence: Floats) -> Answer:
         """Returns the mean of what regions and outlines leave around (9,), of a wider photo."""
