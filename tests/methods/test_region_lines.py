@@ -108,9 +108,7 @@ def test_lines_choose_among_the_search_s_tops(city_map, scene, roofs, queries, t
         regions_of = partial(RoofEvidence, query, fit=fit, params=params, lens_percent=0.2)
         streams = partial(random_stream, 0, "test", number)
         starts = with_roofs(truth) + np.roll(np.pad(moves, ((0, 0), (0, 6))), number, axis=0)
-        found = Alignment(photo, query, regions_of, around, params, streams, has_feet=True).from_best(
-            starts, roofs
-        )
+        found = Alignment(photo, query, regions_of, around, params, streams).from_best(starts, roofs)
         assert int(found.evidence.argmax()) == (len(moves) - 1 + number) % len(moves)
         assert np.linalg.norm(found.vector[:3] - truth.center) < 1.0
         # Hopeless ones are not followed.

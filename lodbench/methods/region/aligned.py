@@ -56,10 +56,10 @@ class Aligned(NamedTuple):
         """Returns the (N,) logarithm of the likelihood of such, (N, 9), of a share of the photo's nats."""
         return _nats(self.lines, self.regions, vectors, share)
 
-    def lead_over(self, other: Aligned, *fits: LineFit) -> float:
-        """Returns by how many nats lines are likelier than at another place, in each fit's eyes at least."""
+    def lead_over(self, other: Aligned) -> float:
+        """Returns by how many nats its lines are likelier than another's, at least in the eyes of either."""
         both = np.stack([self.vector, other.vector])
-        return min(float(lines(both) @ (1.0, -1.0)) for lines in fits)
+        return min(float(lines(both) @ (1.0, -1.0)) for lines in (self.lines, other.lines))
 
 
 def _nats(lines: LineFit, regions: RoofEvidence, vectors: Floats, share: float = 1.0) -> Floats:
@@ -91,7 +91,6 @@ class Alignment:
         around: How the outline moves.
         params: The method's.
         streams: Of random numbers.
-        has_feet: Whether lines count where walls end.
     """
 
     def __init__(
@@ -102,10 +101,8 @@ class Alignment:
         around: Surroundings,
         params: Params,
         streams: Streams,
-        *,
-        has_feet: bool,
     ) -> None:
-        self._photo, self._query, self._regions_of, self._has_feet = photo, query, regions_of, has_feet
+        self._photo, self._query, self._regions_of = photo, query, regions_of
         self._around, self._params, self._streams = around, params, streams
 
     def from_best(self, starts: Floats, roofs: RaisedRoofs) -> Aligned | None:
@@ -146,7 +143,7 @@ class Alignment:
         levels, regions = levels_of(self._photo, self._query, blur_px, self._params), self._regions_of(roofs)
 
         def begin(start: Floats) -> _Round | None:
-            lines = LineFit(levels, self._query, roofs, start, self._params, has_feet=self._has_feet)
+            lines = LineFit(levels, self._query, roofs, start, self._params)
             cloud = self._around.cloud(
                 start[:7], regions.at(start[7]), spread_px, regions.prior_information()
             )

@@ -104,39 +104,23 @@ class Answering:
         return Answer(mean[:6], *covariances, *signs, aligned.evidence, float(mean[6]))
 
     def _best_aligned(self, starts: Floats, streams: Streams) -> Aligned | None:
-        """Returns the lines on the edges as is told, or otherwise where that is plainly better.
+        """Returns the lines on the edges with the lens as told, or another where that is plainly better.
 
-        First the lens, then whether walls are seen down to their feet. Only beside an exact map does a
-        photo tell its lens: elsewhere roofs make up for it (docs/adr/0061).
+        Only beside an exact map does a photo tell its lens: elsewhere roofs make up for it (docs/adr/0061).
         """
         params, roofs = self._params, self._roofs
-        lens_percent = params.lens_percent
-        best = self._alignment(streams, lens_percent).from_best(starts, roofs)
-        if best is None or best.sharpness < params.least_sharpness or params.doubt_nats <= 0:
-            return best
-        if params.lens_doubt_percent > 0:
-            other = self._alignment(streams, params.lens_doubt_percent).from_aligned(best, roofs)
-            if other is not None and other.lead_over(best, other.lines, best.lines) >= params.doubt_nats:
-                best, lens_percent = other, params.lens_doubt_percent
-        other = self._alignment(streams, lens_percent, has_feet=False).from_aligned(best, roofs)
-        if other is not None and other.lead_over(best, other.lines) >= params.doubt_nats:
-            best = other
-        return best
+        told = self._alignment(params.lens_percent, streams).from_best(starts, roofs)
+        if told is None or told.sharpness < params.least_sharpness or params.lens_doubt_percent <= 0:
+            return told
+        other = self._alignment(params.lens_doubt_percent, streams).from_aligned(told, roofs)
+        return told if other is None or other.lead_over(told) < params.lens_nats else other
 
-    def _alignment(self, streams: Streams, lens_percent: float, *, has_feet: bool = True) -> Alignment:
-        """Returns what lays the model's lines on the photo's edges.
-
-        Args:
-            streams: Of random numbers.
-            lens_percent: How far the lens may be off, a deviation.
-            has_feet: Whether lines count where walls end.
-        """
+    def _alignment(self, lens_percent: float, streams: Streams) -> Alignment:
+        """Returns what lays the model's lines on the photo's edges, the lens off by such a deviation."""
         # Lines say what edges say, and more: the regions join them without.
         fit, params = self._fit.with_edges(0.0), self._params
         regions_of = partial(RoofEvidence, self._query, fit=fit, params=params, lens_percent=lens_percent)
-        return Alignment(
-            self._photo, self._query, regions_of, self._around, params, streams, has_feet=has_feet
-        )
+        return Alignment(self._photo, self._query, regions_of, self._around, params, streams)
 
     def _by_regions(self, vector: Floats, signs: LineSigns, evidence: Floats) -> Answer:
         """Returns the mean of what regions and outlines leave around (9,), of a wider photo."""

@@ -44,8 +44,6 @@ _LEAST_CONTRAST = 0.5
 _OWN, _MOST_SIGMAS = np.arange(-3.0, 4.0), 4.0
 # Fewer poses are not worth handing over to threads.
 _FEW = 8
-# Up to which share of a building's height a line is at its walls' feet.
-_FEET = 0.03
 # The deviation of roofs that are told not to err.
 _LEAST_SIGMA_M = 1e-9
 
@@ -105,14 +103,12 @@ class LineFit:
         roofs: RaisedRoofs,
         vector: Floats,
         params: Params,
-        *,
-        has_feet: bool = True,
     ) -> None:
         camera = query.camera.scaled(levels.shape[1], levels.shape[0])
         self._intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
         self._levels = levels
         step = int(step_of(vector[7]))
-        points, spacing_px = points_on_lines(roofs, step, camera, vector[:6], has_feet=has_feet)
+        points, spacing_px = points_on_lines(roofs, step, camera, vector[:6])
         self.buildings, buildings = np.unique(points.buildings, return_inverse=True)
         self._points = points._replace(buildings=buildings)
         self._roofs, self._threads = roofs, roofs.threads
@@ -205,12 +201,9 @@ class LineFit:
 
 
 def points_on_lines(
-    roofs: RaisedRoofs, step: int, camera: Camera, vector: Floats, *, has_feet: bool = True
+    roofs: RaisedRoofs, step: int, camera: Camera, vector: Floats
 ) -> tuple[LinePoints, float]:
-    """Returns points evenly along the lines seen from a pose, (6,), and their distance, pixels.
-
-    Without feet those are left out that lie where walls end.
-    """
+    """Returns points evenly along the lines seen from a pose, (6,), and their distance, pixels."""
     pose = pose_from_vector(vector)
     (seen,) = roofs.at(step).edges(camera, pose.rotation[None], pose.center[None], _CREASE_DEG)
     lengths = np.linalg.norm(seen.pixels[:, 1] - seen.pixels[:, 0], axis=1)
@@ -228,8 +221,4 @@ def points_on_lines(
     rises = np.stack([roofs.shares(each, owners, step) for each in pairs[..., 2].T], axis=1)
     first, last = seen.shares[rows].T
     outward = rises[:, :1] * roofs.outward(seen.corners[rows], first + place * (last - first))
-    points = LinePoints(pairs, rises, outward, seen.kind[rows].astype(np.int64), owners)
-    if has_feet:
-        return points, spacing_px
-    counts = (rises >= _FEET).any(axis=1) | ~roofs.stand_up(owners)
-    return LinePoints._make(np.ascontiguousarray(each[counts]) for each in points), spacing_px
+    return LinePoints(pairs, rises, outward, seen.kind[rows].astype(np.int64), owners), spacing_px

@@ -103,10 +103,6 @@ class RaisedRoofs:
         """
         return self._shares(heights, buildings, self._rises + self._raised(step))
 
-    def stand_up(self, buildings: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Returns which buildings of the part have walls, (N,): others lie flat."""
-        return np.asarray(self._rises[buildings] > _FLAT_M)
-
     def outward(self, corners: NDArray[np.int32], places: Floats) -> Floats:
         """Returns (N, 2) how far points of edges move east and north where walls stand out a metre farther.
 
