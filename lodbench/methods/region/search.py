@@ -158,12 +158,11 @@ class Surroundings:
             spread_px: How far apart.
             prior: (7, 7) information of cameras beforehand.
         """
-        points, prior = (
-            self.outline(vector[:6], evidence),
-            evidence.prior_information() if prior is None else prior,
-        )
+        points = self.outline(vector[:6], evidence)
         if not len(points):
             return None
+        if prior is None:
+            prior = evidence.prior_information()
         slopes = (points.moves[:, : len(vector)] * points.normals[:, None, :]).sum(axis=2)
         weights = points.lengths / points.lengths.sum()
         information = (slopes * weights[:, None]).T @ slopes / spread_px**2 + prior
