@@ -10,8 +10,7 @@ from lodbench.bench.figures import Report
 from lodbench.bench.options import add_options, options_of
 from lodbench.bench.reconstructions import Noise, measure_reconstructions
 from lodbench.bench.tracking import TrackingOptions, measure_tracking
-from lodbench.cli.bench_flights import require_city
-from lodbench.cli.bench_views import seeds
+from lodbench.cli.bench_views import city_file, seeds
 from lodbench.cli.segmenters import require_frames_looked_at, segmenter_of
 from lodbench.errors import require_within
 from lodbench.execution import ProgressCallback
@@ -44,7 +43,7 @@ def measure_georeference(options: argparse.Namespace, steps: ProgressCallback) -
     Raises:
         LodbenchError: An option is out of range, or as ``measure_reconstructions``.
     """
-    require_city(options)
+    city_file(options)
     require_within("--photos", options.photos, FEWEST_POSES)
     require_within("--mask-iou", options.mask_iou, 0, 1, "(]")
     require_within("--noise-m", options.noise_m, 0)
@@ -66,7 +65,7 @@ def measure_track(options: argparse.Namespace, steps: ProgressCallback) -> Repor
     Raises:
         LodbenchError: An option is out of range, or as ``measure_tracking``.
     """
-    require_city(options)
+    city_file(options)
     asked = options_of(options, TrackingOptions)
     # The first, which is searched for, does not count.
     require_within("--frames", asked.frames, 2)

@@ -84,7 +84,7 @@ def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
 
 def _require_sound(options: argparse.Namespace) -> None:
     """Refuses here what flights would refuse by names that are not typed."""
-    require_city(options)
+    city_file(options)
     require_within("--flights", options.flights, 1)
     require_within("--photos", options.photos, 1)
     require_within("--focal", options.focal, 0, 0.2)
@@ -98,15 +98,6 @@ def _require_sound(options: argparse.Namespace) -> None:
         raise ConfigError("--relative-poses reconstruction needs one.", "Add --reconstruct --look plain.")
     if options.relative_poses == "tracks" and options.look is None:
         raise ConfigError("--relative-poses tracks needs photos.", "Add --look plain.")
-
-
-def require_city(options: argparse.Namespace) -> None:
-    """Makes sure that the city model is there.
-
-    Raises:
-        DatasetError: It is not.
-    """
-    city_file(options)
 
 
 def _counts(text: str) -> list[int]:

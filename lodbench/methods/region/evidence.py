@@ -126,5 +126,6 @@ def views_of(vectors: Floats) -> tuple[Floats, Floats]:
             percent the lens is longer than told.
     """
     rotations = rotations_from_euler(vectors[:, 3:6])
+    # Of poses the slice is empty, and its sum 0.
     rotations[:, :2] *= 1.0 + 0.01 * vectors[:, _LENS].sum(axis=1)[:, None, None]
     return rotations, np.ascontiguousarray(vectors[:, :3])
