@@ -7,15 +7,24 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from lodbench.citymodel.crs import is_same_plane, require_crs
 from lodbench.citymodel.scene import Scene
 from lodbench.cli.parser import Parser
 from lodbench.cli.verify import add_path_options, reopen_dataset
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError, DatasetError
+from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.harness.city import open_city
-from lodbench.harness.export.export import CITY, CRS, Export, Exported, export_run, make_format
-from lodbench.harness.runs.stored import read_whole_run, require_writable
+from lodbench.harness.export.export import (
+    CITY,
+    CRS,
+    Export,
+    Exported,
+    ExportFormat,
+    export_run,
+    make_format,
+)
+from lodbench.harness.runs.stored import StoredRun, read_whole_run, require_writable
 from lodbench.plugins import blaming, plugin_names
 from lodbench.reporting.aligned_text import count_of
 
@@ -33,23 +42,70 @@ def main(argv: Sequence[str]) -> int:
     require_writable(asked.out, [asked.run], may_be_folder=True)
     run = read_whole_run(asked.run)
     form = make_format(asked.format)
+    _require_heard(asked, form)
+    export = _opened(asked, run, form)
+    with blaming("export_formats", asked.format, "write the run"):
+        done = export_run(export, form, asked.out)
+    return _report(done)
+
+
+def _require_heard(asked: argparse.Namespace, form: ExportFormat) -> None:
+    """Checks that the format has a use for what is told.
+
+    Raises:
+        LodbenchError: It has none, or poses in metres cannot be in the system told.
+    """
     if asked.crs is not None:
         if CRS not in form.requires:
             raise ConfigError(f"--format {asked.format} states no reference system.", "Leave --crs out.")
         MapFrame(asked.crs)  # the poses are in metres, and stay as they are
-    needs = set(form.requires) - ({CRS} if asked.crs is not None else set())
-    if not needs and (asked.dataset_root or asked.city_model):
+    if not form.requires and (asked.dataset_root or asked.city_model):
         raise ConfigError(
             f"--format {asked.format} needs poses alone.", "Leave --dataset-root and --city out."
         )
-    dataset = reopen_dataset(asked.run, asked.dataset_root, asked.city_model) if needs else None
-    city = None
-    if dataset is not None and (CITY in needs or (CRS in needs and dataset.city_model is not None)):
-        city = _city_of(dataset)
-    crs = asked.crs if asked.crs is not None or city is None else city.crs
-    with blaming("export_formats", asked.format, "write the run"):
-        done = export_run(Export(run, dataset, city, crs), form, asked.out)
-    return _report(done)
+
+
+def _opened(asked: argparse.Namespace, run: StoredRun, form: ExportFormat) -> Export:
+    """Returns a run with what the format requires of it.
+
+    Raises:
+        LodbenchError: It cannot be had, or the poses are in another system than is told.
+    """
+    kept, needs = run.provenance.get("crs"), set(form.requires)
+    is_asked = CRS in needs and (kept is None or asked.city_model is not None)
+    is_placed = asked.dataset_root is not None or asked.city_model is not None
+    dataset = city = None
+    try:
+        if is_placed or is_asked or needs - {CRS}:
+            dataset = reopen_dataset(asked.run, asked.dataset_root, asked.city_model)
+        if dataset is not None and (CITY in needs or (is_asked and dataset.city_model is not None)):
+            city = _city_of(dataset)
+    except LodbenchError:
+        if is_placed or needs - {CRS} or asked.crs is None:
+            raise
+    # A run of an older version keeps no system: its city and its dataset tell it, where they are there.
+    told = [kept, None if city is None else city.crs, None if dataset is None else dataset.crs, asked.crs]
+    return Export(run, dataset, city, _one_system(told, asked.crs) if CRS in needs else None)
+
+
+def _one_system(told: Sequence[object], asked: str | None) -> str | None:
+    """Returns the reference system that poses are in, as it is asked for or first told; None if by nobody.
+
+    Raises:
+        LodbenchError: Two of those told contradict each other, or nobody knows one.
+    """
+    named = [str(name) for name in told if name is not None]
+    for other in named[1:]:
+        first, second = require_crs(named[0]), require_crs(other)
+        heights = {first.vertical_code, second.vertical_code} - {None}
+        if not is_same_plane(named[0], other) or len(heights) > 1:
+            raise DatasetError(
+                f"The run's poses are in {named[0]}, not in {other}.",
+                "Leave --crs out: it moves no pose, and is for runs whose system nobody knows."
+                if other == asked
+                else "Take the city model that the run was made with.",
+            )
+    return asked or (named[0] if named else None)
 
 
 def _report(done: Exported) -> int:
@@ -82,7 +138,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--format", required=True, metavar="FORMAT", help=names)
     parser.add_argument("--out", type=Path, metavar="PATH", help="file or folder to write (RUN/export/...)")
     parser.add_argument(
-        "--crs", help="reference system that the poses are in, for formats that state one (the city model's)"
+        "--crs", help="reference system of the poses, for formats that state one, where the run keeps none"
     )
     add_path_options(parser)
     return parser

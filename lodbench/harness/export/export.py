@@ -11,12 +11,14 @@ from typing import Protocol
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.query import Dataset
-from lodbench.errors import DatasetError
+from lodbench.errors import ConfigError, DatasetError
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.plugins import blaming, load_plugin
 from lodbench.storage import make_folder
 from lodbench.storage.disk import disk
 
+# The first line of a table of queries has some 200 bytes.
+_HEAD_BYTES = 4096
 # What a format may require beside the run.
 DATASET, CITY, CRS = "dataset", "city", "crs"
 
@@ -50,6 +52,9 @@ class ExportFormat(Protocol):
     Attributes:
         file_name: File or folder that is written to the run's folder ``export`` where no other is named.
         requires: Of ``dataset``, ``city`` and ``crs``, what the export must hold.
+
+    Offered if the class has it: ``require_room(path)``, which raises where programs would not read what is
+    written there.
     """
 
     file_name: str
@@ -98,15 +103,18 @@ def export_run(export: Export, form: ExportFormat, out: Path | None = None) -> E
         form: The format.
         out: File or folder to write; by default in the run's folder ``export``.
 
-    What is there already stays as it is until all is written; other files in a folder stay.
+    What is there already stays as it is until all is written; other files in a folder stay. Outside of the
+    run's folder ``export`` only earlier exports in the format are replaced.
 
     Raises:
-        LodbenchError: The run has no poses, or the format cannot hold it.
+        LodbenchError: The run has no poses, the format cannot hold it, or something else is in its place.
     """
     run = export.run
     if not run.poses:
         raise DatasetError(f"{run.folder} holds no poses.", "queries.csv says why each query failed.")
     path = out or run.folder / "export" / form.file_name
+    if hasattr(form, "require_room"):
+        form.require_room(path)
     make_folder(path.parent)
     with TemporaryDirectory(prefix=".export.", dir=path.parent) as folder:
         written = Path(folder) / path.resolve().name
@@ -118,9 +126,34 @@ def export_run(export: Export, form: ExportFormat, out: Path | None = None) -> E
             raise
         if not written.exists():
             raise ValueError(f"nothing was written to {path.name}")
+        if (run.folder / "export").resolve() not in path.resolve().parents:
+            _require_room(written, path)
         _put_in_place(written, path)
     without = run.queries["query"][~run.queries.index.isin(list(run.poses))]
     return Exported(path, len(run.poses), tuple(without))
+
+
+def _require_room(written: Path, path: Path) -> None:
+    """Checks that no file is replaced that is no such export.
+
+    Raises:
+        ConfigError: One would be.
+    """
+    if written.is_dir():
+        for each in written.iterdir():
+            _require_room(each, path / each.name)
+    elif path.is_file() and _head(path) != _head(written) and path.read_bytes() != written.read_bytes():
+        raise ConfigError(f"{path} is there already, and is no such export.", "Name another with --out.")
+
+
+def _head(file: Path) -> bytes:
+    """Returns what a file says of its form: its first line, of JSON three, of what is no text four bytes."""
+    with file.open("rb") as stream:
+        start = stream.read(_HEAD_BYTES)
+    if b"\0" in start:
+        return start[:4]
+    lines = start.splitlines()[:3]
+    return b"\n".join(lines if lines[:1] == [b"{"] else lines[:1])
 
 
 def _put_in_place(written: Path, path: Path) -> None:

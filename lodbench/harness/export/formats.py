@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from lodbench.datasets.exchange.colmap import write_colmap
+from lodbench.datasets.exchange.colmap import require_no_binary, write_colmap
 from lodbench.datasets.exchange.geojson import camera_feature, nowhere_feature, write_geojson
 from lodbench.datasets.exchange.kapture import write_kapture
 from lodbench.datasets.exchange.lines import write_lines
@@ -41,6 +41,7 @@ class Colmap(_Poses):
     """COLMAP's text model: a folder of cameras and images."""
 
     file_name, requires, writer = "colmap", (DATASET,), write_colmap
+    require_room = staticmethod(require_no_binary)
 
 
 class Kapture(_Poses):

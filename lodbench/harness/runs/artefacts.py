@@ -119,6 +119,7 @@ def _provenance(run: Result) -> dict[str, Any]:
         "machine": platform.machine(),
         "system": platform.platform(),
         "city_model": None if city is None else str(Path(city).resolve()),
+        "crs": (run.preparation.scene.crs if isinstance(run, Run) else None) or run.dataset.crs,
         "dataset_root": str(Path(run.dataset.root).resolve()),
         **(_work(run) if isinstance(run, Run) else {}),
         "seconds_per_query": {
