@@ -141,6 +141,19 @@ def test_photos_and_other_pictures_are_never_replaced(render, tmp_path, layers):
         assert (out / "view_00.png").read_bytes() == photo
 
 
+def test_masks_made_by_hand_are_never_replaced(render, tmp_path):
+    """They have the bits of silhouettes; only pictures that say they were drawn are drawn anew."""
+    assert [render()[0].returncode for _ in range(2)] == [0, 0]
+    out = tmp_path / "out, (1)"
+    by_hand = out / "view_01.png"
+    cv2.imwrite(str(by_hand), np.zeros((240, 320), dtype=np.uint8))
+    before = {file.name: file.read_bytes() for file in out.iterdir()}
+    done, _ = render("size=[160,120]")
+    assert done.returncode == 2
+    assert "view_01.png is there already, and is no such picture" in done.stderr
+    assert {file.name: file.read_bytes() for file in out.iterdir()} == before
+
+
 @pytest.mark.parametrize(("kind", "name"), [("instance", "view_01.json"), ("label", "labels.json")])
 def test_files_of_one_s_own_are_never_replaced(render, tmp_path, kind, name):
     """Tools of annotation write JSON under the name of the photo."""

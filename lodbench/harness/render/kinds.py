@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import ConfigError, RenderingError, nearest_names
 from lodbench.geometry import Camera, Pose
+from lodbench.harness.render.marks import Mark, may_replace, picture_mark, write_marked
 from lodbench.plugins import load_plugin
 from lodbench.rendering import (
     DEPTH,
@@ -26,14 +27,11 @@ from lodbench.rendering import (
     Renderer,
     renderers_with,
 )
-from lodbench.reporting.overlays import ESTIMATE_COLOUR, draw_outline, read_background, write_picture
+from lodbench.reporting.overlays import ESTIMATE_COLOUR, draw_outline, read_background
 from lodbench.storage import write_bytes, write_text
 
 # The largest value of a 16-bit PNG.
 _MOST = 65535
-# What the files of a kind say of themselves, and from which byte on: PNGs their bits, and grey or colour.
-Mark = tuple[int, bytes]
-_GREY_8, _GREY_16, _COLOUR_8 = (24, bytes([8, 0])), (24, bytes([16, 0])), (24, bytes([8, 2]))
 _NPY, _INSTANCES, _NAMES = (0, b"\x93NUMPY"), (0, b'{"instances": ['), (0, b'{\n"1": ')
 
 
@@ -86,16 +84,7 @@ class Kind:
         """Returns a file that views would replace and that is no earlier one of this kind, or None."""
         files = [(out / name, mark) for name, mark in self.shared.items()]
         files += [(out / (stem + suffix), mark) for stem in stems for suffix, mark in self.marks.items()]
-        return next((file for file, mark in files if not _may_replace(file, mark)), None)
-
-
-def _may_replace(file: Path, mark: Mark) -> bool:
-    """Tells whether a file is absent, or says of itself what files of a kind do."""
-    if not file.exists():
-        return True
-    start, said = mark
-    with file.open("rb") as stream:
-        return stream.read(start + len(said))[start:] == said
+        return next((file for file, mark in files if not may_replace(file, mark)), None)
 
 
 def choose_renderer(kind: str, renderer: str | None) -> str:
@@ -118,7 +107,7 @@ def choose_renderer(kind: str, renderer: str | None) -> str:
 
 def _write_silhouette(view: View) -> list[Path]:
     mask = view.renderer.render(view.camera, view.pose)
-    return _write_png(view, mask.astype(np.uint8) * 255)
+    return _write_png(view, mask.astype(np.uint8) * 255, "silhouette")
 
 
 def _write_depth(view: View) -> list[Path]:
@@ -126,7 +115,7 @@ def _write_depth(view: View) -> list[Path]:
     content = io.BytesIO()
     np.save(content, depth)
     write_bytes(view.file(".npy"), content.getvalue())
-    return [*_write_png(view, depth_in_centimetres(depth)), view.file(".npy")]
+    return [*_write_png(view, depth_in_centimetres(depth), "depth"), view.file(".npy")]
 
 
 def depth_in_centimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -137,7 +126,7 @@ def depth_in_centimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 def _write_label(view: View) -> list[Path]:
     building = cast(LayerRenderer, view.renderer).draw(view.camera, view.pose).building
-    return _write_png(view, (building + 1).astype(np.uint16))
+    return _write_png(view, (building + 1).astype(np.uint16), "label")
 
 
 def _check_labels(scene: Scene) -> None:
@@ -157,7 +146,7 @@ def _write_label_names(scene: Scene, out: Path) -> list[Path]:
 
 def _write_colour(view: View) -> list[Path]:
     colour = cast(LayerRenderer, view.renderer).draw(view.camera, view.pose).colour
-    return _write_png(view, np.ascontiguousarray(colour[:, :, ::-1]))
+    return _write_png(view, np.ascontiguousarray(colour[:, :, ::-1]), "colour")
 
 
 def _write_instances(view: View) -> list[Path]:
@@ -191,23 +180,23 @@ def column_runs(mask: NDArray[np.bool_]) -> list[int]:
 def _write_overlay(view: View) -> list[Path]:
     canvas = read_background(view.photo, view.camera)
     draw_outline(canvas, view.renderer.render(view.camera, view.pose), ESTIMATE_COLOUR, 1)
-    return _write_png(view, canvas)
+    return _write_png(view, canvas, "overlay")
 
 
-def _write_png(view: View, picture: NDArray[np.uint8] | NDArray[np.uint16]) -> list[Path]:
+def _write_png(view: View, picture: NDArray[np.uint8] | NDArray[np.uint16], kind: str) -> list[Path]:
     path = view.file(".png")
-    write_picture(path, picture)
+    write_marked(path, picture, kind)
     return [path]
 
 
 KINDS = {
-    "silhouette": Kind("silhouette", "render", _write_silhouette, marks={".png": _GREY_8}),
-    "depth": Kind("raster", DEPTH, _write_depth, marks={".png": _GREY_16, ".npy": _NPY}),
+    "silhouette": Kind("silhouette", "render", _write_silhouette, marks={".png": picture_mark("silhouette")}),
+    "depth": Kind("raster", DEPTH, _write_depth, marks={".png": picture_mark("depth"), ".npy": _NPY}),
     "label": Kind(
         "raster", LAYERS, _write_label, _check_labels, _write_label_names,
-        {".png": _GREY_16}, {"labels.json": _NAMES},
+        {".png": picture_mark("label")}, {"labels.json": _NAMES},
     ),
-    "colour": Kind("raster", LAYERS, _write_colour, marks={".png": _COLOUR_8}),
-    "overlay": Kind("silhouette", "render", _write_overlay, marks={".png": _COLOUR_8}),
+    "colour": Kind("raster", LAYERS, _write_colour, marks={".png": picture_mark("colour")}),
+    "overlay": Kind("silhouette", "render", _write_overlay, marks={".png": picture_mark("overlay")}),
     "instance": Kind("silhouette", INSTANCES, _write_instances, marks={".json": _INSTANCES}),
 }  # fmt: skip

@@ -25,12 +25,13 @@ from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import far_words, open_city
 from lodbench.harness.render.kinds import KINDS, Kind, View, choose_renderer
+from lodbench.harness.render.marks import write_marked
 from lodbench.plugins import blaming
 from lodbench.rendering import open_renderer
 from lodbench.rendering.projection import require_pinhole
 from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.textured import TexturedRenderer
-from lodbench.reporting.overlays import is_readable_picture, write_picture
+from lodbench.reporting.overlays import is_readable_picture
 from lodbench.storage import make_folder, write_text
 
 # Kinds and renderers that can draw a textured map.
@@ -167,7 +168,7 @@ def _draw_textured(
         for shot in shots:
             pose, path = shot.pose.shifted(-origin), out / f"{Path(shot.name).stem}.png"
             colour = renderer.colours(shot.camera, pose.rotation[None], pose.center[None])[0]
-            write_picture(path, np.ascontiguousarray(colour[:, :, ::-1]))
+            write_marked(path, np.ascontiguousarray(colour[:, :, ::-1]), "colour")
             files.append(path)
             progress.advance()
     names = [path.name for path in files]
