@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,9 +29,10 @@ from lodbench.citymodel.textured_model import textured_model
 from lodbench.citymodel.textured_writer import write_textured
 from lodbench.citymodel.tiling import cut_into_tiles, require_no_others, tile_index
 from lodbench.citymodel.triangulate import CHUNK_POLYGONS, triangulate
-from lodbench.errors import CityModelError
+from lodbench.errors import CityModelError, LodbenchError
 from lodbench.findings import Findings
-from lodbench.storage import write_chunks
+from lodbench.storage import make_folder, write_chunks
+from lodbench.storage.disk import disk
 
 
 def check_target(target: Path) -> None:
@@ -191,15 +193,30 @@ def convert_tiles(
         write: Writes one of them.
 
     Raises:
-        CityModelError: As for ``convert_city``, or something else than an index of these tiles has its name.
+        CityModelError: As for ``convert_city``, or something else than an index of these tiles has its
+            name; no new tile and no new folder is left then.
     """
     stem, dot, ending = target.name.partition(".")
     tiles = [(tile, f"{stem}_{tile.name}{dot}{ending}") for tile in cut_into_tiles(model, size_m)]
     index = target.with_name(f"{stem}.geojson")
     require_no_others(index, [file for _, file in tiles])
-    done = [write(tile.model, target.with_name(file)) for tile, file in tiles]
+    with _nothing_left([target.parent, *(target.with_name(file) for _, file in tiles)]):
+        make_folder(target.parent)
+        done = [write(tile.model, target.with_name(file)) for tile, file in tiles]
     write_chunks(index, (json.dumps(tile_index(tiles, model.crs), indent=1).encode(),))
     return done
+
+
+@contextmanager
+def _nothing_left(paths: Sequence[Path]) -> Iterator[None]:
+    """Removes what was not there before where a conversion ends in a fault: a folder and the files in it."""
+    new = [path for path in paths if not path.exists()]
+    try:
+        yield
+    except LodbenchError:
+        for path in new:
+            disk().remove(path)
+        raise
 
 
 def check_surfaces(model: CityModel, findings: Findings) -> None:

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.options import ReadOptions
+from lodbench.cli.city_files import from_and_to, require_other
 from lodbench.cli.city_parser import city_parser
 from lodbench.cli.source_profiles import load_profile
-from lodbench.errors import CityModelError, ConfigError
+from lodbench.errors import CityModelError, ConfigError, nearest_names
 from lodbench.execution import ProgressCallback
-from lodbench.storage import make_folder
 
 if TYPE_CHECKING:
     from lodbench.citymodel import CityModel
@@ -69,7 +69,7 @@ def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
     if asked.geojson is not None:
         is_ours = own_geojson(file_source(asked.geojson)) == OWN_GEOJSON["lodbench"]
         if not is_ours and (asked.geojson.exists() or asked.geojson.suffix.lower() != ".geojson"):
-            _require_other(asked.geojson, [asked.file])
+            require_other(asked.geojson, [asked.file])
         if asked.geojson.is_dir() or not asked.geojson.parent.is_dir():
             raise CityModelError(f"{asked.geojson} is no file in a folder that is there.", "--geojson FILE")
     start = time.perf_counter()
@@ -95,7 +95,7 @@ def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -
     from lodbench.citymodel.source import open_sources
     from lodbench.cli.city_text import conversion_summary, format_conversion
 
-    files, out = _from_and_to(asked)
+    files, out = from_and_to(asked)
     _require_heard(asked, out, lod)
     if asked.textures and not has_room_for_pictures(out):
         raise CityModelError(f"{out} has no room for pictures.", "Name it .glb, .obj, .json, .jsonl or .gml.")
@@ -128,31 +128,6 @@ def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -
     return 0
 
 
-def _from_and_to(asked: argparse.Namespace) -> tuple[list[Path], Path]:
-    """Returns the files to convert and the one to write, whose folder is there then.
-
-    Raises:
-        CityModelError: There is nothing to convert, or the target is no format or may be one of the cities.
-    """
-    from lodbench.citymodel.convert import check_target
-
-    files, out = (asked.files, asked.out) if asked.out is not None else (asked.files[:-1], asked.files[-1])
-    if not files:
-        raise CityModelError(
-            f"There is nothing to convert {out} from.", "lodbench city convert FILE... -o OUT"
-        )
-    if asked.tiles is not None and out.parent.parent.is_dir():
-        make_folder(out.parent)
-    check_target(out)
-    _require_other(out, files)
-    if asked.out is None and _may_be_a_tile(out, files):
-        raise CityModelError(
-            f"{out} is there already, and may be one of the tiles: nothing is written over it.",
-            f"Name a new file, -o OUT, or say that it is meant: -o {out}.",
-        )
-    return files, out
-
-
 def _is_whole(asked: argparse.Namespace, files: Sequence[Path]) -> bool:
     """Tells whether one file or folder is converted as it is: nothing chosen, cut, joined or projected."""
     is_part = asked.id or asked.where or asked.bbox or asked.to_crs or asked.tiles
@@ -161,6 +136,8 @@ def _is_whole(asked: argparse.Namespace, files: Sequence[Path]) -> bool:
 
 def _require_heard(asked: argparse.Namespace, out: Path, lod: str | None) -> None:
     """Raises ConfigError if an option means nothing to what is written."""
+    from lodbench.citymodel.derive import ROOF_HEIGHTS
+
     suffix = out.suffix.lower()
     is_gml = suffix in (".gml", ".xml", ".citygml")
     is_parallel = asked.executor is not None or asked.workers is not None or asked.address is not None
@@ -174,34 +151,16 @@ def _require_heard(asked: argparse.Namespace, out: Path, lod: str | None) -> Non
     for option, how, is_unheard in unheard:
         if is_unheard:
             raise ConfigError(f"{option} is not used {how}.", f"Leave {option} out.")
+    if asked.roof_height not in (None, *ROOF_HEIGHTS):
+        raise ConfigError(
+            f"--roof-height {asked.roof_height} is unknown.", nearest_names(asked.roof_height, ROOF_HEIGHTS)
+        )
     for pair in asked.where:
         if "=" not in pair:
             raise ConfigError(f"--where {pair} names no value.", "It reads: --where ATTRIBUTE=VALUE")
     west, south, east, north = asked.bbox or (0.0, 0.0, 1.0, 1.0)
     if not (west < east and south < north):
         raise ConfigError("--bbox holds nothing: its west is not below its east, or its south its north.")
-
-
-def _require_other(out: Path, files: Sequence[Path]) -> None:
-    """Raises CityModelError if a file to write is one of those to read, or would be from then on."""
-    place = out.resolve()
-    for file in files:
-        if place == file.resolve():
-            raise CityModelError(f"{out} is the city itself.", "Choose another name to write to.")
-        if file.is_dir() and place.is_relative_to(file.resolve()):
-            raise CityModelError(
-                f"{out} lies in the folder that is read, and would be one of its tiles.",
-                f"Write it outside of {file}.",
-            )
-
-
-def _may_be_a_tile(out: Path, files: Sequence[Path]) -> bool:
-    """Tells whether the last word is a city of which no -o says that it is written: ``*.gml`` ends so."""
-    from lodbench.citymodel.source import is_city_file
-
-    first = files[0]
-    is_neighbour = out.suffix == first.suffix and out.resolve().parent == first.resolve().parent
-    return is_city_file(out) and (len(files) > 1 or is_neighbour)
 
 
 def _chosen(asked: argparse.Namespace, model: CityModel) -> CityModel:

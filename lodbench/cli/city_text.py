@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.codes import finding_catalogue
 from lodbench.citymodel.lods import lod_in_words
-from lodbench.reporting.aligned_text import format_columns
+from lodbench.reporting.aligned_text import count_of, format_columns
 
 if TYPE_CHECKING:
     from lodbench.citymodel.convert import Conversion
@@ -100,14 +100,15 @@ def conversion_summary(target: str, done: Conversion) -> dict[str, Any]:
 
 def format_conversion(summary: dict[str, Any]) -> str:
     """Returns what was written as lines of text."""
+    buildings = count_of(format(summary["buildings"], ","), "buildings")
     if "lods" in summary:
         lods = ", ".join(filter(None, summary["lods"])) or "unnamed"
-        parts = f", {summary['parts']:,} parts" if summary["parts"] else ""
-        what = f"LoD {lods}, {summary['buildings']:,} buildings{parts}, {summary['polygons']:,} polygons"
+        parts = f", {count_of(format(summary['parts'], ','), 'parts')}" if summary["parts"] else ""
+        what = f"LoD {lods}, {buildings}{parts}, {summary['polygons']:,} polygons"
         lines = [f"{summary['written']}: {what}", f"CRS {crs_in_words(summary['crs'])}"]
     else:
         lod = f"{lod_in_words(summary['lod'])}, " if summary["lod"] else ""
-        what = f"{lod}{summary['buildings']:,} buildings, {summary['triangles']:,} triangles"
+        what = f"{lod}{buildings}, {summary['triangles']:,} triangles"
         origin = " ".join(f"{value:.3f}" for value in summary["origin"])
         areas = "{area_m2:,.2f} m2 in, {meshed_m2:,.2f} m2 meshed".format(**summary)
         areas += ", {lost_m2:,.2f} m2 lost, {excess_m2:,.2f} m2 too much".format(**summary)

@@ -14,6 +14,7 @@ from lodbench.cli.named_dataset import add_dataset_options, open_named
 from lodbench.cli.parser import Parser
 from lodbench.findings import Findings, Severity
 from lodbench.harness.dataset_check import DatasetReport, SplitReport, check_dataset
+from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.safe_text import plain_text
 
 _EPILOG = """\
@@ -62,8 +63,8 @@ def _split_lines(split: SplitReport) -> list[str]:
     whose = "its card says" if split.paper_prior is None else "the paper's tables imply"
     tables = "" if split.expected is None else f" ({whose} {split.expected})"
     lines = [
-        f"{split.queries} queries, {split.truths} with a true pose{tables}, {split.photos} photos, "
-        f"{split.masks} masks"
+        f"{count_of(split.queries, 'queries')}, {split.truths} with a true pose{tables}, "
+        f"{count_of(split.photos, 'photos')}, {count_of(split.masks, 'masks')}"
     ]
     if split.prior is None:
         there = f"{split.priors} priors, which cannot be judged without true poses"

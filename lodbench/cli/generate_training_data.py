@@ -15,6 +15,7 @@ from lodbench.cli.source_profiles import profile_of
 from lodbench.errors import ConfigError
 from lodbench.execution.executor import ExecutorParams
 from lodbench.params import to_params
+from lodbench.reporting.aligned_text import already_there
 from lodbench.synthesis.photo import LookRanges
 from lodbench.synthesis.training_data.generate import Generated, generate_training_data
 from lodbench.synthesis.training_data.params import GenerateParams
@@ -77,9 +78,8 @@ def params_of(values: dict[str, Any]) -> GenerateParams:
 def report(made: Generated) -> str:
     """Returns what is said at the end."""
     views = ", ".join(f"{count} {split}" for split, count in made.views.items())
-    resumed = f" ({made.resumed} were there already)" if made.resumed else ""
     lines = [f"note: {note}" for note in made.notes]
-    lines += [f"views: {views}{resumed}"]
+    lines += [f"views: {views}{already_there(made.resumed)}"]
     lines += [f"skipped: {count} {reason}" for reason, count in made.skipped.items()]
     if made.views and not made.views.get("val"):
         lines.append(

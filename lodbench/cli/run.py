@@ -28,6 +28,7 @@ from lodbench.harness.runs.requirements import SEGMENTED, segmented_inputs
 from lodbench.harness.tracebacks import traceback_file
 from lodbench.params import to_params
 from lodbench.plugins import load_plugin
+from lodbench.reporting.aligned_text import already_there
 from lodbench.reporting.answers import format_answers, untrusted_note
 from lodbench.reporting.safe_text import plain_lines, plain_text
 from lodbench.reporting.summaries import with_settings
@@ -181,8 +182,10 @@ def report(runs: Sequence[Run]) -> str:
         has_masks = bool(run.preparation.needs & SEGMENTED)
         notes = (*(notes_of(run.preparation.segmenter) if has_masks else ()), *run.dataset.notes)
         lines += [f"  note: {plain_text(note)}" for note in notes]
-        resumed = f" ({run.resumed} queries were there already)" if run.resumed else ""
-        lines += [f"  results:  {run.folder}{resumed}", f"  pictures: {run.folder / 'overlays'}"]
+        lines += [
+            f"  results:  {run.folder}{already_there(run.resumed, 'queries')}",
+            f"  pictures: {run.folder / 'overlays'}",
+        ]
     return "\n".join(parts) + "\n" + "\n".join(lines) + "\n"
 
 

@@ -13,6 +13,7 @@ from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.errors import ConfigError
 from lodbench.params import to_params
 from lodbench.plugins import blaming, load_plugin
+from lodbench.reporting.aligned_text import already_there
 from lodbench.reporting.safe_text import plain_text
 from lodbench.segmentation.registry import make_segmenter
 from lodbench.training.samples import LEAST_SHARE
@@ -104,7 +105,7 @@ def report(trained: Trained) -> str:
     over = f"{iou}{alone}, over {last['views']:.0f} {trained.validated_on}"
     if not last["views"]:
         over = f"none, for no view to validate on has {100 * LEAST_SHARE:.0f} % buildings or more"
-    before = f" ({trained.started_at} were there already)" if trained.started_at else ""
+    before = already_there(trained.started_at)
     return (
         f"epochs:  {len(trained.history)}{before} over {trained.views} views, last loss {last['loss']:.4f}\n"
         f"val IoU: {over}\n"

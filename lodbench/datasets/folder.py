@@ -214,7 +214,8 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
         )
     several = sum(len(entry.hypotheses) > 1 for entry in entries)
     if several:
-        notes.append(f"{split}: {several} queries have several priors; the first is the prior of each")
+        queries = "1 query has" if several == 1 else f"{several} queries have"
+        notes.append(f"{split}: {queries} several priors; the first is the prior of each")
     return entries, {f"{split}/{name}": pose for name, pose in truth.items()}, notes
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,11 +32,12 @@ from lodbench.citymodel.scene_file import is_scene, read_about, write_scene
 from lodbench.citymodel.scene_join import join_scenes
 from lodbench.citymodel.source import Source, open_sources
 from lodbench.citymodel.subset import reproject
-from lodbench.errors import CityModelError
+from lodbench.errors import CityModelError, LodbenchError
 from lodbench.execution.executor import ExecutorParams, spread
 from lodbench.execution.lock import only_one_in
 from lodbench.findings import Findings
 from lodbench.storage import digest_of, make_folder, remove_leftovers
+from lodbench.storage.disk import disk
 
 _TILES_PER_FOLDER = 100
 Steps = Callable[[int, int], None]
@@ -94,11 +96,10 @@ def compile_tiles(
     options, executor = options or ReadOptions(), executor or ExecutorParams()
     sources = open_sources(path, options.layers)
     parts = target.with_name(f"{target.name}.parts")
-    make_folder(parts)
-    with only_one_in(parts):
+    told: dict[int, dict[str, Any]] = {}
+    with _kept_if_of_use(parts, told), only_one_in(parts):
         remove_leftovers(parts)
         job = TileJob(str(path), str(parts), lod, roof_height, options)
-        told: dict[int, dict[str, Any]] = {}
         job = _settle(job, sources, told)
         _compile(job, range(len(sources)), executor, told, progress)
         level = _common_level(job, told)
@@ -109,6 +110,19 @@ def compile_tiles(
         meta = _join([told[n] for n in sorted(told)], target)
     shutil.rmtree(parts)
     return meta
+
+
+@contextmanager
+def _kept_if_of_use(parts: Path, told: dict[int, dict[str, Any]]) -> Iterator[None]:
+    """Makes the folder of parts, which a fault leaves there only where it holds tiles to go on with."""
+    is_new = not parts.exists()
+    make_folder(parts)
+    try:
+        yield
+    except LodbenchError:
+        if is_new and not any(about["extra"]["lods"] for about in told.values()):
+            disk().remove(parts)
+        raise
 
 
 def _settle(job: TileJob, sources: tuple[Source, ...], told: dict[int, dict[str, Any]]) -> TileJob:

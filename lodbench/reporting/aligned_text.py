@@ -17,6 +17,18 @@ def count_of(number: int | str, things: str) -> str:
     return f"1 {things[:-3]}y" if things.endswith("ies") else f"1 {things.removesuffix('s')}"
 
 
+def already_there(number: int, things: str = "") -> str:
+    """Returns what is said of work that an earlier process did, in brackets; "" where it did none.
+
+    Example:
+        >>> already_there(1, "queries"), already_there(20, "queries"), already_there(0)
+        (' (1 query was there already)', ' (20 queries were there already)', '')
+    """
+    if not number:
+        return ""
+    return f" ({count_of(number, things).strip()} {'was' if number == 1 else 'were'} there already)"
+
+
 def format_columns(rows: Sequence[Sequence[str]]) -> str:
     """Returns rows of cells as lines of text: first column flush left, the others flush right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]

@@ -89,7 +89,7 @@ def test_a_killed_run_resumes_to_the_same_bytes(lodbench, tmp_path, dataset):
     for name in STABLE:
         (folder / name).unlink()
     done = lodbench(*words(dataset))
-    assert "(1 queries were there already)" in done.stdout
+    assert "(1 query was there already)" in done.stdout
     assert {name: (folder / name).read_bytes() for name in STABLE} == whole
 
 

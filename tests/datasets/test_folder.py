@@ -184,7 +184,7 @@ class TestFaults:
         assert [pose.translation.tolist() for pose in first.hypotheses] == [[1, 2, 3], [4, 5, 6]]
         assert first.prior is first.hypotheses[0]
         assert (second.prior, second.hypotheses) == (second.hypotheses[0], (second.prior,))
-        assert dataset.notes == ("d: 1 queries have several priors; the first is the prior of each",)
+        assert dataset.notes == ("d: 1 query has several priors; the first is the prior of each",)
         # A method may read the second, so a run that changes it is another run.
         alone = replace(first, hypotheses=first.hypotheses[:1])
         assert prior_digest([first]) != prior_digest([alone])
