@@ -30,7 +30,8 @@ class Estimate:
         score: The method's own measure of fit, higher is better.
         hypotheses: Poses drawn; counted by the map, whatever the method says.
         seconds: Wall time by stage, for a method that tells stages; the whole is measured.
-        trace: Best score after each step of each stage.
+        trace: Best score after each step of each stage. Of other numbers the name ends with their unit in
+            brackets; ``[nats]`` is what is known of the answers found, best first.
         covariance: (6, 6) of the error in x, y, z (metres), pitch, roll and yaw (degrees), where the
             method knows it.
         probability: That the pose is within 2 m and 2 degrees, where the method knows it.

@@ -16,6 +16,8 @@ _MAX_TRIANGLES = 40_000
 # Triangles steeper than this are walls, which from above are lines.
 _LEAST_FLAT = 0.2
 _MARGIN_M = 40.0
+# From so many spots on they are drawn smaller and lighter: all over each other they are one blot.
+_MANY, _CROWD = 200, 1000
 
 
 class Spot(NamedTuple):
@@ -81,6 +83,9 @@ def draw_map(
             for spot in spots
         ],
         view=view,
+        classes="map" + " many" * (len(spots) >= _MANY) + " crowd" * (len(spots) >= _CROWD),
+        many=_MANY,
+        crowd=_CROWD,
         has_truth=any(spot.truth is not None for spot in spots),
         enlarged=enlarged if any(spot.covariance is not None for spot in spots) else 0,
     )

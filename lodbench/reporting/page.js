@@ -117,6 +117,7 @@ for (const map of all(".map")) {
   const svg = map.querySelector("svg");
   const box = svg.viewBox.baseVal;
   const start = [box.x, box.y, box.width, box.height];
+  const spots = all("g.spot", map);
   const scale = () => Math.max(box.width / svg.clientWidth, box.height / svg.clientHeight);
   const tell = () => {
     const metres = 120 * scale();
@@ -125,6 +126,9 @@ for (const map of all(".map")) {
     const bar = map.querySelector(".bar span");
     bar.style.width = `${length / scale()}px`;
     bar.textContent = length >= 1000 ? `${length / 1000} km` : `${length} m`;
+    // Closer by, fewer are in view: they may be larger again.
+    const inView = spots.length * Math.min(1, (box.width * box.height) / (start[2] * start[3]));
+    for (const size of ["many", "crowd"]) map.classList.toggle(size, inView >= Number(map.dataset[size]));
   };
   const zoom = (factor, x, y) => {
     if (!factor) [box.x, box.y, box.width, box.height] = start;
@@ -157,7 +161,7 @@ for (const map of all(".map")) {
     button.addEventListener("click", () =>
       zoom(Number(button.dataset.zoom), box.x + box.width / 2, box.y + box.height / 2));
   }
-  for (const spot of all("g.spot", map)) {
+  for (const spot of spots) {
     spot.addEventListener("click", () => { if (way < 6) open(spot.dataset.key); });
   }
   addEventListener("resize", tell);

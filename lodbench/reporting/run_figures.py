@@ -107,3 +107,24 @@ def draw_traces(traces: Sequence[Trace]) -> dict[str, bytes]:
         figure.supylabel("score", fontsize=9)
 
     return draw_figure(2.9 * columns + 0.3, 2.0 * rows + 0.4, draw)
+
+
+def draw_evidence(traces: Sequence[Trace]) -> dict[str, bytes]:
+    """Returns by how many nats the answers found to each query are behind the best, best first."""
+    columns = min(3, len(traces))
+    rows = -(-len(traces) // columns)
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+        for axis, trace in zip(axes, traces, strict=False):
+            for number, values in enumerate(trace.stages.values()):
+                axis.plot(range(1, len(values) + 1), values, ".", color=SERIES[number % len(SERIES)])
+            axis.set_yscale("symlog", linthresh=10.0)
+            axis.set_title(trace.name, fontsize=8)
+        axes[0].invert_yaxis()  # of axes that all share
+        for axis in axes[len(traces) :]:
+            axis.set_visible(False)
+        figure.supxlabel("answer", fontsize=9)
+        figure.supylabel("nats behind the best", fontsize=9)
+
+    return draw_figure(2.9 * columns + 0.3, 2.0 * rows + 0.4, draw)

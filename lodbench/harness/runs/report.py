@@ -7,7 +7,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.scene import Scene
@@ -16,23 +15,17 @@ from lodbench.evaluation.calibration import calibrate
 from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, has_truth, of_split, own_failure
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.harness.runs.flight_pages import flight_findings
-from lodbench.harness.runs.gallery import chosen_queries
 from lodbench.harness.runs.places import draw_places
-from lodbench.harness.runs.predict import open_predictions
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.query_pictures import query_pictures
+from lodbench.harness.runs.trace_pictures import evidence_pictures, score_pictures
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.answers import trust_of, untrusted_note
 from lodbench.reporting.calibration_figures import draw_calibration
 from lodbench.reporting.flight_words import constants_in_words, map_in_words
 from lodbench.reporting.page import Picture, facts, markup, rendered
-from lodbench.reporting.run_figures import (
-    ErrorSample,
-    Trace,
-    draw_error_curves,
-    draw_traces,
-)
+from lodbench.reporting.run_figures import ErrorSample, draw_error_curves
 from lodbench.reporting.summaries import with_seconds
 from lodbench.reporting.table_formats import format_html
 from lodbench.reporting.tables import tables_of
@@ -79,7 +72,8 @@ def run_report(verdict: Verdict, tilt: str, scene: Scene | None, view: str = "")
         ("places", "From above", draw_places(verdict, scene, tilt, view), []),
         ("queries", "Every query", _query_table(verdict, tilt), []),
         ("pictures", _pictures_title(len(pictures), len(stored.queries)), "", pictures),
-        ("traces", "How the score rose", "", _traces(stored.folder, stored.queries, splits)),
+        ("traces", "How the score rose", "", score_pictures(stored.folder, stored.queries, splits)),
+        ("evidence", "What else was found", "", evidence_pictures(stored.folder, stored.queries, splits)),
         ("provenance", "Where it comes from", _provenance(verdict), []),
     ]
     answered = sum(found.pose is not None for found in stored.predictions.values())
@@ -221,23 +215,6 @@ def _flights(verdict: Verdict) -> str:
         for name, found in flight_findings(verdict).items()
     }
     return rendered("run_flights.html.jinja", flights=said) if said else ""
-
-
-def _traces(folder: Path, queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
-    """Returns the score traces of the gallery's queries, from the run's predictions."""
-    stored = open_predictions(folder, read_only=True)
-    traces = []
-    for split in splits:
-        chosen = chosen_queries(queries, split)
-        for kind in ("worst", "best"):
-            for key in chosen[kind].index:
-                stages = stored[key].get("trace", {}) if key in stored else {}
-                if any(len(scores) > 2 for scores in stages.values()):
-                    traces.append(Trace(f"{kind}: {key}", {k: tuple(v) for k, v in stages.items()}))
-    if not traces:
-        return []
-    caption = "Best score after each step: every beam, and the best of them."
-    return [Picture(draw_traces(traces)["svg"], "svg+xml", caption, "chart")]
 
 
 def _provenance(verdict: Verdict) -> str:

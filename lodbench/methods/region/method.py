@@ -128,7 +128,11 @@ def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False
         pose=pose_from_vector(answer.vector),
         score=float(final.fits(answer.vector[None])[0]),
         seconds={"coarse": searched - started, "fine": time.perf_counter() - searched},
-        trace={"coarse": (best,), "modes": tuple(answer.evidence[ranked]), "signs": tuple(signs)},
+        trace={
+            "coarse": (best,),
+            "evidence [nats]": tuple(answer.evidence[ranked]),
+            "signs [as of trust_of]": tuple(signs),
+        },
         covariance=answer.covariance,
         probability=share_of_best(answer.evidence) * trust_of(signs),
         alternatives=tuple(pose_from_vector(other) for other in others),
