@@ -87,6 +87,18 @@ def _add_drawing(add: Any) -> None:
     add("--world", default="", metavar="NAME=VALUE,...", help=_WORLD)
 
 
+def _world(text: str) -> World:
+    """Returns the world of ``--world``.
+
+    Raises:
+        ConfigError: There is none; told in the words that were typed.
+    """
+    try:
+        return World.parse(text)
+    except ConfigError as fault:
+        raise ConfigError(f"--world {text}: {fault.message.replace('world.', '')}", fault.hint) from fault
+
+
 def add_city(parser: argparse.ArgumentParser) -> None:
     """Adds the option that ``city_file`` reads."""
     parser.add_argument("--city", type=Path, help="city model; the demo town if not given")
@@ -172,7 +184,7 @@ def _params(given: argparse.Namespace, city: Path | None) -> ViewsParams:
         lod=given.map_lod,
         mask_lod=given.mask_lod,
         roof_height=given.roof_height,
-        world=World.parse(given.world),
+        world=_world(given.world),
     )
 
 

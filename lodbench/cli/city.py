@@ -15,7 +15,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.cli.city_files import from_and_to, require_other
 from lodbench.cli.city_parser import city_parser
 from lodbench.cli.source_profiles import load_profile
-from lodbench.errors import CityModelError, ConfigError, nearest_names
+from lodbench.errors import CityModelError, ConfigError, require_choice
 from lodbench.execution import ProgressCallback
 
 if TYPE_CHECKING:
@@ -151,10 +151,8 @@ def _require_heard(asked: argparse.Namespace, out: Path, lod: str | None) -> Non
     for option, how, is_unheard in unheard:
         if is_unheard:
             raise ConfigError(f"{option} is not used {how}.", f"Leave {option} out.")
-    if asked.roof_height not in (None, *ROOF_HEIGHTS):
-        raise ConfigError(
-            f"--roof-height {asked.roof_height} is unknown.", nearest_names(asked.roof_height, ROOF_HEIGHTS)
-        )
+    if asked.roof_height is not None:
+        require_choice("--roof-height", asked.roof_height, ROOF_HEIGHTS)
     for pair in asked.where:
         if "=" not in pair:
             raise ConfigError(f"--where {pair} names no value.", "It reads: --where ATTRIBUTE=VALUE")

@@ -59,8 +59,10 @@ def main(argv: Sequence[str]) -> int:
     scored = [summary for run, summary in zip(runs, summaries, strict=True) if has_truth(run.queries).any()]
     if options.format not in ("text", "html"):
         _require_truth(options.format, len(runs) - len(scored), len(scored))
+    if options.columns and not scored:
+        raise ConfigError("No run has a truth: there is no table for --columns.", "Leave --columns out.")
     tables = tables_of(scored, options.free, options.over_seeds)
-    shown = [table.with_columns(columns) for table in tables for columns in options.columns]
+    shown = [table.with_columns(columns) for table in tables for columns in options.columns or ("paper",)]
     names = names_of(summaries, options.free)
     if options.format == "html":
         beside = Path() if options.out is None else options.out.parent
@@ -151,7 +153,7 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--columns",
         nargs="+",
-        default=["paper"],
+        default=[],
         metavar="COLUMNS",
         help=f"what to show (paper): {', '.join(sorted(COLUMNS))}, or any number by its name in CSV",
     )

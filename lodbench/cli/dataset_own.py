@@ -21,7 +21,8 @@ from lodbench.cli.place_options import (
     height_options,
 )
 from lodbench.cli.source_profiles import load_profile
-from lodbench.errors import ConfigError, require_within
+from lodbench.errors import ConfigError, nearest_names, require_within
+from lodbench.plugins import plugin_names
 
 if TYPE_CHECKING:
     from lodbench.harness.photo.own_dataset import OwnDataset
@@ -116,11 +117,19 @@ def _init(asked: argparse.Namespace) -> int:
     return _make(asked, poses=asked.colmap, format="colmap")
 
 
+# Formats by the names that `lodbench export` has for them.
+_ALIASES = {"visuallocalization": "lines"}
+
+
 def _import(asked: argparse.Namespace) -> int:
-    aliases = {"visuallocalization": "lines"}
-    return _make(
-        asked, poses=asked.poses, format=aliases.get(asked.format, asked.format), cameras=asked.cameras
-    )
+    known = (*plugin_names("pose_formats"), *_ALIASES, "auto")
+    if asked.format not in known:
+        raise ConfigError(
+            f"lodbench dataset import: there is no FORMAT {asked.format!r}.",
+            nearest_names(asked.format, known),
+        )
+    form = _ALIASES.get(asked.format, asked.format)
+    return _make(asked, poses=asked.poses, format=form, cameras=asked.cameras)
 
 
 def _make(asked: argparse.Namespace, **sources: Any) -> int:

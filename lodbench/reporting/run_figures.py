@@ -120,6 +120,8 @@ def draw_evidence(traces: Sequence[Trace]) -> dict[str, bytes]:
             for number, values in enumerate(trace.stages.values()):
                 axis.plot(range(1, len(values) + 1), values, ".", color=SERIES[number % len(SERIES)])
             axis.set_yscale("symlog", linthresh=10.0)
+            axis.yaxis.set_major_formatter("{x:g}")
+            axis.xaxis.get_major_locator().set_params(integer=True)
             axis.set_title(trace.name, fontsize=8)
         axes[0].invert_yaxis()  # of axes that all share
         for axis in axes[len(traces) :]:

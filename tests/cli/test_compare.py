@@ -114,6 +114,9 @@ def test_runs_without_a_truth_are_told_apart_by_their_answers(lodbench, tmp_path
     assert empty.returncode == 2
     assert "No run has a truth" in empty.stderr
     assert not (tmp_path / "t.csv").exists()
+    unheard = lodbench("compare", *folders, "--columns", "nix")
+    assert unheard.returncode == 2
+    assert "there is no table for --columns" in unheard.stderr
     assert "Answers of both: 2 queries, 0 within 2 m" in out
     assert "2m-2deg" not in out
 

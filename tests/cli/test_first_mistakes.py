@@ -102,6 +102,12 @@ CASES: list[tuple[Words, str, str]] = [
     (lambda f: ["city", "info", f.degrees], "look like degrees", "--crs EPSG:"),
     (lambda f: [*_init(f), "--offset", "nan", "0", "0"], "--offset=nan is not finite", ""),
     (lambda f: [*_init(f), "--colmap", f.model], "no such photo", "--images is the folder"),
+    (
+        lambda f: ["dataset", "import", "foo", f.model, "own"],
+        "there is no FORMAT 'foo'",
+        "visuallocalization",
+    ),
+    (lambda f: ["dataset", "import", "colmp", "nowhere", "own"], "no FORMAT 'colmp'", "mean colmap"),
     (lambda f: ["bench", "flights", "--city", "no.gml"], "no.gml does not exist", "--city"),
     (lambda f: [*_bench(f), "--flights", "0"], "--flights=0 is not at least 1", ""),
     (lambda f: [*_bench(f), "--missing", "3"], "--missing=3 is not within 0 to 0.5", ""),

@@ -46,3 +46,5 @@ def test_evidence_is_no_score(shown):
     assert scores is None
     assert ">nats behind the best<" in evidence
     assert "signs" not in evidence
+    assert "mathdefault" not in evidence
+    assert ">1.5<" not in evidence
