@@ -57,10 +57,7 @@ def main(argv: Sequence[str]) -> int:
     ]
     summaries = [summary_at(run, thresholds) for run in runs]
     scored = [summary for run, summary in zip(runs, summaries, strict=True) if has_truth(run.queries).any()]
-    if options.format not in ("text", "html"):
-        _require_truth(options.format, len(runs) - len(scored), len(scored))
-    if options.columns and not scored:
-        raise ConfigError("No run has a truth: there is no table for --columns.", "Leave --columns out.")
+    _require_truth(options, len(runs) - len(scored), len(scored))
     tables = tables_of(scored, options.free, options.over_seeds)
     shown = [table.with_columns(columns) for table in tables for columns in options.columns or ("paper",)]
     names = names_of(summaries, options.free)
@@ -86,12 +83,17 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
-def _require_truth(kind: str, without: int, scored: int) -> None:
+def _require_truth(options: argparse.Namespace, without: int, scored: int) -> None:
     """Says which runs a table of numbers leaves out.
 
     Raises:
         ConfigError: All of them: the table would be empty.
     """
+    if options.columns and not scored:
+        raise ConfigError("No run has a truth: there is no table for --columns.", "Leave --columns out.")
+    kind = options.format
+    if kind in ("text", "html"):
+        return
     if not scored:
         raise ConfigError(
             f"No run has a truth, and --format {kind} has nothing but errors and recalls.",

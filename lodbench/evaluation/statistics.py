@@ -9,6 +9,7 @@ it, so the same numbers give the same interval.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -22,6 +23,8 @@ Interval = tuple[float, float]
 
 RESAMPLES = 1000
 _PERMUTATIONS = 1999
+# As many weights, or swaps, are in memory at a time: those of 10,000 queries whole, of more in parts.
+_AT_ONCE = 10_000 * RESAMPLES
 # Ends of a 95 % interval.
 _ENDS = (2.5, 97.5)
 # Two-sided 95 % quantile of the normal distribution.
@@ -89,7 +92,8 @@ def bootstrap_means(values: Floats) -> list[Interval]:
     """Returns the 95 % percentile interval of the mean of each column of (N, K) finite values."""
     if len(values) == 0:
         return [(math.nan, math.nan)] * values.shape[1]
-    means = _weights(len(values)) @ np.sort(values, axis=0) / len(values)
+    ordered = np.sort(values, axis=0)
+    means = np.concatenate([weights @ ordered for weights in _weights(len(values))]) / len(values)
     return [_ends(column) for column in means.T]
 
 
@@ -98,8 +102,8 @@ def bootstrap_ratio(parts: Floats, wholes: Floats) -> Interval:
     if len(parts) == 0:
         return math.nan, math.nan
     order = np.lexsort((wholes, parts))
-    weights = _weights(len(parts))
-    return _ends((weights @ parts[order]) / (weights @ wholes[order]))
+    ratios = [(drawn @ parts[order]) / (drawn @ wholes[order]) for drawn in _weights(len(parts))]
+    return _ends(np.concatenate(ratios))
 
 
 def bootstrap_median(values: Floats) -> Interval:
@@ -148,11 +152,10 @@ def paired_medians(first: Floats, second: Floats) -> PairedTest:
     from scipy import stats
 
     observed = _difference(np.median(first), np.median(second))
-    weights = _weights(len(first))
     orders = np.argsort(first, kind="stable"), np.argsort(second, kind="stable")
     medians = []
     for values, order in zip((first, second), orders, strict=True):
-        low, high = _ranks_of_median(weights[:, order])
+        low, high = _ranks_of_median(weights[:, order] for weights in _weights(len(first)))
         medians.append(_middle(values[order][low], values[order][high]))
     resampled = np.array([_difference(a, b) for a, b in zip(*medians, strict=True)])
     if len(first) == 1:
@@ -163,6 +166,7 @@ def paired_medians(first: Floats, second: Floats) -> PairedTest:
         _median_distance,
         permutation_type="samples",
         n_resamples=_PERMUTATIONS,
+        batch=None if _PERMUTATIONS * len(first) <= 2 * _AT_ONCE else max(1, _AT_ONCE // len(first)),
         vectorized=True,
         alternative="greater",
         rng=random_stream(0, "permutation", len(first)),
@@ -178,14 +182,29 @@ def _median_distance(first: Floats, second: Floats, axis: int = -1) -> Floats:
     return np.nan_to_num(apart, nan=0.0, posinf=1e12)
 
 
+def _weights(count: int) -> Iterator[Floats]:
+    """Yields (R, count): how often each of ``count`` sorted queries is drawn in each of R resamples.
+
+    All parts together are RESAMPLES, the same however they are cut.
+    """
+    if RESAMPLES * count <= _AT_ONCE:
+        yield _all_weights(count)
+        return
+    generator, most = random_stream(0, "bootstrap", count), max(1, _AT_ONCE // count)
+    for start in range(0, RESAMPLES, most):
+        yield _drawn(generator, min(most, RESAMPLES - start), count)
+
+
 @lru_cache(maxsize=8)
-def _weights(count: int) -> Floats:
-    """Returns (RESAMPLES, count): how often each of ``count`` sorted queries is drawn in a resample."""
-    generator = random_stream(0, "bootstrap", count)
-    drawn = generator.integers(count, size=(RESAMPLES, count))
-    rows = np.arange(RESAMPLES)[:, None] * count
-    counts = np.bincount((rows + drawn).ravel(), minlength=RESAMPLES * count)
-    return counts.reshape(RESAMPLES, count).astype(np.float64)
+def _all_weights(count: int) -> Floats:
+    return _drawn(random_stream(0, "bootstrap", count), RESAMPLES, count)
+
+
+def _drawn(generator: np.random.Generator, resamples: int, count: int) -> Floats:
+    drawn = generator.integers(count, size=(resamples, count))
+    drawn += np.arange(resamples)[:, None] * count
+    counts = np.bincount(drawn.ravel(), minlength=resamples * count)
+    return counts.reshape(resamples, count).astype(np.float64)
 
 
 @lru_cache(maxsize=8)
@@ -194,10 +213,13 @@ def _median_ranks(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return _ranks_of_median(_weights(count))
 
 
-def _ranks_of_median(weights: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Returns the places of the two middle ones, (R,) each, in values drawn (R, N) times each."""
-    reached, n = np.cumsum(weights, axis=1), weights.shape[1]
-    low, high = ((reached <= rank).sum(axis=1) for rank in ((n - 1) // 2, n // 2))
+def _ranks_of_median(parts: Iterable[Floats]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the places of the two middle ones, (R,) each, in values drawn (R, N) times each, by parts."""
+    found = []
+    for weights in parts:
+        reached, n = np.cumsum(weights, axis=1), weights.shape[1]
+        found.append([(reached <= rank).sum(axis=1) for rank in ((n - 1) // 2, n // 2)])
+    low, high = np.concatenate(found, axis=1)
     return low, high
 
 

@@ -207,12 +207,12 @@ def test_a_photo_that_cannot_be_read_costs_no_table(lodbench, tmp_path, content)
 
 @pytest.mark.parametrize("place", ["methods/protocol.py", "datasets/pictures.py", "baselines/__init__.py"])
 def test_other_code_is_another_run(tmp_path, monkeypatch, place):
-    from lodbench.harness.runs import code_digest as module
+    from lodbench.execution import same_code as module
 
     changed, baselines = tmp_path / "lodbench", tmp_path / "baselines"
-    shutil.copytree(Path(module.__file__).parents[2], changed, ignore=shutil.ignore_patterns("weights"))
+    shutil.copytree(Path(module.__file__).parents[1], changed, ignore=shutil.ignore_patterns("weights"))
     shutil.copytree(Path(find_spec("lodbench.baselines").origin).parent, baselines)
-    monkeypatch.setattr(module, "__file__", str(changed / "harness" / "runs" / "code_digest.py"))
+    monkeypatch.setattr(module, "__file__", str(changed / "execution" / "same_code.py"))
     monkeypatch.setattr(module, "package_files", lambda name: sorted(baselines.rglob("*.py")))
     before = module.own_digest.__wrapped__()
     with (tmp_path / (place if place.startswith("baselines") else f"lodbench/{place}")).open("a") as stream:
@@ -221,7 +221,7 @@ def test_other_code_is_another_run(tmp_path, monkeypatch, place):
 
 
 def test_another_scipy_is_another_run(monkeypatch):
-    from lodbench.harness.runs import code_digest as module
+    from lodbench.execution import same_code as module
     from lodbench.storage import digest
 
     before = module.own_digest.__wrapped__()

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
+from lodbench.evaluation import statistics
 from lodbench.evaluation.statistics import (
     bootstrap_means,
     bootstrap_median,
@@ -110,3 +111,28 @@ def test_runs_that_mostly_fail_have_no_difference_to_tell():
     assert math.isnan(test.difference)
     assert math.isnan(test.p)
     assert paired_medians(lost, np.ones(5)).difference == -math.inf
+
+
+def test_the_same_intervals_whether_resamples_are_drawn_at_once_or_in_parts(monkeypatch):
+    """Of 100,000 queries all at once would take gigabytes."""
+    first, second = np.random.default_rng(3).exponential(size=(2, 37))
+
+    def measured():
+        statistics._median_ranks.cache_clear()
+        table = np.column_stack([first, second])
+        means, ratio = statistics.bootstrap_means(table), statistics.bootstrap_ratio(first, second)
+        return [
+            *means,
+            ratio,
+            statistics.bootstrap_median(first),
+            statistics.paired_medians(first, second)[1],
+        ]
+
+    whole = measured()
+    drawn = []
+    make = statistics._drawn
+    monkeypatch.setattr(statistics, "_drawn", lambda g, r, n: drawn.append(r) or make(g, r, n))
+    monkeypatch.setattr(statistics, "_AT_ONCE", 300 * 37)
+    np.testing.assert_allclose(measured(), whole, rtol=1e-12)
+    assert set(drawn) == {300, 100}
+    statistics._median_ranks.cache_clear()

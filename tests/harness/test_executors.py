@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from lodbench.cli import main
-from lodbench.errors import DatasetError, WorkersGone
+from lodbench.errors import DatasetError, LodbenchError, WorkersGone
 from lodbench.execution.executor import ExecutorParams, spread
 from lodbench.harness.runs.shared_scoring import SharedScorer
 from tests.town import write_dataset
@@ -99,9 +99,11 @@ def test_training_data_sends_names_over_dask_and_notices_another_world(serial, t
 
     def here(executor, work, items, prepare, prepare_with):
         sent.append(len(pickle.dumps(prepare_with)))
-        params, options, digest, out = prepare_with
+        params, options, digest, out, code = prepare_with
         with pytest.raises(DatasetError, match="are others for a worker"):
-            prepare(params, options, digest[::-1], out)
+            prepare(params, options, digest[::-1], out, code)
+        with pytest.raises(LodbenchError, match="is not the command's"):
+            prepare(params, options, digest, out, code[::-1])
         prepare(*prepare_with)
         return map(work, items)
 

@@ -14,7 +14,7 @@ from lodbench import __version__
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.prior_sources import prior_text
 from lodbench.evaluation.queries import queries_csv, summarize_queries
-from lodbench.harness.runs.code_digest import LIBRARIES
+from lodbench.execution.same_code import LIBRARIES
 from lodbench.harness.runs.named_paths import named_by
 from lodbench.harness.runs.result import Result
 from lodbench.harness.runs.run import Run

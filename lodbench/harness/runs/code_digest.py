@@ -6,24 +6,15 @@ import inspect
 import linecache
 import sys
 from collections.abc import Collection, Iterator
-from functools import cache
 from pathlib import Path
 
 from lodbench.errors import ConfigError
+from lodbench.execution.same_code import own_digest
 from lodbench.plugins import KINDS, installed
 from lodbench.storage import digest_of, file_digest
-from lodbench.storage.digest import digest_of_code, package_files
+from lodbench.storage.digest import package_files
 
-# Folders whose code no answer depends on: what is left counts, and so does a folder that is yet to come.
-_IDLE = frozenset(("bench", "cli", "evaluation", "reporting", "training"))
-# Those of `baselines/`, which need not lie where the package does.
-_BASELINES = "lodbench.baselines"
 _OURS = "lodbench"
-# What computes an answer. Those of extras need not be there.
-LIBRARIES = (
-    "numpy", "numba", "opencv-python-headless", "scipy",
-    "torch", "transformers", "kornia", "romatch", "poselib", "pycolmap", "pyrender", "open3d",
-)  # fmt: skip
 
 
 def code_digest(*parts: object, names: Collection[object] = ()) -> str:
@@ -82,13 +73,3 @@ def _cells_of(thing: object) -> set[str]:
     members = [*vars(thing).values()] if isinstance(thing, type) else [thing]
     plain = [getattr(each, "__func__", getattr(each, "fget", each)) for each in members]
     return {each.__code__.co_filename for each in plain if inspect.isfunction(each)}
-
-
-@cache
-def own_digest() -> str:
-    """Returns a digest of lodbench's own code and of the libraries that compute, as installed here."""
-    package = Path(__file__).parents[2]
-    files = [
-        file for file in sorted(package.rglob("*.py")) if file.relative_to(package).parts[0] not in _IDLE
-    ]
-    return digest_of_code(dict.fromkeys((*files, *package_files(_BASELINES))), LIBRARIES)

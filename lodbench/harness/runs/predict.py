@@ -15,14 +15,14 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.texture_files import open_textured_map
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset, Entry, Reference
-from lodbench.errors import ConfigError, DatasetError, LodbenchError
+from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.predictions import Prediction
 from lodbench.execution import Ledger, Progress
 from lodbench.execution.executor import QUERIES, SERIAL, ExecutorParams, open_workers
+from lodbench.execution.same_code import require_same_code
 from lodbench.geometry import Camera
 from lodbench.harness.city import open_city, scene_digest
 from lodbench.harness.runs.answer import Asked, answer
-from lodbench.harness.runs.code_digest import own_digest
 from lodbench.harness.runs.method_inputs import prepare_method
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.shared_scoring import Part, SharedScorer, score
@@ -172,11 +172,7 @@ _here: list[tuple[Work, Preparation, CityMap]] = []
 
 
 def _open_here(work: Work) -> None:
-    if work.code and work.code != own_digest():
-        raise LodbenchError(
-            "its code of lodbench, or a version of its libraries, is not the command's.",
-            "Install the same on all machines: `lodbench doctor` lists versions.",
-        )
+    require_same_code(work.code)
     remember_contents(work.contents)
     dataset = work.dataset
     if dataset.city_model is None:

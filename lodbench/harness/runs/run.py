@@ -26,8 +26,9 @@ from lodbench.evaluation.predictions import Prediction
 from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams
 from lodbench.execution.fan_out import expect_workers
 from lodbench.execution.lock import only_one_in
+from lodbench.execution.same_code import own_digest
 from lodbench.harness.city import open_city, scene_digest
-from lodbench.harness.runs.code_digest import code_digest, own_digest, words_in
+from lodbench.harness.runs.code_digest import code_digest, words_in
 from lodbench.harness.runs.input_checks import (
     looks_at_photos,
     require_pictures,

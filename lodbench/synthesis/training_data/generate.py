@@ -22,6 +22,7 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.execution.executor import DASK, PROCESS, ExecutorParams, spread
+from lodbench.execution.same_code import own_digest, require_same_code
 from lodbench.storage import make_folder, random_stream, remove_leftovers
 from lodbench.synthesis.objects.scene_props import read_props
 from lodbench.synthesis.surroundings.ground import Land
@@ -85,7 +86,7 @@ def generate_training_data(
         # Names and a digest go over the network: what stands around a city takes more than the city.
         files: dict[str, Any] = {name: _whole(getattr(params, name)) for name in _FILES}
         found = replace(params, **files), replace(options, terrain=_whole(options.terrain))
-        workers = (_make_world, (*found, parts.digest(), out))
+        workers = (_make_world, (*found, parts.digest(), out, own_digest()))
     _write_views(workers, missing, out, resumed, executor)
     write_sheet(params, plan.views, out / SHEET_FILE)
     finish_manifest(manifest, out)
@@ -186,8 +187,9 @@ def _open_writer(params: GenerateParams, parts: PictureParts, out: Path) -> None
     _world[:] = [(ViewWriter(params, parts), out)]
 
 
-def _make_world(params: GenerateParams, options: ReadOptions, digest: str, out: Path) -> None:
+def _make_world(params: GenerateParams, options: ReadOptions, digest: str, out: Path, code: str) -> None:
     """Opens the city here, makes what stands around it again, and makes sure that it is the same."""
+    require_same_code(code)
     parts, _, _ = world_parts(params, *open_cities(params, options))
     if parts.digest() != digest:
         raise DatasetError(
