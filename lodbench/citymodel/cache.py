@@ -5,24 +5,20 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cache
 from glob import escape
 from pathlib import Path
 
-import numpy as np
-
-from lodbench.citymodel.crs import is_same_plane, require_crs
 from lodbench.citymodel.meshing import CityMesh, mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import read_city_model
-from lodbench.citymodel.scale import is_true_to_scale
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene, read_scene, write_scene
+from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene
 from lodbench.citymodel.source import Source, open_sources
+from lodbench.citymodel.stored_city import OpenCity, load_city, open_scene_folder, store_city
 from lodbench.errors import CityModelError
-from lodbench.findings import Findings
 from lodbench.plugins import find_plugin
 from lodbench.storage import digest_of, file_digest, make_folder
 from lodbench.storage.digest import digest_of_code, package_files
@@ -30,38 +26,11 @@ from lodbench.storage.paths import cache_limit_bytes, cache_root
 from lodbench.storage.pruning import mark_used, prune_cache
 
 _LOGGER = logging.getLogger(__name__)
-# Mercator of the whole world: what is read in it now is projected anew, away from the equator.
-_WORLD = "EPSG:3857"
 # What decides the numbers besides our own code. Those of extras need not be there.
 _LIBRARIES = (
     "mapbox_earcut", "numpy", "pyproj", "shapely", "lxml", "trimesh", "scipy",
     "pyogrio", "rasterio", "pyarrow",
 )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class OpenCity:
-    """A scene, and what was met on the way to it; the same whether it was read or came from the cache.
-
-    Attributes:
-        scene: The triangles.
-        findings: Code and name to count, of reading and of meshing.
-        area_m2: Newell area of the polygons meshed.
-        lost_m2: Area no triangle covers.
-    """
-
-    scene: Scene
-    findings: dict[str, int]
-    area_m2: float
-    lost_m2: float
-
-    def notes(self) -> tuple[str, ...]:
-        """Returns what a reader of results must know of the city: its findings, and any area lost."""
-        counts = ", ".join(f"{count} x {name}" for name, count in self.findings.items())
-        lines = [f"city model: {counts} (see lodbench city check)"] if counts else []
-        if self.lost_m2 > 0.005:
-            lines.append(f"city model: {self.lost_m2:.2f} of {self.area_m2:.2f} m2 could not be meshed")
-        return tuple(lines)
 
 
 def open_cached_city(
@@ -93,12 +62,12 @@ def open_cached_city(
     """
     path, options = Path(path), options or ReadOptions()
     if is_scene(path):
-        return _open_scene_folder(path, lod, options.crs)
+        return open_scene_folder(path, lod, options, roof_height)
     limit_bytes = cache_limit_bytes()
     folder = cache_root() / "scenes" / scene_key(path, lod, options, roof_height)
     if is_scene(folder):
         try:
-            known = _load(folder)
+            known = load_city(folder)
             mark_used(folder)
             return known
         except CityModelError as fault:
@@ -132,23 +101,6 @@ def open_city(model: CityModel, mesh: CityMesh) -> OpenCity:
     return OpenCity(mesh.scene, dict(sorted(counts.items())), mesh.area_m2, mesh.lost_m2)
 
 
-def store_city(city: OpenCity, folder: Path, survives_power_cut: bool = True) -> None:
-    """Writes a city as a scene folder that remembers its findings; see ``write_scene``.
-
-    Raises:
-        OSError: As for ``write_scene``.
-    """
-    low, high = (corner + city.scene.origin for corner in city.scene.extent_m)
-    extra = {
-        "findings": city.findings,
-        "area_m2": city.area_m2,
-        "lost_m2": city.lost_m2,
-        "extent": [low.tolist(), high.tolist()],
-        "triangles": len(city.scene.triangles),
-    }
-    write_scene(city.scene, folder, extra, survives_power_cut)
-
-
 def scene_key(path: Path, lod: str | None, options: ReadOptions, roof_height: str | None) -> str:
     """Returns the name of a scene in the cache, 24 hexadecimal digits.
 
@@ -175,46 +127,6 @@ def source_digest(source: Source) -> object:
         OSError: It cannot be read.
     """
     return source.stamp or _digest(source.path)
-
-
-def _open_scene_folder(folder: Path, lod: str | None, crs: str | None) -> OpenCity:
-    """Returns a scene that was converted: what was asked for then stays.
-
-    Raises:
-        CityModelError: It is damaged, of another level of detail or reference system than asked for, or
-            was written when Mercator of the whole world was taken as metres.
-    """
-    city = _load(folder)
-    again = "Convert the file it was made from again"
-    if lod is not None and lod != city.scene.lod:
-        raise CityModelError(
-            f"{folder} holds level of detail {city.scene.lod or 'none'}, not {lod}.", f"{again}."
-        )
-    own = city.scene.crs
-    # Degrees and feet of the file were projected when the scene was made, to a system of another name.
-    is_other = crs is not None and require_crs(crs).is_metric and (own is None or not is_same_plane(own, crs))
-    if is_other:
-        raise CityModelError(
-            f"{folder} is in {own or 'no reference system that is known'}, not in {crs}.",
-            f"{again}, with crs={crs}.",
-        )
-    if own is not None and own.startswith(_WORLD) and not _is_true_to_scale(city.scene, own):
-        raise CityModelError(f"{folder} is in {own}, whose metres are no metres there.", f"{again}.")
-    return city
-
-
-def _is_true_to_scale(scene: Scene, crs: str) -> bool:
-    middle = scene.origin[:2] + np.mean(scene.extent_m, axis=0)[:2]
-    return is_true_to_scale(require_crs(crs), middle, Findings())
-
-
-def _load(folder: Path) -> OpenCity:
-    scene, extra = read_scene(folder)
-    try:
-        findings = {str(name): int(count) for name, count in extra["findings"].items()}
-        return OpenCity(scene, findings, float(extra["area_m2"]), float(extra["lost_m2"]))
-    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
-        raise CityModelError(f"The scene in {folder} is damaged ({error}).", "Delete the folder.") from None
 
 
 @cache

@@ -11,18 +11,19 @@ from pathlib import Path
 
 import numpy as np
 
-from lodbench.citymodel.cache import open_city, store_city
+from lodbench.citymodel.cache import open_city
 from lodbench.citymodel.citygml_writer import CityGmlWriter
 from lodbench.citymodel.cityjson_writer import cityjson_text, cityjsonseq_text
 from lodbench.citymodel.mesh_frames import MeshFrame
 from lodbench.citymodel.mesh_writer import glb_bytes, obj_text, ply_bytes
 from lodbench.citymodel.meshing import CityMesh, mesh_model
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.options import ReadOptions, made_with
 from lodbench.citymodel.picture_writer import write_pictures
 from lodbench.citymodel.pictures import FIRST_COLOUR, counted_lines
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.selection import polygon_blocks
+from lodbench.citymodel.stored_city import store_city
 from lodbench.citymodel.subset import drop_repeats_of_mesh, keep_level
 from lodbench.citymodel.texture_files import read_textured
 from lodbench.citymodel.textured_model import textured_model
@@ -80,6 +81,7 @@ def convert_city(
     lod: str | None = None,
     roof_height: str | None = None,
     citygml: str = "2.0",
+    options: ReadOptions | None = None,
 ) -> Conversion:
     """Writes a city in the format the target's ending names; a file is written whole or not at all.
 
@@ -95,6 +97,7 @@ def convert_city(
             lowest with walls.
         roof_height: As in ``mesh_city``.
         citygml: Version of CityGML: ``2.0`` or ``3.0``.
+        options: What the model was read with: a scene remembers it.
 
     Raises:
         CityModelError: The ending is unknown, the level absent, or the folder not writable.
@@ -126,7 +129,8 @@ def convert_city(
         chunks = () if suffix == ".scene" else (_MESH_WRITERS[suffix](mesh.scene),)
     try:
         if suffix == ".scene" and mesh is not None:
-            store_city(open_city(model, mesh), target)
+            made = None if options is None else made_with(options, roof_height)
+            store_city(open_city(model, mesh), target, made=made)
         else:
             write_chunks(target, chunks)
     except OSError as error:

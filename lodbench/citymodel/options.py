@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -107,10 +108,25 @@ class ReadOptions:
             require_within(name, getattr(self, name), -math.inf)
 
 
+_SHAPING = {field.name for field in fields(ReadOptions)} - {"crs", "is_strict", "has_details", "has_textures"}
+
+
 def told_options(options: ReadOptions) -> dict[str, Any]:
     """Returns the options that are not their defaults, as ``ReadOptions.from_mapping`` takes them back."""
     default = asdict(ReadOptions())
     return {name: value for name, value in asdict(options).items() if value != default[name]}
+
+
+def made_with(options: ReadOptions, roof_height: str | None) -> dict[str, Any]:
+    """Returns what shapes a scene beside its file, as JSON values by name: a scene remembers it.
+
+    The reference system is the scene's own; of a terrain the name of the file must do.
+    """
+    told: dict[str, Any] = {name: value for name, value in told_options(options).items() if name in _SHAPING}
+    told = {name: list(value) if isinstance(value, tuple) else value for name, value in told.items()}
+    if options.terrain is not None:
+        told["terrain"] = Path(options.terrain).name
+    return told if roof_height is None else told | {"roof_height": roof_height}
 
 
 def _fitting(name: str, value: Any, hint: Any) -> Any:

@@ -116,7 +116,8 @@ def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -
         if asked.textures and not keeps_details(target):
             return convert_textured(part, target, files[0] if is_mesh else None, options)
         version = asked.citygml or "2.0"
-        return convert_city(part, target, lod=lod, roof_height=asked.roof_height, citygml=version)
+        how = {"lod": lod, "roof_height": asked.roof_height, "citygml": version}
+        return convert_city(part, target, options=options, **how)
 
     if asked.tiles is None:
         summaries = [conversion_summary(str(out), write(model, out))]

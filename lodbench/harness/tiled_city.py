@@ -23,7 +23,7 @@ from lodbench.citymodel.lods import COARSEST, FINEST, choose_lod, has_lod
 from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.naming import unique_ids
-from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.options import ReadOptions, made_with
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import NotACity
 from lodbench.citymodel.read import read_source
@@ -107,7 +107,7 @@ def compile_tiles(
         if wrong:  # their own lowest level is not that of the city
             job = replace(job, lod=level)
             _compile(job, wrong, executor, told, progress)
-        meta = _join([told[n] for n in sorted(told)], target)
+        meta = _join([told[n] for n in sorted(told)], target, made_with(options, roof_height))
     shutil.rmtree(parts)
     return meta
 
@@ -234,7 +234,7 @@ def _common_level(job: TileJob, told: dict[int, dict[str, Any]]) -> str:
     )
 
 
-def _join(parts: list[dict[str, Any]], target: Path) -> dict[str, Any]:
+def _join(parts: list[dict[str, Any]], target: Path, made: dict[str, Any]) -> dict[str, Any]:
     """Writes all parts as one scene, and returns what is told of it."""
     findings = Findings()
     folders = [Path(part["folder"]) for part in parts if part["extra"]["skipped"] is None]
@@ -249,5 +249,6 @@ def _join(parts: list[dict[str, Any]], target: Path) -> dict[str, Any]:
         "finding_objects": dict(sorted(objects.items())),
         **{key: sum(part["extra"][key] for part in parts) for key in ("area_m2", "lost_m2")},
         "tiles": len(parts),
+        "made_with": made,
     }
     return join_scenes(folders, ids, target, extra)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.cache import OpenCity
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.stored_city import OpenCity
 from lodbench.datasets.exchange.colmap import read_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame

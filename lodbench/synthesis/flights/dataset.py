@@ -16,9 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.cache import OpenCity, open_cached_city, store_city
+from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.stored_city import OpenCity, store_city
 from lodbench.datasets.folder import RECONSTRUCTION_FOLDER, SEQUENCE_FILE, FolderParams, open_folder
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError, nearest_names, require_numbers, require_within
