@@ -12,7 +12,8 @@ from typing import Any
 
 from lodbench.checks import FAULT, OK, Check
 from lodbench.cli.console import check_lines, plain_check, traceback_lines
-from lodbench.cli.hydra_app import explained, register_config_sources, section
+from lodbench.cli.hydra_app import register_config_sources, section
+from lodbench.cli.hydra_faults import explained
 from lodbench.cli.parser import Parser
 from lodbench.cli.runner import remote_checks
 from lodbench.errors import ConfigError, LodbenchError

@@ -30,6 +30,11 @@ from lodbench.reporting.tables import tables_of
 from lodbench.storage import make_folder, write_bytes, write_text
 
 _MOST_PANELS = 4
+# Of files that a format may replace.
+_ENDINGS = {
+    "csv": (".csv",), "html": (".html", ".htm"), "latex": (".tex",), "markdown": (".md", ".markdown"),
+    "text": (".txt", ".log", ""),
+}  # fmt: skip
 _EPILOG = """\
 Runs share a table if dataset, queries, city, masks, tilt, segmenter and seed agree; --free lets some of
 these differ, and the rows then say which they have. Examples:
@@ -44,7 +49,7 @@ these differ, and the rows then say which they have. Examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = _parser().parse_args(argv)
-    require_writable(options.out, options.runs)
+    require_writable(options.out, options.runs, endings=_ENDINGS[options.format])
     configs = [read_config(folder) for folder in options.runs]
     runs = [read_whole_run(folder) for folder in options.runs]
     for run in runs:

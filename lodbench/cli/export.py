@@ -32,7 +32,7 @@ _EPILOG = """\
 Poses are written in the dataset's coordinates; queries without one are named, not written (in GeoJSON they
 are features without a place). COLMAP, kapture and nerfstudio hold cameras, which come from the dataset.
 For the Rerun viewer the city, the priors, the truth, photos and masks are written too, in the city's local
-frame; `rerun FILE` opens it.
+frame; `rerun FILE` opens it. Of files that are there only earlier exports in the format are replaced.
 """
 
 

@@ -28,7 +28,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--out", type=Path, metavar="FILE", help="the page (report.html in the run folder)")
     add_path_options(parser)
     options = parser.parse_args(argv)
-    require_writable(options.out, [options.run])
+    require_writable(options.out, [options.run], endings=(".html", ".htm"))
     verdict = verify_folder(options.run, options.dataset_root, options.city_model)
     out = options.out or options.run / "report.html"
     tilt = str(read_config(options.run)["tilt"])

@@ -71,6 +71,11 @@ def short_name(command: str, key: str) -> str:
     return short.get(key, key)
 
 
+def present_name(command: str, key: str) -> str:
+    """Returns what a setting is called now, where the name that it has inside goes."""
+    return "city" if command in _OF_DATASETS and key == _SHORT["city"] else key
+
+
 def tell_old_names(command: str, words: Sequence[str]) -> None:
     """Says of a command's words that were renamed what they are called now."""
     if command in _OF_DATASETS and any(word.startswith(f"{_SHORT['city']}=") for word in words):

@@ -100,6 +100,20 @@ def test_no_text_is_written_beside_a_binary_model(capsys, tmp_path, run):
     assert [file.name for file in tmp_path.iterdir()] == ["images.bin"]
 
 
+@pytest.mark.parametrize(
+    "words", [["report"], ["compare", "--format", "csv"], ["compare", "--format", "html"], ["compare"]]
+)
+def test_no_page_or_table_replaces_a_city(capsys, tmp_path, run, words):
+    out = tmp_path / "city.gml"
+    out.write_text("<CityModel/>")
+    command, *more = words
+    assert main([command, str(run), *more, "--out", str(out)]) == 2
+    told = capsys.readouterr().err
+    assert "city.gml is there already, and is none of ." in told
+    assert "Name another file with --out" in told
+    assert [out.read_text()] == [file.read_text() for file in tmp_path.iterdir()]
+
+
 def test_the_run_s_own_exports_are_written_anew(capsys, run):
     (run / "export").mkdir(exist_ok=True)
     (run / "export/poses.tum").write_text("by an older version\n")

@@ -41,6 +41,9 @@ def test_the_help_shows_them(capsys):
     seed = next(line for line in lines if line.startswith("  seed=0"))
     assert "the same seed gives the same numbers" in seed
     assert next(line for line in lines if "dataset.num_views=100" in line).split()[1:]
+    # As it is to be typed: the other name goes.
+    assert any(line.startswith("  city=???") for line in lines)
+    assert not any("dataset.city_model" in line for line in lines)
 
 
 def test_no_example_of_train_sets_the_weights_that_it_refuses(lodbench):

@@ -120,16 +120,20 @@ class StoredRun:
         }
 
 
-def require_writable(out: Path | None, folders: Sequence[Path], may_be_folder: bool = False) -> None:
+def require_writable(
+    out: Path | None, folders: Sequence[Path], may_be_folder: bool = False, endings: Sequence[str] = ()
+) -> None:
     """Checks that what is to be written is none of the files that runs are read from.
 
     Args:
         out: What is to be written; None for what is beside them by default.
         folders: Of the runs.
         may_be_folder: Whether it may be a folder that is there.
+        endings: Of files of its kind; empty where the ending tells nothing.
 
     Raises:
-        ConfigError: It is one of a run's own files, or a folder where a file is meant.
+        ConfigError: It is one of a run's own files, a folder where a file is meant, or a file of another
+            kind that is there.
     """
     if out is None:
         return
@@ -137,6 +141,11 @@ def require_writable(out: Path | None, folders: Sequence[Path], may_be_folder: b
         raise ConfigError(f"--out {str(out)!r} is a folder.", "Name a file with --out.")
     if out.name in _OWN_FILES and out.resolve().parent in [folder.resolve() for folder in folders]:
         raise ConfigError(f"{out} is what the run itself wrote.", "Name another file with --out.")
+    if endings and out.exists() and out.suffix.lower() not in endings:
+        raise ConfigError(
+            f"{out} is there already, and is none of {', '.join(filter(None, endings))}.",
+            "Name another file with --out.",
+        )
 
 
 def read_whole_run(folder: str | Path) -> StoredRun:
