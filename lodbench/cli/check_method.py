@@ -43,7 +43,7 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("name", metavar="NAME", help="the method's name, as in method=NAME")
     parser.add_argument(
-        "settings", nargs="*", metavar="method.KEY=VALUE", help="settings of the method to try"
+        "settings", nargs="*", default=[], metavar="method.KEY=VALUE", help="settings of the method to try"
     )
     parser.add_argument("--json", action="store_true", help="one check per line, for machines")
     options = parser.parse_args(argv)

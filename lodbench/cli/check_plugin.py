@@ -40,6 +40,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument(
         "settings",
         nargs="*",
+        default=[],
         metavar="KIND.KEY=VALUE",
         help="of a segmenter, dataset or prior, as of a run: segmenter.weights=FILE",
     )

@@ -67,7 +67,9 @@ def main(argv: Sequence[str]) -> int:
     parser = Parser(
         "lodbench completion", "Print what makes a shell complete the words of lodbench.", _EPILOG
     )
-    parser.add_argument("shell", choices=sorted(_SCRIPTS), help="what to complete words in")
+    parser.add_argument(
+        "shell", choices=sorted(_SCRIPTS), metavar="bash|zsh", help="what to complete words in"
+    )
     sys.stdout.write(_SCRIPTS[parser.parse_args(argv).shell])
     return 0
 

@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.cli.source_profiles import profile_of
 from lodbench.errors import ConfigError
-from lodbench.execution.executor import ExecutorParams
+from lodbench.execution.executor import QUERIES, ExecutorParams
 from lodbench.params import to_params
 from lodbench.reporting.aligned_text import already_there
 from lodbench.synthesis.photo import LookRanges
@@ -31,6 +31,11 @@ def task(config: DictConfig) -> None:
     values = with_demo(plain(config))
     source = profile_of(values.pop("source"), values.get("crs"))
     executor = to_params(section(values, "executor"), ExecutorParams, "executor")
+    if executor.share != QUERIES:
+        raise ConfigError(
+            f"executor.share={executor.share} is not used: views are spread over the workers, one at a time.",
+            "Leave executor.share out.",
+        )
     values.pop("executor")
     params = params_of(values)
     params = params if params.lod else replace(params, lod=source.lod)
