@@ -106,7 +106,7 @@ class Params:
     edge_blur_px: float = 1.0
     roofs_m: float = 0.5
     own_roofs_m: float = 0.7
-    feet_m: float = 0.3
+    feet_m: float = 0.2
     eaves_m: float = 0.4
     lens_percent: float = 0.2
     lens_doubt_percent: float = 2.0
