@@ -35,6 +35,7 @@ class LinePoints(NamedTuple):
     Attributes:
         points: (P, 2, 3) float64 a point and another farther along its line, scene metres.
         rises: (P, 2) float64 by how much either moves up where roofs are a metre higher, metres.
+        lifts: (P, 2) float64 by how much either moves up where walls end a metre higher, metres.
         outward: (P, 2) float64 how far the first moves along x and y where eaves stand out a metre farther.
         kinds: (P,) int64 which worth its levels have.
         buildings: (P,) int64 whose sum it is added to.
@@ -42,6 +43,7 @@ class LinePoints(NamedTuple):
 
     points: Floats
     rises: Floats
+    lifts: Floats
     outward: Floats
     kinds: NDArray[np.int64]
     buildings: NDArray[np.int64]
@@ -123,8 +125,8 @@ def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, off
         lines: Their P points.
         rotations: (N, 3, 3) cam_from_world.
         centers: (N, 3) metres.
-        of_all_m: (N, 2) how much higher than the points say all roofs are taken to be, and how much farther
-            all eaves to stand out, metres.
+        of_all_m: (N, 3) how much higher than the points say all roofs and the feet of all walls are taken to
+            be, and how much farther all eaves to stand out, metres.
         intrinsics: fx, fy, cx, cy.
         levels: (H, W, 12) uint8 of ``directed_edge_levels``.
         offset_px: How far beside the line to look.
@@ -132,16 +134,18 @@ def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, off
         worth: (K, 16) float64 of each level, by the points' kinds.
         sums: (N, B, D) float64 to add to.
     """
-    points, rises, outward, kinds, buildings = lines
+    points, rises, lifts, outward, kinds, buildings = lines
     height, width = levels.shape[:2]
     focal_x, focal_y, middle_x, middle_y = intrinsics
     # Poses in the inner loop: they are close together, and so is what they look up of one point.
     for i in range(len(points)):
         p, q, building, values = points[i, 0], points[i, 1], buildings[i], worth[kinds[i]]
         rise, rise_along, out_x, out_y = rises[i, 0], rises[i, 1], outward[i, 0], outward[i, 1]
+        lift, lift_along = lifts[i, 0], lifts[i, 1]
         for n in range(len(rotations)):
-            roofs_m, eaves_m = of_all_m[n, 0], of_all_m[n, 1]
-            p_z, q_z = p[2] + rise * roofs_m, q[2] + rise_along * roofs_m
+            roofs_m, feet_m, eaves_m = of_all_m[n, 0], of_all_m[n, 1], of_all_m[n, 2]
+            p_z = p[2] + rise * roofs_m + lift * feet_m
+            q_z = q[2] + rise_along * roofs_m + lift_along * feet_m
             # Lines move out without turning.
             east, north = eaves_m * out_x, eaves_m * out_y
             x, y, z = camera_axes(p[0] + east, p[1] + north, p_z, rotations[n], centers[n])

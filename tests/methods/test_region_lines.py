@@ -20,6 +20,7 @@ from lodbench.methods.region.evidence import PhotoFit
 from lodbench.methods.region.lines import LineFit, levels_of
 from lodbench.methods.region.roofs import RoofEvidence
 from lodbench.methods.region.search import Surroundings
+from lodbench.methods.region.unknowns import ALL, BESIDE_POSE
 from lodbench.storage import random_stream
 from tests.town import CAMERA, prior_of, true_poses
 
@@ -41,12 +42,12 @@ def shaded(city_map, truths):
 
 
 def with_roofs(truth):
-    """Returns (9,) a pose, the lens as told and roofs as the map has them."""
-    return np.append(vector_from_pose(truth), np.zeros(3))
+    """Returns (10,) a pose, the lens as told, roofs and feet as the map has them."""
+    return np.append(vector_from_pose(truth), np.zeros(BESIDE_POSE))
 
 
 def line_fit(photo, query, roofs, vector):
-    """Returns what lines seen from (9,) say of a photo in array form."""
+    """Returns what lines seen from (10,) say of a photo in array form."""
     params = Params()
     return LineFit(levels_of(photo, query, 1.0, params), query, roofs, vector, params)
 
@@ -56,8 +57,9 @@ def fit_of(photo, query, roofs, truth):
 
 
 def test_lines_fit_best_at_the_truth(roofs, queries, truths, shaded):
-    far = [1.5, 1.5, 4.0, 1.0, 1.0, 1.0, 3.0, 1.5, 1.5]
-    moves = np.concatenate([d * np.eye(9) * far for d in (-1.0, 1.0)])
+    # Few feet are in view from so high.
+    far = [1.5, 1.5, 4.0, 1.0, 1.0, 1.0, 3.0, 1.5, 4.0, 1.5]
+    moves = np.concatenate([d * np.eye(ALL) * far for d in (-1.0, 1.0)])
     for photo, query, truth in zip(shaded, queries, truths, strict=True):
         fit, vector = fit_of(photo, query, roofs, truth), with_roofs(truth)
         assert len(fit) > 100
@@ -107,7 +109,7 @@ def test_lines_choose_among_the_search_s_tops(city_map, scene, roofs, queries, t
         fit = PhotoFit(photo, (200, 150), params, is_coarse=False)
         regions_of = partial(RoofEvidence, query, fit=fit, params=params, lens_percent=0.2)
         streams = partial(random_stream, 0, "test", number)
-        starts = with_roofs(truth) + np.roll(np.pad(moves, ((0, 0), (0, 6))), number, axis=0)
+        starts = with_roofs(truth) + np.roll(np.pad(moves, ((0, 0), (0, ALL - 3))), number, axis=0)
         found = Alignment(photo, query, regions_of, around, params, streams).from_best(starts, roofs)
         assert int(found.evidence.argmax()) == (len(moves) - 1 + number) % len(moves)
         assert np.linalg.norm(found.vector[:3] - truth.center) < 1.0
@@ -127,7 +129,7 @@ def test_a_wider_prior_has_more_starts():
 
 
 def test_a_pose_without_lines_in_view_counts_nothing(roofs, queries, truths, shaded):
-    away = with_roofs(truths[0]) + np.array([5000.0, *np.zeros(8)])
+    away = with_roofs(truths[0]) + np.array([5000.0, *np.zeros(ALL - 1)])
     fit = line_fit(shaded[0], queries[0], roofs, away)
     assert len(fit) == 0
     assert fit.sharpness(away) == 0.0

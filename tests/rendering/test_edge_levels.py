@@ -42,12 +42,12 @@ def test_sums_are_those_of_points_one_by_one():
     levels = rng.integers(0, EDGE_LEVELS, (64, 96, DIRECTIONS)).astype(np.uint8)
     points = rng.uniform((-30, -30, -2), (30, 30, 20), (50, 2, 3))
     kinds, buildings = rng.integers(0, 2, 50), rng.integers(0, 4, 50)
-    rises, outward = rng.random((50, 2)), rng.normal(size=(50, 2))
-    of_all_m, own_m = np.array([[0.0, 0.6], [2.5, -0.3]]), np.array([-1.0, 0.0, 1.5])
+    rises, lifts, outward = rng.random((50, 2)), rng.random((50, 2)), rng.normal(size=(50, 2))
+    of_all_m, own_m = np.array([[0.0, 0.4, 0.6], [2.5, -1.2, -0.3]]), np.array([-1.0, 0.0, 1.5])
     worth = rng.normal(size=(2, EDGE_LEVELS))
     centers = np.array([[0.0, 0.0, 60.0], [3.0, -2.0, 55.0]])
     rotations = np.stack([rotation_from_euler(EulerAngles(p, 1.0, 20.0)) for p in (0.0, 25.0)])
-    lines, view = LinePoints(points, rises, outward, kinds, buildings), (rotations, centers, of_all_m)
+    lines, view = LinePoints(points, rises, lifts, outward, kinds, buildings), (rotations, centers, of_all_m)
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
 
     def seen(place, n):
@@ -58,8 +58,8 @@ def test_sums_are_those_of_points_one_by_one():
         sums, expected = np.zeros((2, 4, 3)), np.zeros((2, 4, 3))
         sum_along_lines(lines, *view, intrinsics, levels, offset, own_m, worth, sums)
         for n, i, d in np.ndindex(2, 50, 3):
-            roofs_m, eaves_m = of_all_m[n]
-            first, second = points[i] + np.outer(rises[i] * roofs_m, [0.0, 0.0, 1.0])
+            roofs_m, feet_m, eaves_m = of_all_m[n]
+            first, second = points[i] + np.outer(rises[i] * roofs_m + lifts[i] * feet_m, [0.0, 0.0, 1.0])
             first[:2], second[:2] = first[:2] + eaves_m * outward[i], second[:2] + eaves_m * outward[i]
             along = seen(second, n) - seen(first, n)
             angle = np.arctan2(along[0], -along[1])

@@ -21,13 +21,14 @@ from lodbench.methods.region.lines import LineFit, levels_of
 from lodbench.methods.region.params import Params
 from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
 from lodbench.methods.region.search import Surroundings
+from lodbench.methods.region.unknowns import EAVES, FEET, OUTLINES, ROOFS
 
 Floats = NDArray[np.float64]
 
 # The photo's blur in each round, pixels, and how far outlines lie apart as it begins, of the fine size.
 _ROUNDS = ((3.0, 2.5), (1.5, 1.5), (1.0, 1.0))
 _GENERATIONS = 14
-# How far roofs lie apart as a round begins, metres.
+# How far roofs, feet and eaves lie apart as a round begins at most, metres.
 _ROOFS_APART_M = 0.5
 # What a region's nat counts beside one of lines where one of the starts is chosen, and how many are followed
 # to tell.
@@ -35,10 +36,10 @@ _REGIONS_SHARE, _FOLLOWED = 0.25, 3
 
 
 class Aligned(NamedTuple):
-    """A pose and a height of roofs that put the model's lines on the photo's edges.
+    """A camera and roofs, feet and eaves that put the model's lines on the photo's edges.
 
     Attributes:
-        vector: (9,) both, and the lens.
+        vector: (10,) all of them.
         lines: What edges say of others.
         regions: What regions and prior say of them, with each roof at a height of its own.
         sharpness: As of ``LineFit``: whether the map is exact enough for it to count.
@@ -53,7 +54,7 @@ class Aligned(NamedTuple):
     evidence: Floats
 
     def nats(self, vectors: Floats, share: float = 1.0) -> Floats:
-        """Returns the (N,) logarithm of the likelihood of such, (N, 9), of a share of the photo's nats."""
+        """Returns the (N,) logarithm of the likelihood of such, (N, 10), of a share of the photo's nats."""
         return _nats(self.lines, self.regions, vectors, share)
 
     def lead_over(self, other: Aligned) -> float:
@@ -106,7 +107,7 @@ class Alignment:
         self._around, self._params, self._streams = around, params, streams
 
     def from_best(self, starts: Floats, roofs: RaisedRoofs) -> Aligned | None:
-        """Returns what is near the best of (M, 9) and puts lines on edges; None without lines in view.
+        """Returns what is near the best of (M, 10) and puts lines on edges; None without lines in view.
 
         Lines alone lead in the first rounds, after which each roof is drawn where they put it; in the last
         the regions have their say too. Only a few starts are followed through the first, one from there on.
@@ -128,9 +129,9 @@ class Alignment:
     def _refined(
         self, first: int, vector: Floats, lines: LineFit, roofs: RaisedRoofs, evidence: Floats
     ) -> Aligned | None:
-        """Returns where all rounds from the first lead to from (9,)."""
+        """Returns where all rounds from the first lead to from (10,)."""
         for number in range(first, len(_ROUNDS)):
-            roofs = roofs.each_by_itself(lines.own_roofs_m(vector), float(vector[8]))
+            roofs = roofs.each_by_itself(lines.own_roofs_m(vector), float(vector[FEET]), float(vector[EAVES]))
             begun = self._begun(number, vector[None], roofs)
             if not begun:
                 return None
@@ -138,15 +139,14 @@ class Alignment:
         return Aligned(vector, lines, regions, lines.sharpness(vector), evidence)
 
     def _begun(self, number: int, starts: Floats, roofs: RaisedRoofs) -> dict[int, _Round]:
-        """Returns what a round sees from each of (M, 9), but for those without lines in view."""
+        """Returns what a round sees from each of (M, 10), but for those without lines in view."""
         blur_px, spread_px = _ROUNDS[number]
         levels, regions = levels_of(self._photo, self._query, blur_px, self._params), self._regions_of(roofs)
 
         def begin(start: Floats) -> _Round | None:
             lines = LineFit(levels, self._query, roofs, start, self._params)
-            cloud = self._around.cloud(
-                start[:7], regions.at(start[7]), spread_px, regions.prior_information()
-            )
+            prior = regions.prior_information(_ROOFS_APART_M)
+            cloud = self._around.cloud(start[:OUTLINES], regions.at(start[ROOFS]), spread_px, prior)
             return _Round(start, lines, regions, cloud) if len(lines) and cloud is not None else None
 
         # The first makes what all share.

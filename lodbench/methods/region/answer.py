@@ -20,11 +20,12 @@ from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
 from lodbench.methods.region.search import Mode, Surroundings
 from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES, LineSigns
 from lodbench.methods.region.uncertainty import information_at
+from lodbench.methods.region.unknowns import BESIDE_POSE, CAMERAS, LENS, POSE, POSES, RAISED, ROOFS
 
 Floats = NDArray[np.float64]
 # How far apart outlines of cameras lie that the mean is taken of, pixels of the fine size.
 _APART_PX = 1.5
-# Of (N, 9) cameras and roofs, and of a share of the photo's nats.
+# Of (N, 10) vectors, and of a share of the photo's nats.
 Nats = Callable[[Floats, float], Floats]
 
 
@@ -56,8 +57,7 @@ class Answer(NamedTuple):
 class Answering:
     """Ends the search for one photo.
 
-    Vectors of nine numbers are a pose, by how many percent the lens is longer than told, and how much higher
-    and wider than in the map all roofs are.
+    Vectors of ten numbers are those of ``unknowns``.
 
     Args:
         photo: As of ``read_picture``.
@@ -86,7 +86,10 @@ class Answering:
             tops: The best as the search sees them first; lines choose among them.
             streams: Of random numbers.
         """
-        params, starts = self._params, np.array([np.append(top.cloud.mean, np.zeros(3)) for top in tops])
+        params, starts = (
+            self._params,
+            np.array([np.append(top.cloud.mean, np.zeros(BESIDE_POSE)) for top in tops]),
+        )
         searched = np.array([top.log_posterior for top in tops])
         if params.lines_weight <= 0:
             return self._by_regions(starts[0], TYPICAL_LINES, searched)
@@ -101,7 +104,7 @@ class Answering:
             return self._by_regions(start, signs, aligned.evidence)
         covariances = self._certainty(aligned.nats, aligned.vector, aligned.regions)
         mean = self._mean(aligned.nats, aligned.vector, covariances[0], aligned.regions)
-        return Answer(mean[:6], *covariances, *signs, aligned.evidence, float(mean[6]))
+        return Answer(mean[POSE], *covariances, *signs, aligned.evidence, float(mean[LENS]))
 
     def _best_aligned(self, starts: Floats, streams: Streams) -> Aligned | None:
         """Returns the lines on the edges with the lens as told, or another where that is plainly better.
@@ -123,25 +126,25 @@ class Answering:
         return Alignment(self._photo, self._query, regions_of, self._around, params, streams)
 
     def _by_regions(self, vector: Floats, signs: LineSigns, evidence: Floats) -> Answer:
-        """Returns the mean of what regions and outlines leave around (9,), of a wider photo."""
+        """Returns the mean of what regions and outlines leave around (10,), of a wider photo."""
         params, of_map = self._params, (self._query, self._roofs)
         lens_percent = params.lens_percent
         fine = RoofEvidence(*of_map, self._fit, params, lens_percent)
         covariances = self._certainty(_of_share(fine), vector, fine)
         if params.place_sigma_m <= 0:
-            return Answer(vector[:6], *covariances, *signs, evidence)
+            return Answer(vector[POSE], *covariances, *signs, evidence)
         size = working_size(self._query.camera, params.mean_width)
         of_wide = PhotoFit(self._photo, size, params, is_coarse=False)
         wide = RoofEvidence(*of_map, of_wide, params, lens_percent)
         mean = self._mean(_of_share(wide), vector, covariances[0], wide)
-        return Answer(mean[:6], *covariances, *signs, evidence)
+        return Answer(mean[POSE], *covariances, *signs, evidence)
 
     def _certainty(self, nats: Nats, vector: Floats, regions: RoofEvidence) -> tuple[Floats, Floats]:
         """Returns the covariance (6, 6) of an answer's error, and the same if the map had none."""
-        pose, evidence = vector[:6], regions.at(float(vector[7]))
+        pose, evidence = vector[POSE], regions.at(float(vector[ROOFS]))
 
         def of_poses(poses: Floats) -> Floats:
-            return nats(np.column_stack([poses, np.tile(vector[6:], (len(poses), 1))]), 1.0)
+            return nats(np.column_stack([poses, np.tile(vector[POSES:], (len(poses), 1))]), 1.0)
 
         information = information_at(of_poses, pose, evidence, self._around)
         prior, outline = evidence.prior_information(), self._around.outline(pose, evidence)
@@ -149,30 +152,31 @@ class Answering:
         return covariance, np.asarray(np.linalg.inv(information + prior))
 
     def _mean(self, nats: Nats, vector: Floats, covariance: Floats, regions: RoofEvidence) -> Floats:
-        """Returns the posterior's mean around (9,), eaves as they are; or, if so told, the point."""
+        """Returns the posterior's mean around (10,), feet and eaves held; or, if so told, the point."""
         least_m = self._params.place_sigma_m
         if least_m <= 0:
             return vector
 
         def whole(vectors: Floats) -> Floats:
-            return np.column_stack([vectors, np.full(len(vectors), vector[8])])
+            return np.column_stack([vectors, np.tile(vector[RAISED:], (len(vectors), 1))])
 
         return posterior_mean(
             lambda vectors, share: nats(whole(vectors), share),
             lambda vectors: regions.log_prior(whole(vectors)),
-            vector[:8],
-            regions.widened(self._with_lens(vector, covariance, regions))[:8, :8],
+            vector[:RAISED],
+            regions.widened(self._with_lens(vector, covariance, regions))[:RAISED, :RAISED],
             least_m,
         )
 
     def _with_lens(self, vector: Floats, covariance: Floats, regions: RoofEvidence) -> Floats:
-        """Returns the covariance (7, 7) of cameras around (9,), given that of poses, (6, 6)."""
-        evidence, prior = regions.at(float(vector[7])), regions.prior_information()
-        cloud = self._around.cloud(vector[:7], evidence, _APART_PX, prior)
+        """Returns the covariance (7, 7) of cameras around (10,), given that of poses, (6, 6)."""
+        evidence = regions.at(float(vector[ROOFS]))
+        prior = regions.prior_information()[:CAMERAS, :CAMERAS]
+        cloud = self._around.cloud(vector[:CAMERAS], evidence, _APART_PX, prior)
         # A longer lens is made up for by poses that show the same.
-        along = np.eye(7)[6] / prior[6, 6] if cloud is None else cloud.covariance[:, 6]
-        whole = np.outer(along, along) / along[6]
-        whole[:6, :6] += covariance
+        along = np.eye(CAMERAS)[LENS] / prior[LENS, LENS] if cloud is None else cloud.covariance[:, LENS]
+        whole = np.outer(along, along) / along[LENS]
+        whole[POSE, POSE] += covariance
         return np.asarray(whole)
 
 

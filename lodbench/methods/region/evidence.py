@@ -13,6 +13,7 @@ from lodbench.geometry import wrap_deg
 from lodbench.geometry.angles import rotations_from_euler
 from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
 from lodbench.methods.region.params import Params
+from lodbench.methods.region.unknowns import CAMERAS, LENS
 from lodbench.rendering import ContourFit, RegionFit, Scorer, appearance_bins, edge_bins
 from lodbench.rendering.bits import Words
 
@@ -25,7 +26,6 @@ _EDGE_SHARES = np.array([1.0, 1.0, 0.1, 0.1, 0.1, 0.5])
 # And where it ends for good, in half widths, and how softly there: evidence of pixels that are not
 # independent outweighs any softer end, and from far below nearly every photo is parted well by some roof.
 _WALLS, _WALL_SHARE = np.array([np.inf, np.inf, 1.3, 5.0, 5.0, 2.5]), 0.02
-_LENS = slice(6, 7)
 
 
 class PhotoFit:
@@ -127,5 +127,5 @@ def views_of(vectors: Floats) -> tuple[Floats, Floats]:
     """
     rotations = rotations_from_euler(vectors[:, 3:6])
     # Of poses the slice is empty, and its sum 0.
-    rotations[:, :2] *= 1.0 + 0.01 * vectors[:, _LENS].sum(axis=1)[:, None, None]
+    rotations[:, :2] *= 1.0 + 0.01 * vectors[:, LENS:CAMERAS].sum(axis=1)[:, None, None]
     return rotations, np.ascontiguousarray(vectors[:, :3])

@@ -24,6 +24,7 @@ from lodbench.methods.region.lines import LineFit, levels_of, points_on_lines, w
 from lodbench.methods.region.params import Params
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.search import samples, tops_of
+from lodbench.methods.region.unknowns import ALL, BESIDE_POSE, ROOFS
 from lodbench.rendering.edge_levels import Levels, LinePoints, sum_along_lines
 
 Floats = NDArray[np.float64]
@@ -68,7 +69,7 @@ def line_starts(
     open_to_it = np.diag(np.square([half_m, half_m, half_z_m, *tilts_deg, 0.5 * coarse.stride_yaw_deg]))
     clouds = []
     for k, start in enumerate(found):
-        lines = LineFit(levels, query, roofs, np.append(start, np.zeros(3)), coarse)
+        lines = LineFit(levels, query, roofs, np.append(start, np.zeros(BESIDE_POSE)), coarse)
         if len(lines):
             value, cloud = _posterior(lines, evidence), Cloud(start, open_to_it)
             clouds.append(climb(value, cloud, _GENERATIONS, params.population, streams("line start", k)))
@@ -79,7 +80,7 @@ def _posterior(lines: LineFit, evidence: Evidence) -> Callable[[Floats], Floats]
     """Returns what edges and prior say of poses (N, 6), roofs as in the map."""
 
     def value(vectors: Floats) -> Floats:
-        whole = np.column_stack([vectors, np.zeros((len(vectors), 3))])
+        whole = np.column_stack([vectors, np.zeros((len(vectors), BESIDE_POSE))])
         return lines(whole) + evidence.log_prior(vectors)
 
     return value
@@ -106,7 +107,7 @@ def _sums_at(vectors: Floats, levels: Levels, photo_camera: Camera, roofs: Raise
         poses = np.ascontiguousarray(vectors[:, height])
         points, each_px = _some_points(roofs, camera, poses[len(poses) // 2])
         rotations, centers = rotations_from_euler(poses[:, 3:]), np.ascontiguousarray(poses[:, :3])
-        view = rotations, centers, np.zeros((len(poses), 2)), intrinsics
+        view = rotations, centers, np.zeros((len(poses), ALL - ROOFS)), intrinsics
         sums = np.zeros((len(poses), 1, 1))
         sum_along_lines(points, *view, levels, 0.0, np.zeros(1), worth, sums)
         return np.asarray(each_px * sums[:, 0, 0])

@@ -20,6 +20,7 @@ from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.region.evidence import views_of
 from lodbench.methods.region.params import Params, working_size
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, step_of
+from lodbench.methods.region.unknowns import POSE, ROOFS
 from lodbench.rendering.edge_levels import (
     EDGE_LEVELS,
     Levels,
@@ -89,7 +90,7 @@ class LineFit:
         levels: How strongly the photo changes, as of ``levels_of``.
         query: The query.
         roofs: The map, which says what lines are seen.
-        vector: (8,) the pose that they are seen from, and how much higher and wider all roofs then are.
+        vector: (10,) the pose that they are seen from, and what else of ``unknowns`` then is.
         params: The method's.
 
     Attributes:
@@ -107,13 +108,13 @@ class LineFit:
         camera = query.camera.scaled(levels.shape[1], levels.shape[0])
         self._intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
         self._levels = levels
-        step = int(step_of(vector[7]))
-        points, spacing_px = points_on_lines(roofs, step, camera, vector[:6])
+        step = int(step_of(vector[ROOFS]))
+        points, spacing_px = points_on_lines(roofs, step, camera, vector[POSE])
         self.buildings, buildings = np.unique(points.buildings, return_inverse=True)
         self._points = points._replace(buildings=buildings)
         self._roofs, self._threads = roofs, roofs.threads
         self._pool = ThreadPoolExecutor(roofs.threads) if roofs.threads > 1 else None
-        self._of_map_m = np.array([step * STEP_M, roofs.eaves_m])
+        self._of_map_m = np.array([step * STEP_M, roofs.feet_m, roofs.eaves_m])
         self._weight = params.lines_weight * spacing_px
         self._sigma_m = max(params.own_roofs_m, _LEAST_SIGMA_M)
         self._own_m = params.own_roofs_m * (_OWN if params.own_roofs_m > 0 else _OWN[:1])
@@ -125,12 +126,12 @@ class LineFit:
         return len(self._points.kinds)
 
     def __call__(self, vectors: Floats, share: float = 1.0) -> Floats:
-        """Returns the (N,) logarithm of the likelihood of cameras and roofs (N, 9), up to a constant.
+        """Returns the (N,) logarithm of the likelihood of cameras and the map (N, 10), up to a constant.
 
         How strongly edges stand out along outlines and along creases is taken as fits the first pose best.
 
         Args:
-            vectors: Cameras and roofs.
+            vectors: As of ``unknowns``.
             share: Of the photo's nats that count.
         """
         return np.asarray(logsumexp(self._of_buildings(vectors, share), axis=2).sum(axis=1))
@@ -158,7 +159,7 @@ class LineFit:
         return (on - max(near, far)) / max(on - far, _LEAST_CONTRAST)
 
     def _best_strengths(self, vector: Floats) -> NDArray[np.int64]:
-        """Returns (2,) how strongly edges stand out along outlines and creases, as fits (9,) best.
+        """Returns (2,) how strongly edges stand out along outlines and creases, as fits (10,) best.
 
         One after the other, twice.
         """
@@ -186,7 +187,7 @@ class LineFit:
 
     def _sums(self, vectors: Floats, worth: Floats, own_m: Floats, offset_px: float = 0.0) -> Floats:
         sums = np.zeros((len(vectors), len(self.buildings), len(own_m)))
-        (rotations, centers), of_all_m = views_of(vectors), vectors[:, 7:] - self._of_map_m
+        (rotations, centers), of_all_m = views_of(vectors), vectors[:, ROOFS:] - self._of_map_m
 
         def work(part: slice) -> None:
             view = rotations[part], centers[part], of_all_m[part], self._intrinsics
@@ -218,7 +219,9 @@ def points_on_lines(
     # Halfway to the end of the line, its direction is the same.
     pairs = np.stack([points, points + 0.5 * (1.0 - place)[:, None] * along], axis=1)
     owners = seen.building[rows]
-    rises = np.stack([roofs.shares(each, owners, step) for each in pairs[..., 2].T], axis=1)
+    heights = pairs[..., 2].T
+    rises = np.stack([roofs.shares(each, owners, step) for each in heights], axis=1)
+    lifts = np.stack([roofs.lifts(each, owners, step) for each in heights], axis=1)
     first, last = seen.shares[rows].T
     outward = rises[:, :1] * roofs.outward(seen.corners[rows], first + place * (last - first))
-    return LinePoints(pairs, rises, outward, seen.kind[rows].astype(np.int64), owners), spacing_px
+    return LinePoints(pairs, rises, lifts, outward, seen.kind[rows].astype(np.int64), owners), spacing_px

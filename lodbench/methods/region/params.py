@@ -15,7 +15,7 @@ _CIRCLE_DEG = 360.0
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
 _AT_LEAST_0 = (
     *("beyond_m", "beyond_yaw_deg", "effective_pixels", "edge_weight", "coarse_edge_weight"),
-    *("judging_edge_weight", "roofs_m", "own_roofs_m", "eaves_m", "place_sigma_m", "lines_weight"),
+    *("judging_edge_weight", "roofs_m", "own_roofs_m", "feet_m", "eaves_m", "place_sigma_m", "lines_weight"),
     *("least_sharpness", "lens_doubt_percent", "lens_nats"),
 )
 _POSITIVE = (
@@ -62,6 +62,8 @@ class Params:
         roofs_m: How far all roofs may be higher or lower than in the map, all alike: a standard deviation,
             metres; 0 for a map whose roofs do not err.
         own_roofs_m: The same of each roof by itself.
+        feet_m: How much higher or lower than in the map all walls may end, all alike, at slopes, hedges or
+            cars: a standard deviation, metres; 0 for a map whose walls end where they are seen to.
         eaves_m: How much farther or less far than in the map all eaves may stand out, all alike, if they do
             at all, which is as likely as not: a standard deviation, metres; 0 for a map of roof outlines.
         lens_percent: Standard deviation of the focal length, percent.
@@ -104,6 +106,7 @@ class Params:
     edge_blur_px: float = 1.0
     roofs_m: float = 0.5
     own_roofs_m: float = 0.7
+    feet_m: float = 0.2
     eaves_m: float = 0.4
     lens_percent: float = 0.2
     lens_doubt_percent: float = 2.0

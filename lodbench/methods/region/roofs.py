@@ -1,8 +1,9 @@
-"""How much higher and wider than in the map all roofs are, beside the camera: two numbers, metres.
+"""How much higher and wider than in the map all roofs are, and where walls end: three numbers, metres.
 
 Blocks end somewhere between eaves and ridge, and are as wide as walls or as roofs, as whoever made the map
 decided: its roofs err alike. The photo tells by how much, and a camera that has to make up for it ends too
-high or too low (docs/adr/0052, docs/adr/0054).
+high or too low (docs/adr/0052, docs/adr/0054). So do walls that end higher than in the map, at a slope, a
+hedge or cars (docs/adr/0062).
 """
 
 from __future__ import annotations
@@ -22,12 +23,13 @@ from lodbench.datasets.query import Query
 from lodbench.methods.region.eaves import outward_moves
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.params import Params
+from lodbench.methods.region.unknowns import CAMERAS, EAVES, FEET, LENS, OUTLINES, POSE, ROOFS
 
 Floats = NDArray[np.float64]
 
 # Silhouettes are drawn of roofs at every so many metres, up to so far from the map.
 STEP_M, _FARTHEST_M = 0.5, 3.0
-# What roofs are lowered to above the floor at most, and what has no height that could err.
+# How far roofs stay above where walls end at least, and what has no height that could err.
 _LOWEST_M, _FLAT_M = 2.0, 0.1
 # The deviation of roofs that are told not to err: a matrix without a width has no inverse.
 _LEAST_SIGMA_M = 1e-3
@@ -36,7 +38,7 @@ _EXACT_M = 0.03
 
 
 class RaisedRoofs:
-    """Some buildings of a map with all their roofs higher or lower, wider or narrower; their floors stay.
+    """Some buildings of a map with all roofs higher or lower, wider or narrower, and walls ending elsewhere.
 
     What is drawn of them counts as drawn of the map.
 
@@ -46,28 +48,31 @@ class RaisedRoofs:
 
     Attributes:
         own_m: (B,) how much higher than all the others each roof is, metres.
+        feet_m: How much higher than in the map all walls end, metres.
         eaves_m: How much farther than in the map all eaves stand out, metres.
         threads: Of the map.
     """
 
     def __init__(self, city_map: CityMap, part: Scene) -> None:
         self._map, self._part, self.threads = city_map, part, city_map.threads
-        self.own_m, self.eaves_m = np.zeros(part.num_buildings), 0.0
+        self.own_m, self.feet_m, self.eaves_m = np.zeros(part.num_buildings), 0.0, 0.0
         self._drawn: dict[int, CityMap] = {}
         boxes = building_boxes(part)
         self._floors, self._rises = np.zeros((2, part.num_buildings))
         self._floors[boxes.building] = boxes.low[:, 2]
         self._rises[boxes.building] = boxes.high[:, 2] - boxes.low[:, 2]
+        self._is_tall = self._rises > _FLAT_M
 
-    def each_by_itself(self, own_m: Floats, eaves_m: float) -> RaisedRoofs:
+    def each_by_itself(self, own_m: Floats, feet_m: float, eaves_m: float) -> RaisedRoofs:
         """Returns the same buildings with each roof so much higher than all the others, (B,) metres.
 
         Args:
             own_m: Of each building.
+            feet_m: How much higher than in the map all walls end, metres.
             eaves_m: How much farther than in the map all eaves stand out, metres.
         """
         other = copy(self)
-        other.own_m, other.eaves_m, other._drawn = own_m, eaves_m, {}
+        other.own_m, other.feet_m, other.eaves_m, other._drawn = own_m, feet_m, eaves_m, {}
         return other
 
     @cached_property
@@ -81,8 +86,9 @@ class RaisedRoofs:
             owner = np.repeat(np.arange(part.num_buildings), np.diff(part.vertex_starts))
             heights = part.vertices[:, 2].astype(np.float64)
             vertices = part.vertices.copy()
-            shares = self._shares(heights, owner, self._rises)
-            vertices[:, 2] = heights + shares * self._raised(step)[owner]
+            shares = self._shares(heights, owner, self._floors, self._rises)
+            lifts = self._is_tall[owner] * (1.0 - shares)
+            vertices[:, 2] = heights + shares * self._raised(step)[owner] + lifts * self._lifted(step)[owner]
             if self.eaves_m != 0.0:
                 vertices[:, :2] += (self.eaves_m * shares)[:, None] * self._outward
             # By the engine, whoever draws the map: a dozen of these live and die with each query.
@@ -101,7 +107,21 @@ class RaisedRoofs:
             buildings: (N,) of the part.
             step: Of the map that the points are of.
         """
-        return self._shares(heights, buildings, self._rises + self._raised(step))
+        lifted = self._lifted(step)
+        rises = self._rises + self._raised(step) - lifted
+        return self._shares(heights, buildings, self._floors + lifted, rises)
+
+    def lifts(self, heights: Floats, buildings: NDArray[np.int64], step: int) -> Floats:
+        """Returns by how much of a metre points move up where walls end a metre higher, (N,).
+
+        What has no height has no walls: flat outlines stay.
+
+        Args:
+            heights: As of ``shares``.
+            buildings: As of ``shares``.
+            step: As of ``shares``.
+        """
+        return np.asarray(self._is_tall[buildings] * (1.0 - self.shares(heights, buildings, step)))
 
     def outward(self, corners: NDArray[np.int32], places: Floats) -> Floats:
         """Returns (N, 2) how far points of edges move east and north where walls stand out a metre farther.
@@ -113,15 +133,19 @@ class RaisedRoofs:
         first, last = (self._outward[end] for end in corners.T)
         return np.asarray(first + places[:, None] * (last - first))
 
-    def _shares(self, heights: Floats, buildings: NDArray[np.int64], rises: Floats) -> Floats:
-        tall = rises[buildings]
-        shares = (heights - self._floors[buildings]) / np.maximum(tall, _FLAT_M)
-        return np.asarray(np.where(tall > _FLAT_M, np.clip(shares, 0.0, 1.0), 0.0))
+    def _shares(self, heights: Floats, buildings: NDArray[np.int64], floors: Floats, rises: Floats) -> Floats:
+        shares = (heights - floors[buildings]) / np.maximum(rises[buildings], _FLAT_M)
+        return np.asarray(np.where(self._is_tall[buildings], np.clip(shares, 0.0, 1.0), 0.0))
 
     def _raised(self, step: int) -> Floats:
         """Returns (B,) by how much each roof is higher at a step, metres; what is flat has none."""
         lowest = np.minimum(_LOWEST_M - self._rises, 0.0)
-        return np.where(self._rises > _FLAT_M, np.maximum(step * STEP_M + self.own_m, lowest), 0.0)
+        return np.where(self._is_tall, np.maximum(step * STEP_M + self.own_m, lowest), 0.0)
+
+    def _lifted(self, step: int) -> Floats:
+        """Returns (B,) by how much each building's walls end higher at a step, metres."""
+        most = np.maximum(self._rises + self._raised(step) - _LOWEST_M, 0.0)
+        return np.where(self._is_tall, np.minimum(self.feet_m, most), 0.0)
 
 
 def step_of(roofs_m: Floats) -> NDArray[np.int64]:
@@ -131,17 +155,17 @@ def step_of(roofs_m: Floats) -> NDArray[np.int64]:
 
 
 class RoofEvidence:
-    """What photo and prior say of poses, and of how much higher and wider all roofs are, up to a constant.
+    """What photo and prior say of poses, and of how the map errs, up to a constant.
 
-    Of (N, 9) vectors: a camera as of ``views_of``, then roofs and eaves. Silhouettes are those of the map's
-    eaves, whatever the last number says.
+    Of (N, 10) vectors as of ``unknowns``. Silhouettes are those of the map's feet and eaves, whatever the
+    last two numbers say.
     """
 
     def __init__(
         self, query: Query, roofs: RaisedRoofs, fit: PhotoFit, params: Params, lens_percent: float
     ) -> None:
         self._evidence = lru_cache(None)(lambda step: Evidence(query, roofs.at(step), fit, params))
-        self._sigmas_m = np.maximum([params.roofs_m, params.eaves_m], _LEAST_SIGMA_M)
+        self._sigmas_m = np.maximum([params.roofs_m, params.feet_m, params.eaves_m], _LEAST_SIGMA_M)
         self._lens_percent = lens_percent
 
     def at(self, roofs_m: float) -> Evidence:
@@ -150,33 +174,38 @@ class RoofEvidence:
 
     def nats(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the photo's likelihood, up to a constant."""
-        steps, nats = step_of(vectors[:, 7]), np.zeros(len(vectors))
+        steps, nats = step_of(vectors[:, ROOFS]), np.zeros(len(vectors))
         for step in np.unique(steps):
             chosen = steps == step
-            nats[chosen] = self._evidence(int(step)).nats(vectors[chosen, :7])
+            nats[chosen] = self._evidence(int(step)).nats(vectors[chosen, :CAMERAS])
         return nats
 
     def log_prior(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the prior, up to a constant."""
-        poses = self._evidence(0).log_prior(vectors[:, :6])
-        roofs, eaves = vectors[:, 7] / self._sigmas_m[0], vectors[:, 8]
-        exact, wide = np.minimum(_EXACT_M, self._sigmas_m[1]), self._sigmas_m[1]
+        poses, eaves = self._evidence(0).log_prior(vectors[:, POSE]), vectors[:, EAVES]
+        roofs_sigma_m, feet_sigma_m, wide = self._sigmas_m
+        exact = np.minimum(_EXACT_M, wide)
         of_eaves = np.logaddexp(*(-0.5 * (eaves / sigma) ** 2 - np.log(sigma) for sigma in (exact, wide)))
-        lens = vectors[:, 6] / self._lens_percent
-        return np.asarray(poses - 0.5 * (lens**2 + roofs**2) + of_eaves)
+        away = vectors[:, [LENS, ROOFS, FEET]] / (self._lens_percent, roofs_sigma_m, feet_sigma_m)
+        return np.asarray(poses - 0.5 * (away**2).sum(axis=1) + of_eaves)
 
     def widened(self, covariance: Floats, most_m: float = math.inf) -> Floats:
-        """Returns the covariance (9, 9) of a camera's, (7, 7), and of the roofs beforehand.
+        """Returns the covariance (10, 10) of one of a vector's first numbers and what is left beforehand.
 
-        Their deviations are ``most_m`` at most.
+        Deviations of the latter are ``most_m`` at most.
         """
-        whole = np.diag(np.concatenate([np.zeros(7), np.minimum(self._sigmas_m, most_m) ** 2]))
-        whole[:7, :7] = covariance
+        known = len(covariance)
+        whole = np.diag(np.concatenate([np.zeros(CAMERAS), np.minimum(self._sigmas_m, most_m) ** 2]))
+        whole[:known, :known] = covariance
         return whole
 
-    def prior_information(self) -> Floats:
-        """Returns (7, 7) the inverse of the prior's covariance of cameras."""
-        information = np.zeros((7, 7))
-        information[:6, :6] = self._evidence(0).prior_information()
-        information[6, 6] = self._lens_percent**-2.0
+    def prior_information(self, most_m: float = math.inf) -> Floats:
+        """Returns (9, 9) the inverse of the prior's covariance of all but eaves.
+
+        Deviations of roofs and feet are ``most_m`` at most.
+        """
+        sigmas = [self._lens_percent, *np.minimum(self._sigmas_m[:-1], most_m)]
+        information = np.zeros((OUTLINES, OUTLINES))
+        information[POSE, POSE] = self._evidence(0).prior_information()
+        information[LENS:, LENS:] = np.diag(np.array(sigmas) ** -2.0)
         return information

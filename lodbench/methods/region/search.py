@@ -17,6 +17,7 @@ from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import Evidence
 from lodbench.methods.region.evolution import Cloud, climb_abreast
 from lodbench.methods.region.params import Params
+from lodbench.methods.region.unknowns import POSE
 from lodbench.rendering import Scorer
 
 Floats = NDArray[np.float64]
@@ -153,12 +154,12 @@ class Surroundings:
         None where no outline is in view.
 
         Args:
-            vector: (6,) the pose in the middle; or (7,) with the lens, then of cameras.
+            vector: (6,) the pose in the middle; or more of ``unknowns`` with it, as far as (9,): feet.
             evidence: Knows the prior of poses and the working size.
             spread_px: How far apart.
-            prior: (7, 7) information of cameras beforehand.
+            prior: Information beforehand, of as many.
         """
-        points = self.outline(vector[:6], evidence)
+        points = self.outline(vector[POSE], evidence)
         if not len(points):
             return None
         if prior is None:
