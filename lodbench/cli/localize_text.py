@@ -86,11 +86,12 @@ def describe(found: LocalizedPhoto) -> str:
     x, y, z = (float(v) for v in found.pose.center)
     pitch, roll, yaw = found.pose.euler
     score = finite_text(found.score, ".3f")
+    lens = "" if found.lens_percent is None else f", its focal length good to {found.lens_percent:.1f} %"
     rows = [
         ("local", f"{x:.2f} {y:.2f} {z:.2f} m in {found.crs or 'the frame of the city model'}"),
         ("", f"pitch {pitch:.2f}  roll {roll:.2f}  yaw {yaw:.2f} deg (0 looks down; yaw from grid north)"),
         ("prior", f"{found.moved.translation_m:.2f} m and {found.moved.rotation_deg:.2f} deg away"),
-        ("score", f"{score}  (LoD {found.lod or 'unnamed'}; camera: {found.camera_source})"),
+        ("score", f"{score}  (LoD {found.lod or 'unnamed'}; camera: {found.camera_source}{lens})"),
         *_trust_rows(found),
         ("overlay", str(found.overlay)),
         ("in 3D", str(found.view)),

@@ -35,6 +35,8 @@ _DIAGONAL_35MM = math.hypot(36.0, 24.0)
 _FIELD_DEG = (3.0, 150.0)
 # Sizes are whole pixels, so scaling changes the aspect a little; cropping changes it more.
 _ASPECT_TOLERANCE = 0.01
+# How far a lens's nominal focal length is from its own, and the error of a whole millimetre, as deviations.
+_NOMINAL_PERCENT, _ROUNDED_MM = 1.0, 0.5 / math.sqrt(3.0)
 # Focal lengths in pixels and as an equivalent differ by less, unless one is of another picture or lens.
 _EQUIVALENT_TOLERANCE = 1.3
 
@@ -45,11 +47,14 @@ class PhotoCamera:
 
     Attributes:
         camera: Of the picture as stored, lens distortion included where it is known.
-        source: ``dewarp``, ``calibrated``, ``focal_plane``, ``sensor`` or ``35mm``.
+        source: ``dewarp``, ``calibrated``, ``focal_plane``, ``sensor`` or ``35mm``; or ``given`` by a person.
+        lens_percent: Standard deviation of a focal length that is the lens's nominal one, percent, rounding
+            included; None for a calibrated one.
     """
 
     camera: Camera
     source: str
+    lens_percent: float | None = None
 
 
 def camera_flag(width: int, height: int) -> str:
@@ -112,7 +117,9 @@ def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
     cy = height / 2 if photo.optical_center_y_px is None else photo.optical_center_y_px
     if not (0 < cx < width and 0 < cy < height):
         cx, cy = width / 2, height / 2
-    return PhotoCamera(_checked(photo, Camera(width, height, fx, fy, cx, cy)), source)
+    return PhotoCamera(
+        _checked(photo, Camera(width, height, fx, fy, cx, cy)), source, _lens_percent(photo, source)
+    )
 
 
 def _size_when_taken(photo: PhotoMetadata) -> tuple[int, int]:
@@ -170,6 +177,14 @@ def _focal_px(photo: PhotoMetadata, width: int, height: int) -> tuple[float, flo
         f"{photo.name}{zoomed} does not say its camera's focal length.",
         f"Give {camera_flag(photo.width, photo.height)}, or another of COLMAP's models.",
     )
+
+
+def _lens_percent(photo: PhotoMetadata, source: str) -> float | None:
+    if source == "calibrated":
+        return None
+    if source != "35mm" or photo.focal_35mm is None:
+        return _NOMINAL_PERCENT
+    return math.hypot(_NOMINAL_PERCENT, 100.0 * _ROUNDED_MM / photo.focal_35mm)
 
 
 def _equivalent_px(photo: PhotoMetadata, width: int, height: int) -> float | None:

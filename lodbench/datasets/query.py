@@ -37,6 +37,8 @@ class Query:
         sequence: Name of the flight it was taken on, unique within its split; "" where nobody says.
         reconstructed: Its pose in a reconstruction of its flight (COLMAP and the like), whose frame is the
             scene's up to a similarity; None where there is none.
+        lens_percent: Standard deviation of the camera's focal length by where that came from, percent; None
+            where nobody says, or it was calibrated.
     """
 
     name: str
@@ -51,6 +53,7 @@ class Query:
     true_pixels: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
     sequence: str = ""
     reconstructed: Pose | None = None
+    lens_percent: float | None = None
 
     @property
     def mask(self) -> NDArray[np.float32]:

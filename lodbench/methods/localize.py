@@ -34,6 +34,7 @@ def localize(
     method: str | Method | None = None,
     seed: int = 0,
     threads: int | None = None,
+    lens_percent: float | None = None,
 ) -> Estimate:
     """Returns the pose of one photo, from its building mask or its pixels, and a rough pose.
 
@@ -48,6 +49,7 @@ def localize(
             parameters by default. One that prepares does so anew.
         seed: Seed of the search.
         threads: Threads of the renderer, None for one per core; never changes the answer.
+        lens_percent: Standard deviation of the camera's focal length, percent, where that is not calibrated.
 
     Raises:
         QueryFault: The mask is not as described or holds no building, or no building is near the prior.
@@ -58,7 +60,9 @@ def localize(
     prior = Pose.from_matrix(prior.cam_from_world)
     photo = None if image is None else Path(image)
     probability = None if mask is None else check_mask(mask, camera)
-    query = Query("photo", "", camera, prior.shifted(-scene.origin), probability, photo)
+    query = Query(
+        "photo", "", camera, prior.shifted(-scene.origin), probability, photo, lens_percent=lens_percent
+    )
     city_map = CityMap(scene, threads=threads)
     streams = partial(random_stream, seed, "localize", "photo")
     method = make_method(method) if isinstance(method, str) else method or LodLocV2()

@@ -243,6 +243,17 @@ class TestCamera:
         wide = replace(tele, width=5280, height=3956, focal_mm=12.29, focal_35mm=24.0)
         assert camera_from_photo(wide).source == "sensor"
 
+    def test_how_well_a_focal_length_is_known_depends_on_where_it_is_from(self):
+        """Calibrated: as a method takes lenses to be. Nominal: a percent; a whole millimetre of 24: 1.2 more."""
+        known = [
+            replace(PHOTO, calibrated_focal_px=3666.0, focal_35mm=24.0),
+            replace(PHOTO, model="FC6310R", focal_mm=8.8),
+            replace(PHOTO, focal_35mm=24.0),
+            replace(PHOTO, focal_35mm=162.0),
+        ]
+        percents = [camera_from_photo(photo).lens_percent for photo in known]
+        assert percents == [None, 1.0, pytest.approx(1.57, abs=0.01), pytest.approx(1.02, abs=0.01)]
+
     def test_from_millimetres(self):
         table = camera_from_photo(replace(PHOTO, model="FC6310R", focal_mm=8.8))
         assert (table.source, table.camera.fx) == ("sensor", pytest.approx(8.8 / 13.2 * 5472))

@@ -11,6 +11,7 @@ import pytest
 
 from lodbench.datasets.query import Query
 from lodbench.evaluation import pose_error
+from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.evidence import Evidence, PhotoFit, views_of
@@ -70,6 +71,24 @@ def test_a_longer_lens_is_found_and_told(city_map, tmp_path):
     assert np.median(believing) > 3.0
     assert np.median(doubting) < 0.7 * np.median(believing)
     assert any("focal length" in note and "longer" in note for note in notes)
+
+
+@pytest.mark.parametrize("method", [Region(FAST), ContourAlignment()], ids=["pixels", "mask"])
+def test_a_focal_length_known_badly_leaves_the_height_open(
+    city_map, queries, shaded_photos, tmp_path, method
+):
+    path = tmp_path / "photo.png"
+    cv2.imwrite(str(path), shaded_photos[0])
+    known = replace(queries[0], image=path)
+    sigmas, probabilities = [], []
+    for percent in (None, 0.1, 3.0):
+        query = replace(known, lens_percent=percent)
+        estimate = method.localize(query, city_map, partial(random_stream, 0, "test"))
+        sigmas.append(np.sqrt(np.diagonal(estimate.covariance)))
+        probabilities.append(estimate.probability)
+    np.testing.assert_array_equal(sigmas[0], sigmas[1])
+    assert sigmas[2][2] > 1.5 * sigmas[0][2]
+    assert probabilities[2] < probabilities[0] == probabilities[1]
 
 
 def test_a_lens_as_told_is_left_alone(city_map, tmp_path):

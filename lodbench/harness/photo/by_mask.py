@@ -39,7 +39,15 @@ def more_probable(
         return photo, estimate
     try:
         mask = pinhole_mask(request, photo.camera, photo.pinhole)
-        found = localize(scene, photo.pinhole, prior, mask, method=request.by_mask, seed=request.seed)
+        found = localize(
+            scene,
+            photo.pinhole,
+            prior,
+            mask,
+            method=request.by_mask,
+            seed=request.seed,
+            lens_percent=photo.lens_percent,
+        )
     except QueryFault as fault:
         note = f"a network's mask was asked as well, and says nothing: {fault.message.rstrip('.')}"
         return photo, replace(estimate, notes=(*estimate.notes, note))

@@ -148,7 +148,15 @@ def _solve(
             local, tied = prior.shifted(-origin), known.get(photo.request.photo)
             queries.append(
                 Query(
-                    name, "", photo.pinhole, local, photo.mask, image, sequence="flight", reconstructed=tied
+                    name,
+                    "",
+                    photo.pinhole,
+                    local,
+                    photo.mask,
+                    image,
+                    sequence="flight",
+                    reconstructed=tied,
+                    lens_percent=photo.lens_percent,
                 )
             )
         streams = [partial(random_stream, request.seed, "localize", "photo") for _ in queries]

@@ -56,7 +56,14 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
         image = undistorted_photo(view, Path(folder)) if Input.IMAGE in requires else None
         with told_as_fault(f"method {method.name}", request.out, request.photo.name):
             estimate = localize(
-                place.scene, photo.pinhole, prior, photo.mask, image=image, method=method, seed=request.seed
+                place.scene,
+                photo.pinhole,
+                prior,
+                photo.mask,
+                image=image,
+                method=method,
+                seed=request.seed,
+                lens_percent=photo.lens_percent,
             )
     answered, estimate = more_probable(photo, place.scene, prior, estimate)
     return write_answer(answered, view if answered is photo else answered.view(), place, prior, estimate)
@@ -141,6 +148,7 @@ def write_answer(
         place=None if frame is None else frame.place_of(estimate.pose),
         camera=photo.pinhole,
         camera_source=photo.camera_source,
+        lens_percent=photo.lens_percent,
         overlay=overlay,
         geojson=geojson,
         notes=_notes(photo, place, view, estimate),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_camera import camera_from_photo, require_photo_size
+from lodbench.datasets.photo_camera import PhotoCamera, camera_from_photo, require_photo_size
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_pose import pose_at, pose_from_photo, require_stated
 from lodbench.datasets.pictures import read_picture
@@ -38,6 +38,7 @@ class PreparedPhoto:
         stated: What its metadata say.
         camera: Of the photo as stored, lens included.
         camera_source: Where the camera's numbers came from.
+        lens_percent: As of ``PhotoCamera``; None for a camera that was given.
         pinhole: The camera that is localised.
         mask: (H, W) probability of building as the pinhole sees it; None where no mask is looked at.
     """
@@ -46,6 +47,7 @@ class PreparedPhoto:
     stated: PhotoMetadata
     camera: Camera
     camera_source: str
+    lens_percent: float | None
     pinhole: Camera
     mask: NDArray[np.float32] | None
 
@@ -74,10 +76,10 @@ def prepare_photo(request: PhotoRequest, requires: Collection[str]) -> PreparedP
     stated = read_photo_metadata(request.photo)
     has_camera, has_place = request.camera is not None, request.center is not None
     require_stated(stated, request.heights, request.given, knows_place=has_place, knows_camera=has_camera)
-    camera, camera_source = _camera(request, stated)
-    pinhole = pinhole_of(camera)
-    mask = pinhole_mask(request, camera, pinhole) if Input.MASK in requires else None
-    return PreparedPhoto(request, stated, camera, camera_source, pinhole, mask)
+    found = _camera(request, stated)
+    pinhole = pinhole_of(found.camera)
+    mask = pinhole_mask(request, found.camera, pinhole) if Input.MASK in requires else None
+    return PreparedPhoto(request, stated, found.camera, found.source, found.lens_percent, pinhole, mask)
 
 
 def undistorted_photo(view: PhotoView, folder: Path) -> Path:
@@ -94,12 +96,11 @@ def undistorted_photo(view: PhotoView, folder: Path) -> Path:
     return path
 
 
-def _camera(request: PhotoRequest, photo: PhotoMetadata) -> tuple[Camera, str]:
+def _camera(request: PhotoRequest, photo: PhotoMetadata) -> PhotoCamera:
     if request.camera is None:
-        found = camera_from_photo(photo)
-        return found.camera, found.source
+        return camera_from_photo(photo)
     require_photo_size(request.camera, photo.name, photo.width, photo.height)
-    return request.camera, "given"
+    return PhotoCamera(request.camera, "given")
 
 
 def pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDArray[np.float32]:

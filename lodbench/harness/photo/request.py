@@ -61,6 +61,7 @@ class LocalizedPhoto:
         place: Where on Earth, or None without a reference system.
         camera: Pinhole that was localised.
         camera_source: Where its numbers came from.
+        lens_percent: Standard deviation of its focal length, percent; None for one that was calibrated.
         overlay: Picture written.
         geojson: Map written, or None without a reference system.
         notes: What the reader should know.
@@ -85,6 +86,7 @@ class LocalizedPhoto:
     place: Place | None
     camera: Camera
     camera_source: str
+    lens_percent: float | None
     overlay: Path
     geojson: Path | None
     notes: tuple[str, ...]
@@ -125,7 +127,11 @@ class LocalizedPhoto:
             ],
             "trusted": self.is_trusted,
             "trust": self.trust,
-            "camera": {"colmap": [*self.camera.to_colmap()], "source": self.camera_source},
+            "camera": {
+                "colmap": [*self.camera.to_colmap()],
+                "source": self.camera_source,
+                "lens_percent": self.lens_percent,
+            },
             "overlay": str(self.overlay),
             "geojson": None if self.geojson is None else str(self.geojson),
             "notes": list(self.notes),

@@ -48,12 +48,12 @@ class ContourAlignment:
         Raises:
             QueryFault: The mask is empty, or no hypothesis overlaps it or shows an outline.
         """
-        started = time.perf_counter()
-        aligner = Aligner(query, city_map, self.params)
-        starts, best = find_starts(query, city_map, aligner, self.params)
+        started, params = time.perf_counter(), self.params.with_lens(query.lens_percent)
+        aligner = Aligner(query, city_map, params)
+        starts, best = find_starts(query, city_map, aligner, params)
         selected = time.perf_counter()
         found, trace = self._align(aligner, starts)
-        refined = refine(aligner, found, self.params)
+        refined = refine(aligner, found, params)
         if refined is None:
             raise QueryFault("no outline of a building is in view of the aligned pose")
         answer = answer_of(refined)
@@ -70,7 +70,7 @@ class ContourAlignment:
             notes=beyond_range(
                 aligner.offset(np.append(answer.vector, 0.0))[:6],
                 answer.covariance,
-                self.params.half_widths(),
+                params.half_widths(),
             ),
         )
 

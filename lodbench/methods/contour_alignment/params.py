@@ -190,6 +190,10 @@ class Params:
         """Returns the same for the alignment from afar, which ends where the other begins."""
         return _falling(self.basin_reach_px, self.reach_px, self.basin_steps)
 
+    def with_lens(self, percent: float | None) -> Params:
+        """Returns these parameters for a lens that is known no better than so, percent, where told."""
+        return self if percent is None else replace(self, lens_percent=max(self.lens_percent, percent))
+
     def for_prior(self, prior: UniformPrior) -> Params:
         """Returns these parameters for a prior's error of other half widths."""
         tilt_deg = prior.pitch_deg + prior.roll_deg

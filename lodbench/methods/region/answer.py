@@ -25,6 +25,8 @@ from lodbench.methods.region.unknowns import BESIDE_POSE, CAMERAS, LENS, POSE, P
 Floats = NDArray[np.float64]
 # How far apart outlines of cameras lie that the mean is taken of, pixels of the fine size.
 _APART_PX = 1.5
+# The deviation of a lens, percent, under which it was learnt how far a probability can be trusted.
+_TOLD_PERCENT = 0.2
 # Of (N, 10) vectors, and of a share of the photo's nats.
 Nats = Callable[[Floats, float], Floats]
 
@@ -113,7 +115,8 @@ class Answering:
         """
         params, roofs = self._params, self._roofs
         told = self._alignment(params.lens_percent, streams).from_best(starts, roofs)
-        if told is None or told.sharpness < params.least_sharpness or params.lens_doubt_percent <= 0:
+        has_doubt = params.lens_doubt_percent > params.lens_percent
+        if told is None or told.sharpness < params.least_sharpness or not has_doubt:
             return told
         other = self._alignment(params.lens_doubt_percent, streams).from_aligned(told, roofs)
         return told if other is None or other.lead_over(told) < params.lens_nats else other
@@ -148,8 +151,13 @@ class Answering:
 
         information = information_at(of_poses, pose, evidence, self._around)
         prior, outline = evidence.prior_information(), self._around.outline(pose, evidence)
-        covariance = covariance_under_map_errors(information, prior, outline)
-        return covariance, np.asarray(np.linalg.inv(information + prior))
+        lens_percent = self._params.lens_percent
+        covariance = covariance_under_map_errors(information, prior, outline, lens_percent)
+        if_right = np.linalg.inv(information + prior)
+        if lens_percent > _TOLD_PERCENT:
+            _, ridge = self._lens_ridge(vector, regions)
+            if_right += (lens_percent**2 - _TOLD_PERCENT**2) * np.outer(ridge[POSE], ridge[POSE])
+        return covariance, np.asarray(if_right)
 
     def _mean(self, nats: Nats, vector: Floats, covariance: Floats, regions: RoofEvidence) -> Floats:
         """Returns the posterior's mean around (10,), feet and eaves held; or, if so told, the point."""
@@ -170,14 +178,18 @@ class Answering:
 
     def _with_lens(self, vector: Floats, covariance: Floats, regions: RoofEvidence) -> Floats:
         """Returns the covariance (7, 7) of cameras around (10,), given that of poses, (6, 6)."""
+        variance, ridge = self._lens_ridge(vector, regions)
+        whole = variance * np.outer(ridge, ridge)
+        whole[POSE, POSE] += covariance
+        return np.asarray(whole)
+
+    def _lens_ridge(self, vector: Floats, regions: RoofEvidence) -> tuple[float, Floats]:
+        """Returns the variance of the lens around (10,), and (7,) how like cameras go with it."""
         evidence = regions.at(float(vector[ROOFS]))
         prior = regions.prior_information()[:CAMERAS, :CAMERAS]
         cloud = self._around.cloud(vector[:CAMERAS], evidence, _APART_PX, prior)
-        # A longer lens is made up for by poses that show the same.
         along = np.eye(CAMERAS)[LENS] / prior[LENS, LENS] if cloud is None else cloud.covariance[:, LENS]
-        whole = np.outer(along, along) / along[LENS]
-        whole[POSE, POSE] += covariance
-        return np.asarray(whole)
+        return float(along[LENS]), along / along[LENS]
 
 
 def _of_share(evidence: RoofEvidence) -> Nats:

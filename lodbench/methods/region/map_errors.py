@@ -21,8 +21,6 @@ Floats = NDArray[np.float64]
 # Standard deviations, metres: where a building stands, how high its roof is as a whole and by parts, how high
 # all roofs are, where walls end.
 _PLACE_M, _ROOF_M, _PART_M, _ROOFS_M, _BASE_M = 0.5, 0.7, 0.7, 0.35, 0.1
-# How far the lens may be from what is told, percent.
-_LENS_PERCENT = 0.2
 # Pixels of the fine size: how far outlines of a photo err together with what is near them, and each point by
 # itself; over which distance they do, and parts of a roof.
 _TOGETHER_PX, _OWN_PX, _NEAR_PX, _PART_PX = 1.0, 1.0, 12.0, 20.0
@@ -35,7 +33,7 @@ _UNSEEN = 1e-6
 
 
 def covariance_under_map_errors(
-    information: Floats, prior_information: Floats, points: OutlinePoints
+    information: Floats, prior_information: Floats, points: OutlinePoints, lens_percent: float
 ) -> Floats:
     """Returns the covariance (6, 6) of an answer's error, metres and degrees.
 
@@ -48,6 +46,7 @@ def covariance_under_map_errors(
         information: (6, 6) curvature of the likelihood: how much a photo says if the map is right.
         prior_information: (6, 6) the same of the prior.
         points: The outline from the answer, at the fine size.
+        lens_percent: Standard deviation of the focal length, percent.
     """
     if len(points) < _LEAST_POINTS:
         return np.asarray(np.linalg.inv(prior_information))
@@ -60,6 +59,9 @@ def covariance_under_map_errors(
     outline += _UNSEEN * np.trace(outline) / len(outline) * np.eye(len(outline))
     worth = max(float(np.median(eigh(information, outline, eigvals_only=True))), 0.0)
     variance = _variance_of_pulls(pulls, slopes, points.pixels[::stride], points.buildings[::stride])
+    for column, sigma in ((_ROOF, _ROOFS_M), (_LENS, lens_percent)):
+        of_all = pulls.T @ slopes[:, column]
+        variance += sigma**2 * np.outer(of_all, of_all)
     curvature = worth * outline + prior_information
     back = np.linalg.inv(curvature)
     covariance = back @ (curvature + worth**2 * variance) @ back
@@ -67,7 +69,7 @@ def covariance_under_map_errors(
 
 
 def _variance_of_pulls(pulls: Floats, slopes: Floats, pixels: Floats, buildings: NDArray[np.int64]) -> Floats:
-    """Returns (6, 6) how the sum of N points' pulls on the pose, (N, 6) per pixel, varies with the map."""
+    """Returns (6, 6) how the sum of N points' pulls on the pose, (N, 6) per pixel, varies with buildings."""
     lower = error_covariance(
         np.ascontiguousarray(pixels),
         np.ascontiguousarray(slopes[:, _ROOF]),
@@ -84,8 +86,4 @@ def _variance_of_pulls(pulls: Floats, slopes: Floats, pixels: Floats, buildings:
     # A building that stands elsewhere moves as the camera does, the other way.
     of_buildings = np.zeros((int(buildings.max()) + 1, 6, 2))
     np.add.at(of_buildings, buildings, pulls[:, :, None] * slopes[:, None, _EAST_NORTH])
-    variance += _PLACE_M**2 * np.einsum("kai,kbi->ab", of_buildings, of_buildings)
-    for column, sigma in ((_ROOF, _ROOFS_M), (_LENS, _LENS_PERCENT)):
-        of_all = pulls.T @ slopes[:, column]
-        variance += sigma**2 * np.outer(of_all, of_all)
-    return np.asarray(variance)
+    return np.asarray(variance + _PLACE_M**2 * np.einsum("kai,kbi->ab", of_buildings, of_buildings))

@@ -60,17 +60,18 @@ class Region:
         Raises:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
         """
-        photo, reach = query_photo(query), _reach(self.params)
+        params = self.params.with_lens(query.lens_percent)
+        photo, reach = query_photo(query), _reach(params)
         # The rest of the city, however large, is looked at this once.
         part = scene_in_reach(city_map.scene, query.camera, query.prior, *reach)
-        around = Surroundings(edges_in_reach(part, query.camera, query.prior, *reach), city_map, self.params)
+        around = Surroundings(edges_in_reach(part, query.camera, query.prior, *reach), city_map, params)
         seen = _Seen(query, photo, city_map, RaisedRoofs(city_map, part), around)
-        found = _found(seen, self.params, streams)
-        if _probability(found) >= TRUSTED or self.params.more_starts == 1:
+        found = _found(seen, params, streams)
+        if _probability(found) >= TRUSTED or params.more_starts == 1:
             return found
         again = _found(
             seen,
-            self.params.with_more_starts(),
+            params.with_more_starts(),
             lambda stage, step: streams(f"{stage} again", step),
             by_lines=True,
         )

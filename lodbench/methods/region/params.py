@@ -179,6 +179,10 @@ class Params:
         x, y, z, pitch, roll, yaw = self.half_widths()
         return x, y, z, pitch / math.sqrt(3.0), roll / math.sqrt(3.0), yaw
 
+    def with_lens(self, percent: float | None) -> Params:
+        """Returns these parameters for a lens that is known no better than so, percent, where told."""
+        return self if percent is None else replace(self, lens_percent=max(self.lens_percent, percent))
+
     def for_prior(self, prior: UniformPrior) -> Params:
         """Returns these parameters for a prior's error of other half widths."""
         tilt_deg = prior.pitch_deg + prior.roll_deg
