@@ -10,6 +10,7 @@
         masks/                  building masks, 255 = building (optional)
         instances/              labels of single buildings, 0 = none, one value per building (optional)
         sequences.txt           name sequence: which photos belong to one flight (optional)
+        lens_percent.txt        name percent: standard deviation of a focal length known badly (optional)
         reconstruction/         a COLMAP model of the photos, or a folder with one per flight (optional)
         dataset.json            where it came from: city model, reference system; and whether it has a
                                 truth and priors (optional)
@@ -34,6 +35,7 @@ from lodbench.datasets.pose_text import (
     lines_to_text,
     read_cameras,
     read_hypotheses,
+    read_percents,
     read_poses,
     read_words,
 )
@@ -44,7 +46,7 @@ from lodbench.geometry import Camera, Pose
 from lodbench.storage import write_text
 
 TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"
-SEQUENCE_FILE, RECONSTRUCTION_FOLDER = "sequences.txt", "reconstruction"
+SEQUENCE_FILE, LENS_FILE, RECONSTRUCTION_FOLDER = "sequences.txt", "lens_percent.txt", "reconstruction"
 # What training data calls the same: nothing there was measured on the ground.
 RENDERED_TRUTH_FILE, RENDERED_IMAGES = "poses.txt", "images"
 _LAYOUT_HINT = (
@@ -203,8 +205,14 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
         notes.append(f"{split}: there are no priors; prior=uniform draws them around the truth")
     sequences = read_words(folder / SEQUENCE_FILE) if (folder / SEQUENCE_FILE).is_file() else {}
     notes += [f"{split}: {note}" for note in _sequence_notes(sequences, names)]
+    lenses = read_percents(folder / LENS_FILE) if (folder / LENS_FILE).is_file() else {}
     entries = [
-        _entry(folder, split, name, cameras, priors.get(name, ()), sequences.get(name, "")) for name in names
+        replace(
+            _entry(folder, split, name, cameras, priors.get(name, ())),
+            sequence=sequences.get(name, ""),
+            lens_percent=lenses.get(name),
+        )
+        for name in names
     ]
     entries = _with_reconstructions(entries, folder / RECONSTRUCTION_FOLDER)
     tied = sum(entry.reconstructed is not None for entry in entries)
@@ -235,7 +243,6 @@ def _entry(
     name: str,
     cameras: dict[str, Camera],
     priors: tuple[Pose, ...],
-    sequence: str,
 ) -> Entry:
     return Entry(
         name=name,
@@ -245,7 +252,6 @@ def _entry(
         image=_first_file(folder / "Query_image", [name]) or _first_file(folder / RENDERED_IMAGES, [name]),
         mask=_first_file(folder / "masks", mask_names(name)),
         hypotheses=priors,
-        sequence=sequence,
         instances=_first_file(folder / INSTANCES_FOLDER, [Path(name).stem + ".png"]),
     )
 

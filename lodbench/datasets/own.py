@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from lodbench.datasets.folder import SEQUENCE_FILE, write_poses
+from lodbench.datasets.folder import LENS_FILE, SEQUENCE_FILE, write_poses
 from lodbench.datasets.folder_about import ABOUT_FILE, sealed_about
 from lodbench.datasets.photo_files import PHOTO_SUFFIXES, in_pose_lines, mask_names
 from lodbench.datasets.photo_flights import split_flights
@@ -38,6 +38,7 @@ class OwnImage:
         mask: Building mask of the photo as stored, or None.
         stated: What its photo says of itself, where the prior is from that; else None.
         no_prior: Why its photo, which was asked, gives no prior; "" where it does, or was not asked.
+        lens_percent: As of ``PhotoCamera``, where the camera is by what the photo says of itself.
     """
 
     name: str
@@ -48,6 +49,7 @@ class OwnImage:
     mask: Path | None = None
     stated: PhotoMetadata | None = None
     no_prior: str = ""
+    lens_percent: float | None = None
 
     @property
     def file_name(self) -> str:
@@ -248,5 +250,8 @@ def _write_texts(
     flights = _flights([(name, image) for name, image, _ in kept])
     if flights:
         write_text(folder / SEQUENCE_FILE, lines_to_text(flights))
+    lenses = [f"{name} {i.lens_percent:.2f}" for name, i, _ in kept if i.lens_percent is not None]
+    if lenses:
+        write_text(folder / LENS_FILE, lines_to_text(lenses))
     stated = sealed_about({"truth": bool(truth), "priors": bool(priors), **about})
     write_text(folder / ABOUT_FILE, json.dumps(stated, indent=2, ensure_ascii=False) + "\n")

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import OwnImage, find_mask, find_photo
-from lodbench.datasets.photo_camera import camera_from_photo
+from lodbench.datasets.photo_camera import PhotoCamera, camera_from_photo
 from lodbench.datasets.photo_files import find_photos, require_photos
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo, require_stated
@@ -49,10 +49,11 @@ def images_from_photos(
         try:
             photo = read_photo_metadata(path)
             require_stated(photo, heights, knows_camera=camera is not None)
-            found = camera or camera_from_photo(photo).camera
+            found = PhotoCamera(camera, "given") if camera else camera_from_photo(photo)
             prior = pose_from_photo(photo, frame, heights)
             mask = find_mask(masks, name)
-            images.append(OwnImage(name, found, prior=prior, photo=path, mask=mask, stated=photo))
+            own = OwnImage(name, found.camera, prior, photo=path, mask=mask, stated=photo)
+            images.append(replace(own, lens_percent=found.lens_percent))
         except LodbenchError as fault:
             # Should none be left, the last one's hint says what to do about all.
             left_out.append((name, fault.message))

@@ -59,6 +59,15 @@ def read_words(path: str | Path) -> dict[str, str]:
     return _only_ones(Path(path), _only_word, "name sequence")
 
 
+def read_percents(path: str | Path) -> dict[str, float]:
+    """Returns one number above 0 by image name, from lines ``name percent``.
+
+    Raises:
+        DatasetError: As for ``read_poses``.
+    """
+    return _only_ones(Path(path), _only_percent, "name percent")
+
+
 def format_pose(name: str, pose: Pose, decimals: tuple[int, int] | None = None) -> str:
     """Returns the line of a pose; its translation comes back to the last bit, its rotation to rounding.
 
@@ -93,6 +102,15 @@ def _only_word(words: list[str]) -> str:
         # It names a file of the run's folder.
         raise LodbenchError(f"{words[0]} is no plain name")
     return words[0]
+
+
+def _only_percent(words: list[str]) -> float:
+    if len(words) != 1:
+        raise LodbenchError(f"{len(words)} values after the name instead of 1")
+    percent = float(words[0])
+    if not 0 < percent <= 100:
+        raise LodbenchError(f"{words[0]} is not within 0 to 100")
+    return percent
 
 
 def _only_ones(path: Path, parse: Callable[[list[str]], T], layout: str) -> dict[str, T]:

@@ -82,6 +82,7 @@ class Entry:
         sequence: Name of the flight it was taken on, unique within its split; "" where nobody says.
         reconstructed: Its pose in a reconstruction of its flight, in a frame of that.
         instances: Labels of its buildings made beforehand, see ``lodbench.datasets.instance_labels``.
+        lens_percent: As of ``Query``.
     """
 
     name: str
@@ -94,6 +95,7 @@ class Entry:
     sequence: str = ""
     reconstructed: Pose | None = None
     instances: Path | None = None
+    lens_percent: float | None = None
 
     @property
     def key(self) -> str:

@@ -208,6 +208,21 @@ def test_a_photo_that_viewers_turn_is_told(capsys, tmp_path, shared_data):
     assert pose_error(pose_of(found["pose"]), case.truth).translation_m < 2.0
 
 
+def test_how_well_the_focal_length_is_known_is_told(capsys, tmp_path, shared_data):
+    """By EXIF, not by DJI's calibration: the height is open as far as the focal length is."""
+    case = make_case(tmp_path, shared_data, "nrw")
+    sure = localize(
+        capsys, case, tmp_path / "sure", "--mask", str(case.mask), "--method", "contour_alignment"
+    )
+    case.photo.write_bytes(case.photo.read_bytes().replace(b"DewarpData", b"DewarpNone"))
+    words = ["--mask", str(case.mask), "--method", "contour_alignment"]
+    found = localize(capsys, case, tmp_path / "o", *words)
+    assert (sure["camera"]["lens_percent"], found["camera"]["lens_percent"]) == (None, 1.0)
+    assert found["sigmas"]["z_m"] > 1.5 * sure["sigmas"]["z_m"]
+    assert main([str(case.photo), "--city", str(case.city), "--out", str(tmp_path / "text"), *words]) == 0
+    assert "camera: sensor, its focal length good to 1.0 %" in capsys.readouterr().out
+
+
 def test_a_height_above_another_zero_is_told(capsys, tmp_path, shared_data):
     case = make_case(tmp_path, shared_data, "nrw")
     words = [str(case.photo), "--city", str(case.city), "--out", str(tmp_path / "o")]

@@ -12,6 +12,7 @@ from lodbench.datasets.folder import FolderParams, open_folder, select_splits
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, Pose
+from lodbench.harness.runs.result import queries_digest
 
 POSE = "1 0 0 0 1 2 3"
 CAMERA = "PINHOLE 640 512 9 9 3 2"
@@ -72,6 +73,23 @@ class TestOneFolder:
             "flight: sequences.txt does not name b.jpg (2 such): these are taken for one flight",
             "flight: reconstruction has 1 of 3 photos, under their names",
         )
+
+    def test_how_well_lenses_are_known(self, tmp_path, city):
+        names = ("a.jpg", "b.jpg")
+        root = write_split(tmp_path / "flight", names, names, names)
+        (root / "lens_percent.txt").write_text("a.jpg 1.57\n")
+        dataset = open_at(root, city)
+        assert [entry.lens_percent for entry in dataset.entries] == [1.57, None]
+        known = tuple(replace(entry, lens_percent=None) for entry in dataset.entries)
+        assert queries_digest(dataset, dataset.entries) != queries_digest(dataset, known)
+
+    @pytest.mark.parametrize("percent", ["0", "-1", "nan", "wide", "1 2"])
+    def test_what_is_no_deviation_of_a_lens(self, tmp_path, city, percent):
+        root = write_split(tmp_path / "flight")
+        (root / "lens_percent.txt").write_text(f"a.jpg {percent}\n")
+        with pytest.raises(DatasetError, match=r"lens_percent\.txt, line 1") as fault:
+            open_at(root, city)
+        assert fault.value.hint == "Each line reads: name percent"
 
     def test_an_entry_holds_no_truth(self, tmp_path, city):
         (entry,) = open_at(write_split(tmp_path / "flight"), city).entries

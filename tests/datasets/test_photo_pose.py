@@ -244,7 +244,7 @@ class TestCamera:
         assert camera_from_photo(wide).source == "sensor"
 
     def test_how_well_a_focal_length_is_known_depends_on_where_it_is_from(self):
-        """Calibrated: as a method takes lenses to be. Nominal: a percent; a whole millimetre of 24: 1.2 more."""
+        """Calibrated: as methods take it. Nominal: a percent; a whole millimetre of 24: 1.2 more."""
         known = [
             replace(PHOTO, calibrated_focal_px=3666.0, focal_35mm=24.0),
             replace(PHOTO, model="FC6310R", focal_mm=8.8),
@@ -252,7 +252,7 @@ class TestCamera:
             replace(PHOTO, focal_35mm=162.0),
         ]
         percents = [camera_from_photo(photo).lens_percent for photo in known]
-        assert percents == [None, 1.0, pytest.approx(1.57, abs=0.01), pytest.approx(1.02, abs=0.01)]
+        assert percents == [None, 1.0, pytest.approx(1.564, abs=1e-3), pytest.approx(1.016, abs=1e-3)]
 
     def test_from_millimetres(self):
         table = camera_from_photo(replace(PHOTO, model="FC6310R", focal_mm=8.8))

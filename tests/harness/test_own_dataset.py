@@ -187,6 +187,28 @@ class TestFromPhotos:
             ("DJI_b2.JPG", "flight_2"),
         ]
 
+    @pytest.mark.parametrize(
+        ("changes", "percent"),
+        [
+            ([], None),
+            ([(b"DewarpData", b"DewarpNone")], 1.0),
+            ([(b"DewarpData", b"DewarpNone"), (b"FC6310R", b"FC6310X")], 1.56),
+        ],
+        ids=["calibrated", "sensor", "35mm"],
+    )
+    def test_a_focal_length_stays_known_as_well_as_it_is(self, capsys, tmp_path, case, changes, percent):
+        photo = case.photo.read_bytes()
+        for old, new in changes:
+            assert old in photo
+            photo = photo.replace(old, new)
+        (tmp_path / "flight").mkdir()
+        (tmp_path / "flight" / "DJI_0001.JPG").write_bytes(photo)
+        words = ["--images", tmp_path / "flight", "--city", case.city]
+        code, _, err = run(capsys, "dataset init", tmp_path / "town", *words)
+        assert code == 0, err
+        (entry,) = open_folder(FolderParams(str(tmp_path / "town"), str(case.city))).entries
+        assert entry.lens_percent == percent
+
     def test_nothing_is_written_over(self, capsys, tmp_path, case):
         (tmp_path / "town").mkdir()
         (tmp_path / "town" / "mine.txt").write_text("mine")

@@ -114,6 +114,7 @@ class Preparation:
             true_pixels=self._true_pixels(entry, camera) if Input.TRUE_PIXELS in self.needs else None,
             sequence=entry.sequence,
             reconstructed=entry.reconstructed,
+            lens_percent=entry.lens_percent,
         )
 
     def _true_pixels(self, entry: Entry, camera: Camera) -> Callable[[Points], Points]:

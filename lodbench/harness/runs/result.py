@@ -70,7 +70,7 @@ def chosen_entries(dataset: Dataset, splits: tuple[str, ...], limit: int | None)
 
 
 def queries_digest(dataset: Dataset, entries: tuple[Entry, ...]) -> str:
-    """Returns a digest of the names, cameras, priors and truth of some entries."""
+    """Returns a digest of some entries: names, cameras and how well these are known, priors, truth."""
     return digest_of(
         [
             [
@@ -78,6 +78,7 @@ def queries_digest(dataset: Dataset, entries: tuple[Entry, ...]) -> str:
                 repr(entry.camera),
                 pose_numbers(entry.prior),
                 pose_numbers(dataset.truth.get(entry.key)),
+                *([] if entry.lens_percent is None else [entry.lens_percent]),
             ]
             for entry in entries
         ]
