@@ -255,6 +255,7 @@ class TestTheMethodNeverSeesTheTruth:
             "segment",
             "sequence",
             "reconstructed",  # in a frame of its own
+            "lens_percent",
             "true_pixels",  # for oracles alone
         }
         assert Input.TRUE_PIXELS not in made_inputs(LodLocV2())

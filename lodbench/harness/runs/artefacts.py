@@ -52,6 +52,12 @@ def write_artefacts(run: Result, config_yaml: str) -> None:
     write_text(run.folder / "provenance.json", _json(provenance))
 
 
+def _crs(run: Result) -> str | None:
+    """Returns the reference system of poses; of a dataset's own account whatever text can hold of it."""
+    crs = (run.preparation.scene.crs if isinstance(run, Run) else None) or run.dataset.crs
+    return None if crs is None else crs.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 def summary_of(run: Result) -> dict[str, Any]:
     """Returns the summary: protocol, recalls by split, the priors' own, failures by reason."""
     splits, priors = {}, {}
@@ -119,7 +125,7 @@ def _provenance(run: Result) -> dict[str, Any]:
         "machine": platform.machine(),
         "system": platform.platform(),
         "city_model": None if city is None else str(Path(city).resolve()),
-        "crs": (run.preparation.scene.crs if isinstance(run, Run) else None) or run.dataset.crs,
+        "crs": _crs(run),
         "dataset_root": str(Path(run.dataset.root).resolve()),
         **(_work(run) if isinstance(run, Run) else {}),
         "seconds_per_query": {
