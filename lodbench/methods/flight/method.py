@@ -86,7 +86,9 @@ class FlightMethod:
         """Returns what is found of each photo by itself, in their order."""
         by_looks = self.params.single == "region"
         single = Region(self.params.region()) if by_looks else ContourAlignment(self.params.photo())
-        return [_alone(single, query, city_map, own) for query, own in zip(queries, streams, strict=True)]
+        # With the lens as told: how far it is from that is the flight's to find, which all photos share.
+        told = [replace(query, lens_percent=None) for query in queries]
+        return [_alone(single, query, city_map, own) for query, own in zip(told, streams, strict=True)]
 
     def solve(
         self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
