@@ -59,6 +59,17 @@ def test_a_flight_is_found_with_a_focal_length_and_a_gimbal_that_are_off(found):
     assert all(each.probability > 0.8 for each in answer.estimates)
 
 
+def test_each_photo_is_found_with_the_lens_as_told(city_map):
+    """However badly that is known: how far off it is all photos tell together."""
+    queries, _ = flight(city_map, count=2)
+    unsure = [replace(query, lens_percent=3.0) for query in queries]
+    streams = [partial(random_stream, 0, "test")] * 2
+    told, same = (FlightMethod().localize_alone(each, city_map, streams) for each in (queries, unsure))
+    for first, second in zip(told, same, strict=True):
+        np.testing.assert_array_equal(first.pose.center, second.pose.center)
+        np.testing.assert_array_equal(first.covariance, second.covariance)
+
+
 def test_what_photos_share_is_told_with_its_sigma(found):
     constants = found[0].findings["constants"]
     for name, value, tolerance in (
