@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from itertools import product
 
 import cv2
 import numpy as np
@@ -76,7 +77,7 @@ def test_points_move_by_their_share_of_the_height(scene, roofs):
 def test_evidence_is_that_of_the_map_with_those_roofs(scene, roofs, queries, truths):
     params = Params()
     fit = PhotoFit(photo_of(roofs.at(0), truths[0], 0), (200, 150), params, False)
-    evidence = RoofEvidence(queries[0], roofs, fit, params, lens_percent=0.2)
+    evidence = RoofEvidence(queries[0], roofs, fit, params)
     poses = vector_from_pose(truths[0]) + random_stream(0, "poses").normal(0.0, 0.5, (6, 6))
     heights = np.array([-1.5, 0.0, 0.2, 0.9, 1.0, 7.0])
     nats = evidence.nats(np.column_stack([poses, np.zeros(6), heights, np.full((6, 2), 0.4)]))
@@ -97,15 +98,18 @@ def test_lines_know_how_high_roofs_are(roofs, queries, truths):
             assert abs(heights[int(np.argmax(nats))] + 1.0) <= 0.5
 
 
-def mean_errors(city_map, town, told, folder):
-    """Returns the mean error, metres, over six photos of a town, under each of some parameters."""
+def mean_errors(city_map, town, told, folder, seeds=(0,)):
+    """Returns the mean error, metres, over six photos of a town, under each of some parameters.
+
+    Where that is a tenth better or worse by chance, as from processor to processor, several seeds are due.
+    """
     errors = {params: [] for params in told}
     for number, truth in enumerate(true_poses(6).values()):
         path = folder / f"{number}.png"
         cv2.imwrite(str(path), photo_of(town, truth, number))
         query = Query(path.name, "all", CAMERA, prior_of(truth), None, path)
-        for params, found in errors.items():
-            estimate = Region(params).localize(query, city_map, partial(random_stream, 0, "test"))
+        for (params, found), seed in product(errors.items(), seeds):
+            estimate = Region(params).localize(query, city_map, partial(random_stream, seed, "test"))
             found.append(pose_error(estimate.pose, truth).translation_m)
     return [float(np.mean(found)) for found in errors.values()]
 
@@ -149,8 +153,9 @@ def test_lines_tell_each_roof_s_height(roofs, uneven, queries, truths):
     assert np.mean(np.sign(found) == np.sign(true)) > 0.9
 
 
-def test_roofs_that_err_each_by_itself_lead_no_answer_astray(city_map, uneven, tmp_path):
-    """Photos of the uneven town, over the map that does not know."""
+def test_roofs_that_err_each_by_itself_lead_no_answer_astray(city_map, roofs, uneven, tmp_path):
+    """Photos of a town more uneven still, over the map that does not know."""
+    town = roofs.each_by_itself(5.0 / 3.0 * uneven[1], 0.0, 0.0)
     told = [replace(FAST, own_roofs_m=own_roofs_m) for own_roofs_m in (0.0, 1.0)]
-    trusting, doubting = mean_errors(city_map, uneven[0].at(0), told, tmp_path)
+    trusting, doubting = mean_errors(city_map, town.at(0), told, tmp_path)
     assert doubting < 0.95 * trusting
