@@ -67,7 +67,9 @@ def errors_of(city_map, folder, percent, params):
 def test_a_longer_lens_is_found_and_told(city_map, tmp_path):
     """4 % are five metres of height, which whoever believes what is told makes up for."""
     believing, _ = errors_of(city_map, tmp_path, 4.0, replace(FAST, lens_doubt_percent=0.0))
-    doubting, notes = errors_of(city_map, tmp_path, 4.0, replace(FAST, lens_doubt_percent=4.0, lens_nats=1.0))
+    doubting, notes = errors_of(
+        city_map, tmp_path, 4.0, replace(FAST, lens_doubt_percent=4.0, doubt_nats=1.0)
+    )
     assert np.median(believing) > 3.0
     assert np.median(doubting) < 0.7 * np.median(believing)
     assert any("focal length" in note and "longer" in note for note in notes)

@@ -107,7 +107,7 @@ def test_lines_choose_among_the_search_s_tops(city_map, scene, roofs, queries, t
         reach = scene, query.camera, query.prior, 60.0, 20.0
         around = Surroundings(edges_in_reach(*reach), city_map, params)
         fit = PhotoFit(photo, (200, 150), params, is_coarse=False)
-        regions_of = partial(RoofEvidence, query, fit=fit, params=params, lens_percent=0.2)
+        regions_of = partial(RoofEvidence, query, fit=fit, params=params)
         streams = partial(random_stream, 0, "test", number)
         starts = with_roofs(truth) + np.roll(np.pad(moves, ((0, 0), (0, ALL - 3))), number, axis=0)
         found = Alignment(photo, query, regions_of, around, params, streams).from_best(starts, roofs)

@@ -122,9 +122,16 @@ class Alignment:
         found = begun[int(evidence.argmax())]
         return self._refined(1, found.vector, found.lines, roofs, evidence)
 
-    def from_aligned(self, other: Aligned, roofs: RaisedRoofs) -> Aligned | None:
-        """Returns what is near a place that another belief led to; None without lines in view."""
-        return self._refined(len(_ROUNDS) - 1, other.vector, other.lines, roofs, other.evidence)
+    def from_aligned(self, other: Aligned, roofs: RaisedRoofs, is_far: bool = False) -> Aligned | None:
+        """Returns what is near a place that another belief led to; None without lines in view.
+
+        Args:
+            other: There.
+            roofs: As in the map.
+            is_far: Whether the belief may move it by metres, in all rounds, or a little, in the last.
+        """
+        first = 0 if is_far else len(_ROUNDS) - 1
+        return self._refined(first, other.vector, other.lines, roofs, other.evidence)
 
     def _refined(
         self, first: int, vector: Floats, lines: LineFit, roofs: RaisedRoofs, evidence: Floats

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +21,13 @@ from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
 from lodbench.methods.region.search import Mode, Surroundings
 from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES, LineSigns
 from lodbench.methods.region.uncertainty import information_at
-from lodbench.methods.region.unknowns import BESIDE_POSE, CAMERAS, LENS, POSE, POSES, RAISED, ROOFS
+from lodbench.methods.region.unknowns import BESIDE_POSE, CAMERAS, LENS, POSE, POSES, RAISED, ROOFS, TILT
 
 Floats = NDArray[np.float64]
 # How far apart outlines of cameras lie that the mean is taken of, pixels of the fine size.
 _APART_PX = 1.5
+# How much of the range of tilts an answer has to take for the range to be doubted.
+_PULLED = 0.7
 # The deviation of a lens, percent, under which it was learnt how far a probability can be trusted.
 _TOLD_PERCENT = 0.2
 # Of (N, 10) vectors, and of a share of the photo's nats.
@@ -109,36 +112,54 @@ class Answering:
         return Answer(mean[POSE], *covariances, *signs, aligned.evidence, float(mean[LENS]))
 
     def _best_aligned(self, starts: Floats, streams: Streams) -> Aligned | None:
-        """Returns the lines on the edges with the lens as told, or another where that is plainly better.
+        """Returns the lines on the edges as all is told, or with another tilt or lens where that is plain.
 
-        Only beside an exact map does a photo tell its lens: elsewhere roofs make up for it (docs/adr/0061).
+        Another tilt first, and only where the photo pulls at the one that is told (docs/adr/0064); another
+        lens only beside an exact map: elsewhere roofs make up for it (docs/adr/0061).
         """
-        params, roofs = self._params, self._roofs
-        told = self._alignment(params.lens_percent, streams).from_best(starts, roofs)
-        has_doubt = params.lens_doubt_percent > params.lens_percent
-        if told is None or told.sharpness < params.least_sharpness or not has_doubt:
-            return told
-        other = self._alignment(params.lens_doubt_percent, streams).from_aligned(told, roofs)
-        return told if other is None or other.lead_over(told) < params.lens_nats else other
+        params = self._params
+        found = self._alignment(params, streams).from_best(starts, self._roofs)
+        if found is None:
+            return None
+        if self._pulls_at_tilt(found):
+            wide = replace(params, range_tilt_deg=2.0 * params.tilt_doubt_deg)
+            other = self._alignment(wide, streams).from_aligned(found, self._roofs, is_far=True)
+            if self._is_plain(other, found):
+                found, params = other, wide
+        if params.lens_doubt_percent > params.lens_percent and found.sharpness >= params.least_sharpness:
+            wide = replace(params, lens_percent=params.lens_doubt_percent)
+            other = self._alignment(wide, streams).from_aligned(found, self._roofs)
+            if self._is_plain(other, found):
+                found = other
+        return found
 
-    def _alignment(self, lens_percent: float, streams: Streams) -> Alignment:
-        """Returns what lays the model's lines on the photo's edges, the lens off by such a deviation."""
+    def _pulls_at_tilt(self, found: Aligned) -> bool:
+        """Returns whether pitch or roll ends so near the end of its range, or beyond, that both may err more."""
+        range_deg = self._params.range_tilt_deg
+        if not 0.0 < range_deg < 2.0 * self._params.tilt_doubt_deg:
+            return False
+        tilt_deg = found.regions.at(0.0).offsets(found.vector[None, POSE])[0, TILT]
+        return bool(np.abs(tilt_deg).max() > _PULLED * 0.5 * range_deg)
+
+    def _is_plain(self, other: Aligned | None, found: Aligned) -> TypeGuard[Aligned]:
+        return other is not None and other.lead_over(found) >= self._params.doubt_nats
+
+    def _alignment(self, params: Params, streams: Streams) -> Alignment:
+        """Returns what lays the model's lines on the photo's edges, with tilt and lens as well known as so."""
         # Lines say what edges say, and more: the regions join them without.
-        fit, params = self._fit.with_edges(0.0), self._params
-        regions_of = partial(RoofEvidence, self._query, fit=fit, params=params, lens_percent=lens_percent)
+        regions_of = partial(RoofEvidence, self._query, fit=self._fit.with_edges(0.0), params=params)
         return Alignment(self._photo, self._query, regions_of, self._around, params, streams)
 
     def _by_regions(self, vector: Floats, signs: LineSigns, evidence: Floats) -> Answer:
         """Returns the mean of what regions and outlines leave around (10,), of a wider photo."""
         params, of_map = self._params, (self._query, self._roofs)
-        lens_percent = params.lens_percent
-        fine = RoofEvidence(*of_map, self._fit, params, lens_percent)
+        fine = RoofEvidence(*of_map, self._fit, params)
         covariances = self._certainty(_of_share(fine), vector, fine)
         if params.place_sigma_m <= 0:
             return Answer(vector[POSE], *covariances, *signs, evidence)
         size = working_size(self._query.camera, params.mean_width)
         of_wide = PhotoFit(self._photo, size, params, is_coarse=False)
-        wide = RoofEvidence(*of_map, of_wide, params, lens_percent)
+        wide = RoofEvidence(*of_map, of_wide, params)
         mean = self._mean(_of_share(wide), vector, covariances[0], wide)
         return Answer(mean[POSE], *covariances, *signs, evidence)
 

@@ -16,7 +16,7 @@ _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_d
 _AT_LEAST_0 = (
     *("beyond_m", "beyond_yaw_deg", "effective_pixels", "edge_weight", "coarse_edge_weight"),
     *("judging_edge_weight", "roofs_m", "own_roofs_m", "feet_m", "eaves_m", "place_sigma_m", "lines_weight"),
-    *("least_sharpness", "lens_doubt_percent", "lens_nats"),
+    *("least_sharpness", "tilt_doubt_deg", "lens_doubt_percent", "doubt_nats"),
 )
 _POSITIVE = (
     *("stride_m", "stride_z_m", "stride_yaw_deg", "coarse_spread_px", "fine_spread_px", "edge_blur_px"),
@@ -68,7 +68,9 @@ class Params:
             at all, which is as likely as not: a standard deviation, metres; 0 for a map of roof outlines.
         lens_percent: Standard deviation of the focal length, percent.
         lens_doubt_percent: The same where the photo speaks against what is told; 0 believes that anyway.
-        lens_nats: By how many nats lines must be likelier with another lens for it to be believed.
+        tilt_doubt_deg: How far pitch and roll may be off where the photo speaks against the range that is
+            told, degrees; 0 believes that anyway, and so does a range of 0.
+        doubt_nats: By how many nats lines must be likelier with another tilt or lens for it to be believed.
         mean_width: Width of silhouettes where the answer becomes the mean of the posterior, pixels.
         place_sigma_m: How wide the posterior leaves the place there at least, a standard deviation, metres:
             so far maps and edges err together; 0 leaves the answer at the best pose.
@@ -110,7 +112,8 @@ class Params:
     eaves_m: float = 0.4
     lens_percent: float = 0.2
     lens_doubt_percent: float = 2.0
-    lens_nats: float = 20.0
+    tilt_doubt_deg: float = 5.0
+    doubt_nats: float = 20.0
     mean_width: int = 640
     place_sigma_m: float = 0.8
     lines_width: int = 960

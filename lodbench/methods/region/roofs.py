@@ -161,12 +161,10 @@ class RoofEvidence:
     last two numbers say.
     """
 
-    def __init__(
-        self, query: Query, roofs: RaisedRoofs, fit: PhotoFit, params: Params, lens_percent: float
-    ) -> None:
+    def __init__(self, query: Query, roofs: RaisedRoofs, fit: PhotoFit, params: Params) -> None:
         self._evidence = lru_cache(None)(lambda step: Evidence(query, roofs.at(step), fit, params))
         self._sigmas_m = np.maximum([params.roofs_m, params.feet_m, params.eaves_m], _LEAST_SIGMA_M)
-        self._lens_percent = lens_percent
+        self._lens_percent = params.lens_percent
 
     def at(self, roofs_m: float) -> Evidence:
         """Returns the evidence on poses alone, (N, 6), of roofs so much higher."""
