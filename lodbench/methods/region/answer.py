@@ -134,7 +134,7 @@ class Answering:
         return found
 
     def _pulls_at_tilt(self, found: Aligned) -> bool:
-        """Returns whether pitch or roll ends so near the end of its range, or beyond, that both may err more."""
+        """Returns whether pitch or roll ends so near the end of its range that both may err more."""
         range_deg = self._params.range_tilt_deg
         if not 0.0 < range_deg < 2.0 * self._params.tilt_doubt_deg:
             return False
@@ -145,7 +145,7 @@ class Answering:
         return other is not None and other.lead_over(found) >= self._params.doubt_nats
 
     def _alignment(self, params: Params, streams: Streams) -> Alignment:
-        """Returns what lays the model's lines on the photo's edges, with tilt and lens as well known as so."""
+        """Returns what lays the model's lines on the photo's edges, tilt and lens known so well."""
         # Lines say what edges say, and more: the regions join them without.
         regions_of = partial(RoofEvidence, self._query, fit=self._fit.with_edges(0.0), params=params)
         return Alignment(self._photo, self._query, regions_of, self._around, params, streams)
