@@ -1,8 +1,8 @@
-"""How strongly a photo changes along every direction at every pixel, and what a model's lines find there."""
+"""How strongly a photo changes along every direction at every pixel."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,9 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lodbench.rendering.mean_around import mean_around
-from lodbench.rendering.projection import camera_axes
 
-Floats = NDArray[np.float64]
 Levels = NDArray[np.uint8]
 
 # Levels of strength, equally full over all pixels and directions, and directions over half a turn.
@@ -23,30 +21,6 @@ _AROUND_SHARE = 12.0
 _STEP = 3
 # Steps of strength per mean strength, and how many are told apart.
 _FINE_STEPS, _FINEST = 256.0, 4095
-# Cosine and sine of the angles between one direction and the next.
-_BOUNDS = np.stack(
-    [turn((np.arange(DIRECTIONS) + 0.5) * (np.pi / DIRECTIONS)) for turn in (np.cos, np.sin)], axis=1
-)
-
-
-class LinePoints(NamedTuple):
-    """P points of lines, for the kernel.
-
-    Attributes:
-        points: (P, 2, 3) float64 a point and another farther along its line, scene metres.
-        rises: (P, 2) float64 by how much either moves up where roofs are a metre higher, metres.
-        lifts: (P, 2) float64 by how much either moves up where walls end a metre higher, metres.
-        outward: (P, 2) float64 how far the first moves along x and y where eaves stand out a metre farther.
-        kinds: (P,) int64 which worth its levels have.
-        buildings: (P,) int64 whose sum it is added to.
-    """
-
-    points: Floats
-    rises: Floats
-    lifts: Floats
-    outward: Floats
-    kinds: NDArray[np.int64]
-    buildings: NDArray[np.int64]
 
 
 def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Levels:
@@ -113,74 +87,3 @@ def _looked_up(forms, turns, table):  # type: ignore[no-untyped-def]  # noqa: AN
                 step = np.sqrt(max(square, 0.0)) * _FINE_STEPS
                 levels[row, column, k] = table[int(min(step, _FINEST))]
     return levels
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, offset_px, own_m, worth, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Adds up what the levels are worth that points of lines meet in a photo; outside is worth nothing.
-
-    For N poses, and for each building by itself at D heights of its roof.
-
-    Args:
-        lines: Their P points.
-        rotations: (N, 3, 3) cam_from_world.
-        centers: (N, 3) metres.
-        of_all_m: (N, 3) how much higher than the points say all roofs and the feet of all walls are taken to
-            be, and how much farther all eaves to stand out, metres.
-        intrinsics: fx, fy, cx, cy.
-        levels: (H, W, 12) uint8 of ``directed_edge_levels``.
-        offset_px: How far beside the line to look.
-        own_m: (D,) how much higher than that the building's own roof is, metres.
-        worth: (K, 16) float64 of each level, by the points' kinds.
-        sums: (N, B, D) float64 to add to.
-    """
-    points, rises, lifts, outward, kinds, buildings = lines
-    height, width = levels.shape[:2]
-    focal_x, focal_y, middle_x, middle_y = intrinsics
-    # Poses in the inner loop: they are close together, and so is what they look up of one point.
-    for i in range(len(points)):
-        p, q, building, values = points[i, 0], points[i, 1], buildings[i], worth[kinds[i]]
-        rise, rise_along, out_x, out_y = rises[i, 0], rises[i, 1], outward[i, 0], outward[i, 1]
-        lift, lift_along = lifts[i, 0], lifts[i, 1]
-        for n in range(len(rotations)):
-            roofs_m, feet_m, eaves_m = of_all_m[n, 0], of_all_m[n, 1], of_all_m[n, 2]
-            p_z = p[2] + rise * roofs_m + lift * feet_m
-            q_z = q[2] + rise_along * roofs_m + lift_along * feet_m
-            # Lines move out without turning.
-            east, north = eaves_m * out_x, eaves_m * out_y
-            x, y, z = camera_axes(p[0] + east, p[1] + north, p_z, rotations[n], centers[n])
-            s, t, r = camera_axes(q[0] + east, q[1] + north, q_z, rotations[n], centers[n])
-            if z < 1.0 or r < 1.0:
-                continue
-            # A roof of another height shifts its lines; that it turns them is left out.
-            across_u, across_v = focal_y * (y * r - t * z), focal_x * (s * z - x * r)
-            direction = _direction(across_u, across_v)
-            left, top = middle_x, middle_y
-            if offset_px != 0.0:
-                share = offset_px / max(np.sqrt(across_u * across_u + across_v * across_v), 1e-12)
-                left, top = left + share * across_u, top + share * across_v
-            up_x, up_y, up_z = rise * rotations[n, 0, 2], rise * rotations[n, 1, 2], rise * rotations[n, 2, 2]
-            for d in range(len(own_m)):
-                depth = z + own_m[d] * up_z
-                if depth < 1.0:
-                    continue
-                near = 1.0 / depth
-                u = left + focal_x * (x + own_m[d] * up_x) * near
-                v = top + focal_y * (y + own_m[d] * up_y) * near
-                if 0.0 <= u < width and 0.0 <= v < height:
-                    sums[n, building, d] += values[levels[int(v), int(u), direction]]
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _direction(across_u, across_v):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Returns which of the directions over half a turn is nearest to a vector's, without its angle."""
-    if across_v < 0.0 or (across_v == 0.0 and across_u < 0.0):
-        across_u, across_v = -across_u, -across_v
-    first, last = 0, DIRECTIONS
-    while first < last:
-        middle = (first + last) // 2
-        if _BOUNDS[middle, 0] * across_v >= _BOUNDS[middle, 1] * across_u:
-            first = middle + 1
-        else:
-            last = middle
-    return first % DIRECTIONS

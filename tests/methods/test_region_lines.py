@@ -110,7 +110,8 @@ def test_lines_choose_among_the_search_s_tops(city_map, scene, roofs, queries, t
         regions_of = partial(RoofEvidence, query, fit=fit, params=params)
         streams = partial(random_stream, 0, "test", number)
         starts = with_roofs(truth) + np.roll(np.pad(moves, ((0, 0), (0, ALL - 3))), number, axis=0)
-        found = Alignment(photo, query, regions_of, around, params, streams).from_best(starts, roofs)
+        levels_at = partial(levels_of, photo, query, params=params)
+        found = Alignment(levels_at, query, regions_of, around, params, streams).from_best(starts, roofs)
         assert int(found.evidence.argmax()) == (len(moves) - 1 + number) % len(moves)
         assert np.linalg.norm(found.vector[:3] - truth.center) < 1.0
         # Hopeless ones are not followed.

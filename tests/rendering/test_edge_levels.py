@@ -9,10 +9,9 @@ from lodbench.geometry.angles import rotation_from_euler
 from lodbench.rendering.edge_levels import (
     DIRECTIONS,
     EDGE_LEVELS,
-    LinePoints,
     directed_edge_levels,
-    sum_along_lines,
 )
+from lodbench.rendering.line_sums import LinePoints, sum_along_lines
 
 
 def test_levels_are_equally_full_and_have_the_edge_s_direction():

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from lodbench.datasets.query import Query
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evolution import Cloud, climb
-from lodbench.methods.region.lines import LineFit, levels_of
+from lodbench.methods.region.lines import LineFit
 from lodbench.methods.region.params import Params
 from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
 from lodbench.methods.region.search import Surroundings
 from lodbench.methods.region.unknowns import EAVES, FEET, OUTLINES, ROOFS
+from lodbench.rendering.edge_levels import Levels
 
 Floats = NDArray[np.float64]
 
@@ -86,7 +87,7 @@ class Alignment:
     """Lays the model's lines over one photo.
 
     Args:
-        photo: As of ``read_picture``.
+        levels_at: How strongly the photo changes, as of ``levels_of``, after a blur, pixels.
         query: The query.
         regions_of: What regions and prior say, of roofs.
         around: How the outline moves.
@@ -96,14 +97,14 @@ class Alignment:
 
     def __init__(
         self,
-        photo: NDArray[Any],
+        levels_at: Callable[[float], Levels],
         query: Query,
         regions_of: Callable[[RaisedRoofs], RoofEvidence],
         around: Surroundings,
         params: Params,
         streams: Streams,
     ) -> None:
-        self._photo, self._query, self._regions_of = photo, query, regions_of
+        self._levels_at, self._query, self._regions_of = levels_at, query, regions_of
         self._around, self._params, self._streams = around, params, streams
 
     def from_best(self, starts: Floats, roofs: RaisedRoofs) -> Aligned | None:
@@ -148,7 +149,7 @@ class Alignment:
     def _begun(self, number: int, starts: Floats, roofs: RaisedRoofs) -> dict[int, _Round]:
         """Returns what a round sees from each of (M, 10), but for those without lines in view."""
         blur_px, spread_px = _ROUNDS[number]
-        levels, regions = levels_of(self._photo, self._query, blur_px, self._params), self._regions_of(roofs)
+        levels, regions = self._levels_at(blur_px), self._regions_of(roofs)
 
         def begin(start: Floats) -> _Round | None:
             lines = LineFit(levels, self._query, roofs, start, self._params)

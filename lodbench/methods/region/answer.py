@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple, TypeGuard
 
 import numpy as np
@@ -15,6 +15,7 @@ from lodbench.methods.protocol import Streams
 from lodbench.methods.region.aligned import Aligned, Alignment
 from lodbench.methods.region.averaging import posterior_mean
 from lodbench.methods.region.evidence import PhotoFit
+from lodbench.methods.region.lines import levels_of
 from lodbench.methods.region.map_errors import covariance_under_map_errors
 from lodbench.methods.region.params import Params, working_size
 from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
@@ -82,6 +83,8 @@ class Answering:
     ) -> None:
         self._photo, self._query, self._roofs = photo, query, roofs
         self._around, self._params = around, params
+        # Beliefs in tilt and lens are laid over the same edges.
+        self._levels_at = cache(lambda blur_px: levels_of(photo, query, blur_px, params))
         self._fit = PhotoFit(photo, working_size(query.camera, params.fine_width), params, is_coarse=False)
 
     def answer(self, tops: list[Mode], streams: Streams) -> Answer:
@@ -148,7 +151,7 @@ class Answering:
         """Returns what lays the model's lines on the photo's edges, tilt and lens known so well."""
         # Lines say what edges say, and more: the regions join them without.
         regions_of = partial(RoofEvidence, self._query, fit=self._fit.with_edges(0.0), params=params)
-        return Alignment(self._photo, self._query, regions_of, self._around, params, streams)
+        return Alignment(self._levels_at, self._query, regions_of, self._around, params, streams)
 
     def _by_regions(self, vector: Floats, signs: LineSigns, evidence: Floats) -> Answer:
         """Returns the mean of what regions and outlines leave around (10,), of a wider photo."""

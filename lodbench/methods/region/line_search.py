@@ -25,7 +25,8 @@ from lodbench.methods.region.params import Params
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.search import samples, tops_of
 from lodbench.methods.region.unknowns import ALL, BESIDE_POSE, ROOFS
-from lodbench.rendering.edge_levels import Levels, LinePoints, sum_along_lines
+from lodbench.rendering.edge_levels import Levels
+from lodbench.rendering.line_sums import LinePoints, sum_along_lines
 
 Floats = NDArray[np.float64]
 

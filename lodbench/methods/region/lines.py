@@ -24,10 +24,9 @@ from lodbench.methods.region.unknowns import POSE, ROOFS
 from lodbench.rendering.edge_levels import (
     EDGE_LEVELS,
     Levels,
-    LinePoints,
     directed_edge_levels,
-    sum_along_lines,
 )
+from lodbench.rendering.line_sums import LinePoints, sum_along_lines
 
 Floats = NDArray[np.float64]
 

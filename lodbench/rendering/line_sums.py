@@ -1,0 +1,169 @@
+"""What a model's lines find in a photo's edges, for many poses at a time."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lodbench.rendering.edge_levels import DIRECTIONS
+
+Floats = NDArray[np.float64]
+
+# Cosine and sine of the angles between one direction and the next.
+_COSINES, _SINES = (turn((np.arange(DIRECTIONS) + 0.5) * (np.pi / DIRECTIONS)) for turn in (np.cos, np.sin))
+# What is nearer is not looked at, metres.
+_NEAREST_M = 1.0
+
+
+class LinePoints(NamedTuple):
+    """P points of lines, for the kernel.
+
+    Attributes:
+        points: (P, 2, 3) float64 a point and another farther along its line, scene metres.
+        rises: (P, 2) float64 by how much either moves up where roofs are a metre higher, metres.
+        lifts: (P, 2) float64 by how much either moves up where walls end a metre higher, metres.
+        outward: (P, 2) float64 how far the first moves along x and y where eaves stand out a metre farther.
+        kinds: (P,) int64 which worth its levels have.
+        buildings: (P,) int64 whose sum it is added to.
+    """
+
+    points: Floats
+    rises: Floats
+    lifts: Floats
+    outward: Floats
+    kinds: NDArray[np.int64]
+    buildings: NDArray[np.int64]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, offset_px, own_m, worth, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Adds up what the levels are worth that points of lines meet in a photo; outside is worth nothing.
+
+    For N poses, and for each building by itself at D heights of its roof.
+
+    Args:
+        lines: Their P points.
+        rotations: (N, 3, 3) cam_from_world.
+        centers: (N, 3) metres.
+        of_all_m: (N, 3) how much higher than the points say all roofs and the feet of all walls are taken to
+            be, and how much farther all eaves to stand out, metres.
+        intrinsics: fx, fy, cx, cy.
+        levels: (H, W, 12) uint8 of ``directed_edge_levels``.
+        offset_px: How far beside the line to look.
+        own_m: (D,) how much higher than that the building's own roof is, metres.
+        worth: (K, 16) float64 of each level, by the points' kinds.
+        sums: (N, B, D) float64 to add to.
+    """
+    points, rises, lifts, outward, kinds, buildings = lines
+    # Poses lie side by side and in the inner loops, so that several are worked on at a time.
+    count, all_levels = len(rotations), levels.ravel()
+    rows = np.ascontiguousarray(rotations.reshape(count, 9).T)
+    turns = (rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8])
+    rows = np.ascontiguousarray(centers.T)
+    places = (rows[0], rows[1], rows[2])
+    rows = np.ascontiguousarray(of_all_m.T)
+    of_all = (rows[0], rows[1], rows[2])
+    # Each an array of its own: of parts of one a compiler cannot know that they do not overlap.
+    x, y, z, nearer = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    across_u, across_v, left, top = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    directions, cells = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    seen, across, starts = (x, y, z, nearer), (across_u, across_v), (left, top)
+    for i in range(len(points)):
+        rise, building, values = rises[i, 0], buildings[i], worth[kinds[i]]
+        _see_lines(points[i], rises[i], lifts[i], outward[i], turns, places, of_all, intrinsics, seen, across)
+        _find_directions(across, directions)
+        _step_aside(offset_px, intrinsics, across, starts)
+        # Feet of walls stay where they are, however high the roof.
+        heights = len(own_m) if rise != 0.0 else 1
+        for d in range(heights):
+            _find_cells(own_m[d], rise, turns, seen, starts, directions, intrinsics, levels.shape, cells)
+            if heights == len(own_m):
+                for n in range(count):
+                    if cells[n] >= 0:
+                        sums[n, building, d] += values[all_levels[cells[n]]]
+            else:
+                for n in range(count):
+                    if cells[n] >= 0:
+                        value = values[all_levels[cells[n]]]
+                        for k in range(len(own_m)):
+                            sums[n, building, k] += value
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _see_lines(ends, rises, lifts, outward, turns, centers, of_all, intrinsics, seen, across):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Writes where a line's point and its nearer end are in the axes of each camera, and what is across it.
+
+    The former in metres, the latter a direction in the picture.
+    """
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = turns
+    (c0, c1, c2), (all_roofs, all_feet, all_eaves) = centers, of_all
+    p0, p1, p2 = ends[0, 0], ends[0, 1], ends[0, 2]
+    q0, q1, q2 = ends[1, 0], ends[1, 1], ends[1, 2]
+    rise_p, rise_q, lift_p, lift_q = rises[0], rises[1], lifts[0], lifts[1]
+    out_x, out_y = outward[0], outward[1]
+    focal_x, focal_y = intrinsics[0], intrinsics[1]
+    (to_x, to_y, to_z, nearer), (across_u, across_v) = seen, across
+    for n in range(len(r0)):
+        # Lines move out without turning.
+        east, north = all_eaves[n] * out_x, all_eaves[n] * out_y
+        dx, dy = p0 + east - c0[n], p1 + north - c1[n]
+        dz = p2 + rise_p * all_roofs[n] + lift_p * all_feet[n] - c2[n]
+        x = (r0[n] * dx + r1[n] * dy) + r2[n] * dz
+        y = (r3[n] * dx + r4[n] * dy) + r5[n] * dz
+        z = (r6[n] * dx + r7[n] * dy) + r8[n] * dz
+        dx, dy = q0 + east - c0[n], q1 + north - c1[n]
+        dz = q2 + rise_q * all_roofs[n] + lift_q * all_feet[n] - c2[n]
+        s = (r0[n] * dx + r1[n] * dy) + r2[n] * dz
+        t = (r3[n] * dx + r4[n] * dy) + r5[n] * dz
+        r = (r6[n] * dx + r7[n] * dy) + r8[n] * dz
+        to_x[n], to_y[n], to_z[n], nearer[n] = x, y, z, min(z, r)
+        # A roof of another height shifts its lines; that it turns them is left out.
+        across_u[n], across_v[n] = focal_y * (y * r - t * z), focal_x * (s * z - x * r)
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _find_directions(across, directions):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Writes which of the directions over half a turn is nearest to each line's across, without its angle."""
+    across_u, across_v = across
+    for n in range(len(directions)):
+        u, v = across_u[n], across_v[n]
+        sign = -1.0 if (v < 0.0 or (v == 0.0 and u < 0.0)) else 1.0
+        passed = 0
+        for k in range(DIRECTIONS):
+            passed += 1 if _COSINES[k] * (sign * v) >= _SINES[k] * (sign * u) else 0
+        directions[n] = 0 if passed == DIRECTIONS else passed
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _step_aside(offset_px, intrinsics, across, starts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Writes where in the picture each camera's axis is taken to be, so far beside the line, pixels."""
+    (across_u, across_v), (left, top) = across, starts
+    left[:], top[:] = intrinsics[2], intrinsics[3]
+    if offset_px != 0.0:
+        for n in range(len(left)):
+            u, v = across_u[n], across_v[n]
+            share = offset_px / max(np.sqrt(u * u + v * v), 1e-12)
+            left[n], top[n] = left[n] + share * u, top[n] + share * v
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _find_cells(own_m, rise, turns, seen, starts, directions, intrinsics, shape, cells):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Writes which of all levels, one after the other, each pose meets; -1 outside the picture."""
+    height, width, count = shape
+    focal_x, focal_y = intrinsics[0], intrinsics[1]
+    (x, y, z, nearer), (left, top) = seen, starts
+    up_x, up_y, up_z = turns[2], turns[5], turns[8]
+    for n in range(len(cells)):
+        depth = z[n] + own_m * (rise * up_z[n])
+        near = 1.0 / depth
+        u = left[n] + focal_x * (x[n] + own_m * (rise * up_x[n])) * near
+        v = top[n] + focal_y * (y[n] + own_m * (rise * up_y[n])) * near
+        is_in = (u >= 0.0) & (u < width) & (v >= 0.0) & (v < height)
+        is_in &= (depth >= _NEAREST_M) & (nearer[n] >= _NEAREST_M)
+        # What is outside may be beyond any integer.
+        row, column = np.int32(v if is_in else 0.0), np.int32(u if is_in else 0.0)
+        cell = (row * np.int32(width) + column) * np.int32(count) + directions[n]
+        cells[n] = cell if is_in else -1
