@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
-from functools import cached_property
+from functools import cache, cached_property
 from typing import cast
 
 import numpy as np
@@ -16,7 +16,8 @@ from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering import DepthRenderer, Fit, Instances, IouCounts, Scorer, ViewEdges, make_renderer
 from lodbench.rendering.bits import Words
-from lodbench.rendering.model_edges import EdgeFaces, edge_faces, edges_in_view
+from lodbench.rendering.edge_faces import EdgeFaces, edge_faces, edge_pairs
+from lodbench.rendering.model_edges import edges_in_view
 from lodbench.rendering.projection import require_poses, view_planes, visible_buildings
 from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer
@@ -68,6 +69,8 @@ class CityMap:
         self._textured_mesh = textured
         self.usage = MapUsage()
         self._threads = threads
+        # Maps that differ in where vertices are only share this.
+        self._edge_pairs = cache(lambda: edge_pairs(scene))
         self.scorer: Scorer = make_renderer(renderer, scene, threads)
         self.name = self.scorer.name
         self.threads = int(getattr(self.scorer, "threads", 1))
@@ -78,6 +81,19 @@ class CityMap:
         # What only the engine draws stays with the engine there is.
         other.__dict__["_engine"] = self._engine
         other.scorer = scorer
+        return other
+
+    def with_vertices(self, vertices: NDArray[np.float32]) -> CityMap:
+        """Returns the map with its vertices at (V, 3), scene metres, and no textures; usage is shared.
+
+        The engine draws it, whoever draws this one: that costs a fraction of a new map.
+        """
+        engine = self._engine.with_vertices(vertices)
+        other = copy(self)
+        for name, member in vars(type(self)).items():
+            if isinstance(member, cached_property):
+                other.__dict__.pop(name, None)
+        other.scene, other._textured_mesh, other.scorer, other.name = engine.scene, None, engine, engine.name
         return other
 
     @property
@@ -185,7 +201,7 @@ class CityMap:
 
     @cached_property
     def _edge_faces(self) -> EdgeFaces:
-        return edge_faces(self.scene)
+        return edge_faces(self.scene, self._edge_pairs())
 
     @cached_property
     def _engine(self) -> SilhouetteRenderer:

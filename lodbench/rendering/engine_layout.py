@@ -27,19 +27,32 @@ def scene_arrays(scene: Scene) -> SceneArrays:
         edge_counts.append(edges_of_building)
         for name, array in arrays.items():
             columns.setdefault(name, []).append(array)
-    spheres = bounding_spheres(scene)
     starts = [scene.vertex_starts, scene.triangle_starts, np.cumsum(np.concatenate(edge_counts))]
-    whole: dict[str, NDArray[np.generic]] = {
-        "starts": np.stack(starts, axis=1),
-        "spheres": spheres,
-        **sphere_tree(spheres)._asdict(),
-    }
+    whole: dict[str, NDArray[np.generic]] = {"starts": np.stack(starts, axis=1), **_bounds(scene)}
     for name in list(columns):
         # One at a time, so that no more than one array is there twice.
         whole[name] = np.concatenate(columns.pop(name))
-    for array in whole.values():
+    return SceneArrays(**_read_only(whole))  # type: ignore[arg-type]
+
+
+def moved_arrays(arrays: SceneArrays, scene: Scene) -> SceneArrays:
+    """Returns the arrays of a scene that differs in where its vertices are from one laid out."""
+    return arrays._replace(**_read_only({**_coordinates(scene), **_bounds(scene)}))  # type: ignore[arg-type]
+
+
+def _coordinates(scene: Scene) -> dict[str, NDArray[np.generic]]:
+    return dict(zip("xyz", np.ascontiguousarray(scene.vertices.T), strict=True))
+
+
+def _bounds(scene: Scene) -> dict[str, NDArray[np.generic]]:
+    spheres = bounding_spheres(scene)
+    return {"spheres": spheres, **sphere_tree(spheres)._asdict()}
+
+
+def _read_only(arrays: dict[str, NDArray[np.generic]]) -> dict[str, NDArray[np.generic]]:
+    for array in arrays.values():
         array.setflags(write=False)
-    return SceneArrays(**whole)  # type: ignore[arg-type]
+    return arrays
 
 
 def _parts(scene: Scene) -> Iterator[Scene]:
@@ -71,7 +84,7 @@ def _part_arrays(scene: Scene) -> tuple[dict[str, NDArray[np.generic]], NDArray[
     ends = _columns(edges.corners - first_vertex[of_edge])
     sides = _columns(edges.sides - scene.triangle_starts[:-1, None][of_edge])
     arrays: dict[str, NDArray[np.generic]] = {
-        **dict(zip("xyz", np.ascontiguousarray(scene.vertices.T), strict=True)),
+        **_coordinates(scene),
         **dict(zip(("corner_a", "corner_b", "corner_c"), corners, strict=True)),
         **dict(zip(("tail", "head"), ends, strict=True)),
         **dict(zip(("side_a", "side_b"), sides, strict=True)),

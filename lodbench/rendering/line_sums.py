@@ -39,7 +39,7 @@ class LinePoints(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, offset_px, own_m, worth, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, own_m, worth, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Adds up what the levels are worth that points of lines meet in a photo; outside is worth nothing.
 
     For N poses, and for each building by itself at D heights of its roof.
@@ -52,30 +52,19 @@ def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, off
             be, and how much farther all eaves to stand out, metres.
         intrinsics: fx, fy, cx, cy.
         levels: (H, W, 12) uint8 of ``directed_edge_levels``.
-        offset_px: How far beside the line to look.
         own_m: (D,) how much higher than that the building's own roof is, metres.
         worth: (K, 16) float64 of each level, by the points' kinds.
         sums: (N, B, D) float64 to add to.
     """
     points, rises, lifts, outward, kinds, buildings = lines
-    # Poses lie side by side and in the inner loops, so that several are worked on at a time.
     count, all_levels = len(rotations), levels.ravel()
-    rows = np.ascontiguousarray(rotations.reshape(count, 9).T)
-    turns = (rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8])
-    rows = np.ascontiguousarray(centers.T)
-    places = (rows[0], rows[1], rows[2])
-    rows = np.ascontiguousarray(of_all_m.T)
-    of_all = (rows[0], rows[1], rows[2])
-    # Each an array of its own: of parts of one a compiler cannot know that they do not overlap.
-    x, y, z, nearer = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
-    across_u, across_v, left, top = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
-    directions, cells = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
-    seen, across, starts = (x, y, z, nearer), (across_u, across_v), (left, top)
+    turns, places, of_all = _side_by_side(rotations, centers, of_all_m)
+    seen, across, starts, directions, cells = _blank(count)
+    starts[0][:], starts[1][:] = intrinsics[2], intrinsics[3]
     for i in range(len(points)):
         rise, building, values = rises[i, 0], buildings[i], worth[kinds[i]]
         _see_lines(points[i], rises[i], lifts[i], outward[i], turns, places, of_all, intrinsics, seen, across)
         _find_directions(across, directions)
-        _step_aside(offset_px, intrinsics, across, starts)
         # Feet of walls stay where they are, however high the roof.
         heights = len(own_m) if rise != 0.0 else 1
         for d in range(heights):
@@ -90,6 +79,59 @@ def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, off
                         value = values[all_levels[cells[n]]]
                         for k in range(len(own_m)):
                             sums[n, building, k] += value
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def count_along_lines(lines, rotation, center, of_all_m, intrinsics, levels, offset_px, own_m, counts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Counts the points of lines that meet each level in a photo, as seen from one pose.
+
+    Args:
+        lines: As of ``sum_along_lines``, and so is all else, of a single pose: (1, 3, 3), (1, 3), (1, 3).
+        rotation: See there.
+        center: See there.
+        of_all_m: See there.
+        intrinsics: See there.
+        levels: See there.
+        offset_px: How far beside the line to look.
+        own_m: See there.
+        counts: (K, B, D, 16) int64 to add to, by kind, building and height of its roof.
+    """
+    points, rises, lifts, outward, kinds, buildings = lines
+    all_levels = levels.ravel()
+    turns, places, of_all = _side_by_side(rotation, center, of_all_m)
+    seen, across, starts, directions, cells = _blank(1)
+    for i in range(len(points)):
+        of_point = counts[kinds[i], buildings[i]]
+        _see_lines(points[i], rises[i], lifts[i], outward[i], turns, places, of_all, intrinsics, seen, across)
+        _find_directions(across, directions)
+        _step_aside(offset_px, intrinsics, across, starts)
+        for d in range(len(own_m)):
+            _find_cells(
+                own_m[d], rises[i, 0], turns, seen, starts, directions, intrinsics, levels.shape, cells
+            )
+            if cells[0] >= 0:
+                of_point[d, all_levels[cells[0]]] += 1
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _side_by_side(rotations, centers, of_all_m):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns arrays over poses: inner loops go along these, so that several are worked on at a time."""
+    rows = np.ascontiguousarray(rotations.reshape(len(rotations), 9).T)
+    turns = (rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8])
+    rows = np.ascontiguousarray(centers.T)
+    places = (rows[0], rows[1], rows[2])
+    rows = np.ascontiguousarray(of_all_m.T)
+    return turns, places, (rows[0], rows[1], rows[2])
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _blank(count):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns room for what so many poses see of a point."""
+    # Each an array of its own: of parts of one a compiler cannot know that they do not overlap.
+    x, y, z, nearer = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    across_u, across_v, left, top = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    directions, cells = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    return (x, y, z, nearer), (across_u, across_v), (left, top), directions, cells
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
@@ -142,11 +184,10 @@ def _step_aside(offset_px, intrinsics, across, starts):  # type: ignore[no-untyp
     """Writes where in the picture each camera's axis is taken to be, so far beside the line, pixels."""
     (across_u, across_v), (left, top) = across, starts
     left[:], top[:] = intrinsics[2], intrinsics[3]
-    if offset_px != 0.0:
-        for n in range(len(left)):
-            u, v = across_u[n], across_v[n]
-            share = offset_px / max(np.sqrt(u * u + v * v), 1e-12)
-            left[n], top[n] = left[n] + share * u, top[n] + share * v
+    for n in range(len(left)):
+        u, v = across_u[n], across_v[n]
+        share = offset_px / max(np.sqrt(u * u + v * v), 1e-12)
+        left[n], top[n] = left[n] + share * u, top[n] + share * v
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera
+from lodbench.rendering.edge_faces import EdgeFaces
 from lodbench.rendering.projection import camera_axes
 from lodbench.rendering.raster_rule import NEAR_M
-from lodbench.rendering.topology import edge_table
 
 Floats = NDArray[np.float64]
 
@@ -63,69 +61,6 @@ class ViewEdges:
 
     def __len__(self) -> int:
         return len(self.kind)
-
-
-class EdgeFaces(NamedTuple):
-    """The edges of a scene with what lies beside them, for the kernel.
-
-    Attributes:
-        corners: (E, 2) int32 vertices that they run between.
-        ends: (E, 2, 3) float64 end points, scene metres.
-        beside: (E, 2, 3) float64 third corner of either face; of a lone one twice.
-        angle_deg: (E,) angle between the faces' planes, 0 where they continue each other; 180 for a lone
-            face, and where more than two meet.
-        is_lone: (E,) whether there is one face only.
-        starts: (B + 1,) int64 offsets by building.
-    """
-
-    corners: NDArray[np.int32]
-    ends: Floats
-    beside: Floats
-    angle_deg: Floats
-    is_lone: NDArray[np.bool_]
-    starts: NDArray[np.int64]
-
-
-def edge_faces(scene: Scene) -> EdgeFaces:
-    """Returns the edges of a scene; faces meet where they share both vertices, within one building."""
-    table = edge_table(scene)
-    pair = np.sort(table.corners, axis=1)
-    _, first, inverse, count = np.unique(
-        pair, axis=0, return_index=True, return_inverse=True, return_counts=True
-    )
-    # An edge of more than two faces stands in the table several times.
-    is_crowded = count[inverse.reshape(-1)] > 1
-    kept = np.sort(first)
-    corners, sides = table.corners[kept], table.sides[kept]
-    points = scene.vertices.astype(np.float64)
-    ends = points[corners]
-    beside = np.stack([_third_corner(scene, points, corners, sides[:, k]) for k in range(2)], axis=1)
-    is_lone = (sides[:, 0] == sides[:, 1]) & ~is_crowded[kept]
-    angle = _angles_deg(ends, beside)
-    angle[is_lone | is_crowded[kept]] = 180.0
-    starts = np.searchsorted(kept, table.starts)
-    return EdgeFaces(corners, ends, beside, angle, is_lone, starts.astype(np.int64))
-
-
-def _third_corner(
-    scene: Scene, points: Floats, corners: NDArray[np.int32], side: NDArray[np.int32]
-) -> Floats:
-    triangles = scene.triangles[side]
-    is_end = (triangles == corners[:, :1]) | (triangles == corners[:, 1:])
-    third = np.argmin(is_end, axis=1)
-    return np.asarray(points[triangles[np.arange(len(side)), third]])
-
-
-def _angles_deg(ends: Floats, beside: Floats) -> Floats:
-    """Returns (E,) angles between half planes from each edge to either corner, less a straight angle."""
-    along = ends[:, 1] - ends[:, 0]
-    length = np.sqrt((along * along).sum(axis=1))
-    along = along / np.maximum(length, 1e-12)[:, None]
-    across = beside - ends[:, :1]
-    across = across - (across @ along[:, :, None]) * along[:, None, :]
-    size = np.sqrt((across * across).sum(axis=2))
-    cosine = (across[:, 0] * across[:, 1]).sum(axis=1) / np.maximum(size[:, 0] * size[:, 1], 1e-12)
-    return np.asarray(180.0 - np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 def edges_in_view(

@@ -6,6 +6,8 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from lodbench.geometry import Camera, Pose
 from lodbench.rendering.bits import Words, count_bits, pack_mask, unpack_mask, words_per_row
 from lodbench.rendering.engine_arrays import Scratch, View, blank_scratch
 from lodbench.rendering.engine_kernel import draw_view, draw_views, score_views
+from lodbench.rendering.engine_layout import moved_arrays
 from lodbench.rendering.engine_store import open_arrays
 from lodbench.rendering.fit import Fit, IouFit, fit_values
 from lodbench.rendering.instances import Instances, draw_instances
@@ -58,6 +61,16 @@ class SilhouetteRenderer:
         self._arrays = open_arrays(scene)
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._of_thread = threading.local()
+
+    def with_vertices(self, vertices: NDArray[np.float32]) -> SilhouetteRenderer:
+        """Returns a renderer of the scene with its vertices at (V, 3), local metres.
+
+        What is prepared of its edges is shared, and so are threads and their memory.
+        """
+        other = copy(self)
+        other.scene = replace(self.scene, vertices=vertices, stored_digest="")
+        other._arrays = moved_arrays(self._arrays, other.scene)
+        return other
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the (H, W) silhouette seen from a pose.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -151,6 +152,29 @@ def test_a_pose_that_is_not_finite_is_told(city_map, kind):
 def test_an_unknown_renderer_is_told(scene):
     with pytest.raises(ConfigError, match="silhouete"):
         CityMap(scene, "silhouete")
+
+
+@pytest.mark.parametrize("name", ["silhouette", "raster"])
+def test_with_other_vertices_it_is_the_map_of_those(scene, name):
+    moves = np.random.default_rng(5).uniform(-3.0, 3.0, scene.vertices.shape).astype(np.float32)
+    before = CityMap(scene, name, threads=2)
+    before.edges(CAMERA, ROTATIONS[:1], CENTERS[:1])
+    moved, anew = before.with_vertices(scene.vertices + moves), CityMap(moved_by(scene, moves), threads=2)
+    for kind in KINDS:
+        shown, expected = (getattr(each, kind)(CAMERA, ROTATIONS, CENTERS) for each in (moved, anew))
+        np.testing.assert_array_equal(shown, expected)
+        assert (shown != getattr(before, kind)(CAMERA, ROTATIONS, CENTERS)).any()
+    for shown, expected in zip(
+        *(each.edges(CAMERA, ROTATIONS, CENTERS) for each in (moved, anew)), strict=True
+    ):
+        for field in fields(shown):
+            np.testing.assert_array_equal(getattr(shown, field.name), getattr(expected, field.name))
+    assert moved.usage is before.usage
+    np.testing.assert_array_equal(before.scene.vertices, scene.vertices)
+
+
+def moved_by(scene, moves):
+    return replace(scene, vertices=scene.vertices + moves)
 
 
 def test_usage_counts_poses_by_kind(scene):

@@ -14,8 +14,8 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.evaluation import pose_error
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.region import Params, Region, line_search
-from lodbench.methods.region.evidence import Evidence, PhotoFit
-from lodbench.methods.region.params import working_size
+from lodbench.methods.region.evidence import Evidence
+from lodbench.methods.region.photo import Photo
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 
@@ -46,9 +46,8 @@ def drawn(city_map, queries, truths, tmp_path_factory):
 
 
 def starts_of(query, city_map, roofs, params):
-    photo = cv2.imread(str(query.image))
-    fit = PhotoFit(photo, working_size(query.camera, params.fine_width), params, is_coarse=False)
-    evidence = Evidence(query, city_map, fit, params)
+    photo = Photo(cv2.imread(str(query.image)), query.camera, params, roofs.threads)
+    evidence = Evidence(query, city_map, photo.fit(params.fine_width, is_coarse=False), params)
     return line_search.line_starts(photo, query, roofs, evidence, params, STREAMS)
 
 

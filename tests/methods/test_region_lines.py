@@ -16,8 +16,8 @@ from lodbench.methods.contour_alignment.outline import edges_in_reach
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.aligned import Alignment
-from lodbench.methods.region.evidence import PhotoFit
-from lodbench.methods.region.lines import LineFit, levels_of
+from lodbench.methods.region.lines import LineFit
+from lodbench.methods.region.photo import Photo
 from lodbench.methods.region.roofs import RoofEvidence
 from lodbench.methods.region.search import Surroundings
 from lodbench.methods.region.unknowns import ALL, BESIDE_POSE
@@ -49,7 +49,7 @@ def with_roofs(truth):
 def line_fit(photo, query, roofs, vector):
     """Returns what lines seen from (10,) say of a photo in array form."""
     params = Params()
-    return LineFit(levels_of(photo, query, 1.0, params), query, roofs, vector, params)
+    return LineFit(Photo(photo, query.camera, params).levels(1.0), query, roofs, vector, params)
 
 
 def fit_of(photo, query, roofs, truth):
@@ -106,12 +106,11 @@ def test_lines_choose_among_the_search_s_tops(city_map, scene, roofs, queries, t
     for number, (photo, query, truth) in enumerate(zip(shaded, queries, truths, strict=True)):
         reach = scene, query.camera, query.prior, 60.0, 20.0
         around = Surroundings(edges_in_reach(*reach), city_map, params)
-        fit = PhotoFit(photo, (200, 150), params, is_coarse=False)
-        regions_of = partial(RoofEvidence, query, fit=fit, params=params)
+        seen = Photo(photo, query.camera, params)
+        regions_of = partial(RoofEvidence, query, fit=seen.fit(200, False), params=params)
         streams = partial(random_stream, 0, "test", number)
         starts = with_roofs(truth) + np.roll(np.pad(moves, ((0, 0), (0, ALL - 3))), number, axis=0)
-        levels_at = partial(levels_of, photo, query, params=params)
-        found = Alignment(levels_at, query, regions_of, around, params, streams).from_best(starts, roofs)
+        found = Alignment(seen.levels, query, regions_of, around, params, streams).from_best(starts, roofs)
         assert int(found.evidence.argmax()) == (len(moves) - 1 + number) % len(moves)
         assert np.linalg.norm(found.vector[:3] - truth.center) < 1.0
         # Hopeless ones are not followed.

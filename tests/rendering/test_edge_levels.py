@@ -11,7 +11,7 @@ from lodbench.rendering.edge_levels import (
     EDGE_LEVELS,
     directed_edge_levels,
 )
-from lodbench.rendering.line_sums import LinePoints, sum_along_lines
+from lodbench.rendering.line_sums import LinePoints, count_along_lines, sum_along_lines
 
 
 def test_levels_are_equally_full_and_have_the_edge_s_direction():
@@ -54,8 +54,10 @@ def test_sums_are_those_of_points_one_by_one():
         return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
 
     for offset in (0.0, 3.0):
-        sums, expected = np.zeros((2, 4, 3)), np.zeros((2, 4, 3))
-        sum_along_lines(lines, *view, intrinsics, levels, offset, own_m, worth, sums)
+        counts, expected = np.zeros((2, 2, 2, 4, 3, EDGE_LEVELS), dtype=np.int64)
+        for n in range(2):
+            one = (each[n : n + 1] for each in view)
+            count_along_lines(lines, *one, intrinsics, levels, offset, own_m, counts[n])
         for n, i, d in np.ndindex(2, 50, 3):
             roofs_m, feet_m, eaves_m = of_all_m[n]
             first, second = points[i] + np.outer(rises[i] * roofs_m + lifts[i] * feet_m, [0.0, 0.0, 1.0])
@@ -66,6 +68,10 @@ def test_sums_are_those_of_points_one_by_one():
             u, v = seen(place, n) + offset * np.array([np.cos(angle), np.sin(angle)])
             if 0 <= u < 96 and 0 <= v < 64:
                 direction = int(np.floor(angle / np.pi * DIRECTIONS + 0.5)) % DIRECTIONS
-                expected[n, buildings[i], d] += worth[kinds[i], levels[int(v), int(u), direction]]
-        np.testing.assert_allclose(sums, expected, atol=1e-9)
-        assert np.count_nonzero(sums) == sums.size
+                expected[n, kinds[i], buildings[i], d, levels[int(v), int(u), direction]] += 1
+        np.testing.assert_array_equal(counts, expected)
+        assert counts.sum(axis=(1, 4)).any(axis=1).all()
+        if offset == 0.0:
+            sums = np.zeros((2, 4, 3))
+            sum_along_lines(lines, *view, intrinsics, levels, own_m, worth, sums)
+            np.testing.assert_allclose(sums, np.einsum("nkbdl,kl->nbd", counts, worth), atol=1e-9)

@@ -28,6 +28,7 @@ Floats = NDArray[np.float64]
 
 # The photo's blur in each round, pixels, and how far outlines lie apart as it begins, of the fine size.
 _ROUNDS = ((3.0, 2.5), (1.5, 1.5), (1.0, 1.0))
+BLURS_PX = tuple(blur_px for blur_px, _ in _ROUNDS)
 _GENERATIONS = 14
 # How far roofs, feet and eaves lie apart as a round begins at most, metres.
 _ROOFS_APART_M = 0.5
@@ -87,7 +88,7 @@ class Alignment:
     """Lays the model's lines over one photo.
 
     Args:
-        levels_at: How strongly the photo changes, as of ``levels_of``, after a blur, pixels.
+        levels_at: How strongly the photo changes, as of ``Photo.levels``, after a blur, pixels.
         query: The query.
         regions_of: What regions and prior say, of roofs.
         around: How the outline moves.

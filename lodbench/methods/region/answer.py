@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import NamedTuple, TypeGuard
 
 import numpy as np
@@ -14,10 +14,9 @@ from lodbench.datasets.query import Query
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.aligned import Aligned, Alignment
 from lodbench.methods.region.averaging import posterior_mean
-from lodbench.methods.region.evidence import PhotoFit
-from lodbench.methods.region.lines import levels_of
 from lodbench.methods.region.map_errors import covariance_under_map_errors
-from lodbench.methods.region.params import Params, working_size
+from lodbench.methods.region.params import Params
+from lodbench.methods.region.photo import Photo
 from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
 from lodbench.methods.region.search import Mode, Surroundings
 from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES, LineSigns
@@ -66,7 +65,7 @@ class Answering:
     Vectors of ten numbers are those of ``unknowns``.
 
     Args:
-        photo: As of ``read_picture``.
+        photo: The query's.
         query: The query.
         roofs: The map around it.
         around: How the outline moves.
@@ -75,7 +74,7 @@ class Answering:
 
     def __init__(
         self,
-        photo: NDArray[np.uint8],
+        photo: Photo,
         query: Query,
         roofs: RaisedRoofs,
         around: Surroundings,
@@ -83,9 +82,7 @@ class Answering:
     ) -> None:
         self._photo, self._query, self._roofs = photo, query, roofs
         self._around, self._params = around, params
-        # Beliefs in tilt and lens are laid over the same edges.
-        self._levels_at = cache(lambda blur_px: levels_of(photo, query, blur_px, params))
-        self._fit = PhotoFit(photo, working_size(query.camera, params.fine_width), params, is_coarse=False)
+        self._fit = photo.fit(params.fine_width, is_coarse=False)
 
     def answer(self, tops: list[Mode], streams: Streams) -> Answer:
         """Returns the answer near the best of some tops, by lines where edges are sharp beside them.
@@ -151,7 +148,7 @@ class Answering:
         """Returns what lays the model's lines on the photo's edges, tilt and lens known so well."""
         # Lines say what edges say, and more: the regions join them without.
         regions_of = partial(RoofEvidence, self._query, fit=self._fit.with_edges(0.0), params=params)
-        return Alignment(self._levels_at, self._query, regions_of, self._around, params, streams)
+        return Alignment(self._photo.levels, self._query, regions_of, self._around, params, streams)
 
     def _by_regions(self, vector: Floats, signs: LineSigns, evidence: Floats) -> Answer:
         """Returns the mean of what regions and outlines leave around (10,), of a wider photo."""
@@ -160,9 +157,7 @@ class Answering:
         covariances = self._certainty(_of_share(fine), vector, fine)
         if params.place_sigma_m <= 0:
             return Answer(vector[POSE], *covariances, *signs, evidence)
-        size = working_size(self._query.camera, params.mean_width)
-        of_wide = PhotoFit(self._photo, size, params, is_coarse=False)
-        wide = RoofEvidence(*of_map, of_wide, params)
+        wide = RoofEvidence(*of_map, self._photo.fit(params.mean_width, is_coarse=False), params)
         mean = self._mean(_of_share(wide), vector, covariances[0], wide)
         return Answer(mean[POSE], *covariances, *signs, evidence)
 

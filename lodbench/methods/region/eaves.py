@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.rendering.model_edges import edge_faces
+from lodbench.rendering.edge_faces import edge_faces
 
 Floats = NDArray[np.float64]
 

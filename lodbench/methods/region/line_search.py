@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +19,9 @@ from lodbench.geometry.angles import rotations_from_euler
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import Evidence
 from lodbench.methods.region.evolution import Cloud, climb
-from lodbench.methods.region.lines import LineFit, levels_of, points_on_lines, worth_of_levels
+from lodbench.methods.region.lines import LineFit, points_on_lines, worth_of_levels
 from lodbench.methods.region.params import Params
+from lodbench.methods.region.photo import Photo
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.search import samples, tops_of
 from lodbench.methods.region.unknowns import ALL, BESIDE_POSE, ROOFS
@@ -41,7 +41,7 @@ _STARTS, _GENERATIONS = 20, 14
 
 
 def line_starts(
-    photo: NDArray[Any],
+    photo: Photo,
     query: Query,
     roofs: RaisedRoofs,
     evidence: Evidence,
@@ -51,15 +51,15 @@ def line_starts(
     """Returns poses around which the map's lines lie along edges of the photo, best first.
 
     Args:
-        photo: As of ``read_picture``.
+        photo: The query's.
         query: The query.
         roofs: The map around it.
         evidence: Knows the prior.
         params: The method's.
         streams: Of random numbers.
     """
-    coarse = _with_strides(replace(params, lines_width=_WIDTH))
-    levels = levels_of(photo, query, _BLUR_PX, coarse)
+    coarse = _with_strides(params)
+    levels = photo.levels(_BLUR_PX, _WIDTH)
     grid = coarse.grid()
     vectors = samples(grid, query.prior)
     sums = _sums_at(vectors.reshape(-1, grid.z.count, 6), levels, query.camera, roofs)
@@ -110,7 +110,7 @@ def _sums_at(vectors: Floats, levels: Levels, photo_camera: Camera, roofs: Raise
         rotations, centers = rotations_from_euler(poses[:, 3:]), np.ascontiguousarray(poses[:, :3])
         view = rotations, centers, np.zeros((len(poses), ALL - ROOFS)), intrinsics
         sums = np.zeros((len(poses), 1, 1))
-        sum_along_lines(points, *view, levels, 0.0, np.zeros(1), worth, sums)
+        sum_along_lines(points, *view, levels, np.zeros(1), worth, sums)
         return np.asarray(each_px * sums[:, 0, 0])
 
     with ThreadPoolExecutor(roofs.threads) as pool:

@@ -8,7 +8,6 @@ coarse one over many.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +17,11 @@ from lodbench.datasets.query import Query
 from lodbench.geometry import Camera
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.region.evidence import views_of
-from lodbench.methods.region.params import Params, working_size
+from lodbench.methods.region.params import Params
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, step_of
 from lodbench.methods.region.unknowns import POSE, ROOFS
-from lodbench.rendering.edge_levels import (
-    EDGE_LEVELS,
-    Levels,
-    directed_edge_levels,
-)
-from lodbench.rendering.line_sums import LinePoints, sum_along_lines
+from lodbench.rendering.edge_levels import EDGE_LEVELS, Levels
+from lodbench.rendering.line_sums import LinePoints, count_along_lines, sum_along_lines
 
 Floats = NDArray[np.float64]
 
@@ -59,24 +54,11 @@ def _log_ratios() -> Floats:
 
 
 _RATIOS = _log_ratios()
-_ONES = np.ones((2, EDGE_LEVELS))
 
 
 def worth_of_levels() -> Floats:
     """Returns (2, 16) what each level is worth on lines of either kind that stand out middling, nats."""
     return np.asarray(_RATIOS[[len(_STRENGTHS) // 2] * 2])
-
-
-def levels_of(photo: NDArray[Any], query: Query, blur_px: float, params: Params) -> Levels:
-    """Returns how strongly a photo changes, (H, W, 12) as of ``directed_edge_levels``, where lines are laid.
-
-    Args:
-        photo: As of ``read_picture``.
-        query: The query.
-        blur_px: Of the photo, pixels of the working size.
-        params: The method's.
-    """
-    return directed_edge_levels(photo, working_size(query.camera, params.lines_width), blur_px)
 
 
 class LineFit:
@@ -86,7 +68,7 @@ class LineFit:
     building: where a map's roofs err each in its own way, lines say less, but nothing wrong.
 
     Args:
-        levels: How strongly the photo changes, as of ``levels_of``.
+        levels: How strongly the photo changes, as of ``Photo.levels``.
         query: The query.
         roofs: The map, which says what lines are seen.
         vector: (10,) the pose that they are seen from, and what else of ``unknowns`` then is.
@@ -149,11 +131,8 @@ class LineFit:
         """
         heights = []
         for offsets in (_ON, _NEAR, _FAR):
-            height, count = (
-                sum(float(self._sums(vector[None], worth, np.zeros(1), px).sum()) for px in offsets)
-                for worth in (_RATIOS[[-1, -1]], _ONES)
-            )
-            heights.append(height / max(count, 1.0))
+            counts = np.sum([self._counts(vector, np.zeros(1), px) for px in offsets], axis=(0, 1, 2, 3))
+            heights.append(float(counts @ _RATIOS[-1]) / max(float(counts.sum()), 1.0))
         on, near, far = heights
         return (on - max(near, far)) / max(on - far, _LEAST_CONTRAST)
 
@@ -162,18 +141,13 @@ class LineFit:
 
         One after the other, twice.
         """
-        outlines, creases = (self._by_strength(vector, kind) for kind in (0, 1))
+        # (2, S, B, D): what lines of a kind say, by how strongly edges stand out along them.
+        outlines, creases = np.moveaxis(self._counts(vector, self._own_m) @ _RATIOS.T, -1, 1)
         best = np.full(2, len(_STRENGTHS) // 2)
         for _ in range(2):
             best[0] = self._likeliest(outlines + creases[best[1]])
             best[1] = self._likeliest(outlines[best[0]] + creases)
         return best
-
-    def _by_strength(self, vector: Floats, kind: int) -> Floats:
-        """Returns (S, B, D) what lines of a kind say, by how strongly edges stand out along them."""
-        worth = np.zeros((len(_STRENGTHS), 2, EDGE_LEVELS))
-        worth[:, kind] = _RATIOS
-        return np.stack([self._sums(vector[None], each, self._own_m)[0] for each in worth])
 
     def _likeliest(self, sums: Floats) -> int:
         """Returns which of some sums, (S, B, D), is the likeliest."""
@@ -181,16 +155,29 @@ class LineFit:
 
     def _of_buildings(self, vectors: Floats, share: float) -> Floats:
         """Returns (N, B, D) the logarithm of likelihood and prior of each building's own roofs."""
-        sums = self._sums(vectors, _RATIOS[self._strengths], self._own_m)
+        sums = self._sums(vectors, _RATIOS[self._strengths])
         return np.asarray(share * self._weight * sums + self._log_prior)
 
-    def _sums(self, vectors: Floats, worth: Floats, own_m: Floats, offset_px: float = 0.0) -> Floats:
-        sums = np.zeros((len(vectors), len(self.buildings), len(own_m)))
-        (rotations, centers), of_all_m = views_of(vectors), vectors[:, ROOFS:] - self._of_map_m
+    def _counts(self, vector: Floats, own_m: Floats, offset_px: float = 0.0) -> NDArray[np.int64]:
+        """Returns (2, B, D, 16) how many points meet each level, by kind, building and height of its roof."""
+        counts = np.zeros((2, len(self.buildings), len(own_m), EDGE_LEVELS), dtype=np.int64)
+        views = self._views(vector[None])
+        count_along_lines(self._points, *views, self._intrinsics, self._levels, offset_px, own_m, counts)
+        return counts
+
+    def _views(self, vectors: Floats) -> tuple[Floats, Floats, Floats]:
+        """Returns rotations, centres and how the map errs more than is drawn, of (N, 10)."""
+        return *views_of(vectors), vectors[:, ROOFS:] - self._of_map_m
+
+    def _sums(self, vectors: Floats, worth: Floats) -> Floats:
+        """Returns (N, B, D) what levels are worth that points meet, by building and height of its roof."""
+        sums = np.zeros((len(vectors), len(self.buildings), len(self._own_m)))
+        views = self._views(vectors)
 
         def work(part: slice) -> None:
-            view = rotations[part], centers[part], of_all_m[part], self._intrinsics
-            sum_along_lines(self._points, *view, self._levels, offset_px, own_m, worth, sums[part])
+            rotations, centers, of_all_m = (each[part] for each in views)
+            view = rotations, centers, of_all_m, self._intrinsics
+            sum_along_lines(self._points, *view, self._levels, self._own_m, worth, sums[part])
 
         if self._pool is None or len(vectors) < _FEW:
             work(slice(None))

@@ -20,10 +20,12 @@ from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.uncertainty import beyond_range, probability_within
 from lodbench.methods.fits import query_photo
 from lodbench.methods.protocol import Estimate, Streams
+from lodbench.methods.region.aligned import BLURS_PX
 from lodbench.methods.region.answer import Answer, Answering
-from lodbench.methods.region.evidence import Evidence, PhotoFit
+from lodbench.methods.region.evidence import Evidence
 from lodbench.methods.region.line_search import line_starts
-from lodbench.methods.region.params import Params, working_size
+from lodbench.methods.region.params import Params
+from lodbench.methods.region.photo import Photo
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.search import Surroundings, climbed, grid_starts, judged, modes_of
 from lodbench.methods.region.trust import TRUSTED, Signs, trust_of
@@ -61,7 +63,8 @@ class Region:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
         """
         params = self.params.with_lens(query.lens_percent)
-        photo, reach = query_photo(query), _reach(params)
+        photo = Photo(query_photo(query), query.camera, params, city_map.threads, BLURS_PX)
+        reach = _reach(params)
         # The rest of the city, however large, is looked at this once.
         part = scene_in_reach(city_map.scene, query.camera, query.prior, *reach)
         around = Surroundings(edges_in_reach(part, query.camera, query.prior, *reach), city_map, params)
@@ -86,22 +89,21 @@ class _Seen(NamedTuple):
 
     Attributes:
         query: The query.
-        photo: As of ``read_picture``.
+        photo: Its photo.
         city_map: The map.
         roofs: The part of it in reach.
         around: How its outline moves.
     """
 
     query: Query
-    photo: NDArray[np.uint8]
+    photo: Photo
     city_map: CityMap
     roofs: RaisedRoofs
     around: Surroundings
 
     def evidence(self, params: Params, width: int, is_coarse: bool) -> Evidence:
         """Returns what photo and prior say of poses, with silhouettes of a width, pixels."""
-        fit = PhotoFit(self.photo, working_size(self.query.camera, width), params, is_coarse)
-        return Evidence(self.query, self.city_map, fit, params)
+        return Evidence(self.query, self.city_map, self.photo.fit(width, is_coarse), params)
 
 
 def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False) -> Estimate:

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +53,8 @@ class RaisedRoofs:
     """
 
     def __init__(self, city_map: CityMap, part: Scene) -> None:
-        self._map, self._part, self.threads = city_map, part, city_map.threads
+        self._part, self.threads = part, city_map.threads
+        self._map = cache(lambda: _map_of(part, city_map))
         self.own_m, self.feet_m, self.eaves_m = np.zeros(part.num_buildings), 0.0, 0.0
         self._drawn: dict[int, CityMap] = {}
         boxes = building_boxes(part)
@@ -91,10 +91,8 @@ class RaisedRoofs:
             vertices[:, 2] = heights + shares * self._raised(step)[owner] + lifts * self._lifted(step)[owner]
             if self.eaves_m != 0.0:
                 vertices[:, :2] += (self.eaves_m * shares)[:, None] * self._outward
-            # By the engine, whoever draws the map: a dozen of these live and die with each query.
-            drawn = CityMap(replace(part, vertices=vertices), threads=self.threads)
-            drawn.usage = self._map.usage
-            self._drawn[step] = drawn
+            # A dozen of these live and die with each query.
+            self._drawn[step] = self._map().with_vertices(vertices)
         return self._drawn[step]
 
     def shares(self, heights: Floats, buildings: NDArray[np.int64], step: int) -> Floats:
@@ -146,6 +144,12 @@ class RaisedRoofs:
         """Returns (B,) by how much each building's walls end higher at a step, metres."""
         most = np.maximum(self._rises + self._raised(step) - _LOWEST_M, 0.0)
         return np.where(self._is_tall, np.minimum(self.feet_m, most), 0.0)
+
+
+def _map_of(part: Scene, city_map: CityMap) -> CityMap:
+    drawn = CityMap(part, threads=city_map.threads)
+    drawn.usage = city_map.usage
+    return drawn
 
 
 def step_of(roofs_m: Floats) -> NDArray[np.int64]:
