@@ -96,3 +96,16 @@ def test_a_wrong_setting_is_named():
 def test_a_search_grows_to_its_widest_and_stays_there_however_long_the_camera_is_lost():
     widths_m = [Params().search(lost).range_x_m for lost in (1, 2, 3, 10, 100_000)]
     assert widths_m == [20.0, 30.0, 45.0, 120.0, 120.0]
+
+
+def test_a_lens_that_is_hardly_known_leaves_the_first_place_open(city_map):
+    poses = path(2)
+    first, second = frames(city_map, poses)
+    sigmas_m = []
+    for percent in (None, 3.0):
+        tracker = Tracker(city_map, CAMERA, start(poses[0]), lens_percent=percent)
+        found = tracker.track(first)
+        assert pose_error(found.pose, poses[0]).translation_m < 2.0
+        sigmas_m.append(np.sqrt(np.trace(found.covariance[:3, :3])))
+        assert tracker.track(second).state == "tracked"
+    assert sigmas_m[1] > 1.5 * sigmas_m[0]

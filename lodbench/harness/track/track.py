@@ -19,14 +19,14 @@ from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import require_some_mask
-from lodbench.datasets.photo_camera import camera_from_photo, require_photo_size
+from lodbench.datasets.photo_camera import PhotoCamera, camera_from_photo, require_photo_size
 from lodbench.datasets.photo_files import in_pose_lines
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_pose import place_notes, pose_at, pose_from_photo
 from lodbench.datasets.undistort import pinhole_of
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.execution import Progress
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Pose
 from lodbench.harness.city import open_city, require_near_city
 from lodbench.harness.requests import RoughRequest
 from lodbench.harness.track.folder import (
@@ -133,9 +133,10 @@ def track(request: TrackRequest) -> Track:
     frame = None if scene.crs is None else MapFrame(scene.crs)
     camera, start, stated = _start(request, frame)
     require_near_city("The first frame was taken", [start], scene)
-    pinhole = pinhole_of(camera)
-    maker = MaskMaker(camera, pinhole, request.masks, request.segmenter)
-    tracker = Tracker(CityMap(scene), pinhole, start.shifted(-scene.origin), request.params)
+    pinhole = pinhole_of(camera.camera)
+    maker = MaskMaker(camera.camera, pinhole, request.masks, request.segmenter)
+    prior = start.shifted(-scene.origin)
+    tracker = Tracker(CityMap(scene), pinhole, prior, request.params, camera.lens_percent)
     frames: list[TrackedFrame] = []
     with _keeping(frames, request, frame):
         seconds, cpu_s = _follow(request.footage, maker, tracker, scene.origin, frames)
@@ -201,7 +202,9 @@ def _sigmas(covariance: NDArray[np.float64]) -> tuple[float, float]:
     return float(np.sqrt(variances[:3].sum())), float(np.sqrt(variances[3:].sum()))
 
 
-def _start(request: TrackRequest, frame: MapFrame | None) -> tuple[Camera, Pose, tuple[PhotoMetadata, ...]]:
+def _start(
+    request: TrackRequest, frame: MapFrame | None
+) -> tuple[PhotoCamera, Pose, tuple[PhotoMetadata, ...]]:
     """Returns the camera, the rough pose of the first frame (city's coordinates), and whose height it has."""
     first = request.footage.first_photo()
     if first is None:
@@ -216,7 +219,7 @@ def _start(request: TrackRequest, frame: MapFrame | None) -> tuple[Camera, Pose,
         stated = read_photo_metadata(first)
     if request.camera is not None:
         require_photo_size(request.camera, stated.name, stated.width, stated.height)
-    camera = request.camera or camera_from_photo(stated).camera
+    camera = PhotoCamera(request.camera, "given") if request.camera else camera_from_photo(stated)
     if request.center is not None:
         east, north, _ = request.center
         convergence = 0.0 if frame is None else frame.convergence_deg(east, north)

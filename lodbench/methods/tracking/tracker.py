@@ -85,6 +85,8 @@ class Tracker:
         camera: Pinhole of all frames.
         start: Rough pose of the first frame, scene frame, as wrong as a drone's sensors.
         params: How.
+        lens_percent: Standard deviation of the camera's focal length, percent, as of ``Query``; it counts where
+            a frame is searched for.
     """
 
     def __init__(
@@ -93,8 +95,10 @@ class Tracker:
         camera: Camera,
         start: Pose,
         params: Params | None = None,
+        lens_percent: float | None = None,
     ) -> None:
         self._map, self._camera, self.params = city_map, camera, params or Params()
+        self._lens_percent = lens_percent
         self._vector: Floats = vector_from_pose(start)
         self._motion: Floats = np.zeros(6)
         self._time_s: float | None = None
@@ -163,7 +167,8 @@ class Tracker:
         return _Place(vector, float(found.score), found.covariance, probability)
 
     def _query(self, frame: Frame, around: Floats) -> Query:
-        return Query(frame.name, "", self._camera, pose_from_vector(around), frame.mask)
+        prior = pose_from_vector(around)
+        return Query(frame.name, "", self._camera, prior, frame.mask, lens_percent=self._lens_percent)
 
     def _keep(self, frame: Frame, found: _Place, state: str) -> Tracked:
         """Remembers what became of a frame, and returns it."""
