@@ -98,14 +98,15 @@ def _configuration(name: str, where: str, settings: Sequence[str] = ()) -> dict[
     from omegaconf import OmegaConf
 
     register_config_sources()
+    words = [f"method={name}", *settings]
     try:
         with initialize_config_module("lodbench.conf", version_base="1.3"):
-            config = compose("run", overrides=[f"method={name}", *settings]).method
+            config = compose("run", words).method
         return section({"method": OmegaConf.to_container(config, resolve=True)}, "method")
     except MissingConfigException:
         return None
     except ConfigCompositionException as error:
-        raise explained(error, "run") from error
+        raise explained(error, "run", words) from error
     except Exception as error:  # the YAML reader's faults share no base with Hydra's
         raise ConfigError(f"{where} cannot be read: {str(error).splitlines()[0]}") from error
 

@@ -48,6 +48,8 @@ PATH_KEYS = frozenset(
 # Below these any key may be set: ReadOptions checks them, profiles name only those they change.
 _FREE_KEYS = ("source.options.",)
 _SWEEP_FLAGS = ("-m", "--multirun")
+# Of its configuration and the words that say it.
+Job = Callable[[DictConfig, list[str]], None]
 _is_registered = False
 
 
@@ -64,16 +66,14 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         LodbenchError: An override is malformed, unknown or of the wrong type; or the only job's own.
         Exception: What else a job raised, as it was raised; the jobs after it are not run.
     """
-    from hydra.core.hydra_config import HydraConfig
-
     jobs: list[list[str]] = []
     faults: dict[int, LodbenchError] = {}
     crashes: list[Exception] = []
 
-    def job(config: DictConfig) -> None:
+    def job(config: DictConfig, words: list[str]) -> None:
         if crashes:
             return
-        jobs.append(list(HydraConfig.get().overrides.task))
+        jobs.append(words)
         try:
             task(config)
         except LodbenchError as fault:
@@ -96,29 +96,58 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
     return 2 if faults else 0
 
 
-def _run_jobs(command: str, config_name: str, job: Callable[[DictConfig], None], argv: Sequence[str]) -> None:
-    """Lets Hydra compose the configuration of a command and run each job of it.
+def _run_jobs(command: str, config_name: str, job: Job, argv: Sequence[str]) -> None:
+    """Runs each job of a command with the configuration that Hydra composes, and the words it has.
 
     Raises:
         LodbenchError: An override is malformed, unknown or of the wrong type.
     """
-    import hydra
     from hydra.errors import HydraException
     from yaml import YAMLError
 
     register_config_sources()
-    # Hydra would print the fault and exit by itself; with this it lets the exception through.
-    os.environ["HYDRA_FULL_ERROR"] = "1"
-    saved, sys.argv = sys.argv, [f"lodbench {command}", *_hydra_words(argv, config_name)]
+    words = _hydra_words(argv, config_name)
     try:
-        version = {"version_base": "1.3"} if hydra.__version__ < "1.4" else {}
-        hydra.main(config_path="pkg://lodbench.conf", config_name=config_name, **version)(job)()
+        if any(word.lstrip("+~").startswith(("-", "hydra")) for word in words):
+            _let_hydra_run(command, config_name, job, words)
+        else:
+            job(_composed(command, config_name, words), words)
     except YAMLError as error:
         raise ConfigError(f"A file of settings cannot be read: {' '.join(str(error).split())}.") from error
     except (HydraException, OmegaConfBaseException, ValueError) as error:
-        raise explained(error, config_name) from error
+        raise explained(error, config_name, words) from error
+
+
+def _composed(command: str, config_name: str, words: list[str]) -> DictConfig:
+    """Returns the configuration of a single job: Hydra's own entry composes each one twice."""
+    import hydra
+
+    with hydra.initialize_config_module("lodbench.conf", job_name=command, **_hydra_version()):
+        return hydra.compose(config_name, words)
+
+
+def _let_hydra_run(command: str, config_name: str, job: Job, words: list[str]) -> None:
+    """Lets Hydra run the jobs of a sweep, or whatever else its own words ask for."""
+    import hydra
+    from hydra.core.hydra_config import HydraConfig
+
+    def task(config: DictConfig) -> None:
+        job(config, list(HydraConfig.get().overrides.task))
+
+    # Hydra would print the fault and exit by itself; with this it lets the exception through.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    saved, sys.argv = sys.argv, [f"lodbench {command}", *words]
+    try:
+        hydra.main(config_path="pkg://lodbench.conf", config_name=config_name, **_hydra_version())(task)()
     finally:
         sys.argv = saved
+
+
+def _hydra_version() -> dict[str, str]:
+    """Returns what says to Hydra which of its versions it is to be like."""
+    import hydra
+
+    return {"version_base": "1.3"} if hydra.__version__ < "1.4" else {}
 
 
 def _report_faults(jobs: Sequence[Sequence[str]], faults: dict[int, LodbenchError]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
@@ -14,8 +14,8 @@ from lodbench.errors import ConfigError, nearest_names
 from lodbench.plugins import plugin_names
 
 
-def explained(error: Exception, config_name: str) -> ConfigError:
-    """Returns Hydra's complaint as one line and, for an unknown key, the nearest known ones."""
+def explained(error: Exception, config_name: str, words: Sequence[str]) -> ConfigError:
+    """Returns Hydra's complaint about words as one line and, for an unknown key, the nearest known ones."""
     from hydra.errors import OverrideParseException
 
     text = str(error)
@@ -34,7 +34,7 @@ def explained(error: Exception, config_name: str) -> ConfigError:
         return ConfigError(f"There is no {group} {option[2]!r}.", nearest_names(option[2], known))
     key = re.search(r"Could not override '([^']+)'", text)
     if key:
-        return _unknown(key[1], config_name)
+        return _unknown(key[1], config_name, words)
     merged = re.search(r"Error merging override (.*)", text)
     if merged:
         return ConfigError(
@@ -46,7 +46,7 @@ def explained(error: Exception, config_name: str) -> ConfigError:
         hint = f"Add --multirun for a run of each, or write {name}=[{values}] for a list."
         return ConfigError(f"{name}={values} has several values.", hint)
     if isinstance(error, OverrideParseException):
-        for word in sys.argv[1:]:
+        for word in words:
             if not word.startswith("-") and not _is_override(word):
                 return _unread(word, config_name)
     return ConfigError(f"The command line cannot be read: {text.splitlines()[0]}", "Settings are key=value.")
@@ -80,13 +80,13 @@ def _unread(word: str, config_name: str) -> ConfigError:
     )
 
 
-def _unknown(key: str, config_name: str) -> ConfigError:
+def _unknown(key: str, config_name: str, words: Sequence[str]) -> ConfigError:
     """Returns that a key is no setting, and which are near it: here, in a section, or of another choice."""
     from hydra import compose, initialize_config_module
 
     groups = {group.key: group for group in groups_of(config_name)}
     choice = re.compile(rf"(\w+@)?({'|'.join(map(re.escape, groups))})=[\w.-]+")
-    overrides = [word for word in sys.argv[1:] if choice.fullmatch(word)]
+    overrides = [word for word in words if choice.fullmatch(word)]
     with initialize_config_module("lodbench.conf", version_base="1.3"):
         config = compose(config_name, overrides=overrides)
     parent, _, name = key.rpartition(".")

@@ -26,18 +26,18 @@ def triangle_groups(corners: Floats) -> tuple[NDArray[np.int64], NDArray[np.int6
 def grouped_scene(corners: Floats, starts: NDArray[np.int64]) -> Scene:
     """Returns grouped triangles as a scene; every group has vertices of its own."""
     count = len(starts) - 1
-    group = np.repeat(np.arange(count), np.diff(starts))
+    group = np.repeat(np.arange(count), 3 * np.diff(starts))
     points = corners.reshape(-1, 3).astype(np.float32)
-    keys = np.empty(len(points), dtype=[("group", np.int64), ("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
-    keys["group"] = np.repeat(group, 3)
-    for axis, name in enumerate("xyz"):
-        keys[name] = points[:, axis]
-    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    vertices = points[first]
+    # Several times as fast as unique rows of a structured array.
+    order = np.lexsort((points[:, 2], points[:, 1], points[:, 0], group))
+    is_new = np.ones(len(order), dtype=bool)
+    is_new[1:] = (np.diff(group[order]) != 0) | (points[order[1:]] != points[order[:-1]]).any(axis=1)
+    first, triangles = order[is_new], np.empty(len(order), dtype=np.int32)
+    triangles[order] = np.cumsum(is_new) - 1
     return Scene(
-        vertices=vertices,
-        triangles=inverse.reshape(-1, 3).astype(np.int32),
-        vertex_starts=np.searchsorted(keys["group"][first], np.arange(count + 1)).astype(np.int64),
+        vertices=points[first],
+        triangles=triangles.reshape(-1, 3),
+        vertex_starts=np.searchsorted(group[first], np.arange(count + 1)).astype(np.int64),
         triangle_starts=starts.astype(np.int64),
         building_ids=tuple(str(number) for number in range(count)),
         lod="",

@@ -85,8 +85,8 @@ class Tracker:
         camera: Pinhole of all frames.
         start: Rough pose of the first frame, scene frame, as wrong as a drone's sensors.
         params: How.
-        lens_percent: Standard deviation of the camera's focal length, percent, as of ``Query``; it counts where
-            a frame is searched for.
+        lens_percent: Standard deviation of the camera's focal length, percent, as of ``Query``; for
+            frames that are searched for.
     """
 
     def __init__(
