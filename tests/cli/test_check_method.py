@@ -251,7 +251,9 @@ def plug_in(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", ["lodlocv2", "contour_alignment", "region", "prior_only"])
+@pytest.mark.parametrize(
+    "name", ["lodlocv2", "contour_alignment", pytest.param("region", marks=pytest.mark.slow), "prior_only"]
+)
 def test_ours_keep_to_it(capsys, name):
     assert main(["check-method", name]) == 0
     told = capsys.readouterr().out

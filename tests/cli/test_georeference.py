@@ -119,15 +119,18 @@ def test_a_model_is_placed_within_decimetres_and_handed_on(capsys, case, tmp_pat
     frame = MapFrame("EPSG:25832+7837")
     east, north = frame.east_north(*shape(cameras[0]["geometry"]).coords[0][::-1])
     assert (east, north) == pytest.approx(case.truth[cameras[0]["properties"]["name"]].center[:2], abs=1.0)
-    # What was found is a start of its own, and of this model.
-    code, told = georeference(
-        capsys, case, tmp_path, "--masks", case.masks, "--start", tmp_path / "similarity.json"
-    )
-    assert code == 0
+
+
+@pytest.mark.slow
+def test_what_was_found_is_a_start_of_its_own_and_of_this_model(capsys, case, tmp_path):
+    for start in (case.rough, tmp_path / "similarity.json"):
+        code, told = georeference(capsys, case, tmp_path, "--masks", case.masks, "--start", start)
+        assert code == 0
     assert "the similarity in" in told
     assert np.median(errors_m(read_colmap(tmp_path / "colmap"), case.truth)) < 0.6
 
 
+@pytest.mark.slow
 def test_a_model_that_its_masks_do_not_place_is_not_to_be_trusted(capsys, case, tmp_path):
     masks = sorted(case.masks.iterdir())
     (tmp_path / "masks").mkdir()

@@ -219,7 +219,8 @@ def hang_once(item: int) -> int:
     return item * item
 
 
-@pytest.mark.parametrize("name", ["process", pytest.param("dask", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["process", "dask"])
 def test_what_a_hung_worker_was_at_is_done_again(tmp_path: Path, name: str) -> None:
     if name == "dask":
         pytest.importorskip("distributed")

@@ -74,6 +74,7 @@ def test_lines_know_where_walls_end(roofs, queries, truths, seen_at):
     assert abs(np.mean(found) - 1.0) <= 0.5
 
 
+@pytest.mark.slow
 def test_hidden_feet_lead_no_answer_far_astray(city_map, roofs, tmp_path):
     """Photos of a town without its lowest three metres: under the belief that all is seen they cost more."""
     told = [replace(FAST, feet_m=feet_m) for feet_m in (0.0, 1.0)]

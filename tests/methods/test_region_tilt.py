@@ -39,7 +39,7 @@ def tilted(pose, tilt_deg):
     return Pose.from_euler(EulerAngles(pitch + tilt_deg, roll + 0.5 * tilt_deg, yaw), pose.center)
 
 
-@pytest.mark.parametrize("tilt_deg", [-4.0, 4.0])
+@pytest.mark.parametrize("tilt_deg", [pytest.param(-4.0, marks=pytest.mark.slow), 4.0])
 def test_a_tilt_worse_than_told_is_found_and_told(city_map, tmp_path, tilt_deg):
     _, believing = estimates_of(city_map, tmp_path, tilt_deg, BELIEVING)
     estimates, doubting = estimates_of(city_map, tmp_path, tilt_deg, FAST)

@@ -20,6 +20,8 @@ from lodbench.synthesis.flights.errors import MapErrors, change_map
 from tests.methods.flight.test_method import flight, localize
 from tests.town import CAMERA
 
+pytestmark = pytest.mark.slow
+
 
 def errors_m(answer, poses):
     return [

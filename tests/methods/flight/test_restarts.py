@@ -30,6 +30,7 @@ def test_ends_that_fit_worse_are_left_out():
     assert not alone.covariances[0].any()
 
 
+@pytest.mark.slow
 def test_what_some_photos_of_a_long_flight_err_by_moves_not_all_of_it(city_map, monkeypatch):
     queries, _ = flight(city_map, count=6, focal=1.0)
 

@@ -39,9 +39,8 @@ def city_file(text, tmp_path_factory):
     return path
 
 
-def test_bytes_follow_from_the_seed(text, town_of):
+def test_bytes_follow_from_the_seed(text):
     assert citygml_text(grow_town(0)) == text
-    assert citygml_text(town_of(1)) != text
 
 
 def test_identifiers_are_unique_and_links_resolve(root):
