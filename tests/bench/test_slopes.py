@@ -37,6 +37,7 @@ def _hold(megabytes: int) -> tuple[float, float]:
     return 1.0, 0.0
 
 
+@pytest.mark.slow
 def test_every_axis_is_measured(tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path / "cache"))
     # Processes take seconds to start; one test is enough for them.

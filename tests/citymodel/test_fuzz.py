@@ -193,6 +193,7 @@ def fuzz(numbers: Iterable[int], files: list[tuple[str, bytes]], seed: int) -> t
 
 
 @pytest.mark.filterwarnings("error")
+@pytest.mark.slow
 def test_mutated_files(shared_data: Path) -> None:
     num_read, num_refused = fuzz(range(500), seeds(shared_data), seed=1)
     assert num_read > 20

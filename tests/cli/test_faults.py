@@ -123,6 +123,7 @@ def test_fault_of_the_city(lodbench, tmp_path, dataset, name, content, expected)
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.slow
 def test_a_level_of_detail_that_is_not_there(lodbench, tmp_path):
     path = tmp_path / "town.gml"
     path.write_text(town_gml())

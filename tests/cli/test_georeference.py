@@ -245,6 +245,7 @@ def test_no_photo_and_no_mask_is_taken_for_two_images_of_one_name(capsys, case, 
     assert "may be of several of the model's images" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_photos_are_found_whatever_the_letters_of_their_ending(capsys, case, tmp_path):
     bare = [each._replace(name=Path(each.name).stem) for each in read_colmap(case.model)][:4]
     write_colmap(bare, tmp_path / "bare")

@@ -126,6 +126,7 @@ def test_a_flight_is_solved_by_its_pixels(capsys, flight, tmp_path):
     assert not (tmp_path / "no").exists()
 
 
+@pytest.mark.slow
 def test_a_reconstruction_ties_the_photos_and_xmp_is_written_beside_them(capsys, flight, tmp_path):
     photos = tmp_path / "photos"
     shutil.copytree(flight.photos, photos)
@@ -150,6 +151,7 @@ def test_a_reconstruction_ties_the_photos_and_xmp_is_written_beside_them(capsys,
     assert "has none of these photos" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_cannot_be_used_is_named_and_the_rest_is_solved(capsys, flight, tmp_path):
     folder = tmp_path / "all"
     shutil.copytree(flight.photos, folder / "a")

@@ -55,6 +55,7 @@ def test_the_page_shows_a_run_in_one_quiet_file(lodbench, tmp_path, data):
         assert {"prior", "estimate", "truth"} <= set(page.inner_text(".legend").split())
 
 
+@pytest.mark.slow
 def test_a_row_a_camera_and_a_picture_lead_to_the_picture_and_a_filter_hides_all_three(
     lodbench, tmp_path, data
 ):

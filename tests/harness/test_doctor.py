@@ -45,6 +45,7 @@ def test_every_renderer_is_tried():
     assert set(doctor.RENDERER_TRIALS) == set(plugin_names("renderers"))
 
 
+@pytest.mark.slow
 def test_every_network_of_the_package_is_tried():
     packaged = {path.stem for path in (files("lodbench.segmentation") / "weights").glob("*.onnx")}
     assert set(doctor.NETWORKS) == packaged

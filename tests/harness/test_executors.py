@@ -51,7 +51,8 @@ def test_dask(serial) -> None:
     assert run(folder, "dask", "executor=dask", "executor.workers=2") == expected
 
 
-@pytest.mark.parametrize("name", ["process", pytest.param("dask", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["process", "dask"])
 def test_the_grid_of_one_query_of_a_wide_basin_shared_by_two_workers(
     serial, tmp_path, monkeypatch, name
 ) -> None:
@@ -180,7 +181,8 @@ def test_workers_that_keep_dying_end_in_one_line(tmp_path: Path) -> None:
         list(spread(ExecutorParams("process", workers=2), die, range(4), prepare, (Deadly(tmp_path),)))
 
 
-@pytest.mark.parametrize("name", ["process", pytest.param("dask", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["process", "dask"])
 def test_workers_that_die_over_a_shared_grid_end_the_run_and_are_no_query_s_failure(
     serial, tmp_path, monkeypatch, capsys, name
 ) -> None:

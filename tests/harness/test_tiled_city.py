@@ -52,7 +52,11 @@ def assert_is(folder: Path, tiles: Path, lod: str | None = None) -> None:
 
 @pytest.mark.parametrize(
     "executor",
-    [ExecutorParams(), ExecutorParams("process", 2), ExecutorParams("dask", 2)],
+    [
+        ExecutorParams(),
+        ExecutorParams("process", 2),
+        pytest.param(ExecutorParams("dask", 2), marks=pytest.mark.slow),
+    ],
     ids=["serial", "process", "dask"],
 )
 def test_as_read_at_once(tiles: Path, tmp_path: Path, executor: ExecutorParams) -> None:

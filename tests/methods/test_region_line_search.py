@@ -75,6 +75,7 @@ def test_a_wide_prior_has_longer_strides_not_more_samples(city_map, roofs, drawn
     assert asked[0] < asked[1] < 150_000
 
 
+@pytest.mark.slow
 def test_a_second_search_finds_what_regions_do_not_see(city_map, drawn, truths):
     regions_alone = replace(FAST, starts=1, modes=1, coarse_edge_weight=0.0, edge_weight=0.0)
     errors = {1: [], 2: []}

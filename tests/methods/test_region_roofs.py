@@ -114,6 +114,7 @@ def mean_errors(city_map, town, told, folder, seeds=(0,)):
     return [float(np.mean(found)) for found in errors.values()]
 
 
+@pytest.mark.slow
 def test_a_map_whose_roofs_err_alike_leads_no_answer_astray(city_map, roofs, tmp_path):
     """Photos of a town with roofs two metres lower than in the map: said not to err, they cost a metre."""
     told = [replace(FAST, own_roofs_m=0.0, roofs_m=roofs_m) for roofs_m in (0.0, 1.0)]
@@ -153,6 +154,7 @@ def test_lines_tell_each_roof_s_height(roofs, uneven, queries, truths):
     assert np.mean(np.sign(found) == np.sign(true)) > 0.9
 
 
+@pytest.mark.slow
 def test_roofs_that_err_each_by_itself_lead_no_answer_astray(city_map, roofs, uneven, tmp_path):
     """Photos of a town more uneven still, over the map that does not know."""
     town = roofs.each_by_itself(5.0 / 3.0 * uneven[1], 0.0, 0.0)

@@ -59,7 +59,9 @@ def numbers(text: str):
     return np.cumsum(np.frombuffer(base64.b64decode(text), "<i4"))
 
 
-@pytest.mark.parametrize(("size", "scheme"), [(DESK, "light"), (PHONE, "dark")])
+@pytest.mark.parametrize(
+    ("size", "scheme"), [(DESK, "light"), pytest.param(PHONE, "dark", marks=pytest.mark.slow)]
+)
 def test_cameras_are_chosen_looked_through_hidden_and_filtered(tmp_path, scene, cameras, size, scheme):
     path = tmp_path / "view.html"
     path.write_text(draw_view3d("some run", scene, cameras))

@@ -49,6 +49,7 @@ def test_training_learns_and_leaves_weights_curves_and_a_record(views, tmp_path,
     assert found.shape == (64, 96)
 
 
+@pytest.mark.slow
 def test_a_stopped_training_ends_in_the_same_bytes(views, tmp_path, monkeypatch):
     assert train(views, tmp_path / "whole") == 0
     with monkeypatch.context() as patch:

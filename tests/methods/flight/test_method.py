@@ -97,6 +97,7 @@ def test_a_photo_that_shows_something_else_is_placed_by_the_others(city_map):
     assert answer.estimates[2].probability < min(answer.estimates[k].probability for k in (0, 1, 3, 4, 5))
 
 
+@pytest.mark.slow
 def test_a_building_whose_height_the_map_has_wrong_is_in_doubt(scene):
     errors = MapErrors(heights=0.15)
     wrong, changed = change_map(scene, errors, np.random.default_rng(3))

@@ -77,6 +77,7 @@ def test_a_photo_borrows_what_buildings_look_like_from_the_others(photographed, 
     assert ious(masked, city_map, poses)[0] >= ious(one, city_map, poses[:1])[0] - 0.005
 
 
+@pytest.mark.slow
 def test_a_flight_is_found_by_its_pixels(photographed, city_map, tmp_path):
     queries, poses, _ = photographed
     (tmp_path / "broken.png").write_bytes(b"no picture")

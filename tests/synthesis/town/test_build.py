@@ -156,6 +156,7 @@ def test_another_demo_or_folder_is_not_overwritten(demo, tmp_path):
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_nothing_is_left_of_a_build_that_fails(tmp_path, monkeypatch, town):
     def fail(*_args, **_kwargs):
         raise OSError("disk full")

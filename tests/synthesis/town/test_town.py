@@ -12,7 +12,7 @@ from lodbench.synthesis.town.shapes import area
 from lodbench.synthesis.town.town import grow_town
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_every_solid_is_sound(town_of, seed):
     for building in town_of(seed).buildings[seed::2]:
         assert_sound(building.lod1)
@@ -194,6 +194,7 @@ def test_same_seed_same_town_and_other_seeds_differ(town, town_of):
     assert len(other.buildings) != len(town.buildings)
 
 
+@pytest.mark.slow
 def test_the_two_looks_differ_in_more_than_chance(town):
     other = grow_town(0, "train")
     roofs = [Counter(b.plan.roof.name for b in some.buildings) for some in (town, other)]
