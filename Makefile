@@ -3,6 +3,9 @@ PYTHON ?= python3.11
 VENV ?= .venv
 BIN := $(VENV)/bin
 
+# Without compiled files each process of the tests rewrites them anew: minutes.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo ablation table1 holdout budget thresholds test quick test-slow fuzz faults determinism matrix weights docs lint audit clean
 
 # Builds the demo town and localises its 40 photos from pixels, with the sensor's tilt, by three methods.
