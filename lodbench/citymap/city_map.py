@@ -90,10 +90,11 @@ class CityMap:
         """
         engine = self._engine.with_vertices(vertices)
         other = copy(self)
-        for name, member in vars(type(self)).items():
+        for name, member in vars(CityMap).items():
             if isinstance(member, cached_property):
                 other.__dict__.pop(name, None)
-        other.scene, other._textured_mesh, other.scorer, other.name = engine.scene, None, engine, engine.name
+        other.scene, other._textured_mesh, other.scorer = engine.scene, None, engine
+        other.name, other.threads = engine.name, engine.threads
         return other
 
     @property

@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any
 
 from lodbench.checks import FAULT, OK, Check
+from lodbench.cli.composing import composed
 from lodbench.cli.console import check_lines, plain_check, traceback_lines
 from lodbench.cli.hydra_app import register_config_sources, section
 from lodbench.cli.hydra_faults import explained
@@ -93,15 +94,13 @@ def _configuration(name: str, where: str, settings: Sequence[str] = ()) -> dict[
     Raises:
         ConfigError: The file cannot be read, or has no such setting.
     """
-    from hydra import compose, initialize_config_module
     from hydra.errors import ConfigCompositionException, MissingConfigException
     from omegaconf import OmegaConf
 
     register_config_sources()
     words = [f"method={name}", *settings]
     try:
-        with initialize_config_module("lodbench.conf", version_base="1.3"):
-            config = compose("run", words).method
+        config = composed("run", words).method
         return section({"method": OmegaConf.to_container(config, resolve=True)}, "method")
     except MissingConfigException:
         return None

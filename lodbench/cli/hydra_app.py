@@ -6,12 +6,14 @@ import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
+from lodbench.cli.composing import composed, hydra_version
 from lodbench.cli.console import report_fault
 from lodbench.cli.hydra_faults import explained
 from lodbench.cli.setting_help import groups_of, help_text
@@ -48,8 +50,6 @@ PATH_KEYS = frozenset(
 # Below these any key may be set: ReadOptions checks them, profiles name only those they change.
 _FREE_KEYS = ("source.options.",)
 _SWEEP_FLAGS = ("-m", "--multirun")
-# Of its configuration and the words that say it.
-Job = Callable[[DictConfig, list[str]], None]
 _is_registered = False
 
 
@@ -66,14 +66,16 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         LodbenchError: An override is malformed, unknown or of the wrong type; or the only job's own.
         Exception: What else a job raised, as it was raised; the jobs after it are not run.
     """
+    from hydra.core.hydra_config import HydraConfig
+
     jobs: list[list[str]] = []
     faults: dict[int, LodbenchError] = {}
     crashes: list[Exception] = []
 
-    def job(config: DictConfig, words: list[str]) -> None:
+    def job(config: DictConfig) -> None:
         if crashes:
             return
-        jobs.append(words)
+        jobs.append(list(HydraConfig.get().overrides.task))
         try:
             task(config)
         except LodbenchError as fault:
@@ -96,8 +98,8 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
     return 2 if faults else 0
 
 
-def _run_jobs(command: str, config_name: str, job: Job, argv: Sequence[str]) -> None:
-    """Runs each job of a command with the configuration that Hydra composes, and the words it has.
+def _run_jobs(command: str, config_name: str, job: Callable[[DictConfig], None], argv: Sequence[str]) -> None:
+    """Runs each job of a command with the configuration that Hydra composes.
 
     Raises:
         LodbenchError: An override is malformed, unknown or of the wrong type.
@@ -111,43 +113,43 @@ def _run_jobs(command: str, config_name: str, job: Job, argv: Sequence[str]) -> 
         if any(word.lstrip("+~").startswith(("-", "hydra")) for word in words):
             _let_hydra_run(command, config_name, job, words)
         else:
-            job(_composed(command, config_name, words), words)
+            job(_single(config_name, words))
     except YAMLError as error:
         raise ConfigError(f"A file of settings cannot be read: {' '.join(str(error).split())}.") from error
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise explained(error, config_name, words) from error
 
 
-def _composed(command: str, config_name: str, words: list[str]) -> DictConfig:
-    """Returns the configuration of a single job: Hydra's own entry composes each one twice."""
-    import hydra
+def _single(config_name: str, words: list[str]) -> DictConfig:
+    """Returns the configuration of a single job, composed once: Hydra's own entry does so twice.
 
-    with hydra.initialize_config_module("lodbench.conf", job_name=command, **_hydra_version()):
-        return hydra.compose(config_name, words)
-
-
-def _let_hydra_run(command: str, config_name: str, job: Job, words: list[str]) -> None:
-    """Lets Hydra run the jobs of a sweep, or whatever else its own words ask for."""
-    import hydra
+    What Hydra would do around a job besides, folders, logs and callbacks, is left out.
+    """
     from hydra.core.hydra_config import HydraConfig
 
-    def task(config: DictConfig) -> None:
-        job(config, list(HydraConfig.get().overrides.task))
+    config = composed(config_name, words, return_hydra_config=True)
+    # For ${hydra:...}.
+    HydraConfig.instance().set_config(config)
+    config = deepcopy(config)
+    OmegaConf.set_readonly(config, False)
+    with open_dict(config):
+        del config["hydra"]
+    return config
+
+
+def _let_hydra_run(
+    command: str, config_name: str, job: Callable[[DictConfig], None], words: list[str]
+) -> None:
+    """Lets Hydra run the jobs of a sweep, or whatever else its own words ask for."""
+    import hydra
 
     # Hydra would print the fault and exit by itself; with this it lets the exception through.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     saved, sys.argv = sys.argv, [f"lodbench {command}", *words]
     try:
-        hydra.main(config_path="pkg://lodbench.conf", config_name=config_name, **_hydra_version())(task)()
+        hydra.main(config_path="pkg://lodbench.conf", config_name=config_name, **hydra_version())(job)()
     finally:
         sys.argv = saved
-
-
-def _hydra_version() -> dict[str, str]:
-    """Returns what says to Hydra which of its versions it is to be like."""
-    import hydra
-
-    return {"version_base": "1.3"} if hydra.__version__ < "1.4" else {}
 
 
 def _report_faults(jobs: Sequence[Sequence[str]], faults: dict[int, LodbenchError]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
+from lodbench.cli.composing import composed
 from lodbench.cli.configs import config_files
 from lodbench.cli.setting_help import Group, groups_of, settings_of_group
 from lodbench.errors import ConfigError, nearest_names
@@ -82,13 +83,10 @@ def _unread(word: str, config_name: str) -> ConfigError:
 
 def _unknown(key: str, config_name: str, words: Sequence[str]) -> ConfigError:
     """Returns that a key is no setting, and which are near it: here, in a section, or of another choice."""
-    from hydra import compose, initialize_config_module
-
     groups = {group.key: group for group in groups_of(config_name)}
     choice = re.compile(rf"(\w+@)?({'|'.join(map(re.escape, groups))})=[\w.-]+")
     overrides = [word for word in words if choice.fullmatch(word)]
-    with initialize_config_module("lodbench.conf", version_base="1.3"):
-        config = compose(config_name, overrides=overrides)
+    config = composed(config_name, overrides)
     parent, _, name = key.rpartition(".")
     section = OmegaConf.select(config, parent) if parent else config
     if not isinstance(section, DictConfig):

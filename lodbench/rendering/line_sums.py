@@ -26,8 +26,8 @@ class LinePoints(NamedTuple):
         rises: (P, 2) float64 by how much either moves up where roofs are a metre higher, metres.
         lifts: (P, 2) float64 by how much either moves up where walls end a metre higher, metres.
         outward: (P, 2) float64 how far the first moves along x and y where eaves stand out a metre farther.
-        kinds: (P,) int64 which worth its levels have.
-        buildings: (P,) int64 whose sum it is added to.
+        kinds: (P,) int64 its kind, by which levels are worth something or counted.
+        buildings: (P,) int64 the building that it is summed up or counted for.
     """
 
     points: Floats

@@ -154,7 +154,7 @@ def test_an_unknown_renderer_is_told(scene):
         CityMap(scene, "silhouete")
 
 
-@pytest.mark.parametrize("name", ["silhouette", "raster"])
+@pytest.mark.parametrize("name", ["silhouette", "raster", "reference"])
 def test_with_other_vertices_it_is_the_map_of_those(scene, name):
     moves = np.random.default_rng(5).uniform(-3.0, 3.0, scene.vertices.shape).astype(np.float32)
     before = CityMap(scene, name, threads=2)
@@ -169,7 +169,7 @@ def test_with_other_vertices_it_is_the_map_of_those(scene, name):
     ):
         for field in fields(shown):
             np.testing.assert_array_equal(getattr(shown, field.name), getattr(expected, field.name))
-    assert moved.usage is before.usage
+    assert (moved.usage, moved.threads) == (before.usage, 2)
     np.testing.assert_array_equal(before.scene.vertices, scene.vertices)
 
 

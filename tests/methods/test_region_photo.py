@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import gc
+import time
+import weakref
+
 import numpy as np
 import pytest
 
@@ -49,3 +53,20 @@ def test_what_goes_wrong_meanwhile_is_said_when_asked(pixels, monkeypatch):
     assert photo.fit(100, is_coarse=False).size[0] == 100
     with pytest.raises(ValueError, match="no edges today"):
         photo.levels(1.0)
+
+
+def test_a_photo_is_let_go_at_once(pixels):
+    """Its levels are megabytes, and its threads wait: no cycle may keep them until a collection."""
+    gc.disable()
+    try:
+        photo = Photo(pixels, CAMERA, PARAMS, 2, blurs_px=(1.0,))
+        photo.levels(1.0)
+        photo.fit(100, is_coarse=False)
+        # The last of what was begun may be in its thread's hands for a moment yet.
+        left, until = weakref.ref(photo), time.monotonic() + 20.0
+        del photo
+        while left() is not None and time.monotonic() < until:
+            time.sleep(0.01)
+        assert left() is None
+    finally:
+        gc.enable()

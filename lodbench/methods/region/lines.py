@@ -137,16 +137,16 @@ class LineFit:
         return (on - max(near, far)) / max(on - far, _LEAST_CONTRAST)
 
     def _best_strengths(self, vector: Floats) -> NDArray[np.int64]:
-        """Returns (2,) how strongly edges stand out along outlines and creases, as fits (10,) best.
+        """Returns (2,) how strongly edges stand out along creases and outlines, as fits (10,) best.
 
         One after the other, twice.
         """
         # (2, S, B, D): what lines of a kind say, by how strongly edges stand out along them.
-        outlines, creases = np.moveaxis(self._counts(vector, self._own_m) @ _RATIOS.T, -1, 1)
+        creases, outlines = np.moveaxis(self._counts(vector, self._own_m) @ _RATIOS.T, -1, 1)
         best = np.full(2, len(_STRENGTHS) // 2)
         for _ in range(2):
-            best[0] = self._likeliest(outlines + creases[best[1]])
-            best[1] = self._likeliest(outlines[best[0]] + creases)
+            best[0] = self._likeliest(creases + outlines[best[1]])
+            best[1] = self._likeliest(creases[best[0]] + outlines)
         return best
 
     def _likeliest(self, sums: Floats) -> int:

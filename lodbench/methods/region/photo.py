@@ -20,7 +20,7 @@ View = TypeVar("View")
 class Photo:
     """A photo in some sizes: what parts its regions, and its edges after some blurs.
 
-    With several threads all that is usually asked for is begun at once, while the search does.
+    With several threads what is usually asked for is prepared beside the search.
 
     Args:
         pixels: As of ``read_picture``.
@@ -60,9 +60,11 @@ class Photo:
         return self._begin(self._make_levels, width or self._params.lines_width, blur_px).result()
 
     def _begin(self, make: Callable[..., View], *what: Any) -> Future[View]:
-        if (make, *what) not in self._begun:
-            self._begun[make, *what] = self._pool.submit(make, *what)
-        return self._begun[make, *what]
+        # Only the query's own thread asks. By name: a bound method would keep the photo from being let go.
+        key = (make.__name__, *what)
+        if key not in self._begun:
+            self._begun[key] = self._pool.submit(make, *what)
+        return self._begun[key]
 
     def _make_fit(self, width: int, is_coarse: bool) -> PhotoFit:
         return PhotoFit(self._pixels, working_size(self._camera, width), self._params, is_coarse)

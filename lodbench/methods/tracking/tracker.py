@@ -85,8 +85,8 @@ class Tracker:
         camera: Pinhole of all frames.
         start: Rough pose of the first frame, scene frame, as wrong as a drone's sensors.
         params: How.
-        lens_percent: Standard deviation of the camera's focal length, percent, as of ``Query``; for
-            frames that are searched for.
+        lens_percent: Standard deviation of the camera's focal length, percent, as of ``Query``;
+            for frames that are searched for: those that follow another are aligned with the lens as told.
     """
 
     def __init__(
