@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-# Without compiled files each process of the tests rewrites them anew: minutes.
+# Where Python may not keep compiled files each process of the tests compiles all of them anew: half a minute.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo ablation table1 holdout budget thresholds test quick test-slow fuzz faults determinism matrix weights docs lint audit clean

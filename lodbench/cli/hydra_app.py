@@ -113,17 +113,24 @@ def _run_jobs(command: str, config_name: str, job: Callable[[DictConfig], None],
         if any(word.lstrip("+~").startswith(("-", "hydra")) for word in words):
             _let_hydra_run(command, config_name, job, words)
         else:
-            job(_single(config_name, words))
+            job(single_job(config_name, words))
     except YAMLError as error:
         raise ConfigError(f"A file of settings cannot be read: {' '.join(str(error).split())}.") from error
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise explained(error, config_name, words) from error
 
 
-def _single(config_name: str, words: list[str]) -> DictConfig:
+def single_job(config_name: str, words: list[str]) -> DictConfig:
     """Returns the configuration of a single job, composed once: Hydra's own entry does so twice.
 
     What Hydra would do around a job besides, folders, logs and callbacks, is left out.
+
+    Args:
+        config_name: Of the command's file.
+        words: As Hydra reads them.
+
+    Raises:
+        HydraException: As of ``composed``.
     """
     from hydra.core.hydra_config import HydraConfig
 

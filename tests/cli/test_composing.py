@@ -7,7 +7,7 @@ import sys
 import hydra
 import pytest
 
-from lodbench.cli.hydra_app import _single, plain, register_config_sources
+from lodbench.cli.hydra_app import plain, register_config_sources, single_job
 
 
 @pytest.mark.parametrize(
@@ -25,5 +25,5 @@ def test_it_is_that_of_hydra_s_own_entry(monkeypatch, words):
     monkeypatch.setattr(sys, "argv", ["lodbench run", *words])
     entry = hydra.main(config_path="pkg://lodbench.conf", config_name="run", version_base="1.3")
     entry(lambda config: expected.append(plain(config)))()
-    assert plain(_single("run", words)) == expected[0]
-    assert not words or plain(_single("run", [])) != expected[0]
+    assert plain(single_job("run", words)) == expected[0]
+    assert not words or plain(single_job("run", [])) != expected[0]
