@@ -191,17 +191,19 @@ class CityMap:
         def view(i: int) -> ViewEdges:
             pose = rotations[i], centers[i]
             depth = self._raster.depths(camera, rotations[i : i + 1], centers[i : i + 1])[0]
-            seen = visible_buildings(self._spheres, *pose, planes)
-            return edges_in_view(self._edge_faces, seen, camera, pose, depth, crease_deg)
+            seen = visible_buildings(self.spheres, *pose, planes)
+            return edges_in_view(self.edge_faces, seen, camera, pose, depth, crease_deg)
 
         return tuple(view(i) for i in range(len(centers)))
 
     @cached_property
-    def _spheres(self) -> Floats:
+    def spheres(self) -> Floats:
+        """Spheres round each building, (B, 4) as of ``bounding_spheres``."""
         return bounding_spheres(self.scene)
 
     @cached_property
-    def _edge_faces(self) -> EdgeFaces:
+    def edge_faces(self) -> EdgeFaces:
+        """The edges of all buildings with what lies beside them."""
         return edge_faces(self.scene, self._edge_pairs())
 
     @cached_property

@@ -13,6 +13,7 @@ from shapely import Polygon
 from lodbench.citymodel.scene import SceneBuilder
 from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
 from lodbench.methods.region.eaves import outward_moves
+from lodbench.rendering.edge_faces import edge_faces
 from tests.methods.test_region_lines import line_fit
 from tests.methods.test_region_roofs import FAST, mean_errors, photo_of
 
@@ -44,7 +45,7 @@ def test_outlines_grow_as_shapely_grows_them(turn_deg, flips, metres):
     """Whatever way the faces are oriented, and with a wall of two pieces."""
     scene, plan = house(turn_deg, flips)
     top = scene.vertices[:, 2] > 3.0
-    moved = scene.vertices[:, :2] + metres * outward_moves(scene)
+    moved = scene.vertices[:, :2] + metres * outward_moves(edge_faces(scene), len(scene.vertices))
     order = [int(np.argmin(np.linalg.norm(scene.vertices[top][:, :2] - corner, axis=1))) for corner in plan]
     grown = Polygon(moved[top][order])
     expected = Polygon(plan).buffer(metres, join_style="mitre")
@@ -56,7 +57,7 @@ def test_what_no_wall_meets_stays():
     """A flat outline has no eaves."""
     scene, _ = house(20.0, [False])
     flat = replace(scene, triangles=scene.triangles[: len(ROOF)], triangle_starts=np.array([0, len(ROOF)]))
-    assert not outward_moves(flat).any()
+    assert not outward_moves(edge_faces(flat), len(flat.vertices)).any()
 
 
 def test_roofs_are_drawn_wider_over_the_same_floors(scene, roofs):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
 from lodbench.methods.contour_alignment.outline_kernel import sample_edges
@@ -74,37 +75,38 @@ class OutlinePoints:
         return len(self.lengths)
 
 
-def edges_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float) -> EdgeArrays:
+def edges_in_reach(
+    city_map: CityMap, camera: Camera, prior: Pose, reach_m: float, turn_deg: float
+) -> EdgeArrays:
     """Returns the edges of the buildings that may be seen from anywhere near a prior.
 
     Args:
-        scene: The city.
+        city_map: The city.
         camera: The query's.
         prior: Where to look from.
         reach_m: How far the centre may be off.
         turn_deg: How far the view may be turned.
     """
-    chosen, spheres = _in_reach(scene, camera, prior, reach_m, turn_deg)
-    return _edge_arrays(_part(scene, chosen), spheres[chosen], chosen)
+    rows = _in_reach(city_map, camera, prior, reach_m, turn_deg)
+    return edges_of(_part(city_map.scene, rows))._replace(rows=rows)
 
 
-def scene_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float) -> Scene:
+def scene_in_reach(city_map: CityMap, camera: Camera, prior: Pose, reach_m: float, turn_deg: float) -> Scene:
     """Returns the buildings that may be seen from anywhere near a prior; see ``edges_in_reach``."""
-    return _part(scene, _in_reach(scene, camera, prior, reach_m, turn_deg)[0])
+    return _part(city_map.scene, _in_reach(city_map, camera, prior, reach_m, turn_deg))
 
 
 def _in_reach(
-    scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float
-) -> tuple[NDArray[np.int64], Floats]:
-    """Returns which buildings may be seen from near a prior, and the (B, 4) spheres around all."""
-    spheres = bounding_spheres(scene)
-    wider = spheres.copy()
-    away = np.linalg.norm(spheres[:, :3] - prior.center, axis=1)
+    city_map: CityMap, camera: Camera, prior: Pose, reach_m: float, turn_deg: float
+) -> NDArray[np.int64]:
+    """Returns which buildings may be seen from near a prior."""
+    wider = city_map.spheres.copy()
+    away = np.linalg.norm(wider[:, :3] - prior.center, axis=1)
     chord = 2.0 * np.sin(np.radians(min(turn_deg, 180.0)) / 2.0)
     wider[:, 3] += reach_m + chord * (np.where(np.isfinite(away), away, 0.0) + reach_m)
     planes = view_planes(camera, 0, camera.width)
     rotation, center = np.ascontiguousarray(prior.rotation), np.ascontiguousarray(prior.center)
-    return visible_buildings(wider, rotation, center, planes), spheres
+    return visible_buildings(wider, rotation, center, planes)
 
 
 def sample_outline(
@@ -168,7 +170,8 @@ def _rows(starts: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.in
     return np.asarray(np.arange(counts.sum()) + np.repeat(starts - before, counts), dtype=np.int64)
 
 
-def _edge_arrays(scene: Scene, spheres: Floats, rows: NDArray[np.int64]) -> EdgeArrays:
+def edges_of(scene: Scene) -> EdgeArrays:
+    """Returns the edges of all buildings of a scene."""
     table = edge_table(scene)
     vertices = scene.vertices.astype(np.float64)
     a, b, c = (vertices[scene.triangles[:, k]] for k in range(3))
@@ -186,8 +189,8 @@ def _edge_arrays(scene: Scene, spheres: Floats, rows: NDArray[np.int64]) -> Edge
         second_weight=table.second_weight,
         starts=table.starts,
         planes=np.concatenate([normals, offsets[:, None]], axis=1),
-        spheres=np.ascontiguousarray(spheres),
+        spheres=bounding_spheres(scene),
         floors=floors,
         rises=tops - floors,
-        rows=rows,
+        rows=np.arange(scene.num_buildings),
     )

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.scene import Scene
-from lodbench.rendering.edge_faces import edge_faces
+from lodbench.rendering.edge_faces import EdgeFaces
 
 Floats = NDArray[np.float64]
 
@@ -22,13 +21,16 @@ _IN_LINE, _SHARPEST = 1e-4, 2.0
 _SHORTEST_M = 1e-3
 
 
-def outward_moves(scene: Scene) -> Floats:
+def outward_moves(edges: EdgeFaces, num_vertices: int) -> Floats:
     """Returns (V, 2) how far each vertex moves east and north where its building is a metre wider all around.
 
     Out is away from the roof, or floor, that meets a wall at an edge: faces of published models are oriented
     at random. What no wall meets does not move.
+
+    Args:
+        edges: Of a scene.
+        num_vertices: Of the scene, V.
     """
-    edges = edge_faces(scene)
     along = edges.ends[:, 1] - edges.ends[:, 0]
     third = edges.beside - edges.ends[:, :1]
     normals = np.cross(along[:, None, :], third)
@@ -38,7 +40,7 @@ def outward_moves(scene: Scene) -> Floats:
     across = np.stack([along[:, 1], -along[:, 0]], axis=1)[meets] / length[meets, None]
     of_roof = np.where(is_wall[meets, :1], third[meets, 1, :2], third[meets, 0, :2])
     across *= np.where((across * of_roof).sum(axis=1) > 0, -1.0, 1.0)[:, None]
-    return _moves_of_corners(edges.corners[meets], across, len(scene.vertices))
+    return _moves_of_corners(edges.corners[meets], across, num_vertices)
 
 
 def _moves_of_corners(corners: NDArray[np.int32], outward: Floats, count: int) -> Floats:

@@ -15,7 +15,7 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
-from lodbench.methods.contour_alignment.outline import edges_in_reach, scene_in_reach
+from lodbench.methods.contour_alignment.outline import edges_of, scene_in_reach
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.uncertainty import beyond_range, probability_within
 from lodbench.methods.fits import query_photo
@@ -66,8 +66,8 @@ class Region:
         photo = Photo(query_photo(query), query.camera, params, city_map.threads, BLURS_PX)
         reach = _reach(params)
         # The rest of the city, however large, is looked at this once.
-        part = scene_in_reach(city_map.scene, query.camera, query.prior, *reach)
-        around = Surroundings(edges_in_reach(part, query.camera, query.prior, *reach), city_map, params)
+        part = scene_in_reach(city_map, query.camera, query.prior, *reach)
+        around = Surroundings(edges_of(part), city_map, params)
         seen = _Seen(query, photo, city_map, RaisedRoofs(city_map, part), around)
         found = _found(seen, params, streams)
         if _probability(found) >= TRUSTED or params.more_starts == 1:

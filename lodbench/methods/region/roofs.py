@@ -77,7 +77,7 @@ class RaisedRoofs:
 
     @cached_property
     def _outward(self) -> Floats:
-        return outward_moves(self._part)
+        return outward_moves(self._map().edge_faces, len(self._part.vertices))
 
     def at(self, step: int) -> CityMap:
         """Returns the map of the buildings with roofs so many steps higher."""
