@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from lodbench.bench.photo_masks import labelled_photos
 from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.datasets.query import Dataset, Entry
+from lodbench.datasets.traced_photos import traced_mask
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.segmentation.mask_polygons import polygons_of
@@ -61,6 +62,8 @@ class TracedOptions:
 def open_traced_photos(folder: Path, options: TracedOptions) -> tuple[Dataset, Scene]:
     """Returns the photos that show buildings as a dataset, a split per place, and their maps as one scene.
 
+    Traced masks are their masks: by these a method shows what it makes of perfect ones.
+
     Raises:
         DatasetError: As ``labelled_photos``, or no photo shows a building.
         QueryFault: A photo or a mask cannot be read.
@@ -73,15 +76,15 @@ def open_traced_photos(folder: Path, options: TracedOptions) -> tuple[Dataset, S
         focal = HEIGHT_M * max(width, height) / SIDE_M
         camera = Camera(width, height, focal, focal, width / 2, height / 2)
         place = photo.parent.parent.name
-        entry = Entry(photo.name, place, camera, None, photo, None)
         generator = random_stream(options.seed, "traced photo", place, photo.name)
         above = np.array([number * _APART_M, 0.0, HEIGHT_M])
         for corners, faces in _plates(*_beyond(mask, camera), options.map_error_m, generator):
             triangles.append(faces + sum(map(len, points)))
             points.append(corners + above * (1.0, 1.0, 0.0))
             owners.append(len(faces))
-        truth[entry.key] = Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), above)
-        entries.append(Entry(photo.name, place, camera, truth[entry.key], photo, None))
+        pose = Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), above)
+        entries.append(Entry(photo.name, place, camera, pose, photo, traced_mask(photo)))
+        truth[entries[-1].key] = pose
     if not owners:
         raise DatasetError(f"No photo of {folder} shows a building.")
     names = tuple(f"outline {k}" for k in range(1, len(owners) + 1))

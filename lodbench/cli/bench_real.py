@@ -25,6 +25,7 @@ _MORE = """\
   lodbench bench real --query DIR --city CITY --prior-range 50 --prior-yaw 30     the wide protocol
   lodbench bench real --query DIR --city CITY --method region,contour_alignment --segmenter compact
   lodbench bench real --photos DIR     DIR/PLACE/photos with traced DIR/PLACE/masks, which make the map
+  lodbench bench real --photos DIR --method contour_alignment --segmenter masks     by the traced masks
 """
 
 

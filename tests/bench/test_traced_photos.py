@@ -87,6 +87,14 @@ def test_the_command_finds_poses_from_pixels(photos, capsys):
     assert figures["region: median translation"] < 0.3 * figures["prior_only: median translation"]
 
 
+def test_traced_masks_are_perfect_masks(photos, capsys):
+    words = ["--priors", "2", "--method", "contour_alignment", "--segmenter", "masks", "--json"]
+    assert main(["real", "--photos", str(photos), *words]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
+    figures = {line["figure"]: line["value"] for line in lines}
+    assert figures["contour_alignment: median translation"] < 2.0
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
