@@ -106,7 +106,7 @@ def _in_reach(
     wider[:, 3] += reach_m + chord * (np.where(np.isfinite(away), away, 0.0) + reach_m)
     planes = view_planes(camera, 0, camera.width)
     rotation, center = np.ascontiguousarray(prior.rotation), np.ascontiguousarray(prior.center)
-    return visible_buildings(wider, rotation, center, planes)
+    return np.asarray(visible_buildings(wider, rotation, center, planes))
 
 
 def sample_outline(
