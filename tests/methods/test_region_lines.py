@@ -16,7 +16,7 @@ from lodbench.methods.contour_alignment.outline import edges_in_reach
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.aligned import Alignment
-from lodbench.methods.region.lines import LineFit
+from lodbench.methods.region.lines import LineFit, points_on_lines
 from lodbench.methods.region.photo import Photo
 from lodbench.methods.region.roofs import RoofEvidence
 from lodbench.methods.region.search import Surroundings
@@ -64,6 +64,20 @@ def test_lines_fit_best_at_the_truth(roofs, queries, truths, shaded):
         fit, vector = fit_of(photo, query, roofs, truth), with_roofs(truth)
         assert len(fit) > 100
         assert (fit(vector[None]) > fit(vector + moves)).all()
+
+
+@pytest.mark.parametrize("width", [32, 320])
+def test_each_building_has_points_by_the_length_of_its_lines(roofs, truths, width):
+    """From afar most lines are shorter than points are apart: they count no more for that."""
+    camera = CAMERA.scaled(width, width * 3 // 4)
+    points, spacing_px = points_on_lines(roofs, 0, camera, vector_from_pose(truths[0]))
+    (seen,) = roofs.at(0).edges(camera, truths[0].rotation[None], truths[0].center[None], 25.0)
+    lengths = np.linalg.norm(seen.pixels[:, 1] - seen.pixels[:, 0], axis=1)
+    kept = seen.is_visible & (lengths > 2.0)
+    asked = np.bincount(seen.building[kept], lengths[kept]) / spacing_px
+    found = np.bincount(points.buildings, minlength=len(asked))
+    assert found.sum() == int(asked.sum())
+    assert np.abs(found - asked).max() <= 1.0
 
 
 def test_an_exact_map_is_sharp_and_a_smeared_photo_is_not(roofs, queries, truths, shaded):

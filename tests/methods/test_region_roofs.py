@@ -87,15 +87,18 @@ def test_evidence_is_that_of_the_map_with_those_roofs(scene, roofs, queries, tru
 
 
 def test_lines_know_how_high_roofs_are(roofs, queries, truths):
-    """Photos of a town whose roofs are a metre lower: its lines fit best with roofs a metre lower."""
+    """Photos of a town whose roofs are a metre lower: its lines fit best with roofs a metre lower.
+
+    Of one photo's fit each roof may be lower by itself instead, and chance decides by tenths of a nat.
+    """
+    heights, nats = np.linspace(-2.5, 1.0, 15), np.zeros(15)
     for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
         photo = photo_of(roofs.at(-2), truth, number)
         true = np.append(vector_from_pose(truth), [0.0, -1.0, 0.0, 0.0])
         for seen_at in (0.0, -1.0):
             fit = line_fit(photo, query, roofs, np.append(true[:7], [seen_at, 0.0, 0.0]))
-            heights = np.linspace(-2.5, 1.0, 15)
-            nats = fit(np.column_stack([np.repeat(true[None, :7], 15, axis=0), heights, np.zeros((15, 2))]))
-            assert abs(heights[int(np.argmax(nats))] + 1.0) <= 0.5
+            nats += fit(np.column_stack([np.repeat(true[None, :7], 15, axis=0), heights, np.zeros((15, 2))]))
+    assert abs(heights[int(np.argmax(nats))] + 1.0) <= 0.25
 
 
 def mean_errors(city_map, town, told, folder, seeds=(0,)):

@@ -27,8 +27,8 @@ Floats = NDArray[np.float64]
 
 # Least angle between two faces to be a line, degrees; distance of points and least length of lines, pixels.
 _CREASE_DEG, _SPACING_PX, _SHORTEST_PX = 25.0, 3.0, 2.0
-# Most points: more say no more.
-_MOST_POINTS = 1500
+# Most points, as far apart as that needs: fewer leave an answer to where they happen to fall (docs/adr/0065).
+_MOST_POINTS = 6000
 # How strongly edges may stand out along lines: 0 not at all, 1 as ``_log_ratios`` says.
 _STRENGTHS = np.linspace(0.0, 0.97, 12)
 # Beside a line: what is on it, what is near it and what is far from it, pixels.
@@ -196,10 +196,12 @@ def points_on_lines(
     lengths = np.linalg.norm(seen.pixels[:, 1] - seen.pixels[:, 0], axis=1)
     lines = np.flatnonzero(seen.is_visible & (lengths > _SHORTEST_PX))
     spacing_px = max(_SPACING_PX, float(lengths[lines].sum()) / _MOST_POINTS)
-    counts = np.maximum(1, np.rint(lengths[lines] / spacing_px).astype(np.int64))
-    rows = np.repeat(lines, counts)
-    first = np.repeat(np.cumsum(counts) - counts, counts)
-    place = (np.arange(len(rows)) - first + 0.5) / np.repeat(counts, counts)
+    # One after the other along all lines: a short one has its share of points, and no more.
+    ends = np.cumsum(lengths[lines])
+    stations = (np.arange(int(ends[-1] / spacing_px) if len(lines) else 0) + 0.5) * spacing_px
+    which = np.searchsorted(ends, stations)
+    rows = lines[which]
+    place = 1.0 - (ends[which] - stations) / lengths[rows]
     starts, along = seen.points[rows, 0], seen.points[rows, 1] - seen.points[rows, 0]
     points = starts + place[:, None] * along
     # Halfway to the end of the line, its direction is the same.
