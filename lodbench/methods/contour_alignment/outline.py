@@ -100,7 +100,7 @@ def _in_reach(
     city_map: CityMap, camera: Camera, prior: Pose, reach_m: float, turn_deg: float
 ) -> NDArray[np.int64]:
     """Returns which buildings may be seen from near a prior."""
-    wider = city_map.spheres.copy()
+    wider = bounding_spheres(city_map.scene)
     away = np.linalg.norm(wider[:, :3] - prior.center, axis=1)
     chord = 2.0 * np.sin(np.radians(min(turn_deg, 180.0)) / 2.0)
     wider[:, 3] += reach_m + chord * (np.where(np.isfinite(away), away, 0.0) + reach_m)
