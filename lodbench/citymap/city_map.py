@@ -191,14 +191,13 @@ class CityMap:
         def view(i: int) -> ViewEdges:
             pose = rotations[i], centers[i]
             depth = self._raster.depths(camera, rotations[i : i + 1], centers[i : i + 1])[0]
-            seen = visible_buildings(self.spheres, *pose, planes)
+            seen = visible_buildings(self._spheres, *pose, planes)
             return edges_in_view(self.edge_faces, seen, camera, pose, depth, crease_deg)
 
         return tuple(view(i) for i in range(len(centers)))
 
     @cached_property
-    def spheres(self) -> Floats:
-        """Spheres round each building, (B, 4) as of ``bounding_spheres``."""
+    def _spheres(self) -> Floats:
         return bounding_spheres(self.scene)
 
     @cached_property

@@ -57,7 +57,7 @@ class TestPoseVector:
 @pytest.fixture(scope="module")
 def seen(scene, city_map, truths):
     pose = truths[0]
-    edges = edges_in_reach(city_map, CAMERA, pose, 10.0, 5.0)
+    edges = edges_in_reach(scene, CAMERA, pose, 10.0, 5.0)
     derivatives = rotation_derivatives(vector_from_pose(pose))
     return sample_outline(edges, CAMERA, pose, derivatives, city_map.render(CAMERA, pose), 2.0), pose
 
@@ -118,14 +118,14 @@ class TestOutline:
         derivatives = rotation_derivatives(vector_from_pose(pose))
         counts = []
         for reach_m in (1.0, 1000.0):
-            edges = edges_in_reach(city_map, CAMERA, pose, reach_m, 1.0)
+            edges = edges_in_reach(scene, CAMERA, pose, reach_m, 1.0)
             silhouette = city_map.render(CAMERA, pose)
             counts.append(sample_outline(edges, CAMERA, pose, derivatives, silhouette, 3.0).pixels)
         np.testing.assert_array_equal(*counts)
 
     def test_room_grows_with_the_outline(self, scene, city_map, truths):
         pose = truths[0]
-        edges = edges_in_reach(city_map, CAMERA, pose, 10.0, 5.0)
+        edges = edges_in_reach(scene, CAMERA, pose, 10.0, 5.0)
         derivatives, silhouette = rotation_derivatives(vector_from_pose(pose)), city_map.render(CAMERA, pose)
         fine = sample_outline(edges, CAMERA, pose, derivatives, silhouette, 0.02)
         assert len(fine) > 1 << 14

@@ -118,7 +118,7 @@ def test_lines_choose_among_the_search_s_tops(city_map, scene, roofs, queries, t
     params = replace(Params(), fine_width=200)
     moves = np.array([[14, 0, 0], [0, -12, 4], [0, 0, 40], [-20, 9, -8], [0, 0, 0]], dtype=np.float64)
     for number, (photo, query, truth) in enumerate(zip(shaded, queries, truths, strict=True)):
-        reach = city_map, query.camera, query.prior, 60.0, 20.0
+        reach = scene, query.camera, query.prior, 60.0, 20.0
         around = Surroundings(edges_in_reach(*reach), city_map, params)
         seen = Photo(photo, query.camera, params)
         regions_of = partial(RoofEvidence, query, fit=seen.fit(200, False), params=params)

@@ -127,7 +127,7 @@ class Aligner:
         # Full widths, where half would do: steps may lead out of the range, though the prior calls back.
         reach_m = math.hypot(params.range_x_m, params.range_y_m, params.range_z_m)
         turn_deg = params.range_yaw_deg + 2.0 * params.range_tilt_deg
-        self.edges: EdgeArrays = edges_in_reach(city_map, query.camera, query.prior, reach_m, turn_deg)
+        self.edges: EdgeArrays = edges_in_reach(city_map.scene, query.camera, query.prior, reach_m, turn_deg)
         self._levels: Levels = {} if levels is None else levels
 
     def over(self, city_map: CityMap) -> Aligner:

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
 from lodbench.methods.contour_alignment.outline_kernel import sample_edges
@@ -75,32 +74,30 @@ class OutlinePoints:
         return len(self.lengths)
 
 
-def edges_in_reach(
-    city_map: CityMap, camera: Camera, prior: Pose, reach_m: float, turn_deg: float
-) -> EdgeArrays:
+def edges_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float) -> EdgeArrays:
     """Returns the edges of the buildings that may be seen from anywhere near a prior.
 
     Args:
-        city_map: The city.
+        scene: The city.
         camera: The query's.
         prior: Where to look from.
         reach_m: How far the centre may be off.
         turn_deg: How far the view may be turned.
     """
-    rows = _in_reach(city_map, camera, prior, reach_m, turn_deg)
-    return edges_of(_part(city_map.scene, rows))._replace(rows=rows)
+    rows = _in_reach(scene, camera, prior, reach_m, turn_deg)
+    return edges_of(_part(scene, rows))._replace(rows=rows)
 
 
-def scene_in_reach(city_map: CityMap, camera: Camera, prior: Pose, reach_m: float, turn_deg: float) -> Scene:
+def scene_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float) -> Scene:
     """Returns the buildings that may be seen from anywhere near a prior; see ``edges_in_reach``."""
-    return _part(city_map.scene, _in_reach(city_map, camera, prior, reach_m, turn_deg))
+    return _part(scene, _in_reach(scene, camera, prior, reach_m, turn_deg))
 
 
 def _in_reach(
-    city_map: CityMap, camera: Camera, prior: Pose, reach_m: float, turn_deg: float
+    scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float
 ) -> NDArray[np.int64]:
     """Returns which buildings may be seen from near a prior."""
-    wider = bounding_spheres(city_map.scene)
+    wider = bounding_spheres(scene)
     away = np.linalg.norm(wider[:, :3] - prior.center, axis=1)
     chord = 2.0 * np.sin(np.radians(min(turn_deg, 180.0)) / 2.0)
     wider[:, 3] += reach_m + chord * (np.where(np.isfinite(away), away, 0.0) + reach_m)

@@ -66,7 +66,7 @@ class Region:
         photo = Photo(query_photo(query), query.camera, params, city_map.threads, BLURS_PX)
         reach = _reach(params)
         # The rest of the city, however large, is looked at this once.
-        part = scene_in_reach(city_map, query.camera, query.prior, *reach)
+        part = scene_in_reach(city_map.scene, query.camera, query.prior, *reach)
         around = Surroundings(edges_of(part), city_map, params)
         seen = _Seen(query, photo, city_map, RaisedRoofs(city_map, part), around)
         found = _found(seen, params, streams)
