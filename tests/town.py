@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -12,6 +13,9 @@ from lodbench.citymodel import open_scene
 from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.rendering.silhouette import SilhouetteRenderer
+
+if TYPE_CHECKING:
+    from lodbench.synthesis.town.town import Town
 
 CAMERA = Camera(320, 240, 230.0, 228.0, 161.0, 118.5)
 # West, south, east, north, base, top of each building, metres: nothing repeats, so poses are unique.
@@ -30,9 +34,16 @@ BOXES = [
 def town_gml() -> str:
     """Returns the demo's town as CityGML with LoD1 and LoD2, made once per process."""
     from lodbench.synthesis.town.build import citygml_text
+
+    return citygml_text(town_of(0))
+
+
+@cache
+def town_of(seed: int) -> Town:
+    """Returns the drawn town of a seed, grown once per process: it takes seconds."""
     from lodbench.synthesis.town.town import grow_town
 
-    return citygml_text(grow_town(0))
+    return grow_town(seed)
 
 
 def box_obj(boxes: list[tuple[int, ...]] = BOXES) -> str:

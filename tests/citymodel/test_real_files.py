@@ -56,7 +56,7 @@ def newell_areas(model: CityModel) -> list[float]:
         for k, ring in enumerate(range(polygons.polygon_starts[n], polygons.polygon_starts[n + 1])):
             points = polygons.points[polygons.ring_starts[ring] : polygons.ring_starts[ring + 1]]
             points = points - points.mean(axis=0)
-            vector = sum(np.cross(points[i - 1], points[i]) for i in range(len(points)))
+            vector = np.cross(np.roll(points, 1, axis=0), points).sum(axis=0)
             total += (1 if k == 0 else -1) * 0.5 * float(np.linalg.norm(vector))
         areas.append(max(total, 0.0))
     return areas

@@ -12,12 +12,13 @@ from lodbench.cli.dataset_card import config_card, main
 from lodbench.datasets.cards import read_card
 from lodbench.datasets.codes import CATALOGUE
 from lodbench.datasets.croissant import card_croissant, croissant_text
+from lodbench.datasets.pose_text import format_pose
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.errors import ConfigError
 from lodbench.synthesis.demo import DemoParams
 from lodbench.synthesis.town.queries import PRIORS, QUERY_CAMERA, TARGET_IOU
 from lodbench.synthesis.town.town import CRS_NAME, TOWN_VERSION
-from tests.data.published_layouts import write_uavd4l
+from tests.town import true_poses
 
 _FOLDER = Path(__file__).resolve().parents[2] / "data_cards"
 
@@ -101,9 +102,8 @@ def test_croissant_is_valid_and_its_splits_can_be_read(name, caplog):
     assert rows == {split.name: split.num_queries or 0 for split in SPECS[name].splits}
 
 
-def test_croissant_s_patterns_read_the_lines_of_a_pose_file(tmp_path):
-    root = write_uavd4l(tmp_path)
-    line = (root / "UAVD4L-LoD" / "inTraj" / "GT_pose.txt").read_text().splitlines()[0]
+def test_croissant_s_patterns_read_the_lines_of_a_pose_file():
+    line = format_pose("0001.jpg", true_poses(1)["view_00.png"])
     _, truth, priors = card_croissant(read_card("uavd4l_lodv2"))["recordSet"]
     for records in (truth, priors):
         patterns = [field["source"]["transform"]["regex"] for field in records["field"]]

@@ -112,10 +112,10 @@ def test_the_map_is_the_town_as_it_was_the_same_each_time(tmp_path, monkeypatch)
     from lodbench.citymodel import open_scene
     from lodbench.citymodel.texture_files import open_textured_map
     from lodbench.synthesis.survey.textured_map import write_textured_map
-    from lodbench.synthesis.town.town import grow_town
+    from tests.town import town_of
 
     dataset = open_demo(DemoParams())
-    town = grow_town(0)
+    town = town_of(0)
     scene = open_scene(dataset.city_model, lod="1")
     first, again = tmp_path / "a.glb", tmp_path / "b.glb"
     write_textured_map(first, town, scene)

@@ -1,22 +1,18 @@
-"""Towns for the tests of the demo, each grown once: that takes a second."""
+"""Towns for the tests of the demo, each grown once a process: that takes seconds."""
 
 from __future__ import annotations
 
-from functools import cache
-
 import pytest
 
-from lodbench.synthesis.town.town import grow_town
-
-_town = cache(grow_town)
+from tests import town as towns
 
 
 @pytest.fixture(scope="session")
 def town_of():
     """Returns a function from a seed to its town."""
-    return _town
+    return towns.town_of
 
 
 @pytest.fixture(scope="session")
 def town():
-    return _town(0)
+    return towns.town_of(0)

@@ -28,6 +28,11 @@ def text(town):
 
 
 @pytest.fixture(scope="module")
+def fine_text(town):
+    return citygml_text(town, is_fine=True)
+
+
+@pytest.fixture(scope="module")
 def root(text):
     return etree.fromstring(text.encode())
 
@@ -39,8 +44,10 @@ def city_file(text, tmp_path_factory):
     return path
 
 
-def test_bytes_follow_from_the_seed(text):
-    assert citygml_text(grow_town(0)) == text
+def test_bytes_follow_from_the_seed(text, fine_text):
+    again = grow_town(0)
+    assert citygml_text(again) == text
+    assert citygml_text(again, is_fine=True) == fine_text
 
 
 def test_identifiers_are_unique_and_links_resolve(root):
@@ -109,9 +116,9 @@ def test_scenes_are_the_town(city_file, town, lod):
 
 
 @pytest.fixture(scope="module")
-def fine(town, tmp_path_factory):
+def fine(fine_text, tmp_path_factory):
     path = tmp_path_factory.mktemp("fine") / "town_lod3.gml"
-    path.write_text(citygml_text(town, is_fine=True), encoding="utf-8")
+    path.write_text(fine_text, encoding="utf-8")
     return read_city_model(path)
 
 
@@ -156,8 +163,8 @@ def test_what_was_read_is_closed_and_loses_no_area(fine, town):
         assert all((end, start) in edges for start, end in edges)
 
 
-def test_openings_hang_on_the_surfaces_they_open(town):
-    root = etree.fromstring(citygml_text(town, is_fine=True).encode())
+def test_openings_hang_on_the_surfaces_they_open(fine_text):
+    root = etree.fromstring(fine_text.encode())
     openings = root.findall(".//b:opening/*", NAMES)
     names = {etree.QName(element).localname for element in openings}
     assert names == {"Window", "Door"}
