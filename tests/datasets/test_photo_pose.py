@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from pyproj import Geod, Transformer, datadir
 from pyproj.network import is_network_enabled, set_network_enabled
 
+from lodbench.datasets import map_frame
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import PhotoMetadata
@@ -104,7 +105,9 @@ def proj_data(tmp_path):
     before, network = datadir.get_data_dir(), is_network_enabled()
     set_network_enabled(False)
     datadir.set_data_dir(f"{before}{os.pathsep}{tmp_path}")
+    map_frame._to_heights.cache_clear()
     yield tmp_path
+    map_frame._to_heights.cache_clear()
     datadir.set_data_dir(before)
     set_network_enabled(network)
 
@@ -153,7 +156,7 @@ class TestHeights:
         in_feet = SimpleNamespace(transform=lambda x, y, z, errcheck: (x, y, z / (1200 / 3937)))
         frame = MapFrame("EPSG:26918+6360")
         east, north = frame.east_north(40.7, -74.0)
-        monkeypatch.setattr(Transformer, "from_crs", lambda *args, **options: in_feet)
+        monkeypatch.setattr(map_frame, "_to_heights", lambda crs: in_feet)
         assert frame.height_from_ellipsoid(40.7, -74.0, 120.0) == pytest.approx(120.0)
         assert frame.east_north(40.7, -74.0) == (east, north)
 
@@ -165,6 +168,9 @@ class TestHeights:
         frame = MapFrame("EPSG:32632+5773")
         height = pose_from_photo(PHOTO, frame, HeightOptions("ellipsoid")).center[2]
         assert height == pytest.approx(203.4 - 47.25, abs=1e-3)
+
+    def test_frames_of_one_system_share_what_proj_found(self):
+        assert MapFrame("EPSG:25832")._to_map is MapFrame("EPSG:25832+7837")._to_map
 
     @pytest.mark.parametrize(("source", "match"), [("barometer", "barometer"), ("takeoff", "take-off")])
     def test_options_are_checked(self, source, match):
