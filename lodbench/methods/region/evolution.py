@@ -9,12 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+
+# Generations after which a climb is seen to be hopeless.
+_SEEN = 4
 
 
 class Cloud(NamedTuple):
@@ -55,6 +59,7 @@ def climb_abreast(
     generations: int,
     population: int,
     generators: Sequence[np.random.Generator],
+    hopeless: float = math.inf,
 ) -> list[Cloud]:
     """Returns what ``climb`` does from each of some starts, which are asked about together.
 
@@ -64,23 +69,31 @@ def climb_abreast(
         generations: As of ``climb``.
         population: As of ``climb``.
         generators: Of random numbers, one for each start.
+        hopeless: Climbs that are lower than the highest by more after a few generations are given up.
     """
-    walkers = [_Walker(*each, population) for each in zip(starts, generators, strict=True)]
-    for _ in range(generations if walkers else 0):
-        values = value(np.concatenate([walker.points() for walker in walkers]))
-        for walker, its in zip(walkers, np.split(values, len(walkers)), strict=True):
-            walker.walk(its)
-    return [walker.cloud() for walker in walkers]
+    if not starts:
+        return []
+    walkers = _Walkers(starts, population)
+    for generation in range(generations):
+        values = value(walkers.points(generators).reshape(-1, walkers.size)).reshape(len(generators), -1)
+        walkers.walk(values)
+        if generation + 1 == _SEEN and not math.isinf(hopeless):
+            best = values.max(axis=1)
+            going_on = np.flatnonzero(best >= best.max() - hopeless)
+            walkers, generators = walkers.some(going_on), [generators[k] for k in going_on]
+    return walkers.clouds()
 
 
-class _Walker:
-    """One climb, a generation at a time."""
+class _Walkers:
+    """Some climbs, W of them, a generation at a time."""
 
-    def __init__(self, start: Cloud, generator: np.random.Generator, population: int) -> None:
-        self._generator, self._parents = generator, population // 2
-        size, parents = len(start.mean), self._parents
+    def __init__(self, starts: Sequence[Cloud], population: int) -> None:
+        self._means = np.stack([start.mean for start in starts])
+        self._shapes = np.stack([start.covariance for start in starts])
+        many, self.size = self._means.shape
+        size, parents = self.size, population // 2
         weights = math.log(parents + 0.5) - np.log(np.arange(1, parents + 1))
-        self._weights = weights / weights.sum()
+        self._parents, self._weights = parents, weights / weights.sum()
         self._effective = effective = float(1.0 / (self._weights**2).sum())
         self._path_rate = (effective + 2.0) / (size + effective + 5.0)
         self._damping = (
@@ -93,43 +106,56 @@ class _Walker:
             2.0 * (effective - 2.0 + 1.0 / effective) / ((size + 2.0) ** 2 + effective),
         )
         self._length = math.sqrt(size) * (1.0 - 1.0 / (4.0 * size) + 1.0 / (21.0 * size**2))
-        self._mean, self._shape, self._scale = start.mean.copy(), start.covariance.copy(), 1.0
-        self._path, self._shape_path = np.zeros(size), np.zeros(size)
+        self._scales, self._paths, self._shape_paths = np.ones(many), *np.zeros((2, many, size))
         self._generation = 0
 
-    def points(self) -> Floats:
-        """Draws the next generation, (M, N)."""
-        squares, self._axes = np.linalg.eigh(self._shape)
-        self._spread = np.sqrt(np.maximum(squares, 1e-20))
-        half = self._generator.standard_normal((self._parents, len(self._mean)))
-        self._moves = np.concatenate([half, -half]) * self._spread @ self._axes.T
-        return np.asarray(self._mean + self._scale * self._moves)
+    def points(self, generators: Sequence[np.random.Generator]) -> Floats:
+        """Draws the next generation of each, (W, M, N)."""
+        squares, self._axes = np.linalg.eigh(self._shapes)
+        self._spreads = np.sqrt(np.maximum(squares, 1e-20))
+        half = np.stack([each.standard_normal((self._parents, self.size)) for each in generators])
+        moves = (half * self._spreads[:, None]) @ self._axes.transpose(0, 2, 1)
+        self._moves = np.concatenate([moves, -moves], axis=1)
+        return np.asarray(self._means[:, None] + self._scales[:, None, None] * self._moves)
 
     def walk(self, values: Floats) -> None:
-        """Moves towards the better half of the generation drawn last, and learns its shape."""
-        size, effective, path_rate = len(self._mean), self._effective, self._path_rate
-        best = self._moves[np.argsort(-values, kind="stable")[: self._parents]]
-        step = self._weights @ best
-        self._mean = self._mean + self._scale * step
-        self._path = (1.0 - path_rate) * self._path + math.sqrt(path_rate * (2.0 - path_rate) * effective) * (
-            self._axes @ (self._axes.T @ step / self._spread)
-        )
-        norm = float(np.linalg.norm(self._path))
+        """Moves each towards the better half of its generation drawn last, and learns its shape.
+
+        Args:
+            values: (W, M) of the points.
+        """
+        size, effective, path_rate, shape_rate = self.size, self._effective, self._path_rate, self._shape_rate
+        order = np.argsort(-values, axis=1, kind="stable")[:, : self._parents]
+        best = np.take_along_axis(self._moves, order[..., None], axis=1)
+        steps = self._weights @ best
+        self._means = self._means + self._scales[:, None] * steps
+        along = np.einsum("wij,wi->wj", self._axes, steps) / self._spreads
+        whitened = np.einsum("wij,wj->wi", self._axes, along)
+        self._paths = (1.0 - path_rate) * self._paths
+        self._paths += math.sqrt(path_rate * (2.0 - path_rate) * effective) * whitened
+        norms = np.linalg.norm(self._paths, axis=1)
         self._generation += 1
         settled = math.sqrt(1.0 - (1.0 - path_rate) ** (2 * self._generation))
-        shape_rate = self._shape_rate
-        self._shape_path = (1.0 - shape_rate) * self._shape_path
-        if norm / settled < (1.4 + 2.0 / (size + 1)) * self._length:
-            self._shape_path = (
-                self._shape_path + math.sqrt(shape_rate * (2.0 - shape_rate) * effective) * step
-            )
-        self._shape = (
-            (1.0 - self._rank_one - self._rank_many) * self._shape
-            + self._rank_one * np.outer(self._shape_path, self._shape_path)
-            + self._rank_many * (best.T * self._weights) @ best
+        is_short = norms / settled < (1.4 + 2.0 / (size + 1)) * self._length
+        self._shape_paths = (1.0 - shape_rate) * self._shape_paths
+        self._shape_paths += is_short[:, None] * (
+            math.sqrt(shape_rate * (2.0 - shape_rate) * effective) * steps
         )
-        self._scale *= math.exp(path_rate / self._damping * (norm / self._length - 1.0))
+        self._shapes = (
+            (1.0 - self._rank_one - self._rank_many) * self._shapes
+            + self._rank_one * self._shape_paths[:, :, None] * self._shape_paths[:, None, :]
+            + self._rank_many * (best.transpose(0, 2, 1) * self._weights) @ best
+        )
+        self._scales = self._scales * np.exp(path_rate / self._damping * (norms / self._length - 1.0))
 
-    def cloud(self) -> Cloud:
-        """Returns where it has come to."""
-        return Cloud(self._mean, self._scale**2 * self._shape)
+    def some(self, which: NDArray[np.int64]) -> _Walkers:
+        """Returns some of them, between generations."""
+        others = copy(self)
+        for name in ("_means", "_shapes", "_scales", "_paths", "_shape_paths"):
+            setattr(others, name, getattr(self, name)[which])
+        return others
+
+    def clouds(self) -> list[Cloud]:
+        """Returns where each has come to."""
+        shapes = self._scales[:, None, None] ** 2 * self._shapes
+        return [Cloud(mean, shape) for mean, shape in zip(self._means, shapes, strict=True)]

@@ -33,6 +33,9 @@ from lodbench.methods.region.uncertainty import share_of_best
 
 # A lens so many deviations from what is told is worth a note.
 _NEWS = 3.0
+# Tops lower by so many nats after a few generations of refinement are not followed: of those that an answer
+# came from, none was (docs/adr/0066).
+_HOPELESS = 100.0
 
 
 class Region:
@@ -115,7 +118,7 @@ def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False
     searched = time.perf_counter()
     final = seen.evidence(params, params.fine_width, is_coarse=False)
     means = np.array([top.cloud.mean for top in tops[: params.modes]])
-    modes = climbed(means, final, around, params.fine_generations, params.fine_spread_px, streams)
+    modes = climbed(means, final, around, params.fine_generations, params.fine_spread_px, streams, _HOPELESS)
     if by_lines and params.lines_weight > 0:
         clouds = line_starts(seen.photo, query, seen.roofs, final, params, streams)
         modes += modes_of(clouds, final)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -96,13 +97,14 @@ def climbed(
     generations: int,
     spread_px: float,
     streams: Streams,
+    hopeless: float = math.inf,
 ) -> list[Mode]:
     """Returns the distinct tops that climbs from some poses (N, 6) end on, best first."""
     clouds = {k: around.cloud(start, evidence, spread_px) for k, start in enumerate(starts)}
     shapes = {k: shape for k, shape in clouds.items() if shape is not None}
     generators = [streams(f"climb {spread_px:g}", k) for k in shapes]
     climbs = climb_abreast(
-        evidence.log_posterior, list(shapes.values()), generations, around.population, generators
+        evidence.log_posterior, list(shapes.values()), generations, around.population, generators, hopeless
     )
     tops = modes_of(climbs, evidence)
     tops.sort(key=lambda top: -top.log_posterior)
