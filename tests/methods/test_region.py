@@ -8,8 +8,6 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.priors import UniformPrior
@@ -19,7 +17,6 @@ from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.measured_calls import localize_query
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.evidence import Evidence, PhotoFit
-from lodbench.methods.region.evolution import Cloud, climb
 from lodbench.methods.region.search import grid_starts
 from lodbench.methods.registry import make_method
 from lodbench.storage import random_stream
@@ -222,21 +219,3 @@ class TestWhatIsRefused:
         (key,) = wrong
         with pytest.raises(ConfigError, match=key):
             make_method("region", **wrong)
-
-
-@given(st.integers(0, 2**32))
-def test_a_climb_ends_on_the_top_of_a_tilted_valley(seed):
-    rng = np.random.default_rng(seed)
-    turn = np.linalg.qr(rng.normal(size=(6, 6)))[0]
-    curvature = turn * np.logspace(0, 3, 6) @ turn.T
-    top = rng.normal(size=6)
-
-    def value(points):
-        return -0.5 * np.einsum("ni,ij,nj->n", points - top, curvature, points - top)
-
-    found = climb(value, Cloud(np.zeros(6), np.eye(6)), 120, 24, rng)
-    assert value(found.mean[None])[0] > -1e-3
-    # The cloud takes the valley's shape: longest where the curvature is least.
-    lengths, axes = np.linalg.eigh(found.covariance)
-    assert abs(axes[:, -1] @ turn[:, 0]) > 0.7
-    assert (lengths > 0).all()
