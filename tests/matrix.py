@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 import tomllib
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +32,7 @@ class Row:
     """One way to install.
 
     Attributes:
-        python: Version, ``3.11``.
+        python: Version, ``3.11``; empty for that of the Python that runs this.
         packages: ``locked`` (by digest), ``pinned`` (constraints.txt), ``lowest``, ``newest``; ``at hand``:
             those of the Python that runs this, not installed again.
         kind: ``wheel`` or ``sdist``.
@@ -55,7 +56,10 @@ ROWS = {
     "3.13 newest": Row("3.13", "newest"),
     "3.13 lowest": Row("3.13", "lowest"),
     "at hand, read-only, no home": Row("", "at hand", is_shared=True),
+    "this Python, pinned, read-only, no home": Row("", "pinned", is_shared=True),
 }
+# Files that no row asks for, by kind: configuration of baselines, their code, that there are types.
+IN_THE_WHEEL = ("conf/method/mcloc.yaml", "baselines/prior_only/__init__.py", "py.typed")
 
 
 def call(*words: str | Path, cwd: Path, **options: object) -> str:
@@ -89,6 +93,9 @@ def build(folder: Path) -> dict[str, Path]:
     shutil.copytree(ROOT, folder / "source", ignore=shutil.ignore_patterns(".*", "build", "*.egg-info"))
     call(sys.executable, "-m", "build", "--outdir", folder / "dist", "source", cwd=folder)
     (wheel,), (sdist,) = (folder / "dist").glob("*.whl"), (folder / "dist").glob("*.tar.gz")
+    with zipfile.ZipFile(wheel) as files:
+        lacking = {f"lodbench/{name}" for name in IN_THE_WHEEL} - set(files.namelist())
+    assert not lacking, lacking
     return {"wheel": wheel, "sdist": sdist}
 
 

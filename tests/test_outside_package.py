@@ -218,7 +218,7 @@ def choices(env: Environment) -> dict[str, list[str]]:
         "matching": ["check-plugin", "matcher", "shift"],
         "dataset": [*env.run, "method=halfway"],
         "prior": [*env.run, "method=halfway", "prior=north"],
-        "poses": ["evaluate", "dataset=demo", "poses=poses.xyz", "format=xyz"],
+        "poses": ["evaluate", "dataset=folder", *env.data, "poses=poses.xyz", "format=xyz"],
         "export": ["check-plugin", "export-format", "table"],
         "city": ["city", "info", str(env.blocks), "--source", "cantons"],
         "renderer": [*env.run, "method=halfway", "segmenter=masks", "renderer=painter"],

@@ -25,9 +25,21 @@ FILE = re.compile(r"```\w+\n# ([\w./]+)\n(.*?)```", re.DOTALL)
 COMMANDS = re.compile(r"```sh\n(.*?)```", re.DOTALL)
 
 
-def tell(story: str, folder: Path, binaries: Path | None = None) -> str:
-    """Writes a story's files and runs its commands until the first fault; returns what they said."""
+def tell(
+    story: str, folder: Path, binaries: Path | None = None, less: dict[str, str] | None = None
+) -> str:
+    """Writes a story's files and runs its commands until the first fault; returns what they said.
+
+    Args:
+        story: Its name.
+        folder: Where.
+        binaries: Of the environment; those of the one that runs this.
+        less: Words of its commands, each by one that asks for less of the same.
+    """
     text = (ROOT / "docs" / "stories" / f"{story}.md").read_text()
+    for word, other in (less or {}).items():
+        assert word in text
+        text = text.replace(word, other)
     for name, content in FILE.findall(text):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(content)
@@ -95,7 +107,7 @@ def environment(tmp_path: Path) -> Path:
 
 
 def test_a_new_method(tmp_path, environment):
-    said = tell("method", tmp_path, environment)
+    said = tell("method", tmp_path, environment, {"dataset=demo": "dataset=demo dataset.num_queries=4"})
     assert "finished" in said
     assert "shake tries=1024" in (tmp_path / "compared.html").read_text()
     assert "tabular" in (tmp_path / "table.tex").read_text()
@@ -105,6 +117,6 @@ def test_a_new_method(tmp_path, environment):
 
 def test_a_new_network(tmp_path, shared_data):
     shutil.copy(shared_data / "city/plateau/53395404_bldg_6697_op.gml", tmp_path / "city.gml")
-    said = tell("network", tmp_path)
+    said = tell("network", tmp_path, less={"limit=90": "limit=40", "schedule.epochs=3": "schedule.epochs=1"})
     assert "val IoU" in said
     assert (tmp_path / "net" / "compact.onnx").is_file()
