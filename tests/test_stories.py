@@ -25,9 +25,7 @@ FILE = re.compile(r"```\w+\n# ([\w./]+)\n(.*?)```", re.DOTALL)
 COMMANDS = re.compile(r"```sh\n(.*?)```", re.DOTALL)
 
 
-def tell(
-    story: str, folder: Path, binaries: Path | None = None, less: dict[str, str] | None = None
-) -> str:
+def tell(story: str, folder: Path, binaries: Path | None = None, less: dict[str, str] | None = None) -> str:
     """Writes a story's files and runs its commands until the first fault; returns what they said.
 
     Args:
@@ -107,7 +105,7 @@ def environment(tmp_path: Path) -> Path:
 
 
 def test_a_new_method(tmp_path, environment):
-    said = tell("method", tmp_path, environment, {"dataset=demo": "dataset=demo dataset.num_queries=4"})
+    said = tell("method", tmp_path, environment, {"dataset=demo": "dataset=demo dataset.num_queries=9"})
     assert "finished" in said
     assert "shake tries=1024" in (tmp_path / "compared.html").read_text()
     assert "tabular" in (tmp_path / "table.tex").read_text()

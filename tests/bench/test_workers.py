@@ -14,7 +14,7 @@ from lodbench.errors import ConfigError, LodbenchError
 
 @pytest.mark.slow
 def test_three_ways_to_run(capsys) -> None:
-    asked = ["--queries", "2", "--method", "prior_only", "--repeats", "1", "--json"]
+    asked = ["--queries", "9", "--method", "prior_only", "--repeats", "1", "--json"]
     assert main(["bench", "workers", *asked]) == 0
     figures = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert len(figures) == 4

@@ -114,7 +114,7 @@ def test_the_map_is_the_town_as_it_was_the_same_each_time(tmp_path, monkeypatch)
     from lodbench.synthesis.survey.textured_map import write_textured_map
     from tests.town import town_of
 
-    dataset = open_demo(DemoParams())
+    dataset = open_demo(DemoParams(num_queries=9))
     town = town_of(0)
     scene = open_scene(dataset.city_model, lod="1")
     first, again = tmp_path / "a.glb", tmp_path / "b.glb"

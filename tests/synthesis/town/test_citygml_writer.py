@@ -11,7 +11,7 @@ from lodbench.citymodel import mesh_model, open_scene, read_city_model
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.synthesis.town.build import citygml_text
 from lodbench.synthesis.town.building import Age
-from lodbench.synthesis.town.town import ORIGIN_M, grow_town
+from lodbench.synthesis.town.town import ORIGIN_M
 
 NAMES = {
     "c": "http://www.opengis.net/citygml/2.0",
@@ -42,12 +42,6 @@ def city_file(text, tmp_path_factory):
     path = tmp_path_factory.mktemp("city") / "town.gml"
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def test_bytes_follow_from_the_seed(text, fine_text):
-    again = grow_town(0)
-    assert citygml_text(again) == text
-    assert citygml_text(again, is_fine=True) == fine_text
 
 
 def test_identifiers_are_unique_and_links_resolve(root):
