@@ -251,11 +251,20 @@ def plug_in(tmp_path_factory) -> Path:
     return folder
 
 
+LESS_WORK = ["method.starts=2", "method.more_starts=1", "method.fine_generations=8"]
+
+
 @pytest.mark.parametrize(
-    "name", ["lodlocv2", "contour_alignment", pytest.param("region", marks=pytest.mark.slow), "prior_only"]
+    ("name", "words"),
+    [
+        ("lodlocv2", []),
+        ("contour_alignment", []),
+        pytest.param("region", LESS_WORK, marks=pytest.mark.slow),
+        ("prior_only", []),
+    ],
 )
-def test_ours_keep_to_it(capsys, name):
-    assert main(["check-method", name]) == 0
+def test_ours_keep_to_it(capsys, name, words):
+    assert main(["check-method", name, *words]) == 0
     told = capsys.readouterr().out
     assert f"{name} keeps to the protocol." in told
     assert "  fault" not in told
