@@ -130,6 +130,7 @@ def _figures(block: Block) -> Iterator[Figure]:
     yield Figure(f"hypotheses per query {name}", found.hypotheses_per_query, "")
     yield Figure(f"seconds per query {name}", float(block.queries["seconds"].mean()), "s")
     if math.isfinite(found.metrics.get("ece_percent", math.nan)):
+        yield Figure(f"mean probability {name}", found.metrics["mean_confidence_percent"], "%")
         yield Figure(f"calibration error {name}", found.metrics["ece_percent"], "%")
         yield Figure(f"area under risk over coverage {name}", found.metrics["aurc_percent"], "%")
 

@@ -79,10 +79,11 @@ class TestSeveral:
         assert "seeds 0, 1" in several.text
         names = [figure.to_json()["figure"] for figure in several.figures]
         assert len(set(names)) == len(names)
-        assert [name for name in names if name.startswith("calibration error")] == [
-            "calibration error contour_alignment tilt=truth",
-            "calibration error contour_alignment tilt=prior",
-        ]
+        for what in ("mean probability", "calibration error"):
+            assert [name for name in names if name.startswith(what)] == [
+                f"{what} contour_alignment tilt=truth",
+                f"{what} contour_alignment tilt=prior",
+            ]
 
     def test_calibration_is_drawn(self, several, report, tmp_path):
         several.write_pictures(tmp_path / "new")
