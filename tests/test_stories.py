@@ -115,6 +115,6 @@ def test_a_new_method(tmp_path, environment):
 
 def test_a_new_network(tmp_path, shared_data):
     shutil.copy(shared_data / "city/plateau/53395404_bldg_6697_op.gml", tmp_path / "city.gml")
-    said = tell("network", tmp_path, less={"limit=90": "limit=40", "schedule.epochs=3": "schedule.epochs=1"})
+    said = tell("network", tmp_path, less={"schedule.epochs=3": "schedule.epochs=1"})
     assert "val IoU" in said
     assert (tmp_path / "net" / "compact.onnx").is_file()
