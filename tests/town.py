@@ -48,7 +48,7 @@ def town_of(seed: int) -> Town:
 
 @cache
 def town_demo() -> Path:
-    """Returns the folder of a demo of nine queries in the cache: one for all tests, since its town takes long."""
+    """Returns the folder of a demo of nine queries in the cache: one for all tests, as it takes long."""
     from lodbench.synthesis.demo import DemoParams, demo_folder
 
     return demo_folder(DemoParams(num_queries=9))

@@ -80,7 +80,7 @@ def climb_abreast(
         if generation + 1 == _SEEN and not math.isinf(hopeless):
             best = values.max(axis=1)
             going_on = np.flatnonzero(best >= best.max() - hopeless)
-            walkers, generators = walkers.some(going_on), [generators[k] for k in going_on]
+            walkers, generators = walkers.some(going_on), [generators[int(k)] for k in going_on]
     return walkers.clouds()
 
 
