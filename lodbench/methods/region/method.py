@@ -33,8 +33,8 @@ from lodbench.methods.region.uncertainty import share_of_best
 
 # A lens so many deviations from what is told is worth a note.
 _NEWS = 3.0
-# Tops lower by so many nats after a few generations of refinement are not followed: of those that an answer
-# came from, none was (docs/adr/0066).
+# Tops lower by so many nats after a few generations of refinement are not followed: of those that 44 answers
+# came from one was, and a third of all are (docs/adr/0066).
 _HOPELESS = 100.0
 
 
