@@ -46,14 +46,6 @@ def town_of(seed: int) -> Town:
     return grow_town(seed)
 
 
-@cache
-def town_demo() -> Path:
-    """Returns the folder of a demo of nine queries in the cache: one for all tests, as it takes long."""
-    from lodbench.synthesis.demo import DemoParams, demo_folder
-
-    return demo_folder(DemoParams(num_queries=9))
-
-
 def box_obj(boxes: list[tuple[int, ...]] = BOXES) -> str:
     """Returns open boxes (walls and roof, no floor) as Wavefront OBJ."""
     lines = []

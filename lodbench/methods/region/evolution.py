@@ -61,7 +61,7 @@ def climb_abreast(
     generators: Sequence[np.random.Generator],
     hopeless: float = math.inf,
 ) -> list[Cloud]:
-    """Returns what ``climb`` does from each of some starts, which are asked about together.
+    """Returns what ``climb`` does from some starts, asked about together: of those not given up, in order.
 
     Args:
         value: As of ``climb``.
@@ -69,8 +69,14 @@ def climb_abreast(
         generations: As of ``climb``.
         population: As of ``climb``.
         generators: Of random numbers, one for each start.
-        hopeless: Climbs that are lower than the highest by more after a few generations are given up.
+        hopeless: Climbs whose best is lower than the highest by more after four generations are given up; in
+            units of the value.
+
+    Raises:
+        ValueError: There are not as many generators as starts.
     """
+    if len(starts) != len(generators):
+        raise ValueError(f"{len(starts)} starts need as many generators, not {len(generators)}.")
     if not starts:
         return []
     walkers = _Walkers(starts, population)
@@ -79,7 +85,8 @@ def climb_abreast(
         walkers.walk(values)
         if generation + 1 == _SEEN and not math.isinf(hopeless):
             best = values.max(axis=1)
-            going_on = np.flatnonzero(best >= best.max() - hopeless)
+            # This way round none is given up where a value is no number.
+            going_on = np.flatnonzero(~(best < best.max() - hopeless))
             walkers, generators = walkers.some(going_on), [generators[int(k)] for k in going_on]
     return walkers.clouds()
 

@@ -99,7 +99,17 @@ def climbed(
     streams: Streams,
     hopeless: float = math.inf,
 ) -> list[Mode]:
-    """Returns the distinct tops that climbs from some poses (N, 6) end on, best first."""
+    """Returns the distinct tops that climbs from some poses (N, 6) end on, best first.
+
+    Args:
+        starts: The poses.
+        evidence: What they climb by.
+        around: How the outline moves.
+        generations: How many.
+        spread_px: How far outlines lie apart in the first, pixels.
+        streams: Of random numbers.
+        hopeless: By how many nats a climb that is given up is behind the best after four generations.
+    """
     clouds = {k: around.cloud(start, evidence, spread_px) for k, start in enumerate(starts)}
     shapes = {k: shape for k, shape in clouds.items() if shape is not None}
     generators = [streams(f"climb {spread_px:g}", k) for k in shapes]

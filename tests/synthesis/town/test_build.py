@@ -15,14 +15,13 @@ from lodbench.synthesis.mask_degradation import mask_iou
 from lodbench.synthesis.town import build
 from lodbench.synthesis.town.build import build_demo
 from lodbench.synthesis.town.queries import PRIORS
-from tests.town import town_demo
 
 SPLITS = {"in_place": (0.88, 0.09), "out_of_place": (0.80, 0.15)}
 
 
 @pytest.fixture(scope="module")
-def demo():
-    return town_demo()
+def demo(tmp_path_factory):
+    return build_demo(tmp_path_factory.mktemp("demo") / "town", num_queries=9)
 
 
 @pytest.fixture(scope="module")
