@@ -96,6 +96,7 @@ def posterior_mean(
         gaussians.append(_Gaussian.of(mean, _WIDTH**2 * spread))
         drawn = gaussians[-1].drawn(generator)
         poses = np.concatenate([poses, drawn])
+        # As if nats went with the share: of lines they do so only nearly (docs/adr/0066, "Known").
         whole = np.append(whole, nats(drawn, share) / share)
         priors = np.append(priors, log_prior(drawn))
         rest = priors - logsumexp([gaussian.log_density(poses) for gaussian in gaussians], axis=0)
