@@ -73,6 +73,18 @@ def test_a_direction_that_is_held_stays():
     np.testing.assert_allclose(found[3:5], MODE[3:5], atol=1e-5)
 
 
+def test_what_a_share_alone_adds_is_no_pose_s():
+    def with_level(poses, share):
+        return share * bumpy(poses).sum(axis=1) + 50.0 * share**2
+
+    # Tempered, so that rounds are drawn at different shares.
+    found = posterior_mean(with_level, no_prior, MODE, COVARIANCE, 2.8)
+    without = posterior_mean(
+        lambda poses, share: share * bumpy(poses).sum(axis=1), no_prior, MODE, COVARIANCE, 2.8
+    )
+    np.testing.assert_allclose(found, without, atol=1e-9)
+
+
 def test_signs_and_order_of_axes_do_not_matter(monkeypatch):
     once, solve = Independent(bumpy).mean(), np.linalg.eigh
 

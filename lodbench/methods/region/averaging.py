@@ -81,7 +81,7 @@ def posterior_mean(
 
     Args:
         nats: (N, D) points and a share to the (N,) logarithm of the likelihood of such a share of the
-            photo's evidence, up to a constant.
+            photo's evidence, up to a constant of that share.
         log_prior: (N, D) points to the (N,) logarithm of their prior, up to a constant.
         vector: (D,) the best point.
         covariance: (D, D) how far the mean may be from it.
@@ -96,8 +96,9 @@ def posterior_mean(
         gaussians.append(_Gaussian.of(mean, _WIDTH**2 * spread))
         drawn = gaussians[-1].drawn(generator)
         poses = np.concatenate([poses, drawn])
-        # As if nats went with the share: of lines they do so only nearly (docs/adr/0066, "Known").
-        whole = np.append(whole, nats(drawn, share) / share)
+        # Against the best point at the same share: what a share alone adds is no pose's (docs/adr/0066).
+        *told, level = nats(np.concatenate([drawn, vector[None]]), share) / share
+        whole = np.append(whole, np.array(told) - level)
         priors = np.append(priors, log_prior(drawn))
         rest = priors - logsumexp([gaussian.log_density(poses) for gaussian in gaussians], axis=0)
         share = _share_that_leaves(least_m, poses, whole, rest)
