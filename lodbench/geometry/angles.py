@@ -9,12 +9,13 @@ y down, z forward) are Blender's with y and z negated.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Matrix = NDArray[np.float64]
+Degrees = TypeVar("Degrees", float, NDArray[np.float64])
 
 # Blender camera axes from OpenCV camera axes, and back: the same flip both ways.
 _FLIP_YZ = np.diag([1.0, -1.0, -1.0])
@@ -38,8 +39,8 @@ class EulerAngles(NamedTuple):
     yaw_deg: float
 
 
-def wrap_deg(angle_deg: float) -> float:
-    """Returns the same direction in [-180, 180) degrees; NaN stays NaN."""
+def wrap_deg(angle_deg: Degrees) -> Degrees:
+    """Returns the same direction, or directions, in [-180, 180) degrees; NaN stays NaN."""
     return (angle_deg + 180.0) % 360.0 - 180.0
 
 

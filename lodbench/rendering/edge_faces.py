@@ -38,17 +38,16 @@ class EdgeFaces(NamedTuple):
         corners: (E, 2) int32 vertices that they run between.
         ends: (E, 2, 3) float64 end points, scene metres.
         beside: (E, 2, 3) float64 third corner of either face; of a lone one twice.
-        angle_deg: (E,) angle between the faces' planes, 0 where they continue each other; 180 for a lone
-            face, and where more than two meet.
         is_lone: (E,) whether there is one face only.
+        is_crowded: (E,) whether there are more than two.
         starts: (B + 1,) int64 offsets by building.
     """
 
     corners: NDArray[np.int32]
     ends: Floats
     beside: Floats
-    angle_deg: Floats
     is_lone: NDArray[np.bool_]
+    is_crowded: NDArray[np.bool_]
     starts: NDArray[np.int64]
 
 
@@ -78,24 +77,10 @@ def edge_faces(scene: Scene, pairs: EdgePairs | None = None) -> EdgeFaces:
     pairs = edge_pairs(scene) if pairs is None else pairs
     points = scene.vertices.astype(np.float64)
     ends, beside = points[pairs.corners], points[pairs.thirds]
-    angle = _angles_deg(ends, beside)
-    angle[pairs.is_lone | pairs.is_crowded] = 180.0
-    return EdgeFaces(pairs.corners, ends, beside, angle, pairs.is_lone, pairs.starts)
+    return EdgeFaces(pairs.corners, ends, beside, pairs.is_lone, pairs.is_crowded, pairs.starts)
 
 
 def _third_corners(scene: Scene, corners: NDArray[np.int32], side: NDArray[np.int32]) -> NDArray[np.int32]:
     triangles = scene.triangles[side]
     is_end = (triangles == corners[:, :1]) | (triangles == corners[:, 1:])
     return np.asarray(triangles[np.arange(len(side)), np.argmin(is_end, axis=1)])
-
-
-def _angles_deg(ends: Floats, beside: Floats) -> Floats:
-    """Returns (E,) angles between half planes from each edge to either corner, less a straight angle."""
-    along = ends[:, 1] - ends[:, 0]
-    length = np.sqrt((along * along).sum(axis=1))
-    along = along / np.maximum(length, 1e-12)[:, None]
-    across = beside - ends[:, :1]
-    across = across - (across @ along[:, :, None]) * along[:, None, :]
-    size = np.sqrt((across * across).sum(axis=2))
-    cosine = (across[:, 0] * across[:, 1]).sum(axis=1) / np.maximum(size[:, 0] * size[:, 1], 1e-12)
-    return np.asarray(180.0 - np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))

@@ -133,6 +133,22 @@ def _is_contour(a, b, c, d, is_lone):  # type: ignore[no-untyped-def]  # noqa: A
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _is_flat(a, b, c, d, cosine):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Tells whether the planes of the faces beside an edge meet at an angle of a larger cosine; camera axes.
+
+    A face without an area is no continuation of the other.
+    """
+    x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    u, v, w = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    r, s, t = d[0] - a[0], d[1] - a[1], d[2] - a[2]
+    p0, p1, p2 = y * w - z * v, z * u - x * w, x * v - y * u
+    q0, q1, q2 = y * t - z * s, z * r - x * t, x * s - y * r
+    # The faces lie on either side of the edge: normals of those that continue each other are opposite.
+    size = np.sqrt((p0 * p0 + p1 * p1 + p2 * p2) * (q0 * q0 + q1 * q1 + q2 * q2))
+    return p0 * q0 + p1 * q1 + p2 * q2 < -cosine * max(size, 1e-12)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _is_seen(u, v, z, focal, depth):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Tells whether nothing hides a place of the picture at a depth: see ``edges_in_view``."""
     least = z - _SLACK_M - _SLACK_PX * z / focal
@@ -179,6 +195,7 @@ def _cut_and_test(edges, buildings, rotation, center, f, depth, crease_deg):  # 
     rows, owner = np.empty((256, 3), dtype=np.int64), np.empty(256, dtype=np.int64)
     count = 0
     height, width = depth.shape
+    flattest = np.cos(np.radians(crease_deg))
     seen = np.empty(int((height + width) / _STEP_PX) + 2, dtype=np.bool_)
     for building in buildings:
         for e in range(edges.starts[building], edges.starts[building + 1]):
@@ -192,7 +209,7 @@ def _cut_and_test(edges, buildings, rotation, center, f, depth, crease_deg):  # 
             c = camera_axes(s[0], s[1], s[2], rotation, center)
             d = camera_axes(t[0], t[1], t[2], rotation, center)
             is_contour = _is_contour(a, b, c, d, edges.is_lone[e])
-            if not is_contour and edges.angle_deg[e] < crease_deg:
+            if not (is_contour or edges.is_crowded[e]) and _is_flat(a, b, c, d, flattest):
                 continue
             za, zb = a[2] + first * (b[2] - a[2]), a[2] + last * (b[2] - a[2])
             ua = f[0] * (a[0] + first * (b[0] - a[0])) / za + f[2]

@@ -114,7 +114,7 @@ class SilhouetteRenderer:
         def work(part: Indices) -> None:
             silhouettes[part] = self._draw(camera, view, rotations[part], centers[part])
 
-        self._share_out(work, nearby_order(rotations, centers))
+        self._share_out(work, rotations, centers)
         return silhouettes
 
     def counts(
@@ -142,7 +142,7 @@ class SilhouetteRenderer:
             poses = rotations[part], centers[part]
             shared[part], area[part] = score_views(self._arrays, *poses, view, memory, words, query)
 
-        self._share_out(work, nearby_order(rotations, centers))
+        self._share_out(work, rotations, centers)
         return IouCounts(shared, area + count_bits(query) - shared)
 
     def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
@@ -167,7 +167,7 @@ class SilhouetteRenderer:
         def work(part: Indices) -> None:
             values[part] = fit_values(fit, self._draw(camera, view, rotations[part], centers[part]))
 
-        self._share_out(work, nearby_order(rotations, centers))
+        self._share_out(work, rotations, centers)
         return values
 
     def _draw(self, camera: Camera, view: View, rotations: Floats, centers: Floats) -> Words:
@@ -177,10 +177,13 @@ class SilhouetteRenderer:
         draw_views(self._arrays, rotations, centers, view, memory, views)
         return views
 
-    def _share_out(self, work: Callable[[Indices], None], order: Indices) -> None:
+    def _share_out(self, work: Callable[[Indices], None], rotations: Floats, centers: Floats) -> None:
         """Does the work on hypotheses, given by index, in parts on this renderer's threads."""
-        parts = _parts(order, self.threads)
-        if self._pool is None:
+        count = len(centers)
+        # Few are drawn at once, before another thread would have begun.
+        order = nearby_order(rotations, centers) if count > LANES else np.arange(count)
+        parts = list(_parts(order, self.threads))
+        if self._pool is None or len(parts) == 1:
             for part in parts:
                 work(part)
         else:

@@ -107,7 +107,7 @@ class Evidence:
     def offsets(self, vectors: Floats) -> Floats:
         """Returns (N, 6) how far poses (N, 6) are from the prior, metres and degrees."""
         offsets = vectors - self._prior
-        offsets[:, 5] = [wrap_deg(float(turn)) for turn in offsets[:, 5]]
+        offsets[:, 5] = wrap_deg(offsets[:, 5])
         return np.asarray(offsets)
 
     def prior_information(self) -> Floats:

@@ -7,7 +7,6 @@ are. Every sample of a fine grid is tried with a blurred photo (docs/adr/0057).
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -113,8 +112,7 @@ def _sums_at(vectors: Floats, levels: Levels, photo_camera: Camera, roofs: Raise
         sum_along_lines(points, *view, levels, np.zeros(1), worth, sums)
         return np.asarray(each_px * sums[:, 0, 0])
 
-    with ThreadPoolExecutor(roofs.threads) as pool:
-        return np.stack(list(pool.map(at, range(vectors.shape[1]))), axis=1).ravel()
+    return np.stack(list(roofs.side_by_side(at, range(vectors.shape[1]))), axis=1).ravel()
 
 
 def _some_points(roofs: RaisedRoofs, camera: Camera, vector: Floats) -> tuple[LinePoints, float]:

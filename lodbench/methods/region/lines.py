@@ -7,7 +7,7 @@ coarse one over many.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,8 +93,7 @@ class LineFit:
         points, spacing_px = points_on_lines(roofs, step, camera, vector[POSE])
         self.buildings, buildings = np.unique(points.buildings, return_inverse=True)
         self._points = points._replace(buildings=buildings)
-        self._roofs, self._threads = roofs, roofs.threads
-        self._pool = ThreadPoolExecutor(roofs.threads) if roofs.threads > 1 else None
+        self._roofs = roofs
         self._of_map_m = np.array([step * STEP_M, roofs.feet_m, roofs.eaves_m])
         self._weight = params.lines_weight * spacing_px
         self._sigma_m = max(params.own_roofs_m, _LEAST_SIGMA_M)
@@ -115,7 +114,19 @@ class LineFit:
             vectors: As of ``unknowns``.
             share: Of the photo's nats that count.
         """
-        return np.asarray(logsumexp(self._of_buildings(vectors, share), axis=2).sum(axis=1))
+        return self.begun(vectors, share)()
+
+    def begun(self, vectors: Floats, share: float = 1.0) -> Callable[[], Floats]:
+        """Begins a call on the map's threads; returns what waits for its result."""
+        parts = np.array_split(vectors, self._roofs.threads if len(vectors) >= _FEW else 1)
+
+        def work(part: Floats) -> Floats:
+            # Along a last axis so short most of the time would go into its many ends.
+            by_height = np.ascontiguousarray(np.moveaxis(self._of_buildings(part, share), 2, 0))
+            return np.asarray(np.logaddexp.reduce(by_height, axis=0).sum(axis=1))
+
+        done = self._roofs.side_by_side(work, parts)
+        return lambda: np.concatenate(list(done))
 
     def own_roofs_m(self, vector: Floats) -> Floats:
         """Returns (B,) how much higher than all roofs each of the map is to be expected, metres."""
@@ -155,7 +166,9 @@ class LineFit:
 
     def _of_buildings(self, vectors: Floats, share: float) -> Floats:
         """Returns (N, B, D) the logarithm of likelihood and prior of each building's own roofs."""
-        sums = self._sums(vectors, _RATIOS[self._strengths])
+        sums = np.zeros((len(vectors), len(self.buildings), len(self._own_m)))
+        view, worth = (*self._views(vectors), self._intrinsics), _RATIOS[self._strengths]
+        sum_along_lines(self._points, *view, self._levels, self._own_m, worth, sums)
         return np.asarray(share * self._weight * sums + self._log_prior)
 
     def _counts(self, vector: Floats, own_m: Floats, offset_px: float = 0.0) -> NDArray[np.int64]:
@@ -168,23 +181,6 @@ class LineFit:
     def _views(self, vectors: Floats) -> tuple[Floats, Floats, Floats]:
         """Returns rotations, centres and how the map errs more than is drawn, of (N, 10)."""
         return *views_of(vectors), vectors[:, ROOFS:] - self._of_map_m
-
-    def _sums(self, vectors: Floats, worth: Floats) -> Floats:
-        """Returns (N, B, D) what levels are worth that points meet, by building and height of its roof."""
-        sums = np.zeros((len(vectors), len(self.buildings), len(self._own_m)))
-        views = self._views(vectors)
-
-        def work(part: slice) -> None:
-            rotations, centers, of_all_m = (each[part] for each in views)
-            view = rotations, centers, of_all_m, self._intrinsics
-            sum_along_lines(self._points, *view, self._levels, self._own_m, worth, sums[part])
-
-        if self._pool is None or len(vectors) < _FEW:
-            work(slice(None))
-        else:
-            share = -(-len(vectors) // self._threads)
-            list(self._pool.map(work, (slice(k, k + share) for k in range(0, len(vectors), share))))
-        return sums
 
 
 def points_on_lines(

@@ -9,8 +9,11 @@ hedge or cars (docs/adr/0062).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from functools import cache, cached_property, lru_cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +28,8 @@ from lodbench.methods.region.params import Params
 from lodbench.methods.region.unknowns import CAMERAS, EAVES, FEET, LENS, OUTLINES, POSE, ROOFS
 
 Floats = NDArray[np.float64]
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 # Silhouettes are drawn of roofs at every so many metres, up to so far from the map.
 STEP_M, _FARTHEST_M = 0.5, 3.0
@@ -54,6 +59,7 @@ class RaisedRoofs:
 
     def __init__(self, city_map: CityMap, part: Scene) -> None:
         self._part, self.threads = part, city_map.threads
+        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._map = cache(lambda: _map_of(part, city_map))
         self.own_m, self.feet_m, self.eaves_m = np.zeros(part.num_buildings), 0.0, 0.0
         self._drawn: dict[int, CityMap] = {}
@@ -74,6 +80,13 @@ class RaisedRoofs:
         other = copy(self)
         other.own_m, other.feet_m, other.eaves_m, other._drawn = own_m, feet_m, eaves_m, {}
         return other
+
+    def side_by_side(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+        """Begins a work on each item, on this map's threads, and returns the results in order.
+
+        With one thread each is worked on when its result is asked for. No work may wait for another.
+        """
+        return map(work, items) if self._pool is None else self._pool.map(work, items)
 
     @cached_property
     def _outward(self) -> Floats:
