@@ -113,12 +113,12 @@ def _outside(
 ) -> tuple[Points, NDArray[np.bool_], NDArray[np.bool_]]:
     """Returns what is before each place on a wall: ground height, an own annex, another building."""
     out = -left_of(wall.along)
-    own, other = np.zeros(len(middles), bool), np.zeros(len(middles), bool)
-    for side in (-0.5, 0.0, 0.5):
-        at = wall.left + (middles + side * (width + 0.6))[:, None] * wall.along + out * _LOOK_OUT_M
-        found = place.occupancy.at(at)
-        own |= found == place.number + 1
-        other |= (found != NOBODY) & (found != place.number + 1)
+    # Before its left end, its middle and its right end.
+    along_m = middles + np.array([[-0.5], [0.0], [0.5]]) * (width + 0.6)
+    at = wall.left + along_m.reshape(-1, 1) * wall.along + out * _LOOK_OUT_M
+    found = place.occupancy.at(at).reshape(along_m.shape)
+    is_own = found == place.number + 1
+    own, other = is_own.any(axis=0), ((found != NOBODY) & ~is_own).any(axis=0)
     return place.terrain.height(wall.left + middles[:, None] * wall.along + out * 0.3), own, other
 
 

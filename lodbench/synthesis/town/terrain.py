@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -19,7 +20,8 @@ _BANK_HEIGHT_M = 2.6
 _WATER_DEPTH_M = 1.6
 
 
-class Terrain(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Terrain:
     """Ground heights: a slope up from the river and a few long waves, sunk into a valley along it."""
 
     base_m: float  # height at the river before the waves, metres above sea level
@@ -39,7 +41,7 @@ class Terrain(NamedTuple):
         rise = relief * float(generator.uniform(0.02, 0.03))
         dry = cls(float(generator.uniform(180.0, 260.0)), rise, np.array(waves), river, -np.inf)
         lowest = float(dry._hills(river, np.zeros(len(river))).min())
-        return dry._replace(water_m=round(lowest - _BANK_HEIGHT_M - 1.0, 2))
+        return replace(dry, water_m=round(lowest - _BANK_HEIGHT_M - 1.0, 2))
 
     def height(self, points: Points) -> Points:
         """Returns the ground height, (N,) metres, at local positions, (N, 2); the river's is its bed's."""
@@ -61,14 +63,19 @@ class Terrain(NamedTuple):
         Measured across the river where they lie, which is exact beside it and near enough elsewhere: the
         river bends gently and never turns back.
         """
+        axes, s, off, bend = self._course
+        at, side = (points @ axes).T
+        lateral = np.abs(side - np.interp(at, s, off))
+        return np.asarray(lateral / np.hypot(1.0, np.interp(at, s, bend)))
+
+    @cached_property
+    def _course(self) -> tuple[Points, Points, Points, Points]:
+        """The axes (2, 2) along and across the river, where on them it runs, and how steeply it bends."""
         along = self.river[-1] - self.river[0]
         along = along / np.linalg.norm(along)
         axes = np.stack([along, left_of(along)], axis=1)
         s, off = (self.river @ axes).T
-        bend = np.gradient(off, s)
-        at, side = (points @ axes).T
-        lateral = np.abs(side - np.interp(at, s, off))
-        return np.asarray(lateral / np.hypot(1.0, np.interp(at, s, bend)))
+        return axes, s, off, np.gradient(off, s)
 
     def _hills(self, points: Points, distance: Points) -> Points:
         """Returns the heights as if there were no valley."""
