@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -84,16 +85,24 @@ def module_level_imports(tree: ast.Module) -> Iterator[str]:
             yield from imports(ast.Module([node], []))
 
 
-TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in MODULES}
+@cache
+def trees() -> dict[Path, ast.Module]:
+    # When asked for: every process of a run of tests reads this file, one runs it.
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in MODULES}
+
+
+@cache
+def imported(path: Path) -> tuple[str, ...]:
+    return tuple(imports(trees()[path]))
 
 
 def test_imports_go_down_the_layers():
     wrong = []
-    for path, tree in TREES.items():
+    for path in MODULES:
         mine = layer_of(path)
         if mine is None or mine == "baselines":
             continue
-        for name in imports(tree):
+        for name in imported(path):
             parts = name.split(".")
             if parts[0] == "lodbench" and len(parts) > 1:
                 known = parts[1] in LAYERS
@@ -105,9 +114,9 @@ def test_imports_go_down_the_layers():
 def test_nothing_imports_the_baselines():
     wrong = [
         f"{name_of(path)} imports {name}"
-        for path, tree in TREES.items()
+        for path in MODULES
         if layer_of(path) != "baselines"
-        for name in imports(tree)
+        for name in imported(path)
         if name.startswith(("lodbench.baselines", "baselines"))
     ]
     assert not wrong
@@ -118,8 +127,8 @@ def test_hydra_stays_in_the_command_line():
     kept_out = {"cli": (), "params": ("hydra",)}
     wrong = [
         f"{name_of(path)} imports {name}"
-        for path, tree in TREES.items()
-        for name in imports(tree)
+        for path in MODULES
+        for name in imported(path)
         if name.split(".")[0] in kept_out.get(str(layer_of(path)), ("hydra", "omegaconf"))
     ]
     assert not wrong
@@ -127,7 +136,7 @@ def test_hydra_stays_in_the_command_line():
 
 def test_heavy_packages_are_imported_where_they_are_used():
     wrong = []
-    for path, tree in TREES.items():
+    for path, tree in trees().items():
         late = LATE - {"torch"} if path.parent.name == "nets" else LATE
         names = [name for name in module_level_imports(tree) if name.split(".")[0] in late]
         wrong += [f"{name_of(path)} imports {name} at the top" for name in names]
@@ -138,7 +147,7 @@ def test_networks_are_imported_where_they_are_used():
     # Their modules import torch at the top, so nobody else may import them there.
     wrong = [
         f"{name_of(path)} imports {name} at the top"
-        for path, tree in TREES.items()
+        for path, tree in trees().items()
         if path.parent.name != "nets"
         for name in module_level_imports(tree)
         if ".nets" in name
@@ -148,12 +157,12 @@ def test_networks_are_imported_where_they_are_used():
 
 def test_nothing_prints_unpickles_or_parses_xml_elsewhere():
     wrong = []
-    for path, tree in TREES.items():
+    for path, tree in trees().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 if node.func.id in ("print", "eval", "exec"):
                     wrong.append(f"{name_of(path)}, line {node.lineno}: {node.func.id}")
-        for name in imports(tree):
+        for name in imported(path):
             if name.split(".")[0] in ("pickle", "dill", "joblib", "marshal", "shelve"):
                 wrong.append(f"{name_of(path)} imports {name}")
             # Escaping text for writing is no parsing.
@@ -170,7 +179,7 @@ CHANGES_THE_DISK = {"mkdir", "write_bytes", "write_text", "unlink", "rename", "r
 
 def test_every_change_of_the_disk_goes_through_the_layer_that_tests_let_fail():
     wrong = []
-    for path, tree in TREES.items():
+    for path, tree in trees().items():
         name = name_of(path)
         if name.startswith("lodbench/storage/") or any(part in name for part in NOT_THROUGH_THE_DISK):
             continue
