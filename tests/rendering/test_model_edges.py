@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hostile_scenes import box, scene_of
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, EulerAngles, rotation_from_euler
@@ -83,6 +85,30 @@ def test_a_flat_ridge_is_a_crease_from_its_angle_on(crease_deg, count):
     assert creases.sum() == count
     # The open rim is a contour, the diagonals of the quadrilaterals are nothing.
     assert (view.kind == EdgeKind.CONTOUR).sum() == 6
+
+
+@given(st.floats(-170, 170), st.floats(-170, 170), st.floats(1, 89))
+def test_a_crease_is_where_planes_meet_at_the_angle_asked_for(left_deg, right_deg, crease_deg):
+    # Two faces beside an edge along y, each so many degrees up from the level.
+    (x, z), (r, t) = ((np.cos(a), np.sin(a)) for a in np.radians((left_deg, right_deg)))
+    bend_deg = abs((left_deg + right_deg + 180.0) % 360.0 - 180.0)
+    assume(abs(bend_deg - crease_deg) > 1e-3)
+    a, b = (0.0, -8.0, 0.0), (0.0, 8.0, 0.0)
+    faces = [[a, b, (-9.0 * x, 1.0, 9.0 * z)], [b, a, (7.0 * r, -2.0, 7.0 * t)]]
+    view = look(scene_of(np.array(faces)), (10, 5, 20), (10, -5, 60), crease_deg=crease_deg)
+    shared = (np.abs(view.points[..., [0, 2]]) < 1e-9).all(axis=(1, 2))
+    is_contour = view.kind[shared] == EdgeKind.CONTOUR
+    assert is_contour.all() or is_contour.sum() == 0
+    assert shared.any() == (is_contour.any() or bend_deg > crease_deg)
+
+
+def test_where_three_faces_meet_is_a_crease_however_flat():
+    level = [[(0, -8, 0), (0, 8, 0), (-9, 0, 0)], [(0, 8, 0), (0, -8, 0), (9, 0, 0)]]
+    below = [[(0, -8, 0), (0, 8, 0), (0, 0, -9)]]
+    for faces, count in ((level, 0), (level + below, 1)):
+        view = look(scene_of(np.array(faces, dtype=np.float64)), (0, 0, 0), (0, 0, 50), crease_deg=60.0)
+        on_edge = (np.abs(view.points[..., [0, 2]]) < 1e-9).all(axis=(1, 2)) & view.is_visible
+        assert (view.kind[on_edge] == EdgeKind.CREASE).sum() == count
 
 
 def hides(scene: Scene, center, point) -> tuple[bool, bool]:
