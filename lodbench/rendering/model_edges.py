@@ -145,7 +145,7 @@ def _is_flat(a, b, c, d, cosine):  # type: ignore[no-untyped-def]  # noqa: ANN00
     q0, q1, q2 = y * t - z * s, z * r - x * t, x * s - y * r
     # The faces lie on either side of the edge: normals of those that continue each other are opposite.
     size = np.sqrt((p0 * p0 + p1 * p1 + p2 * p2) * (q0 * q0 + q1 * q1 + q2 * q2))
-    return p0 * q0 + p1 * q1 + p2 * q2 < -cosine * max(size, 1e-12)
+    return p0 * q0 + p1 * q1 + p2 * q2 < -cosine * size
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
