@@ -85,7 +85,7 @@ def wilson_interval(hits: NDArray[np.bool_]) -> Interval:
     middle, half = share + 0.5 * spread, math.sqrt(spread * (share * (1.0 - share) + 0.25 * spread))
     low, high = ((middle + side * half) / (1.0 + spread) for side in (-1.0, 1.0))
     # At 0 and 100 % an end of the interval is the share itself, but for rounding.
-    return 100.0 * min(low, share), 100.0 * max(high, share)
+    return 100.0 * max(0.0, min(low, share)), 100.0 * min(1.0, max(high, share))
 
 
 def bootstrap_means(values: Floats) -> list[Interval]:

@@ -23,6 +23,8 @@ _STEP_PX = 1.0
 _SLACK_PX, _SLACK_M = 3.0, 0.02
 # Steps: as far as the 3 x 3 pixels looked at may see past a rim, at a slant.
 _LEAST_RUN = 3
+# Faces have planes from this height over their edge on.
+_NARROWEST_M = 1e-6
 
 
 class EdgeKind(IntEnum):
@@ -136,7 +138,7 @@ def _is_contour(a, b, c, d, is_lone):  # type: ignore[no-untyped-def]  # noqa: A
 def _is_flat(a, b, c, d, cosine):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Tells whether the planes of the faces beside an edge meet at an angle of a larger cosine; camera axes.
 
-    A face without an area is no continuation of the other.
+    A face without a height over the edge is no continuation of the other.
     """
     x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     u, v, w = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -145,7 +147,9 @@ def _is_flat(a, b, c, d, cosine):  # type: ignore[no-untyped-def]  # noqa: ANN00
     q0, q1, q2 = y * t - z * s, z * r - x * t, x * s - y * r
     # The faces lie on either side of the edge: normals of those that continue each other are opposite.
     size = np.sqrt((p0 * p0 + p1 * p1 + p2 * p2) * (q0 * q0 + q1 * q1 + q2 * q2))
-    return p0 * q0 + p1 * q1 + p2 * q2 < -cosine * size
+    # Of a face narrower than a micrometre rounding would decide.
+    least = _NARROWEST_M**2 * (x * x + y * y + z * z)
+    return p0 * q0 + p1 * q1 + p2 * q2 < -cosine * max(size, least)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -209,7 +213,8 @@ def _cut_and_test(edges, buildings, rotation, center, f, depth, crease_deg):  # 
             c = camera_axes(s[0], s[1], s[2], rotation, center)
             d = camera_axes(t[0], t[1], t[2], rotation, center)
             is_contour = _is_contour(a, b, c, d, edges.is_lone[e])
-            if not (is_contour or edges.is_crowded[e]) and _is_flat(a, b, c, d, flattest):
+            is_certain = is_contour or edges.is_crowded[e] or crease_deg <= 0.0
+            if not is_certain and _is_flat(a, b, c, d, flattest):
                 continue
             za, zb = a[2] + first * (b[2] - a[2]), a[2] + last * (b[2] - a[2])
             ua = f[0] * (a[0] + first * (b[0] - a[0])) / za + f[2]

@@ -114,6 +114,11 @@ class TestInterval:
         low, high = binomtest(hits, count).proportion_ci(method="wilson")
         assert wilson_interval(np.arange(count) < hits) == pytest.approx((100 * low, 100 * high))
 
+    @pytest.mark.parametrize("is_found", [False, True])
+    def test_all_and_none_end_on_it(self, is_found):
+        ends = [wilson_interval(np.full(n, is_found))[int(is_found)] for n in range(1, 100)]
+        assert set(ends) == {100.0 if is_found else 0.0}
+
     def test_more_queries_narrow_it(self):
         widths = [np.diff(wilson_interval(np.arange(n) < n * 0.75))[0] for n in (20, 200, 2000)]
         assert widths[0] > widths[1] > widths[2]

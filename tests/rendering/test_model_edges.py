@@ -102,6 +102,19 @@ def test_a_crease_is_where_planes_meet_at_the_angle_asked_for(left_deg, right_de
     assert shared.any() == (is_contour.any() or bend_deg > crease_deg)
 
 
+@pytest.mark.parametrize(
+    ("third_m", "crease_deg", "is_there"), [(-9, 30, False), (-9, 0, True), (0, 30, True)]
+)
+def test_all_edges_from_no_angle_on_and_those_of_faces_without_area(third_m, crease_deg, is_there):
+    faces = [[(0, -8, 0), (0, 8, 0), (third_m, 1, 0)], [(0, 8, 0), (0, -8, 0), (9, 0, 0)]]
+    shared = frozenset({(0.0, -8.0, 0.0), (0.0, 8.0, 0.0)})
+    for yaw_deg in (0, 20, 70, 140):
+        view = look(
+            scene_of(np.array(faces, dtype=np.float64)), (10, 5, yaw_deg), (0, 0, 60), crease_deg=crease_deg
+        )
+        assert (shared in whole(view, view.kind >= 0)) == is_there
+
+
 def test_where_three_faces_meet_is_a_crease_however_flat():
     level = [[(0, -8, 0), (0, 8, 0), (-9, 0, 0)], [(0, 8, 0), (0, -8, 0), (9, 0, 0)]]
     below = [[(0, -8, 0), (0, 8, 0), (0, 0, -9)]]

@@ -117,15 +117,16 @@ class LineFit:
         return self.begun(vectors, share)()
 
     def begun(self, vectors: Floats, share: float = 1.0) -> Callable[[], Floats]:
-        """Begins a call on the map's threads; returns what waits for its result."""
-        parts = np.array_split(vectors, self._roofs.threads if len(vectors) >= _FEW else 1)
+        """Begins a call on the roofs' threads, but for few poses; returns what waits for it, once."""
 
         def work(part: Floats) -> Floats:
             # Along a last axis so short most of the time would go into its many ends.
             by_height = np.ascontiguousarray(np.moveaxis(self._of_buildings(part, share), 2, 0))
             return np.asarray(np.logaddexp.reduce(by_height, axis=0).sum(axis=1))
 
-        done = self._roofs.side_by_side(work, parts)
+        if len(vectors) < _FEW:
+            return lambda: work(vectors)
+        done = self._roofs.side_by_side(work, np.array_split(vectors, self._roofs.threads))
         return lambda: np.concatenate(list(done))
 
     def own_roofs_m(self, vector: Floats) -> Floats:

@@ -82,7 +82,7 @@ class RaisedRoofs:
         return other
 
     def side_by_side(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
-        """Begins a work on each item, on this map's threads, and returns the results in order.
+        """Begins a work on each item, on as many threads as the map has, and returns the results in order.
 
         With one thread each is worked on when its result is asked for. No work may wait for another.
         """

@@ -27,7 +27,7 @@ def edge_lengths(ring: Points) -> Points:
 
 
 def _ahead(ring: Points) -> Points:
-    """Returns for each corner the next; ``np.roll`` takes ten times as long for so few."""
+    """Returns for each corner the next; ``np.roll`` takes several times as long for so few."""
     return np.concatenate([ring[1:], ring[:1]])
 
 
