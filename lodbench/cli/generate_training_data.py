@@ -28,7 +28,7 @@ def main(argv: Sequence[str]) -> int:
 
 def task(config: DictConfig) -> None:
     """Generates the set of one configuration."""
-    values = with_demo(plain(config))
+    values = plain(config)
     source = profile_of(values.pop("source"), values.get("crs"))
     executor = to_params(section(values, "executor"), ExecutorParams, "executor")
     if executor.share != QUERIES:
@@ -37,34 +37,35 @@ def task(config: DictConfig) -> None:
             "Leave executor.share out.",
         )
     values.pop("executor")
-    params = params_of(values)
+    # Asked before a town is built, which takes half a minute.
+    params = with_demo(params_of(values))
     params = params if params.lod else replace(params, lod=source.lod)
     sys.stdout.write(report(generate_training_data(params, source.options, executor)))
 
 
-def with_demo(values: dict[str, Any]) -> dict[str, Any]:
-    """Returns a configuration in which ``city=demo`` is a built-in town, with its own surroundings.
+def with_demo(params: GenerateParams) -> GenerateParams:
+    """Returns settings in which ``city=demo`` is a built-in town, with its own surroundings.
 
     ``demo`` is the town to train on, ``demo:SEED`` another of its kind, ``demo:test`` the town to test on.
 
     Raises:
         ConfigError: What follows the colon is neither.
     """
-    name, _, which = str(values["city"]).partition(":")
-    if name != "demo" or Path(values["city"]).exists():
-        return values
+    name, _, which = params.city.partition(":")
+    if name != "demo" or Path(params.city).exists():
+        return params
     from lodbench.synthesis.demo import DemoParams, DemoTrainParams, demo_folder
     from lodbench.synthesis.town.build import CITY_FILE, FINE_CITY_FILE, PROPS_FILE
 
     if which not in ("", "test") and not which.isdecimal():
-        raise ConfigError(f"city={values['city']} is not known.", "demo, demo:SEED or demo:test.")
+        raise ConfigError(f"city={params.city} is not known.", "demo, demo:SEED or demo:test.")
     # The town alone is wanted; two queries are the fewest it is built with.
     town = DemoParams(num_queries=2) if which == "test" else DemoTrainParams(num_queries=2)
     root = demo_folder(replace(town, town_seed=int(which)) if which.isdecimal() else town)
     # Its level 1 is a map grown old, to test on; what is there today is in level 2, and finer in 3.
-    lod = str(values["lod"] or "2")
+    lod = params.lod or "2"
     city = root / (FINE_CITY_FILE if lod == "3" else CITY_FILE)
-    return values | {"city": str(city), "props": values["props"] or str(root / PROPS_FILE), "lod": lod}
+    return replace(params, city=str(city), props=params.props or str(root / PROPS_FILE), lod=lod)
 
 
 def params_of(values: dict[str, Any]) -> GenerateParams:

@@ -7,6 +7,7 @@ import pytest
 from lodbench.cli import main
 from lodbench.cli.generate_training_data import with_demo
 from lodbench.synthesis import demo
+from lodbench.synthesis.training_data.params import GenerateParams
 
 
 @pytest.fixture
@@ -27,19 +28,27 @@ def asked(monkeypatch, tmp_path):
     [
         ("demo", None, ("train", 1), "town.gml", "2"),
         ("demo:7", None, ("train", 7), "town.gml", "2"),
-        ("demo:7", 3, ("train", 7), "town_lod3.gml", "3"),
+        ("demo:7", "3", ("train", 7), "town_lod3.gml", "3"),
         ("demo:test", "3", ("test", 0), "town_lod3.gml", "3"),
     ],
 )
 def test_towns_are_named_by_seed(asked, tmp_path, city, lod, town, file, level):
-    values = with_demo({"city": city, "props": None, "lod": lod})
+    params = with_demo(GenerateParams(city=city, out="set", lod=lod))
     assert asked == [town]
-    assert values == {"city": str(tmp_path / file), "props": str(tmp_path / "props.npz"), "lod": level}
+    assert (params.city, params.lod) == (str(tmp_path / file), level)
+    assert params.props == str(tmp_path / "props.npz")
 
 
 def test_another_city_stays_as_it_is(asked):
-    values = {"city": "demolition.gml", "props": None, "lod": None}
-    assert with_demo(values) == values
+    params = GenerateParams(city="demolition.gml", out="set")
+    assert with_demo(params) == params
+    assert not asked
+
+
+def test_no_town_is_built_for_settings_that_are_wrong(asked, tmp_path, capsys):
+    words = ["city=demo", f"out={tmp_path / 'o'}", "sheet=0"]
+    assert main(["generate-training-data", *words]) == 2
+    assert "sheet=0 is not within 16 to 2048" in capsys.readouterr().err
     assert not asked
 
 
