@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
 
 from lodbench.errors import RenderingError
 from lodbench.rendering.bits import Words, words_per_row
@@ -34,6 +33,9 @@ class RegionFit:
             raise RenderingError(f"A query to fit has shape {bins.shape}, not (height, width).")
         if not 0 < num_bins <= 1 << 16 or bins.min() < 0 or bins.max() >= num_bins:
             raise RenderingError(f"The bins of a photo lie in 0 .. {num_bins - 1}, and are at most 65536.")
+        # Half a second of a command's start, and most never fit regions.
+        from scipy.special import gammaln
+
         height, width = bins.shape
         self.size = width, height
         padded = np.zeros((height, 64 * words_per_row(width)), dtype=np.uint16)

@@ -1,6 +1,7 @@
 """Trials that may crash or hang: `python -m lodbench.harness.doctor.probes NAME` tries one, says how.
 
-`lodbench doctor` runs each in a process of its own, so that a driver's crash takes only that down.
+`lodbench doctor` runs each in a process of its own, so that a driver's crash takes only that down, and
+imports no more than it tries.
 """
 
 from __future__ import annotations
@@ -12,13 +13,9 @@ from functools import partial
 
 import numpy as np
 
-from lodbench.citymodel.blocks import scene_of_blocks
 from lodbench.errors import LodbenchError, RenderingError
-from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.doctor.doctor import NETWORKS, PACKAGE_FOLLOWS, RENDERER_TRIALS
 from lodbench.plugins import KINDS, installed, load_plugin
-from lodbench.rendering import open_renderer
-from lodbench.rendering.gl_guard import trust_driver
 
 
 def try_numba() -> str:
@@ -34,6 +31,12 @@ def try_numba() -> str:
 
 def try_renderer(name: str) -> str:
     """Draws a tower and compares it with the reference; returns what there is to say."""
+    from lodbench.citymodel.blocks import scene_of_blocks
+    from lodbench.geometry import Camera, EulerAngles, Pose
+    from lodbench.rendering import open_renderer
+    from lodbench.rendering.gl_guard import trust_driver
+
+    trust_driver()
     scene = scene_of_blocks([(-6.0, -6.0, 6.0, 6.0, 0.0, 25.0)])
     camera = Camera(160, 120, 110.0, 105.0, 83.0, 58.0)
     pose = Pose.from_euler(EulerAngles(35.0, 1.0, 20.0), (0.0, -20.0, 40.0))
@@ -94,7 +97,6 @@ PROBES: dict[str, Callable[[], str]] = {
 
 def main(name: str) -> None:
     """Tries one thing and writes one line of JSON: ok, detail, hint."""
-    trust_driver()
     try:
         kind, _, rest = name.partition(" ")
         plug_in, _, package = rest.partition(PACKAGE_FOLLOWS)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
@@ -87,7 +86,7 @@ def building_heights(
         outlines, curve = by_outlines.get(row), by_pixels.get(row)
         if outlines is not None and abs(outlines.higher_m) > HEIGHTS_M[-1]:
             # Pixels have not looked there.
-            alone = norm.logpdf(_HEIGHTS_M, outlines.higher_m, outlines.sigma_m)
+            alone = _norm().logpdf(_HEIGHTS_M, outlines.higher_m, outlines.sigma_m)
             told, curve = np.where(np.isfinite(told), alone, -np.inf), None
         elif outlines is not None:
             told = told + _nats_of_outlines(outlines, _ASTRAY_ALONE if curve is None else _ASTRAY)
@@ -110,8 +109,16 @@ def _nats_of_outlines(outlines: _Outlines, astray: float) -> Floats:
     precision = outlines.sigma_m**-2.0
     information = max(precision - outlines.beforehand_m**-2.0, _LEAST_INFORMATION)
     higher_m = outlines.higher_m * precision / information
-    right = norm.pdf(_HEIGHTS_M, np.clip(higher_m, *_HEIGHTS_M[[0, -1]]), _OUTLINES / np.sqrt(information))
-    return np.asarray(np.log((1.0 - astray) * right + astray * norm.pdf(_HEIGHTS_M, 0.0, _ASTRAY_M)))
+    nearest_m, sigma_m = np.clip(higher_m, *_HEIGHTS_M[[0, -1]]), _OUTLINES / np.sqrt(information)
+    right, wrong = (_norm().pdf(_HEIGHTS_M, *of) for of in ((nearest_m, sigma_m), (0.0, _ASTRAY_M)))
+    return np.asarray(np.log((1.0 - astray) * right + astray * wrong))
+
+
+def _norm() -> Any:
+    # Importing all of scipy's distributions takes longer than a command's start without them.
+    from scipy.stats import norm
+
+    return norm
 
 
 def _nats_of_pixels(curve: RoofCurve, common_m: float) -> Floats:
