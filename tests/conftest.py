@@ -24,6 +24,6 @@ def shared_data() -> Path:
 
 
 def pytest_collection_finish() -> None:
-    """Takes what importing all tests has left, millions of objects, out of what every garbage collection walks."""
+    """Takes the millions of objects that importing all tests leaves out of every garbage collection."""
     gc.collect()
     gc.freeze()
