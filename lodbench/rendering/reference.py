@@ -47,7 +47,7 @@ def _camera_axes(points: Points, pose: Pose) -> Points:
 
 def _clip(polygon: Points, camera: Camera) -> Points:
     """Returns the part of a polygon in front of the near plane and inside the guard band: rule 2."""
-    distances: list[Callable[[Points], np.float64]] = [
+    distances: list[Callable[[Points], Points]] = [
         lambda p: p[2] - NEAR_M,
         lambda p: GUARD_PX * p[2] + (camera.fx * p[0] + camera.cx * p[2]),
         lambda p: GUARD_PX * p[2] - (camera.fx * p[0] + camera.cx * p[2]),
@@ -55,9 +55,13 @@ def _clip(polygon: Points, camera: Camera) -> Points:
         lambda p: GUARD_PX * p[2] - (camera.fy * p[1] + camera.cy * p[2]),
     ]
     for distance in distances:
+        ahead = distance(polygon.T)
+        if (ahead >= 0).all():
+            continue
         kept: list[Points] = []
-        for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-            da, db = distance(a), distance(b)
+        corners = zip(polygon, ahead, strict=True)
+        next_corners = zip(np.roll(polygon, -1, axis=0), np.roll(ahead, -1), strict=True)
+        for (a, da), (b, db) in zip(corners, next_corners, strict=True):
             if da >= 0:
                 kept.append(a)
             if (da >= 0) != (db >= 0):
@@ -84,7 +88,7 @@ def _fill(mask: NDArray[np.bool_], corners: NDArray[np.int64]) -> None:
     x = np.arange(low[0], high[0])[None, :] * SUBPIXELS + half
     y = np.arange(low[1], high[1])[:, None] * SUBPIXELS + half
     inside = np.zeros((len(y), x.shape[1]), dtype=np.bool_)
-    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+    for (x0, y0), (x1, y1) in zip(corners, corners[[1, 2, 0]], strict=True):
         if x0 > x1:
             x0, y0, x1, y1 = x1, y1, x0, y0
         meets_column = (x0 <= x) & (x < x1)
