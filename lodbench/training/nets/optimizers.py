@@ -22,9 +22,9 @@ _SHORTEST = 1e-7
 class KernelMuon(torch.optim.Muon):
     """Muon over kernels of convolutions, each taken as the matrix from its inputs to its outputs.
 
-    torch's own takes matrices only, and iterates in bfloat16: without instructions for it, as in most CPUs of
-    laptops, 10 to 30 times as long as in float32, and longer than all the rest of a training's step. The
-    matrices here are views of the kernels, so that a step moves them.
+    torch's own takes matrices only, and iterates in bfloat16: on CPUs without instructions for it 10 to 30
+    times as long as in float32, almost as long as all the rest of a training's step. The matrices here are
+    views of the kernels, so that a step moves them.
 
     Args:
         kernels: (outputs, inputs, height, width) weights, on their device and in their final memory format.
@@ -50,7 +50,7 @@ class KernelMuon(torch.optim.Muon):
                 state["momentum_buffer"] = torch.zeros_like(gradient)
             mean = state["momentum_buffer"].lerp_(gradient, 1.0 - group["momentum"])
             ahead = gradient.lerp(mean, group["momentum"])
-            # A tall matrix has longer rows to move by the same.
+            # Entries of a tall matrix move as far as those of a square one with as many columns.
             rate = group["lr"] * math.sqrt(max(1.0, matrix.shape[0] / matrix.shape[1]))
             matrix.mul_(1.0 - group["lr"] * group["weight_decay"])
             matrix.add_(_orthogonalized(ahead, group["ns_coefficients"], group["ns_steps"]), alpha=-rate)
