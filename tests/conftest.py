@@ -24,6 +24,6 @@ def shared_data() -> Path:
 
 
 def pytest_collection_finish() -> None:
-    """Takes the millions of objects that importing all tests leaves out of every garbage collection."""
+    """Takes all objects that importing the tests leaves out of every garbage collection."""
     gc.collect()
     gc.freeze()

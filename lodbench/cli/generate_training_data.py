@@ -49,7 +49,7 @@ def with_demo(params: GenerateParams) -> GenerateParams:
     ``demo`` is the town to train on, ``demo:SEED`` another of its kind, ``demo:test`` the town to test on.
 
     Raises:
-        ConfigError: What follows the colon is neither.
+        ConfigError: What follows the colon is neither, or a textured model is to be pictured instead.
     """
     name, _, which = params.city.partition(":")
     if name != "demo" or Path(params.city).exists():
@@ -59,6 +59,11 @@ def with_demo(params: GenerateParams) -> GenerateParams:
 
     if which not in ("", "test") and not which.isdecimal():
         raise ConfigError(f"city={params.city} is not known.", "demo, demo:SEED or demo:test.")
+    if params.texture_model is not None:
+        raise ConfigError(
+            f"texture_model means nothing to city={params.city}, which has a look of its own.",
+            "Leave texture_model out, or name the city that the model is of.",
+        )
     # The town alone is wanted; two queries are the fewest it is built with.
     town = DemoParams(num_queries=2) if which == "test" else DemoTrainParams(num_queries=2)
     root = demo_folder(replace(town, town_seed=int(which)) if which.isdecimal() else town)

@@ -45,10 +45,16 @@ def test_another_city_stays_as_it_is(asked):
     assert not asked
 
 
-def test_no_town_is_built_for_settings_that_are_wrong(asked, tmp_path, capsys):
-    words = ["city=demo", f"out={tmp_path / 'o'}", "sheet=0"]
-    assert main(["generate-training-data", *words]) == 2
-    assert "sheet=0 is not within 16 to 2048" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("word", "told"),
+    [
+        ("sheet=0", "sheet=0 is not within 16 to 2048"),
+        ("texture_model=mesh.obj", "texture_model means nothing to city=demo,"),
+    ],
+)
+def test_no_town_is_built_for_settings_that_are_wrong(asked, tmp_path, capsys, word, told):
+    assert main(["generate-training-data", "city=demo", f"out={tmp_path / 'o'}", word]) == 2
+    assert told in capsys.readouterr().err
     assert not asked
 
 

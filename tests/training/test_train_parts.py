@@ -57,7 +57,7 @@ def test_settings_out_of_range_are_named(wrong):
         TrainParams("d", **wrong)
 
 
-@pytest.mark.parametrize("shape", [(24, 16, 3, 3), (160, 16, 3, 3)])
+@pytest.mark.parametrize("shape", [(24, 16, 3, 3), (160, 16, 1, 1)])
 @pytest.mark.parametrize("memory", [torch.contiguous_format, torch.channels_last])
 def test_muon_moves_a_kernel_as_torch_moves_the_matrix_it_is(shape, memory):
     from torch import nn
@@ -76,8 +76,11 @@ def test_muon_moves_a_kernel_as_torch_moves_the_matrix_it_is(shape, memory):
         ours.step()
     assert (kernel - values).abs().max() > 0.05
     # torch's iterates in half precision.
-    torch.testing.assert_close(kernel.detach(), plain.detach().view_as(kernel), rtol=0, atol=6e-3)
-    assert ours.state_dict()["param_groups"] == torchs.state_dict()["param_groups"]
+    torch.testing.assert_close(kernel.detach(), plain.detach().view_as(kernel), rtol=0, atol=2e-3)
+    # A training that torch's own had begun goes on.
+    ours.load_state_dict(torchs.state_dict())
+    ours.step()
+    assert torch.isfinite(kernel).all()
 
 
 def test_given_weights_answer_the_same_while_training():

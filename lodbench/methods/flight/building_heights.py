@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +87,7 @@ def building_heights(
         outlines, curve = by_outlines.get(row), by_pixels.get(row)
         if outlines is not None and abs(outlines.higher_m) > HEIGHTS_M[-1]:
             # Pixels have not looked there.
-            alone = _norm().logpdf(_HEIGHTS_M, outlines.higher_m, outlines.sigma_m)
+            alone = _log_normal(outlines.higher_m, outlines.sigma_m)
             told, curve = np.where(np.isfinite(told), alone, -np.inf), None
         elif outlines is not None:
             told = told + _nats_of_outlines(outlines, _ASTRAY_ALONE if curve is None else _ASTRAY)
@@ -109,16 +110,16 @@ def _nats_of_outlines(outlines: _Outlines, astray: float) -> Floats:
     precision = outlines.sigma_m**-2.0
     information = max(precision - outlines.beforehand_m**-2.0, _LEAST_INFORMATION)
     higher_m = outlines.higher_m * precision / information
-    nearest_m, sigma_m = np.clip(higher_m, *_HEIGHTS_M[[0, -1]]), _OUTLINES / np.sqrt(information)
-    right, wrong = (_norm().pdf(_HEIGHTS_M, *of) for of in ((nearest_m, sigma_m), (0.0, _ASTRAY_M)))
-    return np.asarray(np.log((1.0 - astray) * right + astray * wrong))
+    nearest_m = float(np.clip(higher_m, *_HEIGHTS_M[[0, -1]]))
+    right = np.log1p(-astray) + _log_normal(nearest_m, _OUTLINES / math.sqrt(information))
+    return np.asarray(np.logaddexp(right, math.log(astray) + _log_normal(0.0, _ASTRAY_M)))
 
 
-def _norm() -> Any:
-    # Importing all of scipy's distributions takes longer than a command's start without them.
-    from scipy.stats import norm
-
-    return norm
+def _log_normal(mean_m: float, sigma_m: float) -> Floats:
+    """Returns the logarithm of a normal density at all heights."""
+    return np.asarray(
+        -0.5 * ((_HEIGHTS_M - mean_m) / sigma_m) ** 2 - math.log(sigma_m * math.sqrt(2.0 * math.pi))
+    )
 
 
 def _nats_of_pixels(curve: RoofCurve, common_m: float) -> Floats:
