@@ -50,6 +50,6 @@ def draw_figure(width_in: float, height_in: float, draw: Callable[[Figure], None
             stream = io.BytesIO()
             figure.savefig(stream, format=kind, dpi=160, metadata=metadata)
             pictures[kind] = stream.getvalue()
-            # Laid out once: it takes as long as all the rest.
+            # Laid out once, for both.
             figure.set_layout_engine("none")
     return pictures

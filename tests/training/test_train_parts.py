@@ -77,10 +77,29 @@ def test_muon_moves_a_kernel_as_torch_moves_the_matrix_it_is(shape, memory):
     assert (kernel - values).abs().max() > 0.05
     # torch's iterates in half precision.
     torch.testing.assert_close(kernel.detach(), plain.detach().view_as(kernel), rtol=0, atol=2e-3)
-    # A training that torch's own had begun goes on.
-    ours.load_state_dict(torchs.state_dict())
+
+
+def test_a_training_that_torch_s_muon_had_begun_goes_on():
+    from torch import nn
+
+    from lodbench.training.nets.optimizers import KernelMuon
+
+    torch.manual_seed(0)
+    values = torch.randn(24, 16, 3, 3)
+    plain = nn.Parameter(values.flatten(1).clone())
+    torchs = torch.optim.Muon([plain], lr=0.1, weight_decay=0.01, momentum=0.9, ns_steps=4)
+    plain.grad = torch.randn(24, 144)
+    torchs.step()
+    kernel = nn.Parameter(plain.detach().clone().view_as(values))
+    ours = KernelMuon([kernel], lr=0.3, weight_decay=0.5)
+    # A copy, as from a file: optimizers take over the very tensors.
+    ours.load_state_dict(copy.deepcopy(torchs.state_dict()))
+    plain.grad = torch.randn(24, 144)
+    kernel.grad = plain.grad.clone().view_as(values)
+    torchs.step()
     ours.step()
-    assert torch.isfinite(kernel).all()
+    assert (kernel.detach().flatten(1) - values.flatten(1)).abs().max() > 0.02
+    torch.testing.assert_close(kernel.detach(), plain.detach().view_as(kernel), rtol=0, atol=2e-3)
 
 
 def test_given_weights_answer_the_same_while_training():

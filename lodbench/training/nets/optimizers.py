@@ -27,8 +27,8 @@ class KernelMuon(torch.optim.Optimizer):
 
     Jordan et al., "Muon: an optimizer for hidden layers in neural networks" (2024). torch's own takes
     matrices only, and iterates in bfloat16: on CPUs without instructions for it 10 to 30 times as long as
-    in float32, three quarters as long as all the rest of a training's step. The matrices here are views of
-    the kernels, so that a step moves them.
+    in float32, a third of all a training takes. The matrices here are views of the kernels, so that a step
+    moves them.
 
     Args:
         kernels: (outputs, inputs, height, width) weights, on their device and in their final memory format.
