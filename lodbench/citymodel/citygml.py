@@ -24,6 +24,7 @@ from lodbench.citymodel.layers import types_of
 from lodbench.citymodel.objects import ObjectTable, Solids
 from lodbench.citymodel.pictures import PictureTable
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of
+from lodbench.citymodel.roof_types import pitched_buildings
 from lodbench.citymodel.xml import Element, XmlMembers, local_name, namespace_of
 from lodbench.findings import Findings
 
@@ -163,7 +164,9 @@ class _Reader:
             building_id = gml_id(element) or f"{type_.lower()}-{number + 1}"
             self._building_ids.append(building_id)
             attributes = read_attributes(element) if self._objects.has_details else None
-            own = self._objects.add(building_id, _JSON_TYPES.get(type_, type_), -1, number, attributes)
+            own = self._objects.add(
+                building_id, _JSON_TYPES.get(type_, type_), -1, number, attributes, _roof_type(element)
+            )
             srs_name = envelope_srs(element) or self._srs_name
             before = len(self.walk.batch.owners), len(self.walk.references)
             part_of = self.walk.walk_building(
@@ -199,7 +202,8 @@ class _Reader:
         parent = owner_of(nested, building, part_of, own)
         object_id = gml_id(nested) or f"{table.ids[own]}-{name}-{len(part_of) + 1}"
         attributes = read_attributes(nested) if table.has_details else None
-        return table.add(object_id, NESTED_TYPES[name], parent, table.building[own], attributes)
+        type_, roof_type = NESTED_TYPES[name], _roof_type(nested)
+        return table.add(object_id, type_, parent, table.building[own], attributes, roof_type)
 
     def _flush(self) -> None:
         batch = self.walk.take_batch()
@@ -271,4 +275,9 @@ class _Reader:
             pictures=None if self._pictures is None else self._pictures.finish(),
             picture=picture,
             uv=uv,
+            pitched=pitched_buildings(self._objects.roof_types, len(self._building_ids)),
         )
+
+
+def _roof_type(element: Element) -> str:
+    return (element.findtext("{*}roofType") or "").strip()

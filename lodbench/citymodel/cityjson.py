@@ -21,6 +21,7 @@ from lodbench.citymodel.layers import types_of
 from lodbench.citymodel.objects import ObjectTable
 from lodbench.citymodel.pictures import PictureTable
 from lodbench.citymodel.raw import NotACity, RawCity
+from lodbench.citymodel.roof_types import roof_type_of
 from lodbench.errors import CityModelError
 
 _HINT = "Check it with a CityJSON validator."
@@ -221,13 +222,14 @@ class _Reader:
         """Returns the number of a new object, which is a building of its own where it has no parent."""
         table = self._objects
         building = table.building[parent] if parent >= 0 else self._add_building(object_id, has_geometry)
+        told = item.get("attributes")
+        told = told if isinstance(told, dict) else {}
         attributes = None
         if table.has_details:
-            told = item.get("attributes")
-            attributes = dict(told) if isinstance(told, dict) else {}
+            attributes = dict(told)
             if item.get("address"):
                 attributes["address"] = item["address"]
-        return table.add(object_id, str(item.get("type")), parent, building, attributes)
+        return table.add(object_id, str(item.get("type")), parent, building, attributes, roof_type_of(told))
 
     def _add_building(self, building_id: str, has_geometry: bool) -> int:
         findings = self._collector.findings

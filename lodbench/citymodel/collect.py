@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.objects import ObjectTable, Solids
 from lodbench.citymodel.pictures import PictureTable, blank
 from lodbench.citymodel.raw import RawCity, starts_of
+from lodbench.citymodel.roof_types import pitched_buildings
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -111,4 +112,5 @@ class PolygonCollector:
             pictures=None if self.pictures is None else self.pictures.finish(),
             picture=picture,
             uv=uv,
+            pitched=None if table is None else pitched_buildings(table.roof_types, len(self.building_ids)),
         )

@@ -25,6 +25,7 @@ from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.gdal import missing_bytes, read_vector
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of, take_segments
+from lodbench.citymodel.roof_types import pitched_buildings
 from lodbench.citymodel.terrain import HIGHEST_M, LOWEST_M, ground_under
 from lodbench.citymodel.vector_columns import Columns
 from lodbench.citymodel.vector_surfaces import surfaces_as_read
@@ -123,6 +124,7 @@ def _blocks(
     ground = _without_gaps(ground, owner, ids, options, unit_m, findings)
     blocks = extrude(rings, ring_starts, polygon_starts, ground, ground + heights[owner])
     used, building = np.unique(owner[blocks.footprint], return_inverse=True)
+    pitched = pitched_buildings(columns.roof_types(), len(ids))
     return RawCity(
         source=source,
         format="footprints",
@@ -139,6 +141,7 @@ def _blocks(
         findings=findings,
         # Vector files keep longitude or easting first whatever their reference system declares.
         axis_orders=("east_first",),
+        pitched=None if pitched is None else pitched[used],
     )
 
 

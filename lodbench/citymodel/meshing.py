@@ -110,7 +110,7 @@ def _mesh_level(model: CityModel, lod: str, chosen: NDArray[np.int64], findings:
     if num_triangles == 0:
         raise NothingToMesh(model.source, lod, float(areas[0]), findings)
     area_m2, meshed_m2, lost_m2, excess_m2 = areas.tolist()
-    scene = builder.finish(lod=lod, crs=model.crs, origin=model.origin)
+    scene = builder.finish(lod=lod, crs=model.crs, origin=model.origin, pitched=model.pitched)
     return CityMesh(scene, len(chosen), area_m2, meshed_m2, lost_m2, excess_m2, findings)
 
 

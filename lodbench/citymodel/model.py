@@ -88,6 +88,7 @@ class CityModel:
         has_textures: Whether the source has pictures of its surfaces.
         pictures: Those; only with ``ReadOptions(has_textures=True)``.
         has_interiors: Whether rooms and furniture are asked for.
+        pitched: (B,) which buildings have pitched roofs, as the source tells; None where it tells of none.
     """
 
     source: str
@@ -107,6 +108,7 @@ class CityModel:
     has_interiors: bool = False
     has_textures: bool = False
     pictures: Pictures | None = None
+    pitched: NDArray[np.bool_] | None = None
 
     def __repr__(self) -> str:
         counts = f"{len(self.building_ids)} buildings, {len(self.polygons)} polygons"

@@ -78,11 +78,20 @@ class ObjectTable:
     num_composites: int = 0
     polygon_ids: dict[int, str] = field(default_factory=dict)
     num_polygons: int = 0
+    roof_types: list[tuple[int, str]] = field(default_factory=list)
 
     def add(
-        self, object_id: str, type_: str, parent: int, building: int, attributes: dict[str, Any] | None = None
+        self,
+        object_id: str,
+        type_: str,
+        parent: int,
+        building: int,
+        attributes: dict[str, Any] | None = None,
+        roof_type: str = "",
     ) -> int:
-        """Returns the index of a new object."""
+        """Returns the index of a new object; what is told of its roof counts for its building."""
+        if roof_type:
+            self.roof_types.append((building, roof_type))
         self.ids.append(object_id)
         self.types.append(type_)
         self.parents.append(parent)

@@ -84,6 +84,7 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
         has_interiors=INTERIORS in options.layers,
         has_textures=raw.has_textures,
         pictures=pictures,
+        pitched=raw.pitched,
     )
 
 

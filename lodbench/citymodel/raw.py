@@ -13,6 +13,7 @@ from lodbench.citymodel.growing import GrowingArray
 from lodbench.citymodel.objects import CityObjects, Solids
 from lodbench.citymodel.options import AxisOrder
 from lodbench.citymodel.pictures import Pictures, merge_pictures
+from lodbench.citymodel.roof_types import joined
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -50,7 +51,8 @@ class RawCity:
         axis_orders: For each of ``srs_names``, which of the first two columns is the easting, where the
             format settles it; empty where it never does.
         has_textures: Whether the file has pictures of its surfaces.
-        part, objects, solids, polygon_ids, pictures, picture, uv: As in ``Polygons`` and ``CityModel``.
+        part, objects, solids, polygon_ids, pictures, picture, uv, pitched: As in ``Polygons`` and
+            ``CityModel``.
     """
 
     source: str
@@ -78,6 +80,7 @@ class RawCity:
     pictures: Pictures | None = None
     picture: NDArray[np.int32] | None = None
     uv: NDArray[np.float64] | None = None
+    pitched: NDArray[np.bool_] | None = None
 
     def systems(self) -> tuple[tuple[str | None, AxisOrder], ...]:
         """Returns name and axis order of each reference system; one without a name where there is none."""
@@ -131,6 +134,7 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
         pictures=pictures,
         picture=picture,
         uv=uv,
+        pitched=joined([(city.pitched, len(city.building_ids)) for city in cities]),
     )
 
 

@@ -35,6 +35,8 @@ class Scene:
         lod: The level of detail meshed, or "" where the source has none.
         crs: CRS of ``vertices + origin``, or None for a local frame.
         origin: (3,) float64.
+        pitched: (B,) which buildings have pitched roofs, as the source tells, whatever shape they are drawn
+            with; None where it tells of none.
         stored_digest: ``digest`` as the folder says from which the arrays are mapped; "" in memory.
     """
 
@@ -46,6 +48,7 @@ class Scene:
     lod: str
     crs: str | None
     origin: NDArray[np.float64]
+    pitched: NDArray[np.bool_] | None = None
     stored_digest: str = ""
 
     def __repr__(self) -> str:
@@ -111,7 +114,14 @@ class SceneBuilder:
             self._vertex_counts += np.bincount(vertex_building, minlength=count)
             self._triangle_counts += np.bincount(kept_building, minlength=count)
 
-    def finish(self, *, lod: str, crs: str | None, origin: NDArray[np.float64] | None) -> Scene:
+    def finish(
+        self,
+        *,
+        lod: str,
+        crs: str | None,
+        origin: NDArray[np.float64] | None,
+        pitched: NDArray[np.bool_] | None = None,
+    ) -> Scene:
         """Returns all that was added, once.
 
         Raises:
@@ -128,6 +138,7 @@ class SceneBuilder:
             lod=lod,
             crs=crs,
             origin=np.zeros(3) if origin is None else np.asarray(origin, dtype=np.float64),
+            pitched=pitched,
         )
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import CityModelError
@@ -47,6 +48,7 @@ def write_scene(
     """
     about = {
         "building_ids": scene.building_ids,
+        "pitched": [] if scene.pitched is None else np.flatnonzero(scene.pitched).tolist(),
         "lod": scene.lod,
         "crs": scene.crs,
         "origin": scene.origin.tolist(),
@@ -66,7 +68,8 @@ def scene_folder(
 
     Args:
         folder: As for ``write_scene``.
-        about: What is told of the scene: ``building_ids``, ``lod``, ``crs``, ``origin``, ``extra``.
+        about: What is told of the scene: ``building_ids``, ``pitched``, ``lod``, ``crs``, ``origin`` and
+            ``extra``.
         write: Writes the arrays into a folder, and returns their digests by name.
         survives_power_cut: As for ``write_bytes``.
 
@@ -108,6 +111,7 @@ def read_scene(folder: Path) -> tuple[Scene, dict[str, Any]]:
             lod=str(about["lod"]),
             crs=None if about["crs"] is None else str(about["crs"]),
             origin=np.asarray(about["origin"], np.float64).reshape(3),
+            pitched=_pitched(about.get("pitched", []), len(about["building_ids"])),
             # With its place: a stranger's folder cannot pass for a city of one's own.
             stored_digest=digest_of([str(folder.resolve()), digests]),
         )
@@ -164,6 +168,22 @@ def scene_info(folder: Path) -> dict[str, Any]:
         "finding_objects": extra.get("finding_objects", {}),
         **{key: extra.get(key) for key in ("triangles", "tiles", "area_m2", "lost_m2")},
     }
+
+
+def _pitched(told: list[int], count: int) -> NDArray[np.bool_] | None:
+    """Returns (count,) which buildings have pitched roofs, given their numbers; None where none has.
+
+    Raises:
+        ValueError: One is no building's number.
+    """
+    numbers = np.asarray(told, np.int64).reshape(-1)
+    if len(numbers) == 0:
+        return None
+    if numbers.min() < 0 or numbers.max() >= count:
+        raise ValueError("a pitched roof has no building")
+    pitched = np.zeros(count, np.bool_)
+    pitched[numbers] = True
+    return pitched
 
 
 def _check(scene: Scene) -> None:

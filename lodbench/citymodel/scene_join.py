@@ -60,6 +60,7 @@ def join_scenes(
 
     about = {
         "building_ids": list(building_ids),
+        "pitched": parts.pitched,
         "lod": parts.lod,
         "crs": parts.crs,
         "origin": origin.tolist(),
@@ -77,6 +78,7 @@ class _Parts(NamedTuple):
         vertices: How many each of its buildings has, (B,), scene by scene.
         triangles: Likewise.
         extent: Lower and upper corner of all, coordinates.
+        pitched: Numbers of the buildings with pitched roofs.
         lod, crs: Of the last that has anything in it.
     """
 
@@ -84,6 +86,7 @@ class _Parts(NamedTuple):
     vertices: list[NDArray[np.int64]]
     triangles: list[NDArray[np.int64]]
     extent: list[list[float]]
+    pitched: list[int]
     lod: str
     crs: str | None
 
@@ -95,10 +98,15 @@ def _looked_at(folders: Sequence[Path]) -> _Parts:
         CityModelError: One is damaged, there is nothing to see, or there are too many corners to number.
     """
     origins, vertices, triangles = [], [], []
+    pitched: list[int] = []
+    num_buildings = 0
     low, high, lod, crs = np.full(3, np.inf), np.full(3, -np.inf), "", None
     for folder in folders:
         scene, _ = read_scene(folder)
         origins.append(scene.origin)
+        if scene.pitched is not None:
+            pitched += (num_buildings + np.flatnonzero(scene.pitched)).tolist()
+        num_buildings += scene.num_buildings
         vertices.append(np.diff(scene.vertex_starts))
         triangles.append(np.diff(scene.triangle_starts))
         if len(scene.vertices):
@@ -113,4 +121,4 @@ def _looked_at(folders: Sequence[Path]) -> _Parts:
             f"The tiles have {num_vertices:,} corners, more than one scene can number.",
             "Make several scenes.",
         )
-    return _Parts(origins, vertices, triangles, [low.tolist(), high.tolist()], lod, crs)
+    return _Parts(origins, vertices, triangles, [low.tolist(), high.tolist()], pitched, lod, crs)

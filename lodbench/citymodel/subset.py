@@ -218,6 +218,7 @@ def keep_buildings(model: CityModel, is_kept: NDArray[np.bool_]) -> CityModel:
         num_parts=num_parts,
         objects=objects,
         solids=solids,
+        pitched=None if model.pitched is None else model.pitched[is_kept],
         polygons=replace(polygons, building=rank[polygons.building].astype(np.int32), part=part),
     )
 

@@ -24,6 +24,7 @@ _STOREYS = (
     "storeys", "stories", "floors", "floor", "numfloors", "nfloors", "levels", "buildinglevels",
     "storeysaboveground", "nbetages",
 )  # fmt: skip
+_ROOF_TYPES = ("rooftype", "roofshape", "b3daktype", "daktype", "dachform")
 _IDS = ("gmlid", "identificatie", "buildingid", "bldgid", "ubid", "uuid", "osmid", "id", "fid", "objectid")
 
 
@@ -105,6 +106,12 @@ class Columns:
         name = self._asked_or_known(options.ground_column, _GROUNDS)
         return None if name is None else self._numbers(name)
 
+    def roof_types(self) -> list[tuple[int, str]]:
+        """Returns footprints, counted from 0, and what a column of roofs says of them; none without one."""
+        name = find_column(list(self._table), _ROOF_TYPES)
+        values = [] if name is None else self._table[name].tolist()
+        return [(row, _word(value)) for row, value in enumerate(values) if value is not None]
+
     def ids(self) -> list[str]:
         """Returns one id per footprint: the id column where it is one, else numbers from 1."""
         name = find_column(list(self._table), _IDS)
@@ -126,6 +133,11 @@ class Columns:
         if values.dtype.kind in "iufb":
             return values.astype(np.float64)
         return np.asarray([_number(value) for value in values.tolist()], np.float64)
+
+
+def _word(value: object) -> str:
+    """Returns a word or code; a column with gaps has its codes as decimal numbers."""
+    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
 
 
 def _number(value: object) -> float:

@@ -46,6 +46,12 @@ def scene_digest(scene: Scene) -> str:
     return digest_of([scene.digest(), scene.origin.tolist()])
 
 
+def city_digests(scene: Scene) -> dict[str, str]:
+    """Returns digests of a city by name: ``scene``, and ``roofs`` where its source tells of pitched ones."""
+    told = {} if scene.pitched is None else {"roofs": digest_of(np.flatnonzero(scene.pitched).tolist())}
+    return {"scene": scene_digest(scene), **told}
+
+
 def distance_outside_m(pose: Pose, scene: Scene) -> float:
     """Returns how far outside the city's bounding rectangle a camera is, metres; 0 above the city.
 

@@ -68,6 +68,7 @@ def _parts(scene: Scene) -> Iterator[Scene]:
             vertex_starts=v - v[0],
             triangle_starts=t - t[0],
             building_ids=scene.building_ids[first:stop],
+            pitched=None,
             stored_digest="",
         )
 

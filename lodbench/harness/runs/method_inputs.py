@@ -21,7 +21,7 @@ from lodbench.storage import digest_of
 from lodbench.storage.contents import content_digest
 
 # What a workspace's content depends on, of a run's inputs.
-_PREPARED_FROM = ("scene", "code", "weights", "references", "textured_map")
+_PREPARED_FROM = ("scene", "roofs", "code", "weights", "references", "textured_map")
 
 
 def method_inputs(method: Method, dataset: Dataset, entries: Sequence[Entry]) -> dict[str, str]:

@@ -21,7 +21,7 @@ from lodbench.execution import Ledger, Progress
 from lodbench.execution.executor import QUERIES, SERIAL, ExecutorParams, open_workers
 from lodbench.execution.same_code import require_same_code
 from lodbench.geometry import Camera
-from lodbench.harness.city import open_city, scene_digest
+from lodbench.harness.city import city_digests, open_city
 from lodbench.harness.runs.answer import Asked, answer
 from lodbench.harness.runs.method_inputs import prepare_method
 from lodbench.harness.runs.prepare import Preparation
@@ -181,7 +181,8 @@ def _open_here(work: Work) -> None:
     textured = None
     if dataset.textured_map is not None:
         textured = open_textured_map(dataset.textured_map, scene, options=dataset.city_options)
-    found = {"scene": scene_digest(scene), "textured_map": "" if textured is None else textured.digest()}
+    found = {"roofs": "", "textured_map": "" if textured is None else textured.digest()}
+    found |= city_digests(scene)
     if any(work.inputs.get(name, "") != digest for name, digest in found.items()):
         reason = f"{dataset.city_model} is another city for a worker, or has changed since the start."
         raise DatasetError(reason, "Let all workers see the same files.")

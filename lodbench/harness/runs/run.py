@@ -27,7 +27,7 @@ from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams
 from lodbench.execution.fan_out import expect_workers
 from lodbench.execution.lock import only_one_in
 from lodbench.execution.same_code import own_digest
-from lodbench.harness.city import open_city, scene_digest
+from lodbench.harness.city import city_digests, open_city
 from lodbench.harness.runs.code_digest import code_digest, words_in
 from lodbench.harness.runs.input_checks import (
     looks_at_photos,
@@ -224,7 +224,7 @@ def _fixed_inputs(
 ) -> dict[str, str]:
     """Returns digests of what is in memory by now, and of the code, plug-ins that settings name included."""
     inputs = {
-        "scene": scene_digest(scene),
+        **city_digests(scene),
         "queries": queries_digest(dataset, entries),
         "priors": prior_digest(entries),
         "code": code_digest(method, segmenter, names=names),

@@ -22,7 +22,7 @@ from lodbench.errors import LodbenchError
 from lodbench.evaluation.evaluate import evaluate
 from lodbench.evaluation.queries import ERROR, NO_TRUTH, PARTS, PRIOR_ERROR, has_truth, is_without_truth
 from lodbench.geometry import wrap_deg
-from lodbench.harness.city import open_city, scene_digest
+from lodbench.harness.city import city_digests, open_city
 from lodbench.harness.runs.artefacts import summary_of
 from lodbench.harness.runs.changed_answers import (
     TOLERANCE_DEG,
@@ -124,7 +124,7 @@ def verify_run(
         scorer = None
         if "scene" in inputs and dataset.city_model is not None:
             city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
-            inputs["scene"], lod = scene_digest(city.scene), city.scene.lod
+            inputs, lod = inputs | city_digests(city.scene), city.scene.lod
             scorer = make_renderer("silhouette", city.scene, None)
             told = replace(dataset, notes=dataset.notes + city.notes())
         elif "scene" in inputs:

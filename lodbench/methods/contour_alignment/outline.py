@@ -158,6 +158,7 @@ def _part(scene: Scene, chosen: NDArray[np.int64]) -> Scene:
         lod=scene.lod,
         crs=scene.crs,
         origin=scene.origin,
+        pitched=None if scene.pitched is None else scene.pitched[chosen],
     )
 
 

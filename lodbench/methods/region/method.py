@@ -71,7 +71,7 @@ class Region:
         # The rest of the city, however large, is looked at this once.
         part = scene_in_reach(city_map.scene, query.camera, query.prior, *reach)
         around = Surroundings(edges_of(part), city_map, params)
-        seen = _Seen(query, photo, city_map, RaisedRoofs(city_map, part), around)
+        seen = _Seen(query, photo, city_map, RaisedRoofs(city_map, part, params.pitched_lower_m), around)
         found = _found(seen, params, streams)
         if _probability(found) >= TRUSTED or params.more_starts == 1:
             return found

@@ -15,7 +15,16 @@ _CIRCLE_DEG = 360.0
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
 _AT_LEAST_0 = (
     *("beyond_m", "beyond_yaw_deg", "effective_pixels", "edge_weight", "coarse_edge_weight"),
-    *("judging_edge_weight", "roofs_m", "own_roofs_m", "feet_m", "eaves_m", "place_sigma_m", "lines_weight"),
+    *(
+        "judging_edge_weight",
+        "roofs_m",
+        "pitched_lower_m",
+        "own_roofs_m",
+        "feet_m",
+        "eaves_m",
+        "place_sigma_m",
+        "lines_weight",
+    ),
     *("least_sharpness", "tilt_doubt_deg", "lens_doubt_percent", "doubt_nats"),
 )
 _POSITIVE = (
@@ -61,7 +70,9 @@ class Params:
         edge_blur_px: Blur of the photo before edges are looked for, pixels of the fine size.
         roofs_m: How far all roofs may be higher or lower than in the map, all alike: a standard deviation,
             metres; 0 for a map whose roofs do not err.
-        own_roofs_m: The same of each roof by itself.
+        pitched_lower_m: How much lower than in the map the roofs of blocks are beforehand where its source
+            tells that they are pitched, metres.
+        own_roofs_m: How far each roof may be higher or lower by itself, as of ``roofs_m``.
         feet_m: How much higher or lower than in the map all walls may end, all alike, at slopes, hedges or
             cars: a standard deviation, metres; 0 for a map whose walls end where they are seen to.
         eaves_m: How much farther or less far than in the map all eaves may stand out, all alike, if they do
@@ -107,6 +118,7 @@ class Params:
     judging_edge_weight: float = 20.0
     edge_blur_px: float = 1.0
     roofs_m: float = 0.5
+    pitched_lower_m: float = 0.8
     own_roofs_m: float = 0.7
     feet_m: float = 0.2
     eaves_m: float = 0.4

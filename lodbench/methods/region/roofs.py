@@ -25,6 +25,7 @@ from lodbench.datasets.query import Query
 from lodbench.methods.region.eaves import outward_moves
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.params import Params
+from lodbench.methods.region.pitched_blocks import pitched_blocks
 from lodbench.methods.region.unknowns import CAMERAS, EAVES, FEET, LENS, OUTLINES, POSE, ROOFS
 
 Floats = NDArray[np.float64]
@@ -49,6 +50,7 @@ class RaisedRoofs:
     Args:
         city_map: The map.
         part: The scene of those of its buildings that are to be drawn.
+        pitched_lower_m: How much lower than in the map blocks of pitched roofs are, metres.
 
     Attributes:
         own_m: (B,) how much higher than all the others each roof is, metres.
@@ -57,7 +59,7 @@ class RaisedRoofs:
         threads: Of the map.
     """
 
-    def __init__(self, city_map: CityMap, part: Scene) -> None:
+    def __init__(self, city_map: CityMap, part: Scene, pitched_lower_m: float = 0.0) -> None:
         self._part, self.threads = part, city_map.threads
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._map = cache(lambda: _map_of(part, city_map))
@@ -68,6 +70,7 @@ class RaisedRoofs:
         self._floors[boxes.building] = boxes.low[:, 2]
         self._rises[boxes.building] = boxes.high[:, 2] - boxes.low[:, 2]
         self._is_tall = self._rises > _FLAT_M
+        self._told_m = -pitched_lower_m * pitched_blocks(part)
 
     def each_by_itself(self, own_m: Floats, feet_m: float, eaves_m: float) -> RaisedRoofs:
         """Returns the same buildings with each roof so much higher than all the others, (B,) metres.
@@ -151,7 +154,7 @@ class RaisedRoofs:
     def _raised(self, step: int) -> Floats:
         """Returns (B,) by how much each roof is higher at a step, metres; what is flat has none."""
         lowest = np.minimum(_LOWEST_M - self._rises, 0.0)
-        return np.where(self._is_tall, np.maximum(step * STEP_M + self.own_m, lowest), 0.0)
+        return np.where(self._is_tall, np.maximum(step * STEP_M + self._told_m + self.own_m, lowest), 0.0)
 
     def _lifted(self, step: int) -> Floats:
         """Returns (B,) by how much each building's walls end higher at a step, metres."""

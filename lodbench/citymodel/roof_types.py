@@ -1,0 +1,70 @@
+"""Pitched roofs, by the words and codes under which sources tell of roofs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Attributes that name the kind of a roof: of CityGML and CityJSON, 3DBAG, OpenStreetMap, and ALKIS.
+ATTRIBUTES = ("roofType", "b3_dak_type", "dak_type", "roof:shape", "roof_shape", "dachform")
+# Of the surveying authorities of Germany (2100 to 3800) and of SIG 3D (1010 to 1100, 1120): single pitches,
+# gables, hips, mansards, tents, cones, saw teeth, mixed forms. Flat, arched, combined and other ones are not.
+_CODES = frozenset(
+    {"2100", "2200", "3100", "3200", "3300", "3400", "3500", "3600", "3800", "5000"}
+    | {"1010", "1020", "1030", "1040", "1050", "1060", "1070", "1080", "1100", "1120"}
+)  # fmt: skip
+# Parts of words, in lower case.
+_WORDS = (
+    "slanted", "pitch", "gable", "hipped", "gambrel", "mansard", "pyramid", "skillion", "saltbox", "pavilion",
+    "sattel", "walm", "pultd", "zeltd", "kegeld", "sheddach", "zadeldak", "schilddak",
+)  # fmt: skip
+
+
+def is_pitched(roof_type: str) -> bool:
+    """Tells whether a word or code says that a roof is pitched; of unknown ones nothing is known.
+
+    Example:
+        >>> is_pitched("3100"), is_pitched("SATTELDACH"), is_pitched("multiple horizontal")
+        (True, True, False)
+    """
+    # Codes may be the ends of addresses: ".../codelists/roofType.xml#3100", "BU_3100".
+    code = roof_type.strip()[-4:]
+    return code in _CODES or any(word in roof_type.lower() for word in _WORDS)
+
+
+def roof_type_of(attributes: Mapping[str, Any]) -> str:
+    """Returns the word or code under which an object's attributes tell of its roof, or ""."""
+    told = (attributes.get(name) for name in ATTRIBUTES)
+    return next((str(value) for value in told if isinstance(value, str | int) and value != ""), "")
+
+
+def pitched_buildings(told: Iterable[tuple[int, str]], count: int) -> NDArray[np.bool_] | None:
+    """Returns (B,) which buildings have pitched roofs: at least half of what is told of them says so.
+
+    None where no building has.
+
+    Args:
+        told: Buildings and words or codes; of those with parts, of each.
+        count: Number of buildings, B.
+    """
+    balance, is_any = np.zeros(count, np.int64), np.zeros(count, np.bool_)
+    for building, roof_type in told:
+        has_pitch = is_pitched(roof_type)
+        balance[building] += 1 if has_pitch else -1
+        is_any[building] |= has_pitch
+    is_any &= balance >= 0
+    return is_any if is_any.any() else None
+
+
+def joined(cities: Sequence[tuple[NDArray[np.bool_] | None, int]]) -> NDArray[np.bool_] | None:
+    """Returns (B,) which buildings of several cities in a row have pitched roofs, None where none has.
+
+    Args:
+        cities: As of ``pitched_buildings``, and how many buildings there are.
+    """
+    if all(pitched is None for pitched, _ in cities):
+        return None
+    return np.concatenate([np.zeros(n, np.bool_) if pitched is None else pitched for pitched, n in cities])
