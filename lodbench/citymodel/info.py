@@ -17,8 +17,8 @@ def city_info(model: CityModel) -> dict[str, Any]:
 
     Returns:
         ``format, version, crs, center_lat_lon`` (degrees, or None without a reference system),
-        ``buildings, parts, objects`` (of opted-in layers, type to count), ``extent_m`` (x, y, z
-        lengths), ``lods``: level name to ``polygons`` (as in
+        ``buildings, parts, objects`` (of opted-in layers, type to count), ``pitched_roofs`` (buildings that
+        the source tells to have one), ``extent_m`` (x, y, z lengths), ``lods``: level name to ``polygons`` (as in
         the file), ``triangles``, ``area_m2`` (of the polygons), ``meshed_m2`` and ``lost_m2``; and
         ``findings``: code and name to count, meshing included; ``finding_objects``: to how many
         buildings they were met in.
@@ -52,6 +52,7 @@ def city_info(model: CityModel) -> dict[str, Any]:
         "buildings": types["Building"],
         "parts": model.num_parts,
         "objects": {name: count for name, count in sorted(types.items()) if name != "Building"},
+        "pitched_roofs": 0 if model.pitched is None else int(model.pitched.sum()),
         "extent_m": [round(float(length), 3) for length in extent],
         "lods": lods,
         "findings": findings.counts(),

@@ -27,6 +27,7 @@ def format_info(name: str, info: dict[str, Any]) -> str:
         *([] if place is None else [f"centre     latitude {place[0]:.5f}, longitude {place[1]:.5f}"]),
         f"extent     {x:,.1f} m x {y:,.1f} m, {z:,.1f} m high",
         f"buildings  {info['buildings']:,}{parts}",
+        *([f"roofs      pitched on {info['pitched_roofs']:,}, as told"] if info["pitched_roofs"] else []),
         *(
             f"{'and' if n == 0 else '':10} {count:,} {name}"
             for n, (name, count) in enumerate(info["objects"].items())

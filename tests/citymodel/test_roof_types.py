@@ -15,6 +15,7 @@ from lodbench.citymodel.roof_types import is_pitched
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import read_scene, scene_folder, write_scene
 from lodbench.citymodel.subset import choose_buildings
+from lodbench.cli import main
 from lodbench.errors import CityModelError
 from lodbench.harness.city import city_digests
 from lodbench.harness.tiled_city import compile_tiles
@@ -66,6 +67,14 @@ class TestCityGML:
         model = read_city_model(write(tmp_path / "a.gml", town("3100", "1000", "", "2100")))
         assert model.pitched is not None
         assert model.pitched.tolist() == mesh_city(model).pitched.tolist() == [True, False, False, True]
+
+    def test_info_counts_them(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        told = ["roofs      pitched on 2, as told"]
+        for codes, expected in ((("3100", "1000", "2100"), told), (("1000",), [])):
+            path = write(tmp_path / "a.gml", town(*codes))
+            assert main(["city", "info", str(path)]) == 0
+            lines = capsys.readouterr().out.splitlines()
+            assert [line for line in lines if line.startswith("roofs")] == expected
 
     def test_nothing_told_and_nothing_pitched(self, tmp_path: Path) -> None:
         for codes in (("", ""), ("1000", "9999")):
