@@ -18,10 +18,10 @@ def city_info(model: CityModel) -> dict[str, Any]:
     Returns:
         ``format, version, crs, center_lat_lon`` (degrees, or None without a reference system),
         ``buildings, parts, objects`` (of opted-in layers, type to count), ``pitched_roofs`` (buildings that
-        the source tells to have one), ``extent_m`` (x, y, z lengths), ``lods``: level name to ``polygons`` (as in
-        the file), ``triangles``, ``area_m2`` (of the polygons), ``meshed_m2`` and ``lost_m2``; and
-        ``findings``: code and name to count, meshing included; ``finding_objects``: to how many
-        buildings they were met in.
+        the source tells to have one), ``extent_m`` (x, y, z lengths), ``lods``: level name to
+        ``polygons`` (as in the file), ``triangles``, ``area_m2`` (of the polygons), ``meshed_m2`` and
+        ``lost_m2``; and ``findings``: code and name to count, meshing included; ``finding_objects``: to
+        how many buildings they were met in.
     """
     points = model.polygons.points
     types = Counter(
