@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lodbench.bench.figures import Figure, Progress, Report, no_progress, plain_report
 from lodbench.citymap import CityMap
+from lodbench.citymap.corrected_map import corrected_map
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
@@ -28,7 +29,6 @@ from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.methods.flight import FlightMethod
-from lodbench.methods.flight.corrected_map import corrected_map
 from lodbench.methods.flight.gone_buildings import shares_held
 from lodbench.methods.flight.map_views import views_of
 from lodbench.methods.protocol import Estimate, FlightEstimate

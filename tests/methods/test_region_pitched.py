@@ -9,10 +9,10 @@ import pytest
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.meshing import mesh_model
+from lodbench.citymodel.pitched_blocks import pitched_blocks
 from lodbench.citymodel.read import read_city_model
 from lodbench.errors import ConfigError
 from lodbench.methods.region import Params
-from lodbench.methods.region.pitched_blocks import pitched_blocks
 from lodbench.methods.region.roofs import RaisedRoofs
 from tests.methods.test_region_roofs import FAST, mean_errors
 

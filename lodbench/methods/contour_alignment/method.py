@@ -14,6 +14,7 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.methods.contour_alignment.alignment import Aligner
+from lodbench.methods.contour_alignment.expected_map import expected_map
 from lodbench.methods.contour_alignment.params import Params
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.refinement import refine
@@ -49,6 +50,7 @@ class ContourAlignment:
             QueryFault: The mask is empty, or no hypothesis overlaps it or shows an outline.
         """
         started, params = time.perf_counter(), self.params.with_lens(query.lens_percent)
+        city_map = expected_map(city_map, params.pitched_lower_m)
         aligner = Aligner(query, city_map, params)
         starts, best = find_starts(query, city_map, aligner, params)
         selected = time.perf_counter()

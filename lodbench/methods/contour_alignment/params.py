@@ -77,6 +77,8 @@ class Params:
             buildings, behind trees and in shadows, more often than they take anything else for one.
         roof_m: Standard deviation of each building's height in the map until the final steps, which find it
             from the view, metres; 0 trusts the map.
+        pitched_lower_m: How much lower than in the map the roofs of blocks are beforehand where its source
+            tells that they are pitched, metres.
         roof_part_px: Distance over which a roof's error goes together, pixels of the fine size.
         lens_percent: Standard deviation of the focal length, percent.
         lens_doubt: Probability that the focal length is worse than that.
@@ -115,6 +117,7 @@ class Params:
     outlier_sigmas: float = 3.0
     hidden_sigmas: float = 1.8
     roof_m: float = 2.0
+    pitched_lower_m: float = 1.0
     roof_part_px: float = 60.0
     lens_percent: float = 0.2
     lens_doubt: float = 0.3
@@ -125,7 +128,7 @@ class Params:
 
     def __post_init__(self) -> None:
         set_sizes(self, ("coarse_size", "fine_size"), least_px=8)
-        require_numbers(self, "method", (*_RANGES, "roof_m"), 0)
+        require_numbers(self, "method", (*_RANGES, "roof_m", "pitched_lower_m"), 0)
         require_numbers(self, "method", _POSITIVE, 0, ends="(]")
         require_numbers(self, "method", _PROBABILITIES, 0, 1, "()")
         require_choice("method.search", self.search, SEARCHES)

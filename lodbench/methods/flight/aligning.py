@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lodbench.citymap import CityMap
+from lodbench.citymap.corrected_map import corrected_map
 from lodbench.datasets.query import Query
 from lodbench.methods.contour_alignment.alignment import Aligner
-from lodbench.methods.flight.corrected_map import corrected_map
 from lodbench.methods.flight.joint import Solution, solve
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import PhotoTerms, flight_terms

@@ -146,7 +146,8 @@ class Params:
 
     def photo(self) -> PhotoParams:
         """Returns the parameters by which each photo is aligned alone, over all that is left open."""
-        return replace(PhotoParams(), **self._ranges())
+        # What roofs leave open to one photo the others tell.
+        return replace(PhotoParams(), pitched_lower_m=0.0, **self._ranges())
 
     def region(self) -> RegionParams:
         """Returns the same for photos that are found by their pixels."""

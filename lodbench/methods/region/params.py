@@ -118,7 +118,7 @@ class Params:
     judging_edge_weight: float = 20.0
     edge_blur_px: float = 1.0
     roofs_m: float = 0.5
-    pitched_lower_m: float = 0.8
+    pitched_lower_m: float = 1.0
     own_roofs_m: float = 0.7
     feet_m: float = 0.2
     eaves_m: float = 0.4

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.building_boxes import building_boxes
+from lodbench.citymodel.pitched_blocks import pitched_blocks
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.methods.region.eaves import outward_moves
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.params import Params
-from lodbench.methods.region.pitched_blocks import pitched_blocks
 from lodbench.methods.region.unknowns import CAMERAS, EAVES, FEET, LENS, OUTLINES, POSE, ROOFS
 
 Floats = NDArray[np.float64]

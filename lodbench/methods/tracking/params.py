@@ -61,6 +61,7 @@ class Params:
     def _photo(self, place_m: float, turn_deg: float, tilt_deg: float) -> PhotoParams:
         return replace(
             PhotoParams(),
+            pitched_lower_m=0.0,
             fine_size=self.fine_size,
             range_x_m=place_m,
             range_y_m=place_m,
