@@ -65,7 +65,7 @@ thresholds: $(VENV)/.table1
 	$(RUN) dataset=demo_train paths.runs=$(THRESHOLDS) --multirun method=uavd4l method.matcher=sift_nn,xfeat,xfeat_lighterglue method.threshold_px=2,4,8,12,20
 	$(BIN)/lodbench compare $(THRESHOLDS)/demo_train/uavd4l/* --thresholds 0.1/0.1 0.25/0.25 1/1 5/5
 
-# Minutes on two cores, lint beside the quick tests; `test-slow` adds the tests that take longest: kills, fault by fault, packages built and installed.
+# Minutes on two cores, lint beside the quick tests; `test-slow` adds those that take three seconds and more each: kills, fault by fault, trainings, packages built and installed.
 test: $(VENV)/.test
 	$(MAKE) --no-print-directory --jobs=2 lint quick
 

@@ -11,6 +11,9 @@ import pytest
 
 import lodbench
 
+# Every one looks at pages that are built for them.
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("mkdocs")
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -27,6 +27,7 @@ def faults_survived(name: str, first: int, step: int) -> int:
     return int(done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "first", "step", "least"),
     [("city convert over a scene", 2, 4, 12), ("dataset import", 12, 9, 9)],

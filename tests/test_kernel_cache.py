@@ -42,6 +42,7 @@ def _run(package):
     return int(done.stdout)
 
 
+@pytest.mark.slow
 def test_a_change_in_a_called_file_is_seen(package):
     assert _run(package) == 1
     (first,) = package.glob("__pycache__/kernels-*")
@@ -52,6 +53,7 @@ def test_a_change_in_a_called_file_is_seen(package):
     assert second != first
 
 
+@pytest.mark.slow
 def test_a_constant_of_a_file_that_numba_does_not_compile_is_seen(package):
     (package / "rule.py").write_text("LIMIT = 1\n")
     (package / "inner.py").write_text(
@@ -91,6 +93,7 @@ def test_every_damaged_file_is_compiled_again(package):
         assert _run(package) == 1
 
 
+@pytest.mark.slow
 def test_what_a_killed_process_left_is_compiled_again(package):
     assert _run(package) == 1
     (folder,) = package.glob("__pycache__/kernels-*")
@@ -100,6 +103,7 @@ def test_what_a_killed_process_left_is_compiled_again(package):
     assert _run(package) == 1
 
 
+@pytest.mark.slow
 def test_a_sound_file_is_not_compiled_again(package):
     assert _run(package) == 1
     before = {file: file.stat().st_mtime_ns for file in _kept(package)}
@@ -107,6 +111,7 @@ def test_a_sound_file_is_not_compiled_again(package):
     assert {file: file.stat().st_mtime_ns for file in _kept(package)} == before
 
 
+@pytest.mark.slow
 def test_a_folder_that_others_can_write_to_is_emptied(package):
     assert _run(package) == 1
     (folder,) = package.glob("__pycache__/kernels-*")

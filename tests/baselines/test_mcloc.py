@@ -75,6 +75,7 @@ def test_the_truth_resembles_the_photo_more_than_moved_poses(queries, city_map, 
         assert (found.scores < 0).all()
 
 
+@pytest.mark.slow
 def test_it_finds_poses_on_the_textured_map_and_counts_what_it_drew(queries, city_map, truths):
     city_map.usage.take()
     # A third of the budget: what is tested does not depend on it.

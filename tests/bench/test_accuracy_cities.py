@@ -111,6 +111,7 @@ def test_methods_that_look_at_photos_need_a_look_that_there_is(city, options, sa
     assert said in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_pixels_and_masks_are_measured_side_by_side_on_the_same_views(city):
     views = ViewsParams(str(city), num_views=1, look="plain")
     report = measure_cities([views], [0], [make_method("region"), ContourAlignment()], threads=1)

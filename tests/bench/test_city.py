@@ -108,6 +108,7 @@ def test_real_tile_is_faster_than_the_naive_way(shared_data: Path) -> None:
     assert ratio > 2.0
 
 
+@pytest.mark.slow
 def test_tiles(city: Path) -> None:
     figures = {row.figure: row.value for row in measure_city(city, CityOptions(tiles=3, workers=1)).figures}
     assert figures["triangles of the scene"] == 3 * 4

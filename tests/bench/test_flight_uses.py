@@ -29,6 +29,7 @@ def city(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_a_reconstruction_is_placed_again(city):
     flights = FlightsParams(str(city), num_photos=5, path="orbit", mask_iou=0.97)
     report = measure_reconstructions(flights, [4], Noise(0.02, 0.01))

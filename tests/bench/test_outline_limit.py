@@ -30,12 +30,14 @@ def test_no_linear_estimate_learnt_from_examples_errs_less():
     assert ((errors**2).mean(axis=0)[:2] < 0.5 * sigmas[:2] ** 2).all()
 
 
+@pytest.mark.slow
 def test_perfect_masks_leave_everything_within_reach_and_rough_ones_less(city):
     shares = [share_within_reach(ViewsParams(str(city), num_views=2, mask_iou=iou), 20) for iou in (1.0, 0.5)]
     assert shares[0] == 100.0
     assert shares[1] < 90.0
 
 
+@pytest.mark.slow
 def test_the_limit_is_one_more_column_and_the_same_for_all_methods(city):
     views = ViewsParams(str(city), num_views=1)
     methods = [make_method(name) for name in ("prior_only", "lodlocv2")]

@@ -123,6 +123,7 @@ def farm(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_guided_masks_mend_what_their_silhouettes_got_wrong(farm, tmp_path, capsys):
     out = tmp_path / "out"
     asked = ["--photos", str(farm), "--guided-by", "60,4", "--blocks", "--draws", "2", "--grabcut"]

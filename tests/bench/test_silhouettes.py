@@ -138,6 +138,7 @@ class TestReport:
         assert (figure.value, figure.peer_value, figure.ratio) == (80.0, 200.0, 2.5)
         assert "301x224 takes 0.40 of the time of 602x448, 2.50x as fast" in self.REPORT.text
 
+    @pytest.mark.slow
     def test_pictures(self, tmp_path):
         self.REPORT.write_pictures(tmp_path / "new")
         for name in ("costs.png", "ratios.png"):

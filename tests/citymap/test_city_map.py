@@ -205,6 +205,7 @@ def test_usage_loses_nothing_between_threads(scene):
     assert city_map.usage.total == 4 * 50 * COUNT
 
 
+@pytest.mark.slow
 def test_depth_agrees_with_open3d(city_map, scene):
     ours = city_map.depth(CAMERA, ROTATIONS, CENTERS)
     try:

@@ -74,6 +74,7 @@ def test_another_program_reads_it(name: str, shared_data: Path, tmp_path: Path) 
     assert summary.cityobject_count == len(model.objects)
 
 
+@pytest.mark.slow
 def test_features_keep_the_rules(shared_data: Path, tmp_path: Path) -> None:
     model = read_city_model(shared_data / REAL[0], options=DETAILS)
     convert_city(model, tmp_path / "a.city.jsonl")

@@ -12,6 +12,7 @@ decimals = st.from_regex(r"\A[+-]?(\d{1,25}(\.\d{0,25})?|\.\d{1,20})([eE][+-]?\d
 )
 
 
+@pytest.mark.slow
 @given(st.lists(st.lists(decimals, max_size=6), max_size=6))
 def test_equals_float_to_the_last_bit(rings: list[list[str]]) -> None:
     values, counts, is_bad = parse_rings([" ".join(ring) for ring in rings])

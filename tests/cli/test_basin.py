@@ -21,6 +21,7 @@ def data(tmp_path_factory) -> list[str]:
     return ["dataset=folder", f"dataset.root={root}", f"dataset.city_model={city}"]
 
 
+@pytest.mark.slow
 def test_a_basin_leaves_tables_maps_and_runs_that_verify(lodbench, tmp_path, data):
     done = lodbench("basin", *data, *QUICK)
     assert done.returncode == 0, done.stderr

@@ -254,6 +254,7 @@ def plug_in(tmp_path_factory) -> Path:
 LESS_WORK = ["method.starts=2", "method.more_starts=1", "method.fine_generations=8"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "words"),
     [

@@ -83,6 +83,7 @@ def test_the_budget_is_a_picture_of_recall_over_poses_drawn(lodbench, data, tmp_
     assert (tmp_path / "pictures" / "budget.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_the_page_has_tables_curves_and_tests_by_name(lodbench, data, tmp_path):
     prior = scored(lodbench, data, data[0] / "GPS_pose.txt", "prior")
     truth = scored(lodbench, data, data[0] / "GT_pose.txt", "perfect")
@@ -131,6 +132,7 @@ def test_other_queries_are_not_tested_and_say_so(lodbench, data, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_curves_of_other_queries_are_other_charts(lodbench, data, tmp_path):
     prior = scored(lodbench, data, data[0] / "GPS_pose.txt", "prior")
     words = ["evaluate", f"poses={data[0] / 'GPS_pose.txt'}", "dataset=folder", f"dataset.root={data[0]}"]

@@ -83,6 +83,7 @@ def errors_m(poses, truth) -> list[float]:
     return [pose_error(found.pose, truth[Path(found.name).name]).translation_m for found in poses]
 
 
+@pytest.mark.slow
 def test_a_model_is_placed_within_decimetres_and_handed_on(capsys, case, tmp_path):
     words = "--masks", case.masks, "--start", case.rough
     code, told = georeference(capsys, case, tmp_path, *words)

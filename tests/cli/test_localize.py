@@ -29,6 +29,7 @@ from tests.datasets.dji_photo import exif_of, write_photo
 from tests.town import box_obj
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "distorted", "tilt_deg", "within_m", "within_deg"),
     [
@@ -85,6 +86,7 @@ class TestFromPixels:
         assert [sigma**2 for sigma in found["sigmas"].values()] == pytest.approx(variances)
         assert cv2.imread(found["overlay"]).shape[1] == WIDTH
 
+    @pytest.mark.slow
     def test_where_pixels_do_not_tell_a_network_s_mask_is_asked(
         self, capsys, tmp_path, shared_data, monkeypatch
     ):
@@ -128,6 +130,7 @@ class TestFromPixels:
         region_says(0.6)
         assert localize(capsys, case, tmp_path / "sure")["moved_m"] == 0.0
 
+    @pytest.mark.slow
     def test_a_photo_of_something_else_is_not_trusted(self, capsys, tmp_path, shared_data):
         case = make_case(tmp_path, shared_data, "nrw")
         tags = cv2.resize(np.random.default_rng(3).integers(0, 256, (9, 12), dtype=np.uint8), (WIDTH, HEIGHT))
@@ -152,6 +155,7 @@ def test_leaving_the_distortion_in_the_mask_is_worse(capsys, tmp_path, shared_da
     assert bad["score"] < good["score"] - 0.05
 
 
+@pytest.mark.slow
 def test_a_segmenter_s_mask_is_undistorted_as_a_file_s(capsys, tmp_path, shared_data, monkeypatch):
     case = make_case(tmp_path, shared_data, "nrw", distorted=True)
     from_file = localize(capsys, case, tmp_path / "a", "--mask", str(case.mask))

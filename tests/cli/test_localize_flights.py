@@ -86,6 +86,7 @@ def errors_m(out: Path, truth: dict[str, Pose]) -> dict[str, float]:
     }
 
 
+@pytest.mark.slow
 def test_a_flight_is_solved_as_a_whole(capsys, flight, tmp_path):
     code, told = localize(
         capsys, flight.photos, "--city", flight.city, "--masks", flight.masks, "--out", tmp_path
@@ -219,6 +220,7 @@ def test_sidecars_of_a_city_that_is_nowhere_are_refused_before_photos_are_solved
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_results_of_other_photos_are_not_written_over(capsys, flight, tmp_path):
     words = ["--city", flight.city, "--masks", flight.masks, "--out", tmp_path, "--each-alone"]
     one, two = (sorted(flight.photos.iterdir())[k : k + 2] for k in (0, 2))

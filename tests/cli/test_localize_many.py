@@ -133,6 +133,7 @@ class TestCodeOfOthers:
             (tmp_path / "flight" / f"DJI_000{number}.JPG").write_bytes(content)
         return tmp_path / "flight"
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("alone", [("--each-alone",), ()])
     def test_a_segmenter_that_raises_on_one_photo(self, capsys, case, photos, tmp_path, sometimes, alone):
         out = tmp_path / "out"
@@ -175,6 +176,7 @@ class TestFartherOff:
         north = ["--lat", str(place.latitude_deg + 120.0 / 111_200.0), "--lon", str(place.longitude_deg)]
         return [str(case.photo), "--city", str(case.city), "--out", str(tmp_path), "--json", *north]
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("by_mask", [False, True])
     def test_a_place_120_m_off_is_found_where_that_is_told(self, capsys, case, far, by_mask):
         words = ["localize", *far, *(["--mask", str(case.mask)] if by_mask else [])]

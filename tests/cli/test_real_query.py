@@ -7,6 +7,7 @@ import csv
 import pytest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tilt", "within_m", "within_deg"), [("truth", 2.0, 0.5), ("prior", 5.0, 2.0)])
 def test_every_seed_finds_the_camera(lodbench, tmp_path, shared_data, tilt, within_m, within_deg):
     folder = shared_data / "uavd4l"

@@ -107,6 +107,7 @@ def test_the_map_zooms_about_the_pointer_moves_and_comes_back(lodbench, tmp_path
         assert complaints == []
 
 
+@pytest.mark.slow
 def test_without_a_truth_the_page_has_the_answers_and_no_empty_table(lodbench, tmp_path):
     root, city = write_dataset(tmp_path / "mine", count=3)
     (root / "GT_pose.txt").unlink()
@@ -152,6 +153,7 @@ def test_a_query_that_failed_without_a_truth_says_why_and_leaves_the_map_in_scal
     assert float(re.search(r'<svg viewBox="\S+ \S+ (\S+) ', page)[1]) < 1000
 
 
+@pytest.mark.slow
 def test_a_changed_summary_is_said_on_the_page_and_by_the_exit_code(lodbench, tmp_path, data):
     folder = run(lodbench, tmp_path, data)
     summary = folder / "summary.json"

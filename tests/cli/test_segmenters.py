@@ -126,6 +126,7 @@ class TestNoneNamed:
         assert "segmenter=masks: 1 of 2 queries have masks" in capsys.readouterr().out
         assert self.config_of(tmp_path / "runs").segmenter == {"name": "masks"}
 
+    @pytest.mark.slow
     def test_a_network_looks_at_photos_without_masks(self, with_masks, tmp_path, capsys, monkeypatch):
         monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path / "cache"))
         root, _ = with_masks

@@ -108,6 +108,7 @@ def test_a_mask_replaced_after_it_was_read_is_noticed_at_the_end(lodbench, tmp_p
     assert len(list((tmp_path / "runs").glob("*/lodlocv2/*/poses.txt"))) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("which", "executor"),
     [

@@ -23,6 +23,7 @@ def errors_of(prior: Pose, truth: Pose) -> tuple[float, float]:
     return float(np.linalg.norm(prior.center - truth.center)), math.degrees(math.acos(cosine))
 
 
+@pytest.mark.slow
 def test_medians_are_those_of_the_published_priors():
     truth = Pose.from_euler(EulerAngles(40.0, 0.5, 30.0), (100.0, -50.0, 130.0))
     prior = UniformPrior()

@@ -85,6 +85,7 @@ def photos(root: Path, sizes: list[tuple[int, int]]) -> None:
 WHOLE, LARGER = (CAMERA.width, CAMERA.height), (4 * CAMERA.width, 4 * CAMERA.height)
 
 
+@pytest.mark.slow
 def test_intrinsics_of_other_photos_are_refused(capsys, tmp_path):
     root, city = write_dataset(tmp_path / "town")
     photos(root, [LARGER] * 3)

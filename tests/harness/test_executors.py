@@ -40,11 +40,13 @@ def serial(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, by
     return folder, run(folder, "serial")
 
 
+@pytest.mark.slow
 def test_two_processes(serial) -> None:
     folder, expected = serial
     assert run(folder, "process", "executor=process", "executor.workers=2") == expected
 
 
+@pytest.mark.slow
 def test_dask(serial) -> None:
     pytest.importorskip("distributed")
     folder, expected = serial
@@ -233,6 +235,7 @@ def test_what_a_hung_worker_was_at_is_done_again(tmp_path: Path, name: str) -> N
     assert results == [item * item for item in range(8)]
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
@@ -293,6 +296,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_ctrl_c_is_answered_by_the_parent_alone(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     (tmp_path / "work.py").write_text(_AT_WORK)

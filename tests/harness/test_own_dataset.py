@@ -26,6 +26,7 @@ def case(tmp_path_factory, shared_data) -> Case:
 
 
 class TestFromPhotos:
+    @pytest.mark.slow
     def test_the_dataset_is_a_pinhole_s_and_runs(self, capsys, tmp_path, case):
         out = init(capsys, case, tmp_path / "town")
         assert "1 image, 1 with a prior, without truth, 1 undistorted" in out

@@ -233,6 +233,7 @@ def test_what_ties_photos_together_names_the_folder_of_a_method_for_flights(data
     assert not caplog.text
 
 
+@pytest.mark.slow
 def test_flights_that_changed_since_are_told_by_verify(tmp_path, capsys):
     root, city = write_dataset(tmp_path / "town", count=2)
     names = [entry.name for entry in open_folder(FolderParams(str(root), str(city))).entries]

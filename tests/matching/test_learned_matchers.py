@@ -20,6 +20,7 @@ def pictures():
     return stream.integers(0, 255, (90, 120, 3), np.uint8), stream.integers(0, 255, (100, 150, 3), np.uint8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*NAMES, "loftr"])
 def test_random_weights_give_matches_in_both_pictures_the_same_each_time(name):
     first, second = pictures()

@@ -72,6 +72,7 @@ class TestTheMethod:
         estimate = Region(FAST).localize(query, city_map, streams())
         assert pose_error(estimate.pose, truths[1]).translation_m < 2.0
 
+    @pytest.mark.slow
     def test_a_photo_of_noise_is_not_trusted(self, city_map, photographed, tmp_path):
         noise = np.random.default_rng(1).integers(0, 256, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
         cv2.imwrite(str(tmp_path / "noise.png"), noise)
@@ -83,6 +84,7 @@ class TestTheMethod:
         assert estimate.probability is not None
         assert estimate.probability < 0.2
 
+    @pytest.mark.slow
     def test_an_answer_that_is_not_to_be_trusted_is_searched_for_again(self, city_map, photographed):
         elsewhere = replace(photographed[0], image=photographed[1].image)
         for query, is_lost in ((photographed[0], False), (elsewhere, True)):

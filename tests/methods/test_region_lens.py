@@ -64,6 +64,7 @@ def errors_of(city_map, folder, percent, params):
     return np.array(errors), notes
 
 
+@pytest.mark.slow
 def test_a_longer_lens_is_found_and_told(city_map, tmp_path):
     """4 % are five metres of height, which whoever believes what is told makes up for."""
     believing, _ = errors_of(city_map, tmp_path, 4.0, replace(FAST, lens_doubt_percent=0.0))
@@ -93,6 +94,7 @@ def test_a_focal_length_known_badly_leaves_the_height_open(
     assert probabilities[2] < probabilities[0] == probabilities[1]
 
 
+@pytest.mark.slow
 def test_a_lens_as_told_is_left_alone(city_map, tmp_path):
     errors, notes = errors_of(city_map, tmp_path, 0.0, FAST)
     assert not any("focal length" in note for note in notes)

@@ -97,6 +97,7 @@ def test_a_photo_without_edges_is_not_sharp(roofs, queries, truths):
         assert sharpness < Params().least_sharpness
 
 
+@pytest.mark.slow
 def test_the_method_ends_nearer_with_lines(city_map, tmp_path):
     """Best poses of six photos, over a map that is exact and told to be."""
     errors = {0.0: [], Params().lines_weight: []}

@@ -39,6 +39,7 @@ def tilted(pose, tilt_deg):
     return Pose.from_euler(EulerAngles(pitch + tilt_deg, roll + 0.5 * tilt_deg, yaw), pose.center)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", [pytest.param(-4.0, marks=pytest.mark.slow), 4.0])
 def test_a_tilt_worse_than_told_is_found_and_told(city_map, tmp_path, tilt_deg):
     _, believing = estimates_of(city_map, tmp_path, tilt_deg, BELIEVING)
@@ -48,6 +49,7 @@ def test_a_tilt_worse_than_told_is_found_and_told(city_map, tmp_path, tilt_deg):
     assert any("beyond the range" in note and "pitch" in note for each in estimates for note in each.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("params", [FAST, replace(FAST, range_tilt_deg=0.0)], ids=["as told", "exact"])
 def test_a_tilt_as_told_is_left_alone(city_map, tmp_path, params):
     """A range of 0 is believed even where it is wrong: whoever says so knows."""

@@ -21,6 +21,7 @@ def assert_same(scene, camera, pose):
     return ours
 
 
+@pytest.mark.slow
 @settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 @given(hostile_scenes(), hostile_views())
 def test_on_hostile_triangles(scene, view):
@@ -93,6 +94,7 @@ def test_a_building_that_slides_over_each_border():
     assert len(set(seen)) > 8
 
 
+@pytest.mark.slow
 def test_real_quarters(real_quarter):
     scene, place = real_quarter
     camera = Camera(101, 75, 72.0, 71.0, 51.0, 36.0)

@@ -57,6 +57,7 @@ def test_the_renderer_asks_before_it_draws(untried):
         renderer.render(Camera(16, 16, 8.0, 8.0, 8.0, 8.0), Pose.from_euler(EulerAngles(0, 0, 0), (0, 0, 40)))
 
 
+@pytest.mark.slow
 def test_a_draw_without_end_ends_the_process_with_the_reason():
     script = (
         "import time; from lodbench.rendering.gl_guard import Watch; watch = Watch(0.5, 0.1)\n"

@@ -37,6 +37,7 @@ def test_on_hostile_triangles(scene, view):
     assert_each_as_reference(scene, *view)
 
 
+@pytest.mark.slow
 def test_on_real_quarters(real_quarter):
     scene, place = real_quarter
     camera = Camera(101, 75, 72.0, 71.0, 51.0, 36.0)

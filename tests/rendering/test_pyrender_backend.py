@@ -78,6 +78,7 @@ def test_back_faces_are_seen(open_renderer, samples):
     assert np.mean(ours != open_renderer(scene, samples=samples).render(CAMERA, pose)) < 0.01
 
 
+@pytest.mark.slow
 def test_one_sample_at_the_centre_covers_the_engines_pixels(open_renderer):
     scene = scene_of(*[box([4 * x, 4 * y, 0], [2.3, 2.7, 5]) for x in range(-5, 5) for y in range(-5, 5)])
     pose = Pose.from_euler(EulerAngles(25, 1, 33), (0, -10, 60))
@@ -89,6 +90,7 @@ def test_one_sample_at_the_centre_covers_the_engines_pixels(open_renderer):
     assert shares[0] == shares[2]
 
 
+@pytest.mark.slow
 def test_depth_from_a_hand_to_the_horizon(open_renderer):
     # 24 bits between 0.2 m and 3 km: one slice would be centimetres off at 200 m.
     scene = scene_of(box([0.2, -0.02, -0.02], [0.1, 0.04, 0.04]), box([200, -150, -50], [3000, 9, 90]))

@@ -39,6 +39,7 @@ def assert_layers_agree(scene, layers):
     assert np.isfinite(layers.depth).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=120, suppress_health_check=[HealthCheck.too_slow])
 @given(hostile_scenes(), hostile_views())
 def test_on_hostile_triangles(scene, view):
@@ -166,6 +167,7 @@ def test_nothing_in_view_is_empty_everywhere():
     assert len(np.unique(layers.colour.reshape(-1, 3), axis=0)) == 1
 
 
+@pytest.mark.slow
 def test_real_quarters(real_quarter):
     scene, place = real_quarter
     camera = Camera(101, 75, 72.0, 61.0, 41.0, 46.0)

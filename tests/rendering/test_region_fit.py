@@ -79,6 +79,7 @@ def test_nothing_in_common_is_0():
     assert fit(packed(masks)).tolist() == [0.0, 0.0, 0.0]
 
 
+@pytest.mark.slow
 def test_threads_and_renderers_change_nothing_and_the_truth_fits_best():
     scene = scene_of(
         *(box([30 * i, 30 * j, 0], [12 + i, 9 + j, 8 + i * j]) for i in range(5) for j in range(5))

@@ -45,6 +45,7 @@ def page(**changed):
     return flight_page(**{**values, **changed})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_photos_are_turned_by_the_slider_their_rows_and_the_map(tmp_path, scheme):
     (tmp_path / "flight.html").write_text(page())

@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[2] / "leaderboard"
 PAGE = ROOT / "uavd4l_lodv2.html"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("size", "scheme"), [(DESK, "light"), (PHONE, "dark")])
 def test_the_page_is_readable_and_quiet(size, scheme):
     with opened(PAGE, size, scheme) as (page, complaints):
@@ -26,6 +27,7 @@ def test_the_page_is_readable_and_quiet(size, scheme):
         assert complaints == []
 
 
+@pytest.mark.slow
 def test_columns_sort_by_number_and_unknown_ones_stay_last():
     with opened(PAGE) as (page, complaints):
         before = column_texts(page, 0, 1)

@@ -16,6 +16,7 @@ def test_many_cameras_are_drawn_smaller(count, classes):
     assert re.match('<div class="([^"]*)"', draw_map(spots, None, None))[1] == classes
 
 
+@pytest.mark.slow
 def test_cameras_grow_as_one_comes_closer(tmp_path):
     places = np.random.default_rng(0).uniform(0, 900, size=(1000, 2))
     drawn = draw_map([Spot(f"a/{n}", None, place, None) for n, place in enumerate(places)], None, None)

@@ -31,6 +31,7 @@ def test_traces_of_one_query_can_be_told_apart():
     assert len(set(re.findall(r"stroke-dasharray: ([^;]+);", svg))) == 2
 
 
+@pytest.mark.slow
 def test_every_split_is_drawn_however_many_there_are():
     names = [f"split_{number}" for number in range(6)]
     curves = draw_error_curves([ErrorSample(name, ERRORS, ERRORS) for name in names])["svg"].decode()

@@ -59,6 +59,7 @@ def numbers(text: str):
     return np.cumsum(np.frombuffer(base64.b64decode(text), "<i4"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "scheme"), [(DESK, "light"), pytest.param(PHONE, "dark", marks=pytest.mark.slow)]
 )
@@ -102,6 +103,7 @@ def middle_colour(page):
     return pixels[pixels.shape[0] // 2, pixels.shape[1] // 2, ::-1].tolist()
 
 
+@pytest.mark.slow
 def test_pointing_at_a_camera_names_it_and_pressing_chooses_it(tmp_path, scene, cameras):
     path = tmp_path / "view.html"
     path.write_text(draw_view3d("some run", scene, cameras[:1]))

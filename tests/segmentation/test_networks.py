@@ -39,6 +39,7 @@ def meta_name(name):
     return name.replace("mlp.proj_in", "mlp.layers.0").replace("mlp.proj_out", "mlp.layers.1")
 
 
+@pytest.mark.slow
 def test_the_large_network_has_the_papers_size():
     with torch.device("meta"):
         net = sam2_unet.Sam2UNet("large")

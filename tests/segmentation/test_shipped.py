@@ -20,6 +20,7 @@ def test_the_weights_are_those_of_their_record(name, most_bytes):
     assert path.stat().st_size <= most_bytes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("compact", "Compact"), ("efficient_unet", "EfficientUnet")])
 def test_they_answer_without_torch_and_say_where_they_come_from(name, kind):
     code = f"""

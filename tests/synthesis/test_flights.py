@@ -182,6 +182,7 @@ def test_settings_out_of_range_are_refused(city, wrong, told):
     assert told in f"{caught.value.message} {caught.value.hint}"
 
 
+@pytest.mark.slow
 def test_a_city_that_is_not_there_and_one_without_room(city, tmp_path):
     with pytest.raises(DatasetError, match="does not exist"):
         open_flights(FlightsParams(str(tmp_path / "no.obj")))
@@ -189,6 +190,7 @@ def test_a_city_that_is_not_there_and_one_without_room(city, tmp_path):
         open_flights(params(city, path="facade", num_photos=60))
 
 
+@pytest.mark.slow
 def test_photos_of_a_flight_show_the_same_place_from_where_they_were_taken(city):
     dataset = open_flights(params(city, look="plain", num_flights=1, num_photos=6, focal=0.02))
     assert all(entry.image.suffix == ".jpg" and entry.camera.width == 1204 for entry in dataset.entries)

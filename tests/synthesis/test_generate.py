@@ -21,6 +21,7 @@ def files_in(folder):
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
+@pytest.mark.slow
 def test_the_folder_opens_as_a_dataset_whose_masks_are_those_of_its_poses(small_set, box_file):
     params, made = small_set
     dataset = open_folder(FolderParams(params.out, str(box_file)))

@@ -77,6 +77,7 @@ def shading_of(corners, surface):
     return plain_shading(make_skin(props), look)
 
 
+@pytest.mark.slow
 def test_a_picture_shows_at_a_place_what_the_place_looks_like():
     from lodbench.synthesis.objects.scene_props import SurfaceClass
 

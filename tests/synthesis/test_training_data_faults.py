@@ -51,6 +51,7 @@ def test_a_killed_run_leaves_whole_pictures_and_goes_on(small_set, tmp_path):
     assert files_in(out) == files_in(made.out)
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tmp_path, monkeypatch):
     params, made = small_set
     params = replace(params, out=str(tmp_path / "data"))

@@ -78,6 +78,7 @@ def test_photos_that_are_missing_are_told(flight, tmp_path, caplog):
     assert line.endswith("cannot be learnt from: flight/view_01.png has no photo")
 
 
+@pytest.mark.slow
 def test_a_network_is_trained_on_them(flight, tmp_path, capsys):
     pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
     pytest.importorskip("onnx", reason="onnx is not installed (extra [torch])")

@@ -60,12 +60,14 @@ def test_a_stopped_training_ends_in_the_same_bytes(views, tmp_path, monkeypatch)
         assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_another_training_in_the_same_folder_is_refused(views, tmp_path, capsys):
     assert train(views, tmp_path / "a", "schedule.epochs=1") == 0
     assert train(views, tmp_path / "a", "schedule.epochs=1", "schedule.lr=0.01") == 2
     assert "other settings" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_mask_that_was_mended_since_is_another_training(views, tmp_path, capsys):
     """Files of the same size: TIFF and BMP, and PNG without compression, are whatever they show."""
     shutil.copytree(views, tmp_path / "set")
@@ -79,6 +81,7 @@ def test_a_mask_that_was_mended_since_is_another_training(views, tmp_path, capsy
     assert "other views" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_training_that_diverges_stops_and_keeps_its_checkpoint(views, tmp_path, monkeypatch, capsys):
     from lodbench.training.nets import loop
 
@@ -97,6 +100,7 @@ def test_a_training_that_diverges_stops_and_keeps_its_checkpoint(views, tmp_path
     assert all(torch.isfinite(value.float()).all() for value in kept["net"].values())
 
 
+@pytest.mark.slow
 def test_training_goes_on_from_the_packages_weights(views, tmp_path, capsys):
     """A first epoch at no rate worth the name leaves the shipped network as it was."""
     rates = ["schedule.epochs=1", "schedule.lr=1e-12", "schedule.muon_lr=1e-12", "schedule.lr_end=0"]
@@ -210,6 +214,7 @@ def test_without_tensorboard_it_is_told_how_to_get_it(views, tmp_path, capsys, m
     assert "lodbench[tensorboard]" in told
 
 
+@pytest.mark.slow
 def test_tensorboard_has_the_history(views, tmp_path):
     pytest.importorskip("tensorboard", reason="tensorboard is not installed (extra [tensorboard])")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator

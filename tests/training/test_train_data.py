@@ -18,6 +18,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed (extra [torc
 pytest.importorskip("onnx", reason="onnx is not installed (extra [torch])")
 
 
+@pytest.mark.slow
 def test_interiors_of_labelled_buildings_are_learnt(views, tmp_path, capsys):
     from lodbench.segmentation.nets.compact import CompactNet
 
@@ -51,6 +52,7 @@ def test_interiors_of_labelled_buildings_are_learnt(views, tmp_path, capsys):
     assert "negatives has masks only" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", ["schedule.crop=50", "schedule.size=70"])
 def test_sides_that_are_no_multiples_of_the_stride_are_padded(views, tmp_path, capsys, sides):
     more = () if "crop" in sides else ("schedule.crop=0",)

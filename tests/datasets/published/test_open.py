@@ -59,6 +59,7 @@ def assert_same(found: Pose, expected: Pose, tolerance: float = 1e-9) -> None:
 
 
 class TestUavd4l:
+    @pytest.mark.slow
     @pytest.mark.parametrize("name", ["uavd4l_lod", "uavd4l_lodv2"])
     def test_splits_and_poses(self, uavd4l, name):
         dataset = open_published(PublishedParams(name, str(uavd4l), frame="enu"))

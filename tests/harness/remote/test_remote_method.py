@@ -91,6 +91,7 @@ def test_a_process_that_could_not_prepare_is_asked_to_again(elsewhere, trial, tm
     assert isinstance(method.localize(query, trial.city_map, streams_of(query)), Estimate)
 
 
+@pytest.mark.slow
 def test_preparing_has_a_time_of_its_own(elsewhere, trial, tmp_path):
     settings = {"name": "shake", "mood": "slow"}
     patient = RemoteMethod(settings, RunnerParams("subprocess", elsewhere, timeout_s=0.8))
@@ -110,6 +111,7 @@ def test_nothing_of_this_pythons_environment_goes_along(elsewhere, monkeypatch):
         remote(elsewhere, tires=3)
 
 
+@pytest.mark.slow
 def test_a_plug_in_there_that_a_setting_names_is_part_of_the_code(elsewhere, tmp_path):
     (tmp_path / "wobble_fit.py").write_text("OFF = 1\n")
     info = tmp_path / "wobble-1.0.dist-info"

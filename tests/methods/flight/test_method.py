@@ -52,6 +52,7 @@ def found(city_map):
     return localize(queries, city_map), poses
 
 
+@pytest.mark.slow
 def test_a_flight_is_found_with_a_focal_length_and_a_gimbal_that_are_off(found):
     answer, poses = found
     errors = [pose_error(each.pose, pose) for each, pose in zip(answer.estimates, poses, strict=True)]
@@ -84,6 +85,7 @@ def test_what_photos_share_is_told_with_its_sigma(found):
     assert found[0].findings["lost"] == []
 
 
+@pytest.mark.slow
 def test_a_photo_that_shows_something_else_is_placed_by_the_others(city_map):
     queries, poses = flight(city_map, focal=1.0)
     elsewhere = np.zeros((240, 320), dtype=np.float32)

@@ -16,6 +16,9 @@ from lodbench.synthesis.town import build
 from lodbench.synthesis.town.build import build_demo
 from lodbench.synthesis.town.queries import PRIORS
 
+# Every one looks at a town that is built for them.
+pytestmark = pytest.mark.slow
+
 SPLITS = {"in_place": (0.88, 0.09), "out_of_place": (0.80, 0.15)}
 
 

@@ -116,6 +116,7 @@ def fine(fine_text, tmp_path_factory):
     return read_city_model(path)
 
 
+@pytest.mark.slow
 def test_our_reader_gives_back_every_fine_surface(fine, town, city_file):
     standing = [b for b in town.buildings if b.age is not Age.GONE]
     assert fine.lods == ("3",)

@@ -20,6 +20,7 @@ def corners_of(props, *kinds):
     return props.vertices[props.triangles[chosen]].astype(float)
 
 
+@pytest.mark.slow
 def test_every_class_is_there_and_indices_hold(props, town):
     assert set(np.unique(props.surface)) == set(SurfaceClass) - {SurfaceClass.CLUTTER}
     assert props.triangles.min() == 0
@@ -75,6 +76,7 @@ def test_trees_stand_clear_of_buildings_and_cars_on_roads(props, town):
     assert (leaves.mean(axis=1)[:, 2] > town.terrain.height(leaves.mean(axis=1)[:, :2])).mean() > 0.99
 
 
+@pytest.mark.slow
 def test_the_same_town_has_the_same_props(props, town):
     again = demo_props(town)
     np.testing.assert_array_equal(again.vertices, props.vertices)

@@ -35,6 +35,7 @@ def test_the_relief_is_a_tin_whose_corners_are_the_ground(town):
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()
 
 
+@pytest.mark.slow
 def test_hills_are_higher_where_the_look_says_so(town, town_of):
     places = np.stack(np.meshgrid(*[np.arange(-500.0, 501.0, 50.0)] * 2), axis=-1).reshape(-1, 2)
     assert 25.0 < np.ptp(town.terrain.height(places)) < 70.0

@@ -12,6 +12,7 @@ from lodbench.synthesis.town.shapes import area
 from lodbench.synthesis.town.town import grow_town
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "step"), [(0, 6), pytest.param(1, 2, marks=pytest.mark.slow)])
 def test_every_solid_is_sound(town_of, seed, step):
     for building in town_of(seed).buildings[seed::step]:
@@ -19,6 +20,7 @@ def test_every_solid_is_sound(town_of, seed, step):
         assert_sound(building.lod2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "step"), [(0, 9), pytest.param(1, 3, marks=pytest.mark.slow)])
 def test_every_fine_solid_is_closed_with_its_openings(town_of, seed, step):
     for building in town_of(seed).buildings[::step]:
@@ -96,6 +98,7 @@ def inside(piece: np.ndarray, points: np.ndarray) -> np.ndarray:
     return (edge[:, 0] * off[..., 1] - edge[:, 1] * off[..., 0] > 1e-6).all(axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_footprints_do_not_overlap(town_of, seed):
     buildings = town_of(seed).buildings
