@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap.city_map import CityMap
+from lodbench.citymodel.raw import take_segments
 from lodbench.rendering.silhouette import SilhouetteRenderer
 
 # No building is lowered below this height, metres.
 _LOWEST_M = 2.0
+_ENDS = (np.minimum, np.maximum)
 
 
 def corrected_map(
@@ -32,19 +34,23 @@ def corrected_map(
     """
     scene = city_map.scene
     counts = np.diff(scene.vertex_starts)
-    changed = np.where((np.abs(heights_m) > least_m) & (counts > 0), heights_m, 0.0)
+    chosen = np.flatnonzero((np.abs(heights_m) > least_m) & (counts > 0))
+    rows, starts = take_segments(scene.vertex_starts, chosen)
+    heights = scene.vertices[rows, 2].astype(np.float64)
+    floors, tops = (each.reduceat(heights, starts[:-1]) if len(chosen) else heights for each in _ENDS)
+    rises = tops - floors
+    moved = np.where(rises > 0, np.maximum(heights_m[chosen], np.minimum(_LOWEST_M - rises, 0.0)), 0.0)
+    changed = np.zeros(len(counts))
+    changed[chosen] = moved
     if not changed.any():
         return city_map, changed
+    floor, stretch = (np.repeat(v, counts[chosen]) for v in (floors, 1.0 + moved / np.maximum(rises, 1e-6)))
     vertices = scene.vertices.copy()
-    for building in np.flatnonzero(changed):
-        part = slice(scene.vertex_starts[building], scene.vertex_starts[building + 1])
-        heights = vertices[part, 2].astype(np.float64)
-        floor, rise = heights.min(), float(np.ptp(heights))
-        changed[building] = max(changed[building], min(_LOWEST_M - rise, 0.0)) if rise > 0 else 0.0
-        vertices[part, 2] = floor + (heights - floor) * (1.0 + changed[building] / max(rise, 1e-6))
+    vertices[rows, 2] = floor + (heights - floor) * stretch
     if isinstance(city_map, CityMap) and city_map.name == SilhouetteRenderer.name:
         return city_map.with_vertices(vertices), changed
-    moved = replace(scene, vertices=vertices, stored_digest="")
-    drawn = CityMap(moved, city_map.name, city_map.threads)
+    # A map in another process may be drawn there by what is not to be had here.
+    renderer = city_map.name if isinstance(city_map, CityMap) else SilhouetteRenderer.name
+    drawn = CityMap(replace(scene, vertices=vertices, stored_digest=""), renderer, city_map.threads)
     drawn.usage = city_map.usage
     return drawn, changed

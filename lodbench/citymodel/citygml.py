@@ -24,7 +24,7 @@ from lodbench.citymodel.layers import types_of
 from lodbench.citymodel.objects import ObjectTable, Solids
 from lodbench.citymodel.pictures import PictureTable
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of
-from lodbench.citymodel.roof_types import pitched_buildings
+from lodbench.citymodel.roof_types import ATTRIBUTES, pitched_buildings, roof_type_of
 from lodbench.citymodel.xml import Element, XmlMembers, local_name, namespace_of
 from lodbench.findings import Findings
 
@@ -280,4 +280,7 @@ class _Reader:
 
 
 def _roof_type(element: Element) -> str:
-    return (element.findtext("{*}roofType") or "").strip()
+    """Returns the word or code under which an object tells of its roof, as CityJSON converted may, or ""."""
+    generic = element.iterchildren("{*}stringAttribute")
+    told = {name: each.findtext("{*}value") for each in generic if (name := each.get("name")) in ATTRIBUTES}
+    return roof_type_of({**told, "roofType": element.findtext("{*}roofType")})

@@ -18,7 +18,8 @@ from lodbench.citymodel.triangulate import MAX_CORNERS, triangulate
 from lodbench.errors import CityModelError, ConfigError
 from lodbench.findings import Findings
 
-ROOF_HEIGHTS: dict[str, float] = {"median": 0.5, "max": 1.0, "p70": 0.7, "eave": 0.0}
+AT_EAVES = "eave"
+ROOF_HEIGHTS: dict[str, float] = {"median": 0.5, "max": 1.0, "p70": 0.7, AT_EAVES: 0.0}
 
 # Faces flatter than this against the vertical (cosine) are roofs or floors, the others walls.
 _MIN_SLOPE = 0.1
@@ -95,7 +96,7 @@ def part_blocks(
         owner: (N,) object each belongs to.
         bottom, top: (O,) heights by object.
     """
-    plans, owner, bottom, top, *_ = _blocks(model, lod, ROOF_HEIGHTS["eave"])
+    plans, owner, bottom, top, *_ = _blocks(model, lod, ROOF_HEIGHTS[AT_EAVES])
     return plans, owner, bottom, top
 
 

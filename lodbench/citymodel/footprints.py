@@ -73,7 +73,7 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
     polygons = _parse(geometries, source)
     columns = Columns(table, len(geometries), source)
     if polygons.has_z and _are_surfaces(polygons, columns, options):
-        city = surfaces_as_read(polygons, columns.ids(), source, crs)
+        city = surfaces_as_read(polygons, columns, source, crs)
     else:
         city = _blocks(polygons, columns, source, crs, options)
     city.findings.items[:0] = findings.items

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import INTERIOR_SKIPPED, LOD_ABSENT, OPTION_UNUSED
-from lodbench.citymodel.derive import derive_lod1, require_rule
+from lodbench.citymodel.derive import AT_EAVES, derive_lod1, require_rule
 from lodbench.citymodel.lods import has_lod, lod_in_words, polygons_at
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.scene import Scene, SceneBuilder
@@ -82,7 +82,10 @@ def mesh_model(
             findings.add(OPTION_UNUSED, "", "roof_height: level 1 alone is derived, where lod=1 asks for it")
         elif not has_lod(model.lods, lod):
             blocks = derive_lod1(model, roof_height, findings)
+            # Blocks that end at eaves are not too high.
+            pitched = None if roof_height == AT_EAVES else model.pitched
             model = replace(model, lods=("1",), polygons=blocks, polygons_read=(len(blocks),))
+            model = replace(model, pitched=pitched)
     name, at_level = polygons_at(model, lod, findings, stands_in)
     polygons = model.polygons
     is_interior = (polygons.kind == SurfaceKind.INTERIOR) & (not model.has_interiors)

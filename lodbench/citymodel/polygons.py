@@ -46,6 +46,8 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
         CityModelError: Coordinates are not finite, or their reference system cannot be settled.
     """
     options = options or ReadOptions()
+    if raw.pitched is not None and len(raw.pitched) != len(raw.building_ids):
+        raise CityModelError(f"The reader of {raw.source} tells of roofs of other buildings than it read.")
     _make_points_writable(raw)
     raw.building_ids = unique_ids(raw.building_ids, raw.findings)
     objects = None if raw.objects is None else unique_objects(raw.objects, raw.building_ids, raw.findings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -16,11 +17,15 @@ _CODES = frozenset(
     {"2100", "2200", "3100", "3200", "3300", "3400", "3500", "3600", "3800", "5000"}
     | {"1010", "1020", "1030", "1040", "1050", "1060", "1070", "1080", "1100", "1120"}
 )  # fmt: skip
-# Parts of words, in lower case.
+# Four digits at the end: of the code itself, or of an address or a name, ".../roofType.xml#3100".
+_CODE = re.compile(r"(?<!\d)(\d{4})(?:\.0)?\s*$")
+# Parts of words, in lower case; what says that there is no pitch goes before.
 _WORDS = (
     "slanted", "pitch", "gable", "hipped", "gambrel", "mansard", "pyramid", "skillion", "saltbox", "pavilion",
-    "sattel", "walm", "pultd", "zeltd", "kegeld", "sheddach", "zadeldak", "schilddak",
+    "cone", "conical", "sawtooth", "sattel", "walm", "pultd", "zeltd", "kegeld", "sheddach", "zadeldak",
+    "schilddak", "lessenaar", "tentdak",
 )  # fmt: skip
+_LEVEL_WORDS = ("flat", "unpitched", "not pitched")
 
 
 def is_pitched(roof_type: str) -> bool:
@@ -30,15 +35,23 @@ def is_pitched(roof_type: str) -> bool:
         >>> is_pitched("3100"), is_pitched("SATTELDACH"), is_pitched("multiple horizontal")
         (True, True, False)
     """
-    # Codes may be the ends of addresses: ".../codelists/roofType.xml#3100", "BU_3100".
-    code = roof_type.strip()[-4:]
-    return code in _CODES or any(word in roof_type.lower() for word in _WORDS)
+    words = roof_type.lower()
+    code = _CODE.search(words)
+    if code is not None:
+        return code[1] in _CODES
+    return any(word in words for word in _WORDS) and not any(word in words for word in _LEVEL_WORDS)
 
 
 def roof_type_of(attributes: Mapping[str, Any]) -> str:
     """Returns the word or code under which an object's attributes tell of its roof, or ""."""
-    told = (attributes.get(name) for name in ATTRIBUTES)
-    return next((str(value) for value in told if isinstance(value, str | int) and value != ""), "")
+    return next(filter(None, (word_of(attributes.get(name)) for name in ATTRIBUTES)), "")
+
+
+def word_of(value: object) -> str:
+    """Returns a value as a word or code, "" where it is none; codes may be numbers with a decimal point."""
+    if isinstance(value, float):
+        return str(int(value)) if value.is_integer() else ""
+    return str(value).strip() if isinstance(value, str | int) and not isinstance(value, bool) else ""
 
 
 def pitched_buildings(told: Iterable[tuple[int, str]], count: int) -> NDArray[np.bool_] | None:

@@ -151,6 +151,7 @@ def build_scene(
     lod: str = "",
     crs: str | None = None,
     origin: NDArray[np.float64] | None = None,
+    pitched: NDArray[np.bool_] | None = None,
 ) -> Scene:
     """Returns a scene from loose triangles: groups them by building and merges equal points.
 
@@ -162,6 +163,7 @@ def build_scene(
         lod: Level of detail to record.
         crs: CRS to record.
         origin: (3,) float64 to record, zero by default.
+        pitched: As of ``Scene``.
 
     Raises:
         CityModelError: A coordinate is not finite, or there is no triangle at all.
@@ -171,7 +173,7 @@ def build_scene(
     order = np.argsort(triangle_building, kind="stable")
     builder = SceneBuilder(building_ids)
     builder.add(points, triangles[order], triangle_building[order])
-    return builder.finish(lod=lod, crs=crs, origin=origin)
+    return builder.finish(lod=lod, crs=crs, origin=origin, pitched=pitched)
 
 
 def _merge(

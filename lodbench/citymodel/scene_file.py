@@ -149,7 +149,7 @@ def scene_info(folder: Path) -> dict[str, Any]:
     """Returns what is told of a scene, without a look at its arrays: cheap, however large the city.
 
     Returns:
-        ``format, crs, lod, buildings, triangles, tiles, extent_m, area_m2, lost_m2, findings,
+        ``format, crs, lod, buildings, pitched_roofs, triangles, tiles, extent_m, area_m2, lost_m2, findings,
         finding_objects``; None where an older scene does not say it.
 
     Raises:
@@ -163,6 +163,7 @@ def scene_info(folder: Path) -> dict[str, Any]:
         "crs": about["crs"],
         "lod": about["lod"],
         "buildings": len(about["building_ids"]),
+        "pitched_roofs": len(about.get("pitched", [])),
         "extent_m": None if extent is None else [round(b - a, 3) for a, b in zip(*extent, strict=True)],
         "findings": extra.get("findings", {}),
         "finding_objects": extra.get("finding_objects", {}),
@@ -176,14 +177,11 @@ def _pitched(told: list[int], count: int) -> NDArray[np.bool_] | None:
     Raises:
         ValueError: One is no building's number.
     """
-    numbers = np.asarray(told, np.int64).reshape(-1)
-    if len(numbers) == 0:
-        return None
-    if numbers.min() < 0 or numbers.max() >= count:
+    if not all(type(number) is int and 0 <= number < count for number in told):
         raise ValueError("a pitched roof has no building")
     pitched = np.zeros(count, np.bool_)
-    pitched[numbers] = True
-    return pitched
+    pitched[np.asarray(told, np.int64)] = True
+    return pitched if told else None
 
 
 def _check(scene: Scene) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.roof_types import word_of
 from lodbench.errors import CityModelError, nearest_names
 
 # Best first. Names are compared in lower case without separators; Shapefile cuts them at ten letters.
@@ -24,7 +25,7 @@ _STOREYS = (
     "storeys", "stories", "floors", "floor", "numfloors", "nfloors", "levels", "buildinglevels",
     "storeysaboveground", "nbetages",
 )  # fmt: skip
-_ROOF_TYPES = ("rooftype", "roofshape", "b3daktype", "daktype", "dachform")
+_ROOF_TYPES = ("rooftype", "b3daktype", "b3daktyp", "daktype", "roofshape", "dachform")
 _IDS = ("gmlid", "identificatie", "buildingid", "bldgid", "ubid", "uuid", "osmid", "id", "fid", "objectid")
 
 
@@ -107,10 +108,11 @@ class Columns:
         return None if name is None else self._numbers(name)
 
     def roof_types(self) -> list[tuple[int, str]]:
-        """Returns footprints, counted from 0, and what a column of roofs says of them; none without one."""
-        name = find_column(list(self._table), _ROOF_TYPES)
-        values = [] if name is None else self._table[name].tolist()
-        return [(row, _word(value)) for row, value in enumerate(values) if value is not None]
+        """Returns footprints, counted from 0, and what columns of roofs say of them, where they do."""
+        names = [find_column(list(self._table), (known,)) for known in _ROOF_TYPES]
+        columns = [self._table[name].tolist() for name in names if name is not None]
+        words = (next(filter(None, map(word_of, row)), "") for row in zip(*columns, strict=True))
+        return [(row, word) for row, word in enumerate(words) if word]
 
     def ids(self) -> list[str]:
         """Returns one id per footprint: the id column where it is one, else numbers from 1."""
@@ -133,11 +135,6 @@ class Columns:
         if values.dtype.kind in "iufb":
             return values.astype(np.float64)
         return np.asarray([_number(value) for value in values.tolist()], np.float64)
-
-
-def _word(value: object) -> str:
-    """Returns a word or code; a column with gaps has its codes as decimal numbers."""
-    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
 
 
 def _number(value: object) -> float:

@@ -6,20 +6,23 @@ import numpy as np
 
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.raw import RawCity, starts_of
+from lodbench.citymodel.roof_types import pitched_buildings
+from lodbench.citymodel.vector_columns import Columns
 from lodbench.citymodel.wkb import WkbPolygons
 
 
-def surfaces_as_read(polygons: WkbPolygons, ids: list[str], source: str, crs: str | None) -> RawCity:
+def surfaces_as_read(polygons: WkbPolygons, columns: Columns, source: str, crs: str | None) -> RawCity:
     """Returns polygons with heights as surfaces of level 2, one building per geometry.
 
     Args:
         polygons: With at least one ring.
-        ids: One per geometry; those without a polygon are no buildings.
+        columns: With a row per geometry; those without a polygon are no buildings.
         source: Name of the file.
         crs: Its reference system.
     """
     used, building = np.unique(np.asarray(polygons.owner, np.int64), return_inverse=True)
-    count = len(building)
+    count, ids = len(building), columns.ids()
+    pitched = pitched_buildings(columns.roof_types(), len(ids))
     return RawCity(
         source=source,
         format="surfaces",
@@ -35,4 +38,5 @@ def surfaces_as_read(polygons: WkbPolygons, ids: list[str], source: str, crs: st
         srs=np.zeros(count, np.int16),
         has_closing_points=True,
         axis_orders=("east_first",),
+        pitched=None if pitched is None else pitched[used],
     )

@@ -27,7 +27,7 @@ def format_info(name: str, info: dict[str, Any]) -> str:
         *([] if place is None else [f"centre     latitude {place[0]:.5f}, longitude {place[1]:.5f}"]),
         f"extent     {x:,.1f} m x {y:,.1f} m, {z:,.1f} m high",
         f"buildings  {info['buildings']:,}{parts}",
-        *([f"roofs      pitched on {info['pitched_roofs']:,}, as told"] if info["pitched_roofs"] else []),
+        *_roof_lines(info["pitched_roofs"]),
         *(
             f"{'and' if n == 0 else '':10} {count:,} {name}"
             for n, (name, count) in enumerate(info["objects"].items())
@@ -40,6 +40,10 @@ def format_info(name: str, info: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _roof_lines(pitched: int) -> list[str]:
+    return [f"roofs      pitched on {pitched:,}, as told"] if pitched else []
+
+
 def format_scene(name: str, told: dict[str, Any]) -> str:
     """Returns the data of ``scene_info`` as lines of text."""
     extent = told["extent_m"]
@@ -49,6 +53,7 @@ def format_scene(name: str, told: dict[str, Any]) -> str:
         f"CRS        {crs_in_words(told['crs'])}",
         *([] if extent is None else ["extent     {:,.1f} m x {:,.1f} m, {:,.1f} m high".format(*extent)]),
         f"buildings  {told['buildings']:,}",
+        *_roof_lines(told["pitched_roofs"]),
         *(f"{key:10} {told[key]:,}" for key in ("tiles", "triangles") if told[key] is not None),
         "",
         *_finding_lines(told["findings"], told["finding_objects"]),

@@ -38,6 +38,15 @@ def test_what_is_drawn_is_the_city_with_those_heights(scene, renderer):
         np.testing.assert_array_equal(drawn.render(CAMERA, pose), expected.render(CAMERA, pose))
 
 
+def test_where_nothing_can_be_lowered_the_map_stays(scene):
+    flat = scene.vertices.copy()
+    flat[:, 2] = np.minimum.reduceat(flat[:, 2], scene.vertex_starts[:-1])[
+        np.repeat(np.arange(scene.num_buildings), np.diff(scene.vertex_starts))
+    ]
+    city_map = CityMap(replace(scene, vertices=flat), threads=1)
+    assert corrected_map(city_map, np.full(scene.num_buildings, -1.0))[0] is city_map
+
+
 def test_what_is_low_is_not_lowered(scene):
     """Nor raised to the height below which nothing is lowered."""
     owner = np.repeat(np.arange(scene.num_buildings), np.diff(scene.vertex_starts))

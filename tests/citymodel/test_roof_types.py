@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import ReadOptions, mesh_city, mesh_model, open_scene, read_city_model
+from lodbench.citymodel.polygons import finish_model
+from lodbench.citymodel.read import read_source
 from lodbench.citymodel.roof_types import is_pitched
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import read_scene, scene_folder, write_scene
+from lodbench.citymodel.source import open_sources
 from lodbench.citymodel.subset import choose_buildings
 from lodbench.cli import main
 from lodbench.errors import CityModelError
@@ -56,6 +59,8 @@ def town(*codes: str) -> str:
         ("1010", True), ("1130", False), (" 3100 ", True), ("http://x/roofType.xml#3100", True),
         ("SATTELDACH", True), ("Krüppelwalmdach", True), ("FLACHDACH", False), ("slanted", True),
         ("multiple horizontal", False), ("half-hipped", True), ("flat", False), ("dome", False), ("", False),
+        ("BU_3100", True), ("13100", False), ("flat (no pitch)", False), ("unpitched", False), ("cone", True),
+        ("http://x/2012/roofType.xml#1000", False), ("3100.0", True),
     ],
 )  # fmt: skip
 def test_words_and_codes(told: str, expected: bool) -> None:
@@ -73,6 +78,10 @@ class TestCityGML:
         for codes, expected in ((("3100", "1000", "2100"), told), (("1000",), [])):
             path = write(tmp_path / "a.gml", town(*codes))
             assert main(["city", "info", str(path)]) == 0
+            lines = capsys.readouterr().out.splitlines()
+            assert [line for line in lines if line.startswith("roofs")] == expected
+            assert main(["city", "convert", str(path), str(tmp_path / f"{len(expected)}.scene")]) == 0
+            assert main(["city", "info", str(tmp_path / f"{len(expected)}.scene")]) == 0
             lines = capsys.readouterr().out.splitlines()
             assert [line for line in lines if line.startswith("roofs")] == expected
 
@@ -95,7 +104,7 @@ class TestCityGML:
 
 @pytest.mark.parametrize("attribute", ["roofType", "b3_dak_type", "dak_type", "roof:shape", "roof_shape"])
 def test_cityjson(tmp_path: Path, attribute: str) -> None:
-    told: tuple[Any, ...] = ("slanted", "horizontal", None, ["slanted"])
+    told: tuple[Any, ...] = ("slanted", "horizontal", None, ["slanted"], 3100.0, True)
     objects = {
         f"b{n}": {"type": "Building", "attributes": {attribute: value}, "geometry": [surface([0, 1, 2])]}
         for n, value in enumerate(told)
@@ -104,7 +113,45 @@ def test_cityjson(tmp_path: Path, attribute: str) -> None:
     path.write_text(json.dumps(document(objects)))
     model = read_city_model(path)
     assert model.pitched is not None
-    assert model.pitched.tolist() == [True, False, False, False]
+    assert model.pitched.tolist() == [True, False, False, False, True, False]
+
+
+def test_an_empty_attribute_leaves_it_to_the_next(tmp_path: Path) -> None:
+    attributes = {"roofType": " ", "b3_dak_type": "slanted"}
+    objects = {"b": {"type": "Building", "attributes": attributes, "geometry": [surface([0, 1, 2])]}}
+    path = tmp_path / "a.city.json"
+    path.write_text(json.dumps(document(objects)))
+    pitched = read_city_model(path).pitched
+    assert pitched is not None
+    assert pitched.all()
+    # Written as CityGML, where they have names of others.
+    assert main(["city", "convert", str(path), str(tmp_path / "a.gml")]) == 0
+    again = read_city_model(tmp_path / "a.gml").pitched
+    assert again is not None
+    assert again.all()
+
+
+@pytest.mark.parametrize("column", ["b3_dak_typ", "RoofType"])
+def test_surfaces_of_vector_files(tmp_path: Path, column: str) -> None:
+    pytest.importorskip("pyogrio", reason="it comes with the extra [vector]")
+    wall = [[0, 0, 0], [1e-4, 0, 0], [1e-4, 0, 6], [0, 0, 6], [0, 0, 0]]
+    features = [
+        {
+            "type": "Feature",
+            "properties": {column: shape, "roof:shape": "gabled"},
+            "geometry": {
+                "type": "MultiPolygon",
+                "coordinates": [[np.add(wall, [8 + n * 1e-3, 50, 0]).tolist()]],
+            },
+        }
+        for n, shape in enumerate(("slanted", None, "horizontal"))
+    ]
+    path = tmp_path / "a.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    model = read_city_model(path)
+    assert model.format == "surfaces"
+    assert model.pitched is not None
+    assert model.pitched.tolist() == [True, True, False]
 
 
 def test_footprints(tmp_path: Path) -> None:
@@ -151,6 +198,16 @@ class TestOnTheWay:
         assert scene.pitched is not None
         assert int(scene.pitched.sum()) == 48
 
+    def test_blocks_that_end_at_eaves_are_not_too_high(self, shared_data: Path) -> None:
+        model = read_city_model(shared_data / "city/germany_lod2/LoD2_32_280_5657_1_NW.gml")
+        assert mesh_model(model, "1", roof_height="eave").scene.pitched is None
+
+    def test_a_reader_that_tells_of_other_buildings_is_named(self, tmp_path: Path) -> None:
+        raw = read_source(open_sources(write(tmp_path / "a.gml", town("3100")))[0], ReadOptions())
+        raw.pitched = np.ones(2, np.bool_)
+        with pytest.raises(CityModelError, match="of roofs of other buildings"):
+            finish_model(raw, ReadOptions())
+
     def test_it_is_the_same_city_with_other_roofs(self, tmp_path: Path) -> None:
         """A run names it anew; who compares runs sees the same geometry."""
         told = [city_digests(open_scene(write(tmp_path / "a.gml", town(code, "1000"))))
@@ -170,7 +227,7 @@ class TestFolders:
             again, _ = read_scene(tmp_path / "a.scene")
             np.testing.assert_array_equal(again.pitched, pitched)
 
-    @pytest.mark.parametrize("number", [-1, 3, 2**70, "x", [0, 1]])
+    @pytest.mark.parametrize("number", [-1, 3, 2**70, "x", [0, 1], 0.7, True])
     def test_numbers_of_no_building_are_refused(self, tmp_path: Path, scene: Scene, number: object) -> None:
         with pytest.raises(CityModelError, match="is damaged"):
             read_scene(stored(scene, tmp_path, pitched=[0, number]))

@@ -168,6 +168,25 @@ def test_other_data_is_caught_and_moved_data_is_found(lodbench, made, run, tmp_p
     assert "queries is" in done.stdout
 
 
+def test_other_roofs_are_caught_and_older_runs_are_not(lodbench, tmp_path):
+    """A city tells of pitched roofs no more; or did not when the run was made, as for all older runs."""
+    root, city = write_dataset(tmp_path / "mine", count=2)
+    told = tmp_path / "told.gml"
+    assert lodbench("city", "convert", city, told).returncode == 0
+    plain = told.read_text()
+    words = ("method=prior_only", "dataset=folder", f"dataset.root={root}", f"dataset.city_model={told}")
+    for before, after, code in (("3100", "1000", 1), ("1000", "3100", 0), ("3100", "2100", 0)):
+        told.write_text(
+            re.sub(r"(<bldg:Building [^>]*>)", rf"\1<bldg:roofType>{before}</bldg:roofType>", plain)
+        )
+        assert lodbench("run", *words, f"paths.runs={tmp_path / before / after}").returncode == 0
+        (folder,) = (tmp_path / before / after / "folder" / "prior_only").iterdir()
+        told.write_text(told.read_text().replace(before, after))
+        done = lodbench("verify", folder)
+        assert done.returncode == code, done.stderr
+        assert ("pitched roofs" in done.stdout + done.stderr) == (before == "1000")
+
+
 def test_without_the_data_the_weaker_check_is_said(lodbench, run):
     change(run / "provenance.json", r'("dataset_root": )".*"', r'\g<1>"/no/such/folder"')
     done = lodbench("verify", str(run))

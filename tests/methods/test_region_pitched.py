@@ -50,6 +50,17 @@ def test_what_is_drawn_with_its_roof_is_no_block(shared_data):
     assert not pitched_blocks(mesh_model(model, "2").scene).any()
 
 
+def test_floors_may_follow_the_ground(shared_data):
+    model = read_city_model(shared_data / "city/germany_lod2/LoD2_32_280_5657_1_NW.gml")
+    blocks = mesh_model(model, "1", roof_height="median").scene
+    vertices = blocks.vertices.copy()
+    owner = np.repeat(np.arange(blocks.num_buildings), np.diff(blocks.vertex_starts))
+    floors = np.minimum.reduceat(vertices[:, 2], blocks.vertex_starts[:-1])
+    is_floor = vertices[:, 2] < floors[owner] + 0.1
+    vertices[is_floor, 2] += 0.1 * (vertices[is_floor, 0] - vertices[:, 0].mean()) % 1.0
+    assert int(pitched_blocks(replace(blocks, vertices=vertices)).sum()) == 48
+
+
 def test_where_nothing_is_told_no_block_is_pitched(scene):
     assert not pitched_blocks(scene).any()
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
@@ -124,7 +125,7 @@ def verify_run(
         scorer = None
         if "scene" in inputs and dataset.city_model is not None:
             city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
-            inputs, lod = inputs | city_digests(city.scene), city.scene.lod
+            inputs, lod = _with_city(inputs, city.scene, notes), city.scene.lod
             scorer = make_renderer("silhouette", city.scene, None)
             told = replace(dataset, notes=dataset.notes + city.notes())
         elif "scene" in inputs:
@@ -231,6 +232,16 @@ def _inputs(stored: StoredRun) -> dict[str, str]:
     if not isinstance(dataset, dict) or not {"name", "version"} <= set(dataset):
         raise LodbenchError(f"{stored.folder / 'summary.json'} does not say which dataset it is of.")
     return {key: str(value) for key, value in dataset.items() if key not in ("name", "version")}
+
+
+def _with_city(inputs: dict[str, str], scene: Scene, notes: list[str]) -> dict[str, str]:
+    """Returns digests of inputs with those of a city as it is now."""
+    now = city_digests(scene)
+    if "roofs" in now and "roofs" not in inputs:
+        # Runs of older versions never do.
+        notes.append("the run says nothing of pitched roofs, which the city model tells of: not compared")
+        del now["roofs"]
+    return {name: digest for name, digest in inputs.items() if name != "roofs"} | now
 
 
 def _stand_in(stored: StoredRun) -> Dataset:

@@ -21,6 +21,8 @@ def expected_map(city_map: CityMap, pitched_lower_m: float) -> CityMap:
         city_map: The map.
         pitched_lower_m: How much lower than in the map such blocks are, metres.
     """
+    if pitched_lower_m == 0 or city_map.scene.pitched is None:
+        return city_map
     known = _EXPECTED.setdefault(city_map, {})
     if pitched_lower_m not in known:
         heights_m = np.where(pitched_blocks(city_map.scene), -pitched_lower_m, 0.0)

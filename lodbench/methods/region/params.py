@@ -71,7 +71,7 @@ class Params:
         roofs_m: How far all roofs may be higher or lower than in the map, all alike: a standard deviation,
             metres; 0 for a map whose roofs do not err.
         pitched_lower_m: How much lower than in the map the roofs of blocks are beforehand where its source
-            tells that they are pitched, metres.
+            tells that they are pitched, metres. The search for the best poses takes the map as it is.
         own_roofs_m: How far each roof may be higher or lower by itself, as of ``roofs_m``.
         feet_m: How much higher or lower than in the map all walls may end, all alike, at slopes, hedges or
             cars: a standard deviation, metres; 0 for a map whose walls end where they are seen to.

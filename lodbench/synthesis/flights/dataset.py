@@ -131,7 +131,8 @@ def open_flights(params: FlightsParams) -> Dataset:
     if params.look is None:
         left_out.add("photo_width")
     drawn = {key: value for key, value in asdict(params).items() if key not in left_out}
-    key = digest_of([FLIGHTS_VERSION, drawn, world.digest(), world.origin.tolist()])
+    told = [] if world.pitched is None or not params.map_errors() else np.flatnonzero(world.pitched).tolist()
+    key = digest_of([FLIGHTS_VERSION, drawn, world.digest(), world.origin.tolist(), *told])
 
     def write(folder: Path) -> None:
         # A level that the file lacks is said before photos are drawn, not after.

@@ -123,4 +123,5 @@ def _assembled(
         lod=scene.lod,
         crs=scene.crs,
         origin=scene.origin,
+        pitched=None if scene.pitched is None else scene.pitched[[building for _, building, _ in parts]],
     )
