@@ -84,8 +84,8 @@ def mesh_model(
             blocks = derive_lod1(model, roof_height, findings)
             # Blocks that end at eaves are not too high.
             pitched = None if roof_height == AT_EAVES else model.pitched
-            model = replace(model, lods=("1",), polygons=blocks, polygons_read=(len(blocks),))
-            model = replace(model, pitched=pitched)
+            counts = (len(blocks),)
+            model = replace(model, lods=("1",), polygons=blocks, polygons_read=counts, pitched=pitched)
     name, at_level = polygons_at(model, lod, findings, stands_in)
     polygons = model.polygons
     is_interior = (polygons.kind == SurfaceKind.INTERIOR) & (not model.has_interiors)
