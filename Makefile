@@ -114,22 +114,25 @@ audit: $(VENV)/.test
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
 
+# What is imported is compiled to bytecode then, on all cores; pip would do so for all of torch first, a third of its time.
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+
 # pip leaves what numba compiled of a former `pip install .`: a folder without code, which would hide the checkout.
 LEFT := $(VENV)/lib/python3*/site-packages/lodbench
 
 $(VENV)/.base: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	$(PIP) -c constraints.txt -e .
 	rm -rf $(LEFT)
 	touch $@
 
 $(VENV)/.table1: $(VENV)/.base
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[xfeat]'
+	$(PIP) -c constraints.txt -e '.[xfeat]'
 	touch $@
 
 # By digest first; then what is left, which is torch in the build for this machine, and the checkout itself.
 $(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt requirements-test.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r requirements-test.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,docs,render,vector,download,torch,models,pnp,xfeat,tensorboard,cluster]'
+	$(PIP) --no-deps --require-hashes -r requirements-test.lock
+	$(PIP) -c constraints.txt -e '.[test,docs,render,vector,download,torch,models,pnp,xfeat,tensorboard,cluster]'
 	rm -rf $(LEFT)
 	touch $@ $(VENV)/.base
 
