@@ -22,6 +22,8 @@ DOCUMENTS = sorted(
     # What was is told of old words too.
     if path.name != "CHANGELOG.md"
 )
+# Hydra composes each setting of the many that these sweep over.
+SWEEPING = {"docs/benchmarks.md", "docs/evaluation.md", "docs/segmentation.md"}
 FENCED = re.compile(r"^```[\w ]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 INLINE = re.compile(r"(?<!`)`lodbench ([^`]+)`(?!`)")
 # One command of a line of a shell, after its prompt and the variables it is given.
@@ -92,7 +94,13 @@ def fault_in(words: list[str], is_whole: bool, monkeypatch: pytest.MonkeyPatch, 
     return "" if is_partial or stands_for_another else said
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=str)
+@pytest.mark.parametrize(
+    "document",
+    [
+        pytest.param(path, id=str(path), marks=pytest.mark.slow if str(path) in SWEEPING else ())
+        for path in DOCUMENTS
+    ],
+)
 def test_its_commands_are_understood(document, monkeypatch, tmp_path, capsys):
     found = list(commands_in((ROOT / document).read_text("utf-8")))
     monkeypatch.chdir(tmp_path)

@@ -119,6 +119,7 @@ def test_wrong_settings_end_before_any_work(wrong):
         McLocParams(**wrong)
 
 
+@pytest.mark.slow
 def test_dinov2_from_a_random_configuration_gives_unit_tokens():
     pytest.importorskip("transformers")
     tokens = open_features("dinov2", "random")(stripes(40)[None])[0]

@@ -99,6 +99,7 @@ def test_options_are_checked() -> None:
         CityOptions(repeats=0)
 
 
+@pytest.mark.slow
 def test_real_tile_is_faster_than_the_naive_way(shared_data: Path) -> None:
     tile = shared_data / "city/plateau/51311568_bldg_6697_op.gml"
     bench = measure_city(tile, CityOptions(lod="1", repeats=3, large_mb=0))

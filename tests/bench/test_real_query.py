@@ -80,6 +80,7 @@ def town(tmp_path_factory):
     return write_dataset(tmp_path_factory.mktemp("real"))
 
 
+@pytest.mark.slow
 def test_methods_start_from_the_same_priors_and_better_ones_end_nearer(town, tmp_path, capsys):
     root, city = town
     asked = ["real", "--query", str(root), "--city", str(city), "--priors", "2", "--pictures", str(tmp_path)]

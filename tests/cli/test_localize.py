@@ -147,6 +147,7 @@ class TestFromPixels:
         assert "within 2 m and 2 deg" in told
 
 
+@pytest.mark.slow
 def test_leaving_the_distortion_in_the_mask_is_worse(capsys, tmp_path, shared_data):
     case = make_case(tmp_path, shared_data, "nrw", distorted=True)
     good = localize(capsys, case, tmp_path / "a", "--mask", str(case.mask))

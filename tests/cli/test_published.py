@@ -15,6 +15,7 @@ def summary_of(folder: Path) -> dict:
     return json.loads(path.read_text())
 
 
+@pytest.mark.slow
 def test_a_run_on_the_earth_centred_swiss_files(lodbench, tmp_path):
     root = write_swiss(tmp_path / "Schweiz (neu)", ecef=True)
     done = lodbench("run", "dataset=swiss_epflv2", f"dataset.root={root}", "tilt=truth", "split=in_place")

@@ -25,6 +25,7 @@ def run(lodbench, tmp_path, data, *more: str) -> Path:
     return tmp_path / re.search(r"results:\s+(\S+)", done.stdout)[1]
 
 
+@pytest.mark.slow
 def test_the_page_shows_a_run_in_one_quiet_file(lodbench, tmp_path, data):
     folder = run(lodbench, tmp_path, data)
     assert lodbench("report", str(folder)).returncode == 0

@@ -97,6 +97,7 @@ def test_training_data_over_dask(serial, tmp_path) -> None:
     assert made["dask"] == made["serial"]
 
 
+@pytest.mark.slow
 def test_training_data_sends_names_over_dask_and_notices_another_world(serial, tmp_path, monkeypatch) -> None:
     sent = []
 

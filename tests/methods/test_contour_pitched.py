@@ -53,6 +53,7 @@ def test_a_map_that_is_no_longer_needed_is_freed(scene):
         assert reference() is None
 
 
+@pytest.mark.slow
 def test_told_roofs_bring_the_answer_nearer(told, truths):
     """Masks of a town whose every other roof is two metres lower than in the map, which tells which."""
     town, _ = corrected_map(told, np.where(told.scene.pitched, -2.0, 0.0))

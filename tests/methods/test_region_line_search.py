@@ -51,6 +51,7 @@ def starts_of(query, city_map, roofs, params):
     return line_search.line_starts(photo, query, roofs, evidence, params, STREAMS)
 
 
+@pytest.mark.slow
 def test_the_right_place_is_among_the_first_starts(city_map, roofs, drawn, truths):
     for query, truth in zip(drawn, truths, strict=True):
         assert pose_error(query.prior, truth).translation_m > 5.0

@@ -38,6 +38,7 @@ def test_agrees_with_the_engine_on_real_cities(real_quarter, open_renderer):
         assert np.count_nonzero(ours != peer.render(CAMERA, pose)) < 0.01 * ours.size
 
 
+@pytest.mark.slow
 def test_depth_is_the_distance_along_the_axis(open_renderer):
     scene = scene_of(box([-5, -5, 0], [10, 10, 10]))
     depth = open_renderer(scene).depth(CAMERA, straight_down(60.0))
@@ -45,6 +46,7 @@ def test_depth_is_the_distance_along_the_axis(open_renderer):
     assert depth[0, 0] == 0
 
 
+@pytest.mark.slow
 def test_another_image_size_on_the_same_context(open_renderer):
     scene = scene_of(box([-5, -5, 0], [10, 10, 10]))
     engine, peer = SilhouetteRenderer(scene, 1), open_renderer(scene)
@@ -55,6 +57,7 @@ def test_another_image_size_on_the_same_context(open_renderer):
         assert np.count_nonzero(ours != theirs) < 0.01 * ours.size
 
 
+@pytest.mark.slow
 def test_two_scenes_take_turns_and_survive_a_new_context(open_renderer):
     from lodbench.rendering.pyrender_backend import close_context
 
@@ -68,6 +71,7 @@ def test_two_scenes_take_turns_and_survive_a_new_context(open_renderer):
             assert np.count_nonzero(ours != peer.render(CAMERA, straight_down(60.0))) < 0.01 * ours.size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [1, 4])
 def test_back_faces_are_seen(open_renderer, samples):
     # Under a box without a floor everything in view is the inside of a wall or of the roof.

@@ -100,6 +100,7 @@ def test_batches_and_threads_change_nothing(count):
     assert len(np.unique(whole[0].reshape(-1, 3), axis=0)) > 100
 
 
+@pytest.mark.slow
 def test_pyrender_draws_the_same():
     pytest.importorskip("pyrender")
     try:

@@ -79,6 +79,7 @@ def test_a_training_may_start_from_the_packages_weights_which_are_stored_in_16_b
     np.testing.assert_allclose(found[0, 0].numpy(), packaged.logits(photo), atol=0.02)
 
 
+@pytest.mark.slow
 def test_a_photo_and_its_mirror_image_get_the_same_mask(tmp_path):
     path = EfficientUnet(EfficientUnetParams()).store(random_net(), tmp_path)
     segmenter = EfficientUnet(EfficientUnetParams(weights=str(path), size=64))

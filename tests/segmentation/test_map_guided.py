@@ -156,6 +156,7 @@ class TestFromTheMap:
     def entry(self, path, camera=CAMERA):
         return Entry("photo.png", "test", camera, None, path, None)
 
+    @pytest.mark.slow
     def test_a_wrong_prior_still_gives_the_mask(self, town, view):
         truth, mask, path = view
         segmenter, city_map = MapGuided(PARAMS), CityMap(town)

@@ -48,6 +48,7 @@ def test_the_large_network_has_the_papers_size():
     assert sum(weight.numel() for weight in net.parameters() if weight.requires_grad) == 4_269_747
 
 
+@pytest.mark.slow
 def test_three_heads_answer_at_the_photos_size(small):
     with torch.no_grad():
         outputs = small(torch.rand(2, 3, 64, 96))
@@ -159,6 +160,7 @@ def test_a_device_that_is_not_there_is_told(small, device):
     assert "segmenter.device=cpu" in told.value.hint
 
 
+@pytest.mark.slow
 def test_out_of_memory_falls_to_tiles(small, capsys):
     segmenter = Sam2UNetSegmenter(Sam2UNetParams(encoder="toy", size=512, normalise="none", weights="random"))
     run, sides = segmenter._run, []

@@ -123,6 +123,7 @@ def test_the_frame_of_a_mesh_is_found_and_said(scene, tmp_path):
         offset_to_city(read_textured(write_obj(tmp_path, (3000.0, 0.0, 0.0)), "auto"), far, "mesh.obj")
 
 
+@pytest.mark.slow
 def test_pyrender_and_the_raster_agree(box_file, tmp_path):
     pytest.importorskip("pyrender")
     looks = replace(look_ranges("plain"), haze_range_m=(1e6, 1e6), noise=(0.0, 0.0), blur_px=(0.0, 0.0))

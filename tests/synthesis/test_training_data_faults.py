@@ -73,6 +73,7 @@ def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tm
     assert files_in(tmp_path / "data") == files_in(made.out)
 
 
+@pytest.mark.slow
 def test_a_set_goes_on_neither_with_another_city_nor_with_other_code(small_set, monkeypatch):
     """Its poses are written anew each time: views that are there already would be of others."""
     params, made = small_set

@@ -76,6 +76,7 @@ class TestUavd4l:
             assert entry.image.is_file()
         assert dataset.findings == ()
 
+    @pytest.mark.slow
     def test_each_takes_its_own_city_model(self, uavd4l):
         files = [
             open_published(PublishedParams(name, str(uavd4l))).city_model.name

@@ -71,6 +71,7 @@ def test_each_photo_is_found_with_the_lens_as_told(city_map):
         np.testing.assert_array_equal(first.covariance, second.covariance)
 
 
+@pytest.mark.slow
 def test_what_photos_share_is_told_with_its_sigma(found):
     constants = found[0].findings["constants"]
     for name, value, tolerance in (

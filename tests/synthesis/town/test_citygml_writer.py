@@ -140,6 +140,7 @@ def test_our_reader_gives_back_every_fine_surface(fine, town, city_file):
     np.testing.assert_array_equal(fine.origin, read_city_model(city_file).origin)
 
 
+@pytest.mark.slow
 def test_what_was_read_is_closed_and_loses_no_area(fine, town):
     mesh = mesh_model(fine, "3")
     assert not mesh.findings.items

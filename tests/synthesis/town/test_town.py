@@ -126,6 +126,7 @@ def test_it_is_a_town_of_many_kinds(town):
     assert max(b.plan.roof.eave_m for b in town.buildings) > 30.0
 
 
+@pytest.mark.slow
 def test_courtyards_and_u_shapes_exist_somewhere(town_of):
     strips = [b.plan.strip for seed in (0, 1) for b in town_of(seed).buildings]
     assert any(strip.closed for strip in strips)
