@@ -10,7 +10,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 # Builds the demo town and localises its 40 photos from pixels, with the sensor's tilt, by three methods.
 demo: $(VENV)/.base
-	$(BIN)/lodbench run --multirun method=lodlocv2,contour_alignment,region dataset=demo tilt=prior
+	$(BIN)/lodbench run --multirun method=lodlocv2,contour_alignment,region dataset=demo tilt=prior executor=process
 
 # The paper's Table 1 on the demo, from masks at IoU 0.88 and 0.80: without refinement, without selection, in full.
 ablation: $(VENV)/.base
