@@ -114,7 +114,7 @@ audit: $(VENV)/.test
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
 
-# What is imported is compiled to bytecode then, on all cores; pip would do so for all of torch first, a third of its time.
+# What is imported is compiled to bytecode then, on all cores; pip would do so for all of torch first, for two fifths of its time.
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 # pip leaves what numba compiled of a former `pip install .`: a folder without code, which would hide the checkout.
