@@ -34,7 +34,7 @@ def main(argv: Sequence[str]) -> int:
     asked = _parser().parse_args(argv)
     from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
     from lodbench.datasets.photo_files import mask_name
-    from lodbench.harness.mask.files import opened_session, require_untouched, saved
+    from lodbench.harness.mask.files import opened_session, require_unturned, require_untouched, saved
 
     if asked.photo.is_dir():
         raise ConfigError(f"{asked.photo} is a folder.", "Name a photo: lodbench mask PHOTO")
@@ -54,7 +54,10 @@ def main(argv: Sequence[str]) -> int:
 
         made = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
         segmenter = require_photo_segmenter(made)
+    require_unturned(asked.photo, formats, polygons)
     session = opened_session(asked.photo, mask, polygons, segmenter)
+    if polygons is not None and asked.out is None and out.exists() and not session.mask.any():
+        raise ConfigError(f"{polygons.name} shows no building, and {out} would be replaced.", _keep_hint(out))
 
     def save() -> tuple[Path, ...]:
         return saved(session.mask, asked.photo, out, formats)
@@ -97,11 +100,14 @@ def _start(asked: argparse.Namespace, polygons: Path | None, out: Path) -> Path 
         return named
     makes_new = asked.segmenter is not None or bool(asked.segmenter_option)
     if makes_new or (named is not None and named.exists() and not named.samefile(out)):
-        hint = f"Keep it, and save elsewhere: --out OTHER.png; replace it: --out {shlex.quote(str(out))}"
-        raise ConfigError(f"{out} is there, and would be replaced.", hint)
+        raise ConfigError(f"{out} is there, and would be replaced.", _keep_hint(out))
     if named is None:
         sys.stdout.write(f"starts from: {out}, which is there\n")
     return out if named is None else named
+
+
+def _keep_hint(out: Path) -> str:
+    return f"Keep it, and save elsewhere: --out OTHER.png; replace it: --out {shlex.quote(str(out))}"
 
 
 def _serve(session: MaskSession, name: str, save: Callable[[], tuple[Path, ...]], port: int) -> None:

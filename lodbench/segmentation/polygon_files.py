@@ -6,7 +6,7 @@ import json
 import logging
 from collections import Counter
 from collections.abc import Callable, Collection
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import cv2
@@ -98,19 +98,21 @@ def read_polygons(path: Path, photo: str, height: int, width: int) -> Mask:
     What is labelled as something else is left out, with a warning.
 
     Raises:
-        DatasetError: It is neither, is of another photo's size, holds a shape that is no polygon, nothing
-            labelled as a building, or several images of the photo's name.
+        DatasetError: It is neither, is of another photo by its name or size, holds a shape that is no
+            polygon, nothing labelled as a building, no building inside the photo, or several images of
+            the photo's name.
     """
     try:
-        stored = parse_json(path.read_text(encoding="utf-8"))
+        # Some editors begin a file with a byte order mark.
+        stored = parse_json(path.read_text(encoding="utf-8-sig"))
         if isinstance(stored, dict) and "shapes" in stored:
-            return _from_labelme(stored, path, height, width)
+            return _from_labelme(stored, path, photo, height, width)
         if isinstance(stored, dict) and "annotations" in stored:
             return _from_coco(stored, path, photo, height, width)
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         hint = "It takes polygons; a mask that is a picture is given with --mask."
         raise DatasetError(f"{path.name} is no JSON file.", hint) from error
-    except (KeyError, IndexError, TypeError, ValueError) as error:
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
         raise DatasetError(f"{path.name} cannot be read: {type(error).__name__} {error}.", _HINT) from error
     raise DatasetError(f"{path.name} is neither LabelMe's JSON nor COCO's.", _HINT)
 
@@ -118,11 +120,14 @@ def read_polygons(path: Path, photo: str, height: int, width: int) -> Mask:
 _HINT = "LabelMe has shapes, COCO has images, categories and annotations."
 
 
-def _from_labelme(stored: dict[str, Any], path: Path, height: int, width: int) -> Mask:
+def _from_labelme(stored: dict[str, Any], path: Path, photo: str, height: int, width: int) -> Mask:
+    named = str(stored.get("imagePath") or photo)
+    if not _means(named, photo):
+        raise _other_photo(path, named, photo, "imagePath")
     _check_size(path, int(stored["imageWidth"]), int(stored["imageHeight"]), width, height)
     labels = [str(shape["label"]) for shape in stored["shapes"]]
-    named = [label for label in labels if not _is_one_of(label, (HOLE,))]
-    _check_labels(named, named, path)
+    kinds = [label for label in labels if not _is_one_of(label, (HOLE,))]
+    _check_labels(kinds, kinds, path)
     canvas = np.zeros((height, width), np.uint8)
     for shape, label in zip(stored["shapes"], labels, strict=True):
         is_hole, kind = _is_one_of(label, (HOLE,)), shape.get("shape_type", "polygon")
@@ -135,7 +140,7 @@ def _from_labelme(stored: dict[str, Any], path: Path, height: int, width: int) -
             (x, y), (right, down) = points
             points = np.array([[x, y], [right, y], [right, down], [x, down]])
         _paint(canvas, points, 0 if is_hole else 1)
-    return np.asarray(canvas > 0)
+    return _inside(canvas, len(labels), path)
 
 
 def _from_coco(stored: dict[str, Any], path: Path, photo: str, height: int, width: int) -> Mask:
@@ -162,16 +167,16 @@ def _from_coco(stored: dict[str, Any], path: Path, photo: str, height: int, widt
             continue
         for ring in segmentation:
             _paint(canvas, np.array(ring, np.float64).reshape(-1, 2), 1)
-    return np.asarray(canvas > 0)
+    return _inside(canvas, len(labels), path)
 
 
 def _image_of(images: list[dict[str, Any]], path: Path, photo: str) -> dict[str, Any]:
-    """Returns the image of a photo's name; the only one, whatever it is called.
+    """Returns the image of a photo's name; the only one where its name differs in the ending alone.
 
     Raises:
         DatasetError: None is, or several are.
     """
-    found = [image for image in images if Path(str(image["file_name"])).name == photo]
+    found = [image for image in images if PureWindowsPath(str(image["file_name"])).name == photo]
     if len(found) > 1:
         names = " and ".join(str(image["file_name"]) for image in found[:2])
         raise DatasetError(
@@ -179,7 +184,33 @@ def _image_of(images: list[dict[str, Any]], path: Path, photo: str) -> dict[str,
         )
     if not found and len(images) != 1:
         raise DatasetError(f"{path.name} has {len(images)} images, none of them {photo}.")
+    if not found and not _means(str(images[0]["file_name"]), photo):
+        raise _other_photo(path, str(images[0]["file_name"]), photo, "file_name")
     return (found or images)[0]
+
+
+def _means(named: str, photo: str) -> bool:
+    """Tells whether a file names a photo: in whatever folder, as a copy in another format, in other letters."""
+    # Which splits paths of both kinds of systems.
+    return PureWindowsPath(named).stem.lower() == PureWindowsPath(photo).stem.lower()
+
+
+def _other_photo(path: Path, named: str, photo: str, key: str) -> DatasetError:
+    return DatasetError(
+        f"{path.name} is of {PureWindowsPath(named).name}, not of {photo}.",
+        f"If it is the same photo, change {key} in it to {photo}.",
+    )
+
+
+def _inside(canvas: NDArray[np.uint8], num_shapes: int, path: Path) -> Mask:
+    """Returns what was painted.
+
+    Raises:
+        DatasetError: There are shapes, and nothing of them lies in the photo.
+    """
+    if num_shapes and not canvas.any():
+        raise DatasetError(f"{path.name} has no building inside the photo.", "Draw on the photo itself.")
+    return np.asarray(canvas > 0)
 
 
 def _is_one_of(label: str, names: Collection[str] = _BUILDING_LABELS) -> bool:
@@ -233,9 +264,10 @@ def _from_runs(segmentation: dict[str, Any], path: Path, height: int, width: int
     counts = segmentation["counts"]
     if isinstance(counts, str):
         raise DatasetError(f"{path.name} holds compressed run lengths.", "Export polygons instead.")
-    lengths = np.array(counts, np.int64)
+    # Numbers of any size: a sum of 64 bits may wrap around to that of the photo.
+    lengths = [int(length) for length in counts]
     is_of_photo = list(segmentation.get("size", [height, width])) == [height, width]
-    if not is_of_photo or lengths.sum() != height * width or (lengths < 0).any():
+    if not is_of_photo or sum(lengths) != height * width or min(lengths) < 0:
         raise ValueError("run lengths that do not fill the photo")
     values = np.arange(len(lengths)) % 2 == 1
     return np.repeat(values, lengths).reshape(width, height).T

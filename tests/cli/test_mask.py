@@ -9,6 +9,7 @@ from threading import Thread
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from lodbench.cli import main
 from lodbench.harness.mask.server import MaskServer
@@ -239,6 +240,31 @@ class TestCommand:
         assert polygons.read_text() == drawn
         if name != "geojson":
             assert main([*export, "--import", str(polygons)]) == 0
+
+    def test_an_empty_import_replaces_no_mask(self, photo, capsys):
+        saved = photo.parent / "photo_mask.png"
+        cv2.imwrite(str(saved), houses()[1].astype(np.uint8) * 255)
+        before, polygons = saved.read_bytes(), photo.parent / "drawn.json"
+        polygons.write_text('{"shapes": [], "imageWidth": 240, "imageHeight": 160}')
+        words = ["mask", str(photo), "--no-page", "--import", str(polygons)]
+        assert main(words) == 2
+        assert f"--out {saved}" in capsys.readouterr().err
+        assert saved.read_bytes() == before
+        assert main([*words, "--out", str(saved)]) == 0
+        assert not cv2.imread(str(saved), 0).any()
+
+    def test_polygons_of_a_photo_that_others_turn_are_refused(self, photo, capsys):
+        turned = photo.with_suffix(".jpg")
+        exif = Image.Exif()
+        exif[0x0112] = 3
+        Image.open(photo).save(turned, exif=exif)
+        polygons = photo.parent / "drawn.json"
+        polygons.write_text('{"shapes": [], "imageWidth": 240, "imageHeight": 160}')
+        traced = ["--mask", str(photo.parent / "traced.png")]
+        for words in (["--import", str(polygons)], [*traced, "--export", "labelme"]):
+            assert main(["mask", str(turned), "--no-page", *words]) == 2
+            assert "EXIF orientation 3" in capsys.readouterr().err
+        assert main(["mask", str(turned), "--no-page", *traced, "--export", "geojson"]) == 0
 
     def test_it_starts_from_a_plug_in_that_looks_at_photos(self, photo, monkeypatch):
         monkeypatch.setattr("lodbench.segmentation.registry.load_plugin", lambda group, name: Bright)

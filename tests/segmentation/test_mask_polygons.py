@@ -94,6 +94,17 @@ def coco(**changed):
     return {"images": [image], "categories": [{"id": 1, "name": "roof"}], "annotations": [drawn]} | changed
 
 
+def coco_runs(counts):
+    drawn = {"image_id": 1, "category_id": 1, "segmentation": {"size": [40, 60], "counts": counts}}
+    return coco(annotations=[drawn])
+
+
+def moved(content, by):
+    for shape in content["shapes"]:
+        shape["points"] = [[x + by, y] for x, y in shape["points"]]
+    return content
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -117,6 +128,18 @@ def coco(**changed):
             ),
             "do not fill the photo",
         ),
+        # Lengths whose sum in 64 bits is that of the photo, and one of more than 64.
+        (coco_runs([1 << 62] * 4 + [2400]), "do not fill the photo"),
+        (coco_runs([10**19, 1]), "do not fill the photo"),
+        (coco_runs([float("inf")]), "cannot be read: OverflowError"),
+        (labelme("roof") | {"imageWidth": float("inf")}, "cannot be read: OverflowError"),
+        (labelme("roof") | {"imagePath": "..\\day 1\\other.jpg"}, "is of other.jpg, not of photo.jpg"),
+        (
+            coco(images=[coco()["images"][0] | {"file_name": "other.jpg"}]),
+            "is of other.jpg, not of photo.jpg",
+        ),
+        (coco(annotations=[coco_runs([2400])["annotations"][0]]), "no building inside the photo"),
+        (moved(labelme("roof"), 500), "no building inside the photo"),
     ],
 )
 def test_no_mask_is_made_of_what_holds_no_building(content, words, tmp_path):
@@ -154,6 +177,17 @@ def test_rectangles_have_two_corners_or_four(tmp_path):
     assert np.array_equal(*found)
 
 
+def test_files_name_a_photo_by_its_stem_in_any_folder(tmp_path):
+    path = tmp_path / "drawn.json"
+    for content in (
+        labelme("roof") | {"imagePath": "..\\day 1\\Photo.png"},
+        coco(images=[coco()["images"][0] | {"file_name": "images/PHOTO.tif"}]),
+    ):
+        # With the byte order mark that some editors begin files with.
+        path.write_text(json.dumps(content), encoding="utf-8-sig")
+        assert read_polygons(path, "photo.jpg", 40, 60)[4, 4]
+
+
 def test_a_photo_without_buildings_has_an_empty_mask(tmp_path):
     path = tmp_path / "drawn.json"
     for content in (labelme(), coco(annotations=[])):
@@ -187,7 +221,7 @@ def test_polygons_drawn_by_others_count_pixels_whose_centres_they_hold(tmp_path)
         ),
         ('{"images": [], "categories": [], "annotations": []}', "has 0 images"),
         (
-            '{"images": [{"id": 1, "file_name": "p", "width": 60, "height": 40}],'
+            '{"images": [{"id": 1, "file_name": "photo.jpg", "width": 60, "height": 40}],'
             ' "categories": [{"id": 1, "name": "building"}],'
             ' "annotations": [{"image_id": 1, "category_id": 1, "segmentation": {"counts": "abc"}}]}',
             "compressed run lengths",

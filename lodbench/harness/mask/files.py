@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.errors import DatasetError
 from lodbench.harness.mask.session import MaskSession
 from lodbench.harness.tracebacks import told_as_fault
@@ -49,6 +50,31 @@ def opened_session(
             probability = photo_probability(segmenter, photo)
         return MaskSession(pixels, binary_mask(probability, width, height))
     return MaskSession(pixels, np.zeros((height, width), bool))
+
+
+def require_unturned(photo: Path, formats: tuple[str, ...], polygons: Path | None) -> None:
+    """Makes sure that other programs see a photo's pixels where the mask has them.
+
+    LabelMe and most others turn a photo for display as EXIF says; masks are of the stored pixels. Of a photo
+    that stands on its head nothing else would tell: its size is the same.
+
+    Args:
+        photo: The file.
+        formats: Polygons that will be written.
+        polygons: Those that are read, or None.
+
+    Raises:
+        DatasetError: The photo is turned, and polygons come or go.
+    """
+    if polygons is None and not {"labelme", "coco"}.intersection(formats):
+        return
+    orientation = read_photo_metadata(photo).orientation
+    if orientation > 1:
+        raise DatasetError(
+            f"Other programs turn {photo.name} for display (EXIF orientation {orientation}), so polygons "
+            "would lie elsewhere.",
+            "Draw on the page: lodbench mask PHOTO; or take a copy of the photo without that tag.",
+        )
 
 
 def require_untouched(out: Path, photo: Path, formats: tuple[str, ...], polygons: Path | None) -> None:
