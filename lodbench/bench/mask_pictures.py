@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lodbench.reporting.overlays import draw_outline, png_bytes
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.photos import read_photo
+from lodbench.storage.atomic import writable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,7 +78,7 @@ def _captioned(caption: str, picture: Picture) -> Picture:
     """Returns a picture framed, with a line of text below; all of one size."""
     framed = _framed(picture, _TILE, _TILE * 3 // 4)
     strip = np.full((24, _TILE, 3), _PAPER, np.uint8)
-    cv2.putText(strip, caption, (6, 17), _FONT, 0.42, _INK, 1, cv2.LINE_AA)
+    cv2.putText(strip, writable(caption), (6, 17), _FONT, 0.42, _INK, 1, cv2.LINE_AA)
     return np.pad(np.vstack([framed, strip]), ((2, 2), (2, 2), (0, 0)))
 
 

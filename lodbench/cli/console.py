@@ -24,7 +24,9 @@ class PlainStream:
     def write(self, text: str) -> int:
         """Writes a text; kept are line ends, tabs and the return that drawings of a bar begin with."""
         start = "\r" if text.startswith("\r") else ""
-        self._stream.write(start + plain_lines(text.removeprefix(start)))
+        # Names of files may hold bytes that are no text, which no stream takes.
+        plain = plain_lines(text.removeprefix(start))
+        self._stream.write(start + plain.encode("utf-8", errors="backslashreplace").decode("utf-8"))
         return len(text)
 
     def __getattr__(self, name: str) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from lodbench.harness.photo.many import Answers
     from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
     from lodbench.methods import Method
+
+_LOGGER = logging.getLogger(__name__)
 
 # Exit code where there is a pose, and it is more likely wrong than right.
 NOT_TRUSTED = 3
@@ -82,8 +85,9 @@ def main(argv: Sequence[str]) -> int:
     method = _method(asked, is_one, masks)
     masks = masks if "mask" in method.requires else None
     if masks is not None:
-        require_some_mask(masks, [f"{photo.parent.name}/{photo.name}" for photo in photos])
+        require_some_mask(masks, [f"{photo.parent.name}/{photo.name}" for photo in photos], photos)
     request = _request(asked, photos[0], method, masks)
+    _tell_unused(photos, asked)
     if asked.sidecars:
         require_sidecars(open_map(request).scene.crs, {photo.parent for photo in photos})
     if is_one:
@@ -103,6 +107,16 @@ def main(argv: Sequence[str]) -> int:
     code = _tell_many(answers, asked)
     _write_sidecars([(each.photo, each.found) for each in answers.photos if each.found is not None], asked)
     return code
+
+
+def _tell_unused(photos: Sequence[Path], asked: argparse.Namespace) -> None:
+    """Warns of what photos have and nobody uses."""
+    from lodbench.harness.photo.unused import heading_note, saved_masks_note
+
+    has_choice = asked.mask is not None or asked.segmenter is not None or _masks_for(asked) is not None
+    notes = (None if has_choice else saved_masks_note(photos), heading_note(photos, asked.heading))
+    for note in filter(None, notes):
+        _LOGGER.warning("%s", note)
 
 
 def _write_sidecars(found: Sequence[tuple[Path, LocalizedPhoto]], asked: argparse.Namespace) -> None:

@@ -34,7 +34,7 @@ def main(argv: Sequence[str]) -> int:
     asked = _parser().parse_args(argv)
     from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
     from lodbench.datasets.photo_files import mask_name
-    from lodbench.harness.mask.files import opened_session, require_unturned, require_untouched, saved
+    from lodbench.harness.mask.files import opened_session, require_untouched, require_unturned, saved
 
     if asked.photo.is_dir():
         raise ConfigError(f"{asked.photo} is a folder.", "Name a photo: lodbench mask PHOTO")

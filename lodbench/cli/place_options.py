@@ -129,12 +129,13 @@ def _told_prior(asked: argparse.Namespace) -> UniformPrior | None:
     """Returns how far off the rough pose may be; None where no option of ``add_prior_options`` says.
 
     Raises:
-        ConfigError: A width is negative or not finite.
+        ConfigError: A width is negative, or farther than methods search.
     """
     told = {"x_m": asked.prior_range, "y_m": asked.prior_range, "z_m": asked.prior_height}
     told["yaw_deg"] = asked.prior_yaw
-    for name in ("range", "height", "yaw"):
-        require_within(f"--prior-{name}", getattr(asked, f"prior_{name}"), 0)
+    # A grid of 1 km either way takes gigabytes; whoever knows no more has to find the place first.
+    for name, most in (("range", 1000), ("height", 1000), ("yaw", 180)):
+        require_within(f"--prior-{name}", getattr(asked, f"prior_{name}"), 0, most)
     given = {name: width for name, width in told.items() if width is not None}
     return UniformPrior(**given) if given else None
 

@@ -57,7 +57,8 @@ def main(argv: Sequence[str]) -> int:
     require_within("--fps", asked.fps, 0, ends="(]")
     segmenter, footage = None, Footage(asked.footage, asked.every, asked.fps, asked.masks, asked.out)
     if asked.masks is not None and asked.footage.is_dir():
-        require_some_mask(asked.masks, [photo.name for photo in footage.photos()])
+        photos = footage.photos()
+        require_some_mask(asked.masks, [photo.name for photo in photos], photos)
     if asked.masks is None:
         name = asked.segmenter or FOR_PHOTOS
         segmenter = segmenter_of(name, asked.segmenter_option)

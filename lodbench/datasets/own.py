@@ -67,12 +67,22 @@ class Written:
     left_out: tuple[tuple[str, str], ...]
 
 
-def find_mask(folder: Path | None, name: str) -> Path | None:
-    """Returns the mask of an image: of its name, of its stem as PNG, or as ``lodbench mask`` calls it."""
+def find_mask(folder: Path | None, name: str, photo: Path | None = None) -> Path | None:
+    """Returns the mask of an image: of its name, of its stem as PNG, or as ``lodbench mask`` calls it.
+
+    Args:
+        folder: Of masks; None has none.
+        name: Of the image, with as many folders as are known.
+        photo: The image's file, which may lie in that folder and is not its own mask.
+    """
     if folder is None:
         return None
     found = (find_inside(folder, spelt) for spelt in _mask_names(PurePosixPath(name)))
-    return next((file for file in found if file is not None), None)
+    return next((file for file in found if file is not None and not _is_same(file, photo)), None)
+
+
+def _is_same(file: Path, photo: Path | None) -> bool:
+    return photo is not None and file.resolve() == photo.resolve()
 
 
 def _mask_names(image: PurePosixPath) -> list[str]:
@@ -89,13 +99,19 @@ def find_photo(folder: Path, name: str) -> Path | None:
     return find_inside(folder, name) or (found[0] if len(found) == 1 else None)
 
 
-def require_some_mask(folder: Path, names: Sequence[str]) -> None:
+def require_some_mask(folder: Path, names: Sequence[str], photos: Sequence[Path | None] = ()) -> None:
     """Makes sure that a folder holds the mask of one image at least.
+
+    Args:
+        folder: Of masks.
+        names: Of the images, as for `find_mask`.
+        photos: Their files, where these may lie in the folder.
 
     Raises:
         DatasetError: It holds none; the hint says what the first is looked for as.
     """
-    if not any(find_mask(folder, name) for name in names):
+    files = photos or [None] * len(names)
+    if not any(find_mask(folder, name, photo) for name, photo in zip(names, files, strict=True)):
         wanted = " or ".join(PurePosixPath(spelt).name for spelt in _mask_names(PurePosixPath(names[0])))
         raise DatasetError(f"{folder} holds no mask of any image.", f"The first is looked for as {wanted}.")
 

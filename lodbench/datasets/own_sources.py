@@ -51,7 +51,7 @@ def images_from_photos(
             require_stated(photo, heights, knows_camera=camera is not None)
             found = PhotoCamera(camera, "given") if camera else camera_from_photo(photo)
             prior = pose_from_photo(photo, frame, heights)
-            mask = find_mask(masks, name)
+            mask = find_mask(masks, name, path)
             own = OwnImage(name, found.camera, prior, photo=path, mask=mask, stated=photo)
             images.append(replace(own, lens_percent=found.lens_percent))
         except LodbenchError as fault:
@@ -97,7 +97,7 @@ def images_from_poses(
         elif photos is not None and photo is None:
             left_out.append((image.name, f"no such photo in {photos}"))
         else:
-            own = OwnImage(image.name, camera, None, image.pose, photo, find_mask(masks, image.name))
+            own = OwnImage(image.name, camera, None, image.pose, photo, find_mask(masks, image.name, photo))
             images.append(own if frame is None else _with_stated_prior(own, frame, heights))
     return images, left_out
 

@@ -12,19 +12,21 @@ PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
 
 def in_pose_lines(name: str) -> str:
-    """Returns a name without spaces, which lines of poses cannot hold."""
-    return re.sub(r"\s+", "_", name)
+    """Returns a name without what lines of poses cannot hold: spaces, and bytes that are no UTF-8."""
+    return re.sub(r"[\s\ud800-\udfff]+", "_", name)
 
 
 def find_photos(folder: Path, masks: Path | None = None, *others: Path | None) -> list[Path]:
     """Returns the photos of a folder and all below it, by name; or the one photo a path names.
 
-    Masks that ``lodbench mask`` put beside them, and what macOS keeps of photos (``._NAME``), are none.
+    Masks that ``lodbench mask`` put beside them, overlays of ``lodbench localize``, and what macOS keeps of
+    photos (``._NAME``), are none.
 
     Args:
         folder: The folder, or one photo.
-        masks: Folder of masks, whose pictures are no photos; or None.
-        others: More such folders, if they are below it: unused masks, overlays of an earlier command.
+        masks: Folder of masks, whose pictures are no photos; or None. If the photos lie in it, too, their
+            masks are those that ``lodbench mask`` saved, and a PNG beside a photo in another format.
+        others: More such folders, if they are below it: unused masks, results of an earlier command.
 
     Raises:
         DatasetError: There are none.
@@ -36,16 +38,23 @@ def find_photos(folder: Path, masks: Path | None = None, *others: Path | None) -
     found = sorted(path for path in pictures if not path.name.startswith("._") and not path.is_dir())
     if not found:
         raise DatasetError(f"{folder} holds no photos.", f"Looked for {', '.join(PHOTO_SUFFIXES)} files.")
-    aside = [masks.resolve()] if masks is not None else []
-    below = [other.resolve() for other in others if other is not None]
-    aside += [other for other in below if not folder.resolve().is_relative_to(other)]
+    asked = [other.resolve() for other in (masks, *others) if other is not None]
+    aside = [other for other in asked if not folder.resolve().is_relative_to(other)]
     are_photos = {
         parent: not any(parent.resolve().is_relative_to(other) for other in aside)
         for parent in {path.parent for path in found}
     }
     photos = [path for path in found if are_photos[path.parent]]
-    saved = {path.with_name(mask_name(path.stem)) for path in photos}
-    return [path for path in photos if path not in saved]
+    made = {path.with_name(mask_name(path.stem)) for path in photos}
+    if masks is not None and masks.resolve() not in aside:
+        made |= {path.with_suffix(".png") for path in photos if path.suffix.lower() != ".png"}
+    return [path for path in photos if path not in made and not _is_overlay(path)]
+
+
+def _is_overlay(path: Path) -> bool:
+    """Tells whether ``lodbench localize`` wrote a picture: with the answer beside it."""
+    label = path.name.removesuffix("_overlay.png")
+    return label != path.name and path.with_name(f"{label}.json").exists()
 
 
 def mask_names(photo: str) -> tuple[str, ...]:

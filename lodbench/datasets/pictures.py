@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import struct
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -49,13 +50,31 @@ def decoded(content: bytes, *, as_stored: bool) -> NDArray[Any] | None:
     content = _unturned(content)
     in_colour = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     flags = cv2.IMREAD_UNCHANGED if as_stored else in_colour
+    coded = np.frombuffer(content, dtype=np.uint8)
     try:
-        picture = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags)
+        with opencv_silenced():
+            picture = cv2.imdecode(coded, flags)
+            # One channel of floating-point numbers, as of radiometric thermal photos, is not read in colour.
+            if picture is None and not as_stored:
+                picture = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED)
     except cv2.error:
         return None
-    if picture is None:
-        return None
-    return np.asarray(picture) if as_stored else in_8_bits(np.asarray(picture))
+    if picture is None or as_stored:
+        return None if picture is None else np.asarray(picture)
+    in_use = in_8_bits(np.asarray(picture))
+    return in_use if in_use.ndim == 3 else np.repeat(in_use[..., None], 3, axis=2)
+
+
+@contextmanager
+def opencv_silenced() -> Iterator[None]:
+    """Keeps OpenCV from writing to the terminal what it makes of a file, which our own line says."""
+    from cv2.utils import logging
+
+    before = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(before)
 
 
 def _unturned(content: bytes) -> bytes:
@@ -73,14 +92,20 @@ def _unturned(content: bytes) -> bytes:
 
 
 def in_8_bits(picture: NDArray[Any]) -> NDArray[np.uint8]:
-    """Returns a picture of 8 bits as it is, one of 16 over the range that it uses.
+    """Returns a picture of 8 bits as it is, any other over the range that it uses.
 
-    A thermal or raw-like picture uses a small part of 16 bits: its own range is what is there to see.
+    A thermal or raw-like picture uses a small part of 16 bits: its own range is what is there to see. What is
+    not finite, of floating-point numbers, is black.
     """
     if picture.dtype == np.uint8:
         return picture
-    low, high = float(picture.min()), float(picture.max())
-    return ((picture.astype(np.float32) - low) * (255.0 / max(high - low, 1.0)) + 0.5).astype(np.uint8)
+    is_float = picture.dtype.kind == "f"
+    finite = picture[np.isfinite(picture)] if is_float else picture
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    # Degrees differ by less than one; whole numbers that do not differ at all are dark.
+    span = max(high - low, 1e-6 if is_float else 1.0)
+    values = np.nan_to_num(picture.astype(np.float32), nan=low, posinf=low, neginf=low)
+    return ((values - low) * (255.0 / span) + 0.5).astype(np.uint8)
 
 
 def has_too_many_pixels(content: bytes) -> bool:

@@ -119,11 +119,15 @@ def check_dataset(
 
 def prior_errors_in_words(dataset: Dataset) -> dict[str, str]:
     """Returns the median errors of the priors by split."""
-    medians = {split: prior_median(dataset, split) for split in dataset.splits}
-    return {
-        split: "no prior" if m is None else f"median {m.translation_m:.2f} m / {m.rotation_deg:.2f} deg"
-        for split, m in medians.items()
-    }
+    words = {}
+    for split in dataset.splits:
+        median = prior_median(dataset, split)
+        has_prior = any(entry.prior is not None for entry in dataset.entries if entry.split == split)
+        if median is not None:
+            words[split] = f"median {median.translation_m:.2f} m / {median.rotation_deg:.2f} deg"
+        else:
+            words[split] = "errors not known, for there is no truth" if has_prior else "no prior"
+    return words
 
 
 def prior_median(dataset: Dataset, split: str) -> PoseError | None:

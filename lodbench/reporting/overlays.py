@@ -12,6 +12,7 @@ from lodbench.datasets.pictures import read_picture
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering import Renderer
 from lodbench.storage import write_bytes
+from lodbench.storage.atomic import writable
 
 Picture = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
@@ -121,7 +122,8 @@ def _caption(shown: OverlayInput, width: int) -> Picture:
     strip = np.full((48, width, 3), _PAPER, dtype=np.uint8)
     scale = min(0.5, width / 1400)
     font = cv2.FONT_HERSHEY_SIMPLEX
-    cv2.putText(strip, shown.caption, (8, 18), font, scale, _INK, 1, cv2.LINE_AA)
+    # OpenCV dies of names that are no text.
+    cv2.putText(strip, writable(shown.caption), (8, 18), font, scale, _INK, 1, cv2.LINE_AA)
     x = 8
     for name, colour, drawn in (
         ("query mask", _MASK_COLOUR, shown.mask),

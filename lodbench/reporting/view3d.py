@@ -76,7 +76,7 @@ def draw_view3d(title: str, scene: Scene, cameras: Sequence[ViewedCamera]) -> st
         part=part,
         kinds=[kind for kind in _KINDS if any(getattr(c, kind) for c in cameras)],
         three=_packed((files("lodbench.reporting") / "vendor" / "three.min.js").read_bytes()),
-        document=_packed(json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()),
+        document=_packed(json.dumps(document, separators=(",", ":")).encode()),
     )
 
 

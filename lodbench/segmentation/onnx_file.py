@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lodbench.datasets.pictures import opencv_silenced
 from lodbench.errors import ConfigError
 from lodbench.segmentation.onnx_check import onnx_fault
 from lodbench.storage.contents import read_content
@@ -69,22 +68,10 @@ def read_onnx(path: Path, hint: str, is_ours: bool = False, digest: str | None =
         fault = "" if is_ours else onnx_fault(content) or _probed(content)
         if fault:
             raise ConfigError(f"{path} is no ONNX network to be trusted: {fault}.", hint)
-        with _silence():
+        with opencv_silenced():
             return cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8))
     except (cv2.error, OSError) as error:
         raise ConfigError(f"{path} is no ONNX network that OpenCV can read.", hint) from error
-
-
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Keeps OpenCV from writing names of the file, whatever they hold, to the terminal."""
-    from cv2.utils import logging
-
-    before = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        logging.setLogLevel(before)
 
 
 def _probed(content: bytes) -> str:

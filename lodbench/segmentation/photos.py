@@ -34,18 +34,25 @@ def photo_of(content: bytes, name: str) -> NDArray[np.uint8]:
     """Returns the bytes of an image file as `read_photo` does.
 
     Raises:
-        QueryFault: They are no image, have too many pixels, or neither 8 nor 16 bits.
+        QueryFault: They are no image, have too many pixels, or neither 8 nor 16 bits nor, without alpha,
+            floating-point numbers.
     """
     if has_too_many_pixels(content):
         raise QueryFault(f"photo {name} has too many pixels", "Scale it down.")
     image = decoded(content, as_stored=True)
-    if image is None or str(image.dtype) not in ("uint8", "uint16"):
+    if image is None or not _is_photo(image):
         raise QueryFault(f"photo {name} is not a readable 8 or 16 bit image", "Is it a JPEG, PNG or TIFF?")
     return as_rgb(image)
 
 
+def _is_photo(image: NDArray[Any]) -> bool:
+    """Tells whether pixels can be brought to 8 bits; radiometric thermal photos have 32, floating-point."""
+    has_alpha = image.ndim == 3 and image.shape[2] in (2, 4)
+    return str(image.dtype) in ("uint8", "uint16") or (str(image.dtype) == "float32" and not has_alpha)
+
+
 def as_rgb(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Returns a decoded image, (H, W) or (H, W, 1 to 4) uint8 or uint16 in OpenCV's order, as RGB."""
+    """Returns a decoded image, (H, W) or (H, W, 1 to 4) in OpenCV's order, as RGB; float32 has no alpha."""
     if image.ndim == 2:
         image = image[:, :, None]
     has_alpha = image.shape[2] in (2, 4)

@@ -190,7 +190,7 @@ def _image_of(images: list[dict[str, Any]], path: Path, photo: str) -> dict[str,
 
 
 def _means(named: str, photo: str) -> bool:
-    """Tells whether a file names a photo: in whatever folder, as a copy in another format, in other letters."""
+    """Tells whether a file names a photo: in whatever folder, format and case of letters."""
     # Which splits paths of both kinds of systems.
     return PureWindowsPath(named).stem.lower() == PureWindowsPath(photo).stem.lower()
 

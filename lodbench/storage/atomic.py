@@ -73,8 +73,11 @@ def writable(text: str) -> str:
 
 
 def write_text(path: Path, content: str, survives_power_cut: bool = True) -> None:
-    """Writes a UTF-8 text file atomically, with line ends as given."""
-    write_bytes(path, content.encode("utf-8"), survives_power_cut)
+    """Writes a UTF-8 text file atomically, with line ends as given; what is no UTF-8 is spelt out.
+
+    A JSON reader takes what is spelt out for what it was.
+    """
+    write_bytes(path, content.encode("utf-8", errors="backslashreplace"), survives_power_cut)
 
 
 @contextmanager

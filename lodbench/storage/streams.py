@@ -14,5 +14,7 @@ def random_stream(seed: int, *names: str | int) -> np.random.Generator:
     paths give independent numbers (Philox keyed by a 128-bit hash).
     """
     path = "\x1f".join([str(seed), *(f"{type(name).__name__}:{name}" for name in names)])
-    key = int.from_bytes(hashlib.blake2b(path.encode(), digest_size=16).digest(), "little")
+    key = int.from_bytes(
+        hashlib.blake2b(path.encode(errors="surrogatepass"), digest_size=16).digest(), "little"
+    )
     return np.random.Generator(np.random.Philox(key=key))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -205,12 +206,78 @@ def test_a_mask_saved_beside_its_photo_is_no_photo(capsys, case, tmp_path):
     # A picture of that name without its photo is one.
     shutil.copy(case.mask, folder / "DJI_0002_mask.png")
     assert len(find_photos(folder)) == 2
-    # In a folder of masks it is found by that name, too.
+    # In a folder of masks it is found by that name, too; in the photo's own it is not the photo.
     assert find_mask(folder, "DJI_0001.JPG") == folder / "DJI_0001.JPG"
+    mask = folder / "DJI_0001_mask.png"
+    assert find_mask(folder, "DJI_0001.JPG", folder / "DJI_0001.JPG") == mask
+    assert find_photos(folder, folder) == [folder / "DJI_0001.JPG", folder / "DJI_0002_mask.png"]
+    shutil.copy(case.mask, folder / "DJI_0001.png")
+    assert folder / "DJI_0001.png" not in find_photos(folder, folder)
     masks = tmp_path / "others"
     masks.mkdir()
     shutil.move(folder / "DJI_0001_mask.png", masks)
     assert find_mask(masks, "a/DJI_0001.JPG") == masks / "DJI_0001_mask.png"
+
+
+class TestMasksBesideTheirPhotos:
+    @pytest.fixture
+    def photos(self, case, tmp_path) -> Path:
+        folder = tmp_path / "flight"
+        folder.mkdir()
+        for number in (1, 2):
+            (folder / f"DJI_000{number}.JPG").write_bytes(case.photo.read_bytes() + bytes(number))
+        shutil.copy(case.mask, folder / "DJI_0001_mask.png")
+        return folder
+
+    def test_they_are_used_where_their_folder_is_named(self, capsys, case, photos, tmp_path):
+        words = [photos, "--city", case.city, "--masks", photos, "--each-alone", "--out", tmp_path / "out"]
+        assert main(["localize", *map(str, words)]) == 3
+        told = capsys.readouterr()
+        assert "2 photos: 1 found, 0 not to be trusted, 1 failed" in told.out
+        assert f"{photos} holds no mask of it" in told.out
+        assert "not used" not in told.err
+
+    def test_it_is_said_that_they_are_not_used_where_nothing_is_named(self, caplog, case, photos, tmp_path):
+        words = ["--city", case.city, "--method", "prior_only", "--out", tmp_path / "out"]
+        assert main(["localize", *map(str, [photos, *words, "--heading", 10])]) == 0
+        told = caplog.text
+        assert f"Masks beside 1 of the photos are not used: --masks {photos} takes them." in told
+        assert "--heading 10 takes the place of what 2 of the photos state themselves" in told
+        assert main(["localize", *map(str, [photos / "DJI_0001.JPG", *words])]) == 0
+        told = caplog.text
+        assert f"The mask {photos / 'DJI_0001_mask.png'} is not used: --mask names it." in told
+
+
+def test_results_among_the_photos_are_none(capsys, case, tmp_path):
+    shutil.copy(case.photo, tmp_path / "DJI_0001.JPG")
+    words = ["--city", case.city, "--method", "prior_only"]
+    for _ in range(2):
+        assert main(["localize", *map(str, [tmp_path, *words, "--out", tmp_path])]) == 0
+        assert "1 photo: 1 found" in capsys.readouterr().out
+    assert (tmp_path / "DJI_0001_overlay.png").is_file()
+    assert not (tmp_path / "localized_2.csv").exists()
+
+
+def test_names_that_are_no_text_and_what_shares_a_sidecar(capsys, case, tmp_path):
+    """As from a card or an archive in another encoding; the other photos keep their rows."""
+    folder = tmp_path / "flight"
+    folder.mkdir()
+    for number, name in enumerate((b"DJI_1.JPG", b"DJI_1.jpeg", b"DJI_\xe4.JPG")):
+        (folder / os.fsdecode(name)).write_bytes(case.photo.read_bytes() + bytes(number))
+    words = ["--city", case.city, "--method", "prior_only", "--out", tmp_path / "out", "--sidecars"]
+    for more in ((), ("--json",)):
+        assert main(["localize", *map(str, [folder, *words]), *more]) == 0
+    told = capsys.readouterr()
+    assert "3 photos: 3 found" in told.out
+    assert (
+        "1 written beside the photos; 1 not written, which several photos would share: DJI_1.xmp" in told.err
+    )
+    with (tmp_path / "out" / "localized.csv").open() as stream:
+        assert [row["photo"] for row in csv.DictReader(stream)][2].endswith("DJI_\\udce4.JPG")
+    assert not (tmp_path / "out" / "localized_2.csv").exists()
+    town = tmp_path / "town"
+    assert main(["dataset", "init", str(town), "--images", str(folder), "--city", str(case.city)]) == 0
+    assert (town / "Query_image" / "DJI__.JPG").is_file()
 
 
 class TestFootprint:

@@ -34,6 +34,16 @@ def test_grey_and_16_bits_fill_three_channels(tmp_path):
     assert (photo == photo[..., :1]).all()
 
 
+def test_degrees_of_a_radiometric_photo_fill_the_range(tmp_path, capfd):
+    degrees = np.array([[20.5, np.nan], [21.0, 21.5]], np.float32)
+    Image.fromarray(degrees).save(tmp_path / "thermal.tif")
+    assert read_photo(tmp_path / "thermal.tif")[..., 0].tolist() == [[0, 0], [128, 255]]
+    assert read_picture(tmp_path / "thermal.tif")[..., 2].tolist() == [[0, 0], [128, 255]]
+    (tmp_path / "cut.tif").write_bytes((tmp_path / "thermal.tif").read_bytes()[:-8])
+    assert read_picture(tmp_path / "cut.tif") is None
+    assert capfd.readouterr().err == ""
+
+
 def test_transparent_pixels_are_black(tmp_path):
     image = np.full((2, 2, 4), 255, np.uint8)
     image[0, 0, 3] = 0

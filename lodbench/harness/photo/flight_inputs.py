@@ -47,7 +47,7 @@ def masks_of(photos: Sequence[Path], masks: Path | None) -> tuple[list[Path | No
 
     A mask that may be of two photos is of neither; a photo that is another's copy says nothing new.
     """
-    found = [find_mask(masks, f"{photo.parent.name}/{photo.name}") for photo in photos]
+    found = [find_mask(masks, f"{photo.parent.name}/{photo.name}", photo) for photo in photos]
     copies, unreadable = _copies_and_unreadable(photos)
     reasons = copies | unreadable
     users: dict[Path | None, list[int]] = defaultdict(list)

@@ -18,6 +18,7 @@ from lodbench.harness.photo.flight_answer import FlightAnswer
 from lodbench.harness.photo.localize import localize_photo
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
 from lodbench.storage import hide_formula, make_folder, write_text
+from lodbench.storage.atomic import writable
 
 TABLE_FILE, MAP_FILE, VIEW_FILE = "localized.csv", "localized.geojson", "localized_3d.html"
 FLIGHTS_FILE, FINDINGS_FILE = "flights.json", "map_findings.geojson"
@@ -51,8 +52,10 @@ class PhotoAnswer:
     def row(self) -> dict[str, Any]:
         """Returns the row of the table: ``COLUMNS``, None for what is not known."""
         values: dict[str, Any] = dict.fromkeys(COLUMNS)
-        values |= {"photo": str(self.photo), "trust": self.trust, "failure": self.failure}
-        values["flight"] = self.flight or None
+        # Tables take no name whose bytes are no text.
+        texts = {"photo": str(self.photo), "failure": self.failure, "flight": self.flight}
+        values |= {name: writable(text) for name, text in texts.items()} | {"trust": self.trust}
+        values["flight"] = values["flight"] or None
         if self.found is not None:
             values |= {} if self.found.place is None else self.found.place._asdict()
             values |= dict(zip(("east", "north", "up"), map(float, self.found.pose.center), strict=True))
@@ -129,7 +132,7 @@ def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path |
     answers = []
     with Progress("photos", len(photos)) as progress:
         for photo in photos:
-            mask = find_mask(masks, f"{photo.parent.name}/{photo.name}")
+            mask = find_mask(masks, f"{photo.parent.name}/{photo.name}", photo)
             answers.append(_answer(replace(request, photo=photo, mask=mask), masks))
             progress.advance()
     return write_answers(request.out, answers)
@@ -144,7 +147,7 @@ def write_answers(
     would stand beside other answers.
     """
     make_folder(out)
-    photos = {hide_formula(str(answer.photo)) for answer in answers}
+    photos = {writable(hide_formula(str(answer.photo))) for answer in answers}
     number = next(
         n
         for n in itertools.count(1)

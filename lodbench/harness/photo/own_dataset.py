@@ -92,7 +92,7 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
     scene, frame = _open_frame(request)
     images, left_out, kind, told = _images(request, frame)
     if request.masks is not None:
-        require_some_mask(request.masks, [image.name for image in images])
+        require_some_mask(request.masks, [image.name for image in images], [image.photo for image in images])
     if scene is not None:
         images, far = _near(images, scene)
         left_out += far

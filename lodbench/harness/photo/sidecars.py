@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -42,6 +43,8 @@ def require_sidecars(crs: str | None, folders: Iterable[Path]) -> None:
 def write_sidecars(placed: Iterable[tuple[Path, Pose]], crs: str | None) -> str:
     """Writes ``PHOTO.xmp`` beside each photo; returns a line that says how many, and which were left alone.
 
+    Of photos that differ in their ending alone, which would share one file, none gets any.
+
     Args:
         placed: Photos and their poses in the city's coordinates.
         crs: Of these.
@@ -49,12 +52,23 @@ def write_sidecars(placed: Iterable[tuple[Path, Pose]], crs: str | None) -> str:
     Raises:
         DatasetError: Nobody knows where on Earth the city is.
     """
-    frame, written, left = frame_on_earth(crs), 0, []
+    frame, placed = frame_on_earth(crs), list(placed)
+    claims = Counter(photo.with_suffix(".xmp") for photo, _ in placed)
+    written, left = 0, []
     for photo, pose in placed:
-        if write_sidecar(photo, pose, frame) is None:
-            left.append(photo.with_suffix(".xmp").name)
-        else:
-            written += 1
-    listed = ", ".join(left[:3]) + (", ..." if len(left) > 3 else "")
-    others = f"; {len(left)} of other programs left alone: {listed}" if left else ""
-    return f"{written} written beside the photos{others}"
+        if claims[photo.with_suffix(".xmp")] == 1:
+            if write_sidecar(photo, pose, frame) is None:
+                left.append(photo.with_suffix(".xmp"))
+            else:
+                written += 1
+    shared = [path for path, count in claims.items() if count > 1]
+    return (
+        f"{written} written beside the photos"
+        + _listed("of other programs left alone", left)
+        + _listed("not written, which several photos would share", shared)
+    )
+
+
+def _listed(what: str, files: list[Path]) -> str:
+    names = ", ".join(file.name for file in files[:3]) + (", ..." if len(files) > 3 else "")
+    return f"; {len(files)} {what}: {names}" if files else ""

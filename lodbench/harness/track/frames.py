@@ -45,12 +45,14 @@ class Shot(NamedTuple):
         time_s: When it was taken, seconds.
         pixels: (H, W, 3) BGR, or None where they cannot be decoded, or are of a photo whose mask is there.
         size: Width and height, None where they are not known.
+        file: The photo, None of a video.
     """
 
     name: str
     time_s: float
     pixels: NDArray[np.uint8] | None
     size: tuple[int, int] | None
+    file: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +128,8 @@ class Footage:
             when = self.every * number / rate if clocks is None else clocks[number]
             # A mask that is there is looked at alone: decoding a drone's photo takes longer than aligning it.
             pixels = read_picture(photo) if self.masks is None else None
-            yield Shot(photo.name, when, pixels, _stated_size(photo) if pixels is None else _size(pixels))
+            size = _stated_size(photo) if pixels is None else _size(pixels)
+            yield Shot(photo.name, when, pixels, size, photo)
 
     def _of_video(self) -> Iterator[Shot]:
         import cv2
@@ -225,7 +228,7 @@ class MaskMaker:
         if shot.size not in (None, (self.camera.width, self.camera.height)):
             raise QueryFault("it is {} x {}, not as the camera".format(*shot.size))
         if self.folder is not None:
-            file = find_mask(self.folder, shot.name)
+            file = find_mask(self.folder, shot.name, shot.file)
             if file is None:
                 raise QueryFault(f"{self.folder} holds no mask of it")
             return read_mask(file)

@@ -1,0 +1,35 @@
+"""What photos have that a command does not use, in words: saved masks, and headings of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from lodbench.datasets.photo_files import mask_name
+from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.errors import DatasetError
+
+
+def saved_masks_note(photos: Sequence[Path]) -> str | None:
+    """Returns that masks saved beside photos are not used; None where there are none."""
+    saved = [mask for photo in photos if (mask := photo.with_name(mask_name(photo.stem))).is_file()]
+    if not saved:
+        return None
+    if len(photos) == 1:
+        return f"The mask {saved[0]} is not used: --mask names it."
+    return f"Masks beside {len(saved)} of the photos are not used: --masks {saved[0].parent} takes them."
+
+
+def heading_note(photos: Sequence[Path], heading_deg: float | None) -> str | None:
+    """Returns that a heading given takes the place of those which several photos state; None otherwise."""
+    if heading_deg is None or len(photos) < 2:
+        return None
+    stated = 0
+    for photo in photos:
+        try:
+            stated += read_photo_metadata(photo).gimbal_yaw_deg is not None
+        except DatasetError:  # the answer for that photo says so
+            continue
+    if not stated:
+        return None
+    return f"--heading {heading_deg:g} takes the place of what {stated} of the photos state themselves."
