@@ -118,11 +118,14 @@ def query_photo(query: Query) -> Photo:
     """Returns a query's photo, (H, W, 3) BGR of 8 bits.
 
     Raises:
-        QueryFault: There is none, or it cannot be decoded.
+        QueryFault: There is none, it cannot be decoded, or shows nothing.
     """
     if query.image is None:
         raise QueryFault("there is no photo")
     photo = read_picture(query.image)
     if photo is None:
         raise QueryFault(f"the photo {query.image.name} cannot be decoded")
+    # First by some of the pixels: nearly all photos end there.
+    if all((part == photo[0, 0]).all() for part in (photo[::32, ::32], photo)):
+        raise QueryFault(f"the photo {query.image.name} has one colour everywhere")
     return photo

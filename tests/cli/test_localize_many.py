@@ -191,6 +191,9 @@ class TestFartherOff:
     def test_what_cannot_be_told(self, capsys, far, flight, case):
         assert main(["localize", *far, "--prior-range", "-5"]) == 2
         assert "--prior-range=-5 is not" in capsys.readouterr().err
+        for words in (["--prior-range", "3000"], ["--prior-height", "1e9"], ["--prior-yaw", "400"]):
+            assert main(["localize", *far, *words]) == 2
+            assert f"{words[0]}={float(words[1]):g} is not" in capsys.readouterr().err
         words = [str(flight / "a"), str(flight / "b"), "--city", str(case.city), "--prior-yaw", "180"]
         assert main(["localize", *words]) == 2
         assert "take --each-alone" in capsys.readouterr().err

@@ -5,10 +5,14 @@ from __future__ import annotations
 import gc
 import time
 import weakref
+from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
+from lodbench.errors import QueryFault
+from lodbench.methods.fits import query_photo
 from lodbench.methods.region import Params
 from lodbench.methods.region import photo as photo_module
 from lodbench.methods.region.photo import Photo
@@ -70,3 +74,17 @@ def test_a_photo_is_let_go_at_once(pixels):
         assert left() is None
     finally:
         gc.enable()
+
+
+def test_a_photo_of_one_colour_is_told_as_that(tmp_path):
+    """Not as a prior that is far from the city."""
+    path = tmp_path / "blank.png"
+    query = SimpleNamespace(image=path)
+    blank = np.full((65, 97, 3), 90, np.uint8)
+    assert cv2.imwrite(str(path), blank)
+    with pytest.raises(QueryFault, match=r"blank\.png has one colour everywhere"):
+        query_photo(query)
+    # Between the pixels that are looked at first.
+    blank[33, 33] = 91
+    assert cv2.imwrite(str(path), blank)
+    assert (query_photo(query) == blank).all()
