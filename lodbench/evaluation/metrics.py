@@ -8,6 +8,7 @@ group ``lodbench.metrics``. Its numbers stand in ``summary.json``, in CSV, and i
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
@@ -24,6 +25,20 @@ if TYPE_CHECKING:
 # is none. A query without an answer has errors of inf and 180 deg.
 Metric = Callable[["pd.DataFrame"], Mapping[str, float]]
 
+# Names that stand for something else in a summary, a table, the leaderboard: recalls at any threshold, areas,
+# intervals, spreads, and the columns themselves.
+_TAKEN = re.compile(
+    r"(AUC )?[\d.e+-]+m-[\d.e+-]+deg|.+ (low|high|spread|printed|of answered)|is_printed"
+    r"|median_(translation_m|rotation_deg)|(hypotheses|seconds)_per_query|queries|failed"
+    r"|source|rank|group|method|variant|map|condition|split|protocol|tilt|segmenter|renderer|lod|seeds|evaluator"
+    r"|code|table|row|run|kept apart because|notes"
+)
+
+
+def is_taken(name: str) -> bool:
+    """Tells whether a number of a metric may not be called so: something of lodbench's own is."""
+    return _TAKEN.fullmatch(name) is not None
+
 
 def compute_metrics(queries: pd.DataFrame) -> dict[str, float]:
     """Returns the numbers of all installed metrics over the queries of one split that have a truth.
@@ -39,6 +54,9 @@ def compute_metrics(queries: pd.DataFrame) -> dict[str, float]:
             continue
         if twice := sorted(found.keys() & numbers.keys()):
             warnings.warn(f"metric {name} is left out: {twice[0]} is another metric's", stacklevel=2)
+            continue
+        if taken := sorted(filter(is_taken, found)):
+            warnings.warn(f"metric {name} is left out: {taken[0]} is a name of lodbench's own", stacklevel=2)
             continue
         numbers |= found
     return numbers

@@ -155,12 +155,12 @@ def _row_of(entry: Entry, rank: int | None, name: str, split: dict[str, Any]) ->
     bounds, printed = split.get("recall_interval_95", {}), split.get("printed", {})
     names = ("median_translation_m", "median_rotation_deg", "hypotheses_per_query", "seconds_per_query")
     return {
+        **split.get("metrics", {}),
         **{"source": entry["source"], "rank": rank, "condition": protocol["condition"], "split": name},
         **{"method": method["name"], "variant": method["variant"], "map": method["map"]},
         **{label: split["recall"].get(label) for label in LABELS},
         **{f"{label} {end}": bounds[label][i] for label in bounds for i, end in enumerate(("low", "high"))},
         **{key: split.get(key) for key in names},
-        **split.get("metrics", {}),
         **{"queries": split["num_queries"], "failed": split["num_failed"]},
         **{key: protocol.get(key) for key in ("tilt", "segmenter", "renderer", "lod", "evaluator", "code")},
         "seeds": " ".join(map(str, protocol["seeds"])),

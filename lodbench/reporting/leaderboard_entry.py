@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.errors import DatasetError
+from lodbench.evaluation.metrics import is_taken
 from lodbench.evaluation.recall import EVALUATOR_VERSION
 from lodbench.reporting.summaries import upgraded_split
 from lodbench.storage.json_text import parse_json
@@ -35,7 +36,12 @@ def schema_faults(entry: Any) -> list[str]:
     # NaN is no number of JSON, and would be within any bounds.
     finite = json.loads(json.dumps(entry), parse_constant=lambda name: name)
     errors = jsonschema.Draft202012Validator(entry_schema()).iter_errors(finite)
-    return [f"{'.'.join(map(str, ['entry', *error.absolute_path]))}: {error.message}" for error in errors]
+    faults = [f"{'.'.join(map(str, ['entry', *error.absolute_path]))}: {error.message}" for error in errors]
+    return faults or [
+        f"entry.splits.{split}.metrics: {name} is a name of lodbench's own"
+        for split, numbers in entry["splits"].items()
+        for name in filter(is_taken, numbers.get("metrics", {}))
+    ]
 
 
 def read_entries(root: Path) -> list[Entry]:

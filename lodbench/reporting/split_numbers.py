@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from lodbench.errors import ConfigError
+from lodbench.evaluation.metrics import is_taken
 
 
 def numbers_of(split: dict[str, Any]) -> dict[str, Any]:
@@ -29,7 +30,7 @@ def numbers_of(split: dict[str, Any]) -> dict[str, Any]:
         **{f"{label} of answered": value for label, value in split.get("recall_of_answered", {}).items()},
         **{f"AUC {label}": value for label, value in split.get("auc", {}).items()},
         **{name: split.get(name) for name in ("median_translation_m", "median_rotation_deg")},
-        **split.get("metrics", {}),
+        **{name: value for name, value in split.get("metrics", {}).items() if not is_taken(name)},
     }
     known = {name: math.nan if value is None else float(value) for name, value in numbers.items()}
     known |= {name: math.nan if split.get(name) is None else float(split[name]) for name in costs}

@@ -81,6 +81,10 @@ def impostor(queries):
     return {"mask_iou": 1.0}
 
 
+def usurper(queries):
+    return {"2m-2deg": 100.0}
+
+
 def broken(queries):
     raise KeyError("no such column")
 
@@ -102,6 +106,7 @@ def test_a_metric_of_another_package_stands_beside_our_own(install):
         ("broken", "KeyError"),
         ("leaving", "SystemExit"),
         ("impostor", "another metric's"),
+        ("usurper", "2m-2deg is a name of lodbench's own"),
         ("absent", "does not load"),
     ],
 )

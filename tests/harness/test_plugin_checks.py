@@ -11,6 +11,7 @@ import pytest
 
 from lodbench.cli import main
 from lodbench.errors import QueryFault
+from lodbench.harness.conformance.data import metric_rules
 from lodbench.harness.conformance.export import export_rules
 from lodbench.harness.conformance.segmenters import segmenter_rules
 from lodbench.harness.conformance.trial import Tried, check_rules, trial_dataset
@@ -167,6 +168,11 @@ class TestExportFormats:
             (fault,) = faults(export_rules, part, trial, tmp_path / part.__name__)
             assert words in fault
         assert faults(export_rules, Names, trial, tmp_path / "sound") == []
+
+
+def test_a_metric_that_takes_another_number_s_name_is_told(trial, tmp_path):
+    (fault,) = faults(metric_rules, lambda queries: {"2m-2deg": 100.0}, trial, tmp_path)
+    assert "2m-2deg" in fault
 
 
 class TestCommand:

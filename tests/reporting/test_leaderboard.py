@@ -8,7 +8,13 @@ import json
 import pytest
 
 from lodbench.errors import DatasetError
-from lodbench.reporting.leaderboard import blocks_of, build_leaderboard, format_leaderboard_csv
+from lodbench.evaluation.metrics import is_taken
+from lodbench.reporting.leaderboard import (
+    blocks_of,
+    build_leaderboard,
+    format_leaderboard_csv,
+    leaderboard_frame,
+)
 from lodbench.reporting.leaderboard_entry import entry_path, entry_text, reasons_against, schema_faults
 from lodbench.reporting.safe_text import csv_cell, plain_text
 
@@ -135,6 +141,18 @@ class TestSchema:
         assert said in schema_faults(changed)[0]
         with pytest.raises(DatasetError, match="no leaderboard entry"):
             entry_text(changed)
+
+    @pytest.mark.parametrize(
+        "name", ["rank", "2m-2deg", "median_rotation_deg", "5m-5deg low", "kept apart because"]
+    )
+    def test_no_metric_takes_the_name_of_a_column(self, name):
+        changed = entry("a", 50.0)
+        changed["splits"]["in_place"]["metrics"] = {name: 1.0}
+        assert f"entry.splits.in_place.metrics: {name} is a name" in schema_faults(changed)[0]
+
+    def test_no_column_is_free_for_a_metric(self):
+        columns = leaderboard_frame(blocks_of([entry("a", 50.0)])).columns
+        assert [name for name in columns if not is_taken(name)] == ["mask_iou"]
 
     def test_names_what_is_missing(self):
         assert "entry: 'splits' is a required property" in schema_faults({"schema": 1})

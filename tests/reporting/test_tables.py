@@ -269,6 +269,16 @@ def test_a_number_of_any_metric_is_a_column_by_its_name():
         table.with_columns("wurst_m")
 
 
+@pytest.mark.parametrize(
+    "name", ["2m-2deg", "median_translation_m", "failed", "2m-2deg spread", "AUC 5m-5deg"]
+)
+def test_no_metric_stands_for_a_number_of_another_name(name):
+    run = summary("full", 97.9)
+    before = format_csv(*tables_of([run])), format_text(*tables_of([run]))
+    run["splits"]["in_place"]["metrics"] = {name: 12.0}
+    assert (format_csv(*tables_of([run])), format_text(*tables_of([run]))) == before
+
+
 def test_summaries_of_the_last_version_are_read_under_todays_names(tmp_path):
     old = {**summary("full", 97.9), "schema": 2}
     calibration = {"said": 91.25, "said_found": 3.5, "risk_area": 0.75}

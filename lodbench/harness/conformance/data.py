@@ -13,6 +13,7 @@ from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.errors import FAILED, FAILED_PARTS
+from lodbench.evaluation.metrics import is_taken
 from lodbench.evaluation.queries import ERROR, PARTS, queries_frame
 from lodbench.geometry import Pose
 from lodbench.harness.conformance.trial import Rules, Tried, refuses, require
@@ -142,6 +143,10 @@ def metric_rules(tried: Tried) -> Rules:
         before = queries.copy(deep=True)
         said = {str(name): float(value) for name, value in tried.part(queries).items()}
         require(len(said) > 0, "no number", "Return a mapping from names to numbers.")
+        taken = [*filter(is_taken, said)]
+        require(
+            not taken, f"{' and '.join(taken)}: a name of lodbench's own", "Give the number another name."
+        )
         require(queries.equals(before), "the queries were written to", "Work on a copy.")
         again = {str(name): float(value) for name, value in tried.part(queries_frame(rows)).items()}
         require(repr(said) == repr(again), "other numbers of the same queries")
