@@ -69,7 +69,8 @@ def _add(run: Path, options: argparse.Namespace) -> int:
             f"{run} has no truth for {without}, without which nothing is scored.",
             "Add a run on data with true poses.",
         )
-    reasons = [*reasons_against(read_config(run), _sizes(verdict)), *_doubts(verdict)]
+    inputs = verdict.stored.summary["dataset"]
+    reasons = [*reasons_against(read_config(run), _sizes(verdict), inputs), *_doubts(verdict)]
     entry = measured_entry(
         verdict.stored.summary,
         verdict.stored.provenance,

@@ -15,6 +15,7 @@ from lodbench.harness.remote.method import HERE, SUBPROCESS, RemoteMethod, Runne
 from lodbench.harness.remote.process import RunnerFault
 from lodbench.methods import Method
 from lodbench.methods.conformance import check_answers, trial_settings
+from lodbench.methods.conformance.rules import known_inputs
 from lodbench.methods.registry import configure_method
 from lodbench.params import to_params
 
@@ -84,7 +85,7 @@ def remote_checks(name: str, words: Sequence[str]) -> Iterator[Check]:
         return
     method.close()
     yield Check("plug-in", "entry point", OK, f"{name}, in {runner.python}")
-    yield Check("plug-in", "inputs", OK, ", ".join(sorted(method.requires)) or "none")
+    yield Check("plug-in", "inputs", OK, known_inputs(method))
     if method.trial_params is not None:
         settings |= method.trial_params
         yield trial_settings(method.params, method.trial_params)

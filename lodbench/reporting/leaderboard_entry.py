@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -140,12 +140,15 @@ def measured_entry(
     }
 
 
-def reasons_against(config: dict[str, Any], sizes: Mapping[str, int] | None = None) -> list[str]:
+def reasons_against(
+    config: dict[str, Any], sizes: Mapping[str, int] | None = None, inputs: Collection[str] = ()
+) -> list[str]:
     """Returns why a configuration's run must not rank beside others; empty if it may.
 
     Args:
         config: Of the run.
         sizes: Queries of the dataset by split: a limit above them all leaves nothing out. None if unknown.
+        inputs: Names of what went into the run, as its summary has their digests.
     """
     reasons = []
     if config["tilt"] == "truth":
@@ -154,6 +157,8 @@ def reasons_against(config: dict[str, Any], sizes: Mapping[str, int] | None = No
         reasons.append(f"oracle: masks made from the truth (segmenter={config['segmenter']['name']})")
     if config.get("method", {}).get("matcher") == "oracle":
         reasons.append("oracle: correspondences made from the truth (method.matcher=oracle)")
+    if "truth" in inputs and not any("made from the truth" in reason for reason in reasons):
+        reasons.append("oracle: the method, or what makes its masks, is shown the truth")
     if config["segmenter"]["name"] == "unstated":
         reasons.append("a pose file made elsewhere: its protocol is its author's word")
     limit = config.get("limit")

@@ -13,9 +13,12 @@ from lodbench.cli import main
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.inputs import Input
 from lodbench.errors import ConfigError, DatasetError
+from lodbench.harness import RunSettings, run_method
 from lodbench.harness.runs.requirements import needs_segmenter, require_run_inputs
+from lodbench.methods import Estimate
 from lodbench.segmentation.masks import MaskFiles, MasksParams
 from lodbench.segmentation.none import NoMask, NoMaskParams
+from lodbench.segmentation.oracle import Oracle, OracleParams
 from tests.town import write_dataset
 
 MASKS, NONE = MaskFiles(MasksParams()), NoMask(NoMaskParams())
@@ -112,3 +115,26 @@ def test_nothing_is_read_before_the_settings_are_known_to_be_right(folder, tmp_p
     assert setting.split("=")[1] in told
     assert "torn.obj" not in told
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("requires", "segmenter", "is_told"),
+    [
+        ({"true_pixels"}, NONE, True),
+        ({"mask"}, type("Mine", (Oracle,), {})(OracleParams("mine")), True),
+        (set(), Oracle(OracleParams()), False),
+        ({"mask"}, MASKS, False),
+    ],
+)
+def test_a_run_says_that_its_method_was_shown_the_truth(dataset, tmp_path, requires, segmenter, is_told):
+    method = Looking()
+    method.requires = frozenset(requires)
+    done = run_method(method, dataset, segmenter, RunSettings(tmp_path, {"method": {"name": "looking"}}))
+    assert ("truth" in done.inputs) == is_told
+
+
+class Looking:
+    name = "looking"
+
+    def localize(self, query, city_map, streams):
+        return Estimate(query.prior)

@@ -92,6 +92,15 @@ def test_reasons_against_ranking(change, reason):
     assert reason in reasons_against({**config, **change})[0]
 
 
+def test_whoever_is_shown_the_truth_does_not_rank_whatever_its_name():
+    config = {"tilt": "prior", "segmenter": {"name": "masks"}, "method": {"name": "peek", "matcher": "own"}}
+    assert reasons_against(config, None, ["queries"]) == []
+    (reason,) = reasons_against(config, None, ["queries", "truth"])
+    assert reason.startswith("oracle: ")
+    config["method"]["matcher"] = "oracle"
+    assert len(reasons_against(config, None, ["queries", "truth"])) == 1
+
+
 def test_a_limit_above_all_queries_and_all_splits_leave_nothing_out():
     config = {"tilt": "prior", "segmenter": {"name": "masks"}, "limit": 20, "split": ["in", "out"]}
     assert reasons_against(config, {"in": 20, "out": 12}) == []

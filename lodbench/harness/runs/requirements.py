@@ -8,6 +8,7 @@ from lodbench.datasets.inputs import Input, declared_inputs, inputs_of, require_
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.methods import Method
 from lodbench.segmentation import Segmenter
+from lodbench.segmentation.oracle import Oracle
 
 # What segmenters make, from whatever they themselves need.
 SEGMENTED = frozenset({Input.MASK, Input.INSTANCES})
@@ -28,6 +29,13 @@ def made_inputs(method: object) -> frozenset[Input]:
     """Returns what is made for a method query by query: by the segmenter, and of the truth for an oracle."""
     truth = declared_inputs(method, "requires", {Input.MASK}) & {Input.TRUE_PIXELS}
     return segmented_inputs(method) | truth
+
+
+def is_oracle(method: Method, segmenter: Segmenter) -> bool:
+    """Tells whether a method is shown the truth, by itself or by what makes its masks."""
+    return Input.TRUE_PIXELS in made_inputs(method) or (
+        needs_segmenter(method) and isinstance(segmenter, Oracle)
+    )
 
 
 def required_inputs(method: Method, segmenter: Segmenter) -> frozenset[Input]:

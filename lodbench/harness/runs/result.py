@@ -91,6 +91,11 @@ def flights_digest(entries: tuple[Entry, ...]) -> str | None:
     return digest_of([[e.key, e.sequence, pose_numbers(e.reconstructed)] for e in tied]) if tied else None
 
 
+def truth_digest(dataset: Dataset, entries: tuple[Entry, ...]) -> str:
+    """Returns a digest of the true poses of some entries: what an oracle is shown."""
+    return digest_of([[entry.key, pose_numbers(dataset.truth.get(entry.key))] for entry in entries])
+
+
 def split_digest(entries: tuple[Entry, ...]) -> str:
     """Returns a digest of which queries are scored, in which splits."""
     return digest_of([entry.key for entry in entries])

@@ -38,8 +38,14 @@ from lodbench.harness.runs.input_checks import (
 from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
 from lodbench.harness.runs.prepare import Preparation, require_choices, require_tilt
-from lodbench.harness.runs.requirements import made_inputs, require_run_inputs, required_inputs
-from lodbench.harness.runs.result import Result, chosen_entries, flights_digest, queries_digest
+from lodbench.harness.runs.requirements import is_oracle, made_inputs, require_run_inputs, required_inputs
+from lodbench.harness.runs.result import (
+    Result,
+    chosen_entries,
+    flights_digest,
+    queries_digest,
+    truth_digest,
+)
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsFlights
@@ -229,6 +235,8 @@ def _fixed_inputs(
         "priors": prior_digest(entries),
         "code": code_digest(method, segmenter, names=names),
     }
+    if is_oracle(method, segmenter):
+        inputs["truth"] = truth_digest(dataset, entries)
     if isinstance(method, SupportsFlights) and (tied := flights_digest(entries)) is not None:
         inputs["flights"] = tied
     return inputs if textured is None else inputs | {"textured_map": textured.digest()}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.datasets.inputs import declared_inputs
+from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import QueryFault
 from lodbench.geometry import Pose
@@ -35,7 +35,9 @@ def known_inputs(kind: Any) -> str:
         raise Violation(
             "the class does not say what it requires", "Set requires = frozenset({'mask'}), or others."
         )
-    return ", ".join(sorted(declared_inputs(kind, "requires"))) or "needs nothing but the prior and the map"
+    requires = declared_inputs(kind, "requires")
+    words = ", ".join(sorted(requires)) or "needs nothing but the prior and the map"
+    return f"{words}: an oracle, which no leaderboard ranks" if Input.TRUE_PIXELS in requires else words
 
 
 def right_name(kind: Any, name: str) -> str:
