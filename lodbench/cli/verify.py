@@ -64,12 +64,16 @@ def verify_folder(folder: Path, dataset_root: str | None = None, city_model: str
         if dataset_root or city_model:
             raise
         dataset = None
-    segmenter = None
-    if "masks" in read_run(folder).summary["dataset"] and opened.config["segmenter"] == config["segmenter"]:
-        segmenter, _ = make_segmenter(config["segmenter"]["name"], config["segmenter"])
+    segmenter, unseen = None, []
+    if "masks" in read_run(folder).summary["dataset"]:
+        if opened.config["segmenter"] == config["segmenter"]:
+            segmenter, _ = make_segmenter(config["segmenter"]["name"], config["segmenter"])
+        else:
+            unseen = ["the masks were not compared: they depend on a path that the run names"]
     verdict = verify_run(folder, config, dataset, segmenter, has_own_priors=_keeps_priors(config))
     is_whole = dataset is not None and dataset.city_model is not None and opened.config == config
-    return verdict if opened.is_own or is_whole else replace(verdict, notes=(*verdict.notes, _NOT_OWN))
+    unseen += [] if opened.is_own or is_whole else [_NOT_OWN]
+    return replace(verdict, notes=(*verdict.notes, *unseen))
 
 
 def reopen_dataset(folder: Path, dataset_root: str | None = None, city_model: str | None = None) -> Dataset:

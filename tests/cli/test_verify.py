@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from lodbench.harness.runs.named_paths import named_by, without_paths
 from lodbench.harness.runs.predict import open_predictions
 from tests.town import write_dataset
 
@@ -216,6 +217,46 @@ def test_no_path_that_a_stranger_s_run_names_is_opened(lodbench, made, run, tmp_
         assert (named.returncode, "note:" in named.stdout) == (0, False), named.stdout
     if command[0] == "leaderboard":
         assert "kept out of the ranking: not verified" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("pattern", "new"),
+    [
+        (r"prior:\n  name: file\n", "prior:\n  name: file\n  path: TRAP\n"),
+        (r"  options: \{\}\n", "  options:\n    terrain: TRAP\n"),
+        (r"segmenter:\n(  .*\n)+", "segmenter:\n  name: compact_instances\n  mask_weights: TRAP\n"),
+    ],
+)
+@pytest.mark.parametrize("is_mine", [True, False])
+def test_no_path_in_a_stranger_s_configuration_is_opened(
+    lodbench, made, run, tmp_path, pattern, new, is_mine
+):
+    os.mkfifo(tmp_path / "trap")
+    change(run / "config.yaml", pattern, new.replace("TRAP", str(tmp_path / "trap")))
+    if not is_mine:
+        change(run / "provenance.json", r'("seal": )".*"', r'\g<1>"none"')
+    places = ["--dataset-root", str(made[0]), "--city", str(made[1])]
+    done = lodbench("verify", str(run), *places)
+    assert done.returncode == 1, done.stderr
+    assert "no path that it names was opened" in done.stdout
+    assert ("masks were not compared" in done.stdout) == ("mask_weights" in new)
+
+
+def test_settings_of_a_plug_in_that_may_be_paths_are_a_stranger_s_too():
+    plug_in = {
+        "name": "theirs",
+        "model": "/etc/x",
+        "files": ["a", "../b"],
+        "home": "~",
+        "mode": "fast",
+        "size": 3,
+    }
+    ours = {"name": "compact", "size": 512, "weights": None}
+    config = {"dataset": {"name": "demo"}, "segmenter": plug_in, "prior": {"name": "file"}}
+    cleared = {"name": "theirs", "model": None, "files": None, "home": None, "mode": "fast", "size": 3}
+    assert without_paths(config) == {**config, "segmenter": cleared}
+    assert named_by({}, config)[-3:] == ["/etc/x", ["a", "../b"], "~"]
+    assert without_paths({**config, "segmenter": ours}) == {**config, "segmenter": ours}
 
 
 def test_a_run_whose_cache_is_gone_names_no_path_either(lodbench, made, tmp_path):
