@@ -205,16 +205,14 @@ def _standing(entry: Entry) -> tuple[float | str, ...]:
     """
     splits = list(entry["splits"].values())
 
-    def mean(values: list[float | None]) -> float:
-        return (
-            math.inf
-            if not values or None in values
-            else sum(v for v in values if v is not None) / len(values)
-        )
+    def mean(values: list[float | None], sign: int) -> float:
+        known = [value for value in values if value is not None]
+        return sign * sum(known) / len(known) if known and len(known) == len(values) else math.inf
 
-    recalls = [-mean([split["recall"].get(label, 0.0) for split in splits]) for label in LABELS]
+    # What is not known is worse than all that is.
+    recalls = [mean([split["recall"].get(label) for split in splits], -1) for label in LABELS]
     medians = [
-        mean([split[key] for split in splits]) for key in ("median_translation_m", "median_rotation_deg")
+        mean([split[key] for split in splits], 1) for key in ("median_translation_m", "median_rotation_deg")
     ]
     return (*recalls, *medians, f"{entry['method']['name']} {entry['method']['variant']}")
 

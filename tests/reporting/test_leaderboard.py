@@ -64,6 +64,13 @@ def test_the_better_ranks_first_and_equals_share_a_rank():
     assert ranks([entry("b", 50.0), entry("a", 90.0), entry("c", 50.0)]) == [[("a", 1), ("b", 2), ("c", 2)]]
 
 
+def test_a_recall_that_is_not_known_is_worse_than_any_that_is():
+    unknown, none = entry("a", 0.0), entry("b", 0.0)
+    del unknown["splits"]["in_place"]["recall"]["2m-2deg"]
+    none["splits"] = {}
+    assert ranks([unknown, none, entry("c", 0.0)])[0][0] == ("c", 1)
+
+
 @pytest.mark.parametrize("other", [{"tilt": "truth"}, {"prior": "ba9876543210"}])
 def test_other_protocols_never_rank_together(other):
     assert sorted(ranks([entry("a", 90.0), entry("b", 95.0, **other)])) == [[("a", 1)], [("b", 1)]]
@@ -139,6 +146,7 @@ class TestSchema:
             (("splits", "in_place", "recall", "2m-2deg"), float("nan"), "is not of type 'number'"),
             (("splits", "in_place", "recall_interval_95", "2m-2deg"), [1.0], "is too short"),
             (("splits", "in_place", "extra"), 1, "was unexpected"),
+            (("splits",), {}, "entry.splits: {} should be non-empty"),
         ],
     )
     def test_refuses(self, path, value, said):
