@@ -17,7 +17,7 @@ from lodbench.citymodel.lods import lod_in_words
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
 from lodbench.reporting.page import facts, markup, rendered
 from lodbench.reporting.safe_text import csv_cell, plain_text
-from lodbench.reporting.split_numbers import numbers_of
+from lodbench.reporting.split_numbers import common_photos, numbers_of
 from lodbench.reporting.table_columns import (
     Column,
     finite_text,
@@ -47,11 +47,13 @@ class Block:
         title: What they have in common.
         entries: Best first; those of a paper's table in its order.
         ranks: By entry; None does not rank.
+        photos: A digest of those it is of, where others of its protocol are of others; else "".
     """
 
     title: str
     entries: tuple[Entry, ...]
     ranks: tuple[int | None, ...]
+    photos: str = ""
 
 
 def build_leaderboard(root: Path) -> dict[Path, str]:
@@ -105,14 +107,20 @@ def best_of(blocks: Sequence[Block]) -> list[dict[str, Any]]:
 
 def blocks_of(entries: Sequence[Entry]) -> list[Block]:
     """Returns the entries of one dataset in blocks: ranked, then kept apart, then reported by table."""
-    groups: dict[tuple[int, str, str], list[Entry]] = {}
-    for entry in entries:
-        groups.setdefault(_group(entry), []).append(entry)
-    return [_block(key, members) for key, members in sorted(groups.items())]
+    keys = [_group(entry) for entry in entries]
+    photos = common_photos(keys, [entry["protocol"].get("images") for entry in entries])
+    groups: dict[tuple[int, str, str], dict[str, list[Entry]]] = {}
+    for key, seen, entry in zip(keys, photos, entries, strict=True):
+        groups.setdefault(key, {}).setdefault(seen, []).append(entry)
+    return [
+        _block(key, members, seen if len(by_photos) > 1 else "")
+        for key, by_photos in sorted(groups.items())
+        for seen, members in sorted(by_photos.items())
+    ]
 
 
 def protocol_digest(entry: Entry) -> str:
-    """Returns a digest of all that two entries must share to be compared."""
+    """Returns a digest of all that two entries must share to be compared, the photos they looked at aside."""
     protocol = entry["protocol"]
     return digest_of([entry["dataset"], *(protocol.get(name) for name in _SHARED)])
 
@@ -122,7 +130,7 @@ def leaderboard_frame(blocks: Sequence[Block]) -> pd.DataFrame:
     import pandas as pd
 
     rows = [
-        _row_of(entry, rank, name, split)
+        _row_of(entry, rank, name, split) | _protocol_of(entry, block)
         for block in blocks
         for entry, rank in zip(block.entries, block.ranks, strict=True)
         for name, split in entry["splits"].items()
@@ -164,12 +172,16 @@ def _row_of(entry: Entry, rank: int | None, name: str, split: dict[str, Any]) ->
         **{"queries": split["num_queries"], "failed": split["num_failed"]},
         **{key: protocol.get(key) for key in ("tilt", "segmenter", "renderer", "lod", "evaluator", "code")},
         "seeds": " ".join(map(str, protocol["seeds"])),
-        "protocol": "" if entry["source"] == "reported" else protocol_digest(entry),
         **{f"{key} printed": printed.get(key) for key in _PRINTED},
         **{key: origin.get(key) for key in ("table", "row", "run")},
         "kept apart because": "; ".join(entry["ranking"]["reasons"]),
         "notes": "; ".join(origin.get("notes", ())),
     }
+
+
+def _protocol_of(entry: Entry, block: Block) -> dict[str, str]:
+    digest = "" if entry["source"] == "reported" else protocol_digest(entry)
+    return {"protocol": f"{digest} {block.photos}".rstrip()}
 
 
 def _group(entry: Entry) -> tuple[int, str, str]:
@@ -181,7 +193,7 @@ def _group(entry: Entry) -> tuple[int, str, str]:
     return 0, protocol_digest(entry), ""
 
 
-def _block(key: tuple[int, str, str], members: list[Entry]) -> Block:
+def _block(key: tuple[int, str, str], members: list[Entry], photos: str) -> Block:
     kind, name, reasons = key
     if kind == 2:
         members = sorted(members, key=lambda entry: entry["provenance"]["order"])
@@ -190,12 +202,13 @@ def _block(key: tuple[int, str, str], members: list[Entry]) -> Block:
     protocol = members[0]["protocol"]
     lod = f"{lod_in_words(str(protocol['lod']))} · " if protocol.get("lod") else ""
     said = f"{lod}tilt={protocol['tilt']} · segmenter={protocol['segmenter']} · protocol {name}"
+    said += f" · photos {photos}" if photos else ""
     members = sorted(members, key=_standing)
     if kind == 1:
-        return Block(f"Kept apart: {reasons} · {said}", tuple(members), (None,) * len(members))
+        return Block(f"Kept apart: {reasons} · {said}", tuple(members), (None,) * len(members), photos)
     standings = [_standing(entry)[:-1] for entry in members]
     ranks = tuple(standings.index(standing) + 1 for standing in standings)
-    return Block(f"Measured · {said}", tuple(members), ranks)
+    return Block(f"Measured · {said}", tuple(members), ranks, photos)
 
 
 def _standing(entry: Entry) -> tuple[float | str, ...]:

@@ -19,7 +19,7 @@ Entry = dict[str, Any]
 
 ENTRY_SCHEMA = 1
 # Digests of what went into a run that are part of its protocol.
-_INPUTS = ("queries", "scene", "masks", "poses", "code")
+_INPUTS = ("queries", "scene", "masks", "images", "poses", "code")
 
 
 def entry_schema() -> dict[str, Any]:

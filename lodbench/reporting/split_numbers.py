@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import Any
 
 from lodbench.errors import ConfigError
@@ -65,3 +65,22 @@ def require_one_run_a_seed(label: str, runs: Sequence[dict[str, Any]]) -> None:
             f"{seeds.count(twice)} of the runs of {label} have seed {twice}.",
             "A mean over seeds takes one run of each: leave the others out.",
         )
+
+
+def common_photos(keys: Sequence[Hashable], photos: Sequence[str | None]) -> list[str]:
+    """Returns for each run the digest of the photos that its rows are of, "" where none is told.
+
+    A run that looked at no photo, or does not say at which, stands beside those of its key that do, where all
+    of these looked at the same; otherwise by itself.
+
+    Args:
+        keys: Of each run, what else it shares with those beside it.
+        photos: Of each run, the digest of what it looked at.
+    """
+    known: dict[Hashable, set[str]] = {}
+    for key, digest in zip(keys, photos, strict=True):
+        known.setdefault(key, set()).update([digest] if digest else [])
+    return [
+        digest or (next(iter(known[key])) if len(known[key]) == 1 else "")
+        for key, digest in zip(keys, photos, strict=True)
+    ]

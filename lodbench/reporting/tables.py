@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.run_names import labels_of, method_name, natural, title_of, titles_of
 from lodbench.reporting.safe_text import plain_text
-from lodbench.reporting.split_numbers import mean_numbers, numbers_of, require_one_run_a_seed
+from lodbench.reporting.split_numbers import common_photos, mean_numbers, numbers_of, require_one_run_a_seed
 from lodbench.reporting.table_columns import Column, columns_named, paper_columns
 from lodbench.storage import digest_of
 
@@ -135,7 +135,7 @@ def tables_of(
 ) -> list[RecallTable]:
     """Returns one table per protocol (dataset, tilt, segmenter, seed), the priors' row on top of each.
 
-    Runs over other queries, masks or another city never share a table, whatever their names.
+    Runs over other queries, masks, photos or another city never share a table, whatever their names.
 
     Args:
         summaries: ``summary.json`` of each run.
@@ -146,11 +146,11 @@ def tables_of(
         ConfigError: Two runs that would become one row have the same seed.
     """
     free = {*free, "seed"} if over_seeds else set(free)
+    keys = [_shared(summary, free) for summary in summaries]
+    photos = common_photos(keys, [summary["dataset"].get("images") for summary in summaries])
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
-    for summary in summaries:
-        inputs = [str(summary["dataset"].get(name, "")) for name in _fixed_inputs(summary, free)]
-        renderer = "" if "renderer" in free else str(summary["protocol"].get("renderer", ""))
-        groups.setdefault((title_of(summary, free), renderer, *inputs), []).append(summary)
+    for summary, key, seen in zip(summaries, keys, photos, strict=True):
+        groups.setdefault((*key, seen), []).append(summary)
     titles = titles_of([shared[0] for shared in groups], [members[0] for members in groups.values()])
     return [
         replace(_table(title, members, free, over_seeds), protocol=f"{title} · {digest_of(shared)}")
@@ -164,6 +164,13 @@ def frame_of(tables: Sequence[RecallTable]) -> pd.DataFrame:
 
     frames = [table.frame().assign(protocol=table.protocol or table.title) for table in tables]
     return pd.concat(frames, ignore_index=True)
+
+
+def _shared(summary: dict[str, Any], free: Collection[str]) -> tuple[str, ...]:
+    """Returns what a run shares with all runs of its table, photos aside; first the table's title."""
+    inputs = [str(summary["dataset"].get(name, "")) for name in _fixed_inputs(summary, free)]
+    renderer = "" if "renderer" in free else str(summary["protocol"].get("renderer", ""))
+    return title_of(summary, free), renderer, *inputs
 
 
 def _fixed_inputs(summary: dict[str, Any], free: Collection[str]) -> list[str]:

@@ -9,7 +9,7 @@ from lodbench.evaluation.errors import FAILED, PoseError
 from lodbench.evaluation.queries import ERROR, NO_TRUTH, queries_frame
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
 from lodbench.geometry import Pose
-from lodbench.harness.runs.compare import agreement, paired_comparison
+from lodbench.harness.runs.compare import agreement, paired_comparison, require_same_queries
 
 
 def run(*errors: PoseError) -> SimpleNamespace:
@@ -57,3 +57,10 @@ def test_answers_to_photos_of_one_name_that_are_not_the_same_are_not_compared():
     # One of them far off, and where nobody knows the truth: that may be.
     assert agreement(answered(0.0, error=near), answered(160.0, error=PoseError(160.5, 0.0))).answered == 1
     assert agreement(answered(0.0), answered(160.0)).answered == 1
+
+
+def test_runs_on_other_photos_are_not_tested():
+    by_day, by_night, masks = (answered(0.0, error=PoseError(1.0, 0.0)) for _ in range(3))
+    by_day.summary["dataset"]["images"], by_night.summary["dataset"]["images"] = "d", "n"
+    assert require_same_queries(by_day, by_night) == "the photos differ"
+    assert require_same_queries(by_day, masks) == require_same_queries(masks, by_night) == ""

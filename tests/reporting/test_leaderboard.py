@@ -76,6 +76,18 @@ def test_other_protocols_never_rank_together(other):
     assert sorted(ranks([entry("a", 90.0), entry("b", 95.0, **other)])) == [[("a", 1)], [("b", 1)]]
 
 
+def test_entries_of_other_photos_rank_apart_and_those_of_none_beside_the_only_ones():
+    by_day, by_night, masks = entry("day", 90.0), entry("night", 95.0), entry("masks", 50.0)
+    alone = blocks_of([masks])[0]
+    by_day["protocol"]["images"], by_night["protocol"]["images"] = "0123456789aa", "0123456789bb"
+    assert ranks([by_day, masks]) == [[("day", 1), ("masks", 2)]]
+    assert blocks_of([by_day, masks])[0].title == alone.title
+    every = [by_day, by_night, masks]
+    assert sorted(ranks(every)) == [[("day", 1)], [("masks", 1)], [("night", 1)]]
+    assert leaderboard_frame(blocks_of(every))["protocol"].nunique() == 3
+    assert len({block.title for block in blocks_of(every)}) == 3
+
+
 def test_what_is_kept_apart_has_no_rank_and_says_why():
     kept = entry("oracle", 100.0, reasons=("oracle: masks made from the truth",))
     assert ranks([kept, entry("a", 90.0)]) == [[("a", 1)], [("oracle", None)]]

@@ -43,6 +43,14 @@ def test_other_protocols_and_other_queries_never_share_a_table(other):
     assert len(tables_of([summary("full", 97.9), summary("full", 40.0, **other)])) == 2
 
 
+def test_runs_on_other_photos_never_share_a_table():
+    by_day, by_night, masks = (summary(name, 97.9) for name in ("day", "night", "masks"))
+    by_day["dataset"]["images"], by_night["dataset"]["images"] = "d", "n"
+    assert len(tables_of([by_day, masks])) == 1
+    assert len(tables_of([by_day, by_night])) == 2
+    assert len(tables_of([by_day, by_night, masks])) == 3
+
+
 @pytest.mark.parametrize("name", sorted(FORMATS))
 def test_every_format_holds_every_number(name):
     (table,) = tables_of([summary("full", 97.9)])

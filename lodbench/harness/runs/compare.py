@@ -26,6 +26,9 @@ def require_same_queries(first: StoredRun, second: StoredRun) -> str:
     truths = [run.summary["dataset"].get("queries") for run in (first, second)]
     if truths[0] != truths[1]:
         return "the names are the same, but not the cameras, priors or truths"
+    photos = {run.summary["dataset"].get("images") for run in (first, second)}
+    if len(photos - {None}) > 1:
+        return "the photos differ"
     return ""
 
 

@@ -35,8 +35,8 @@ def method_inputs(method: Method, dataset: Dataset, entries: Sequence[Entry]) ->
     inputs = {}
     if weights:
         inputs["weights"] = digest_of([content_digest(file) for file in weights])
-    # Methods for flights look at photos where there are any.
-    shown = [entry for entry in entries if Input.IMAGE in requires or entry.image is not None]
+    # Methods for flights look at photos where there are any; of the same photos all have the same digest.
+    shown = [entry for entry in entries if entry.image is not None]
     if shown and (Input.IMAGE in requires or isinstance(method, SupportsFlights)):
         inputs["images"] = digest_of([[entry.key, content_digest(entry.image)] for entry in shown])
     if Input.REFERENCES in requires:
