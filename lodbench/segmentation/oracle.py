@@ -106,7 +106,7 @@ class Oracle:
         return masks_of_labels(buildings + 1)
 
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
-        """Returns nothing: the run's digest names the settings, the city and the true poses already."""
+        """Returns nothing: a run's digests are of the settings, the city and the true poses already."""
         return ""
 
 

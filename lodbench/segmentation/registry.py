@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict, is_dataclass
 from typing import Any
 
 from lodbench.datasets.query import Entry
 from lodbench.params import to_params
 from lodbench.plugins import blaming, load_plugin, of_kind
 from lodbench.segmentation.protocol import Segmenter
+from lodbench.storage import digest_of
 
 
 def make_segmenter(name: str, settings: Mapping[str, Any] | None = None) -> tuple[Segmenter, Any]:
@@ -31,3 +33,24 @@ def fingerprint_of(segmenter: Segmenter, entries: tuple[Entry, ...]) -> str:
     """
     with blaming("segmenters", segmenter.name, "tell its fingerprint"):
         return of_kind(segmenter.fingerprint(entries), str)
+
+
+def masks_digest(segmenter: Segmenter, entries: tuple[Entry, ...]) -> str:
+    """Returns a digest of what a segmenter's masks of some queries are made from: fingerprint and settings.
+
+    The fingerprints of lodbench's own segmenters, where they say anything, are of the settings already.
+
+    Raises:
+        LodbenchError: It has no fingerprint.
+    """
+    told = fingerprint_of(segmenter, entries)
+    is_whole = told != "" and type(segmenter).__module__.startswith("lodbench.")
+    settings = {} if is_whole else _settings(segmenter)
+    return digest_of([segmenter.name, settings, told]) if settings else told
+
+
+def _settings(segmenter: Segmenter) -> dict[str, Any]:
+    """Returns a segmenter's settings, less its name and the places of weights, which are no content."""
+    params: Any = getattr(segmenter, "params", None)
+    values = asdict(params) if is_dataclass(params) and not isinstance(params, type) else {}
+    return {key: value for key, value in values.items() if key != "name" and not key.endswith("weights")}

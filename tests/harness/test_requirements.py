@@ -18,7 +18,8 @@ from lodbench.harness.runs.requirements import needs_segmenter, require_run_inpu
 from lodbench.methods import Estimate
 from lodbench.segmentation.masks import MaskFiles, MasksParams
 from lodbench.segmentation.none import NoMask, NoMaskParams
-from lodbench.segmentation.oracle import Oracle, OracleParams
+from lodbench.segmentation.oracle import NoisyOracle, NoisyOracleParams, Oracle, OracleParams
+from lodbench.segmentation.registry import masks_digest
 from tests.town import write_dataset
 
 MASKS, NONE = MaskFiles(MasksParams()), NoMask(NoMaskParams())
@@ -138,3 +139,28 @@ class Looking:
 
     def localize(self, query, city_map, streams):
         return Estimate(query.prior)
+
+
+@dataclass(frozen=True)
+class BrightParams:
+    name: str = "bright"
+    threshold: int = 128
+    weights: str | None = None
+
+
+class Bright(MaskFiles):
+    def fingerprint(self, entries):
+        return "the photos"
+
+
+def test_masks_of_other_settings_are_other_masks(dataset):
+    def told(segmenter):
+        return masks_digest(segmenter, dataset.entries)
+
+    first = told(Bright(BrightParams()))
+    assert first not in (told(Bright(BrightParams(threshold=64))), "the photos")
+    assert first == told(Bright(BrightParams(weights="elsewhere")))
+    assert told(NoisyOracle(NoisyOracleParams())) != told(NoisyOracle(NoisyOracleParams(iou=0.54)))
+    # What says it all stays as it is in the runs and the leaderboard that there are.
+    assert told(MASKS) == MASKS.fingerprint(dataset.entries)
+    assert told(NONE) == ""

@@ -52,7 +52,7 @@ from lodbench.methods.protocol import SupportsFlights
 from lodbench.plugins import blaming, load_plugin
 from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
-from lodbench.segmentation.registry import fingerprint_of
+from lodbench.segmentation.registry import masks_digest
 from lodbench.storage import can_write, digest_of, make_folder, remove_leftovers, write_text
 from lodbench.storage.contents import known_contents, remembered_contents
 from lodbench.storage.disk import disk
@@ -246,7 +246,7 @@ def _read_inputs(
     method: Method, segmenter: Segmenter, dataset: Dataset, entries: tuple[Entry, ...]
 ) -> dict[str, str]:
     """Returns digests of the files that are read again for single queries, which are remembered."""
-    return {"masks": fingerprint_of(segmenter, entries), **method_inputs(method, dataset, entries)}
+    return {"masks": masks_digest(segmenter, entries), **method_inputs(method, dataset, entries)}
 
 
 def _require_unchanged(before: dict[str, str], after: dict[str, str], folder: Path) -> None:
