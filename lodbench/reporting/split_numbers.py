@@ -67,6 +67,30 @@ def require_one_run_a_seed(label: str, runs: Sequence[dict[str, Any]]) -> None:
         )
 
 
+# What runs of one row over seeds have in common, of the digests of their inputs, and what each is called.
+_NO_SEEDS = {
+    "code": "code", "weights": "weights", "masks": "masks", "images": "photos",
+    "references": "posed pictures", "textured_map": "textured map",
+}  # fmt: skip
+
+
+def require_seeds_alone(label: str, runs: Sequence[dict[str, Any]]) -> None:
+    """Makes sure that runs which become one row differ in their seed alone, as far as they tell.
+
+    Raises:
+        ConfigError: Something else of them differs.
+    """
+    told = {words: [run["dataset"].get(name) for run in runs] for name, words in _NO_SEEDS.items()}
+    told["settings"] = [run["method"].get("params") for run in runs]
+    for words, values in told.items():
+        known = [value for value in values if value]
+        if any(value != known[0] for value in known):
+            raise ConfigError(
+                f"The runs of {label} differ in their {words}, not in their seed alone.",
+                "A mean over seeds takes runs that are otherwise alike: leave the others out.",
+            )
+
+
 def common_photos(keys: Sequence[Hashable], photos: Sequence[str | None]) -> list[str]:
     """Returns for each run the digest of the photos that its rows are of, "" where none is told.
 

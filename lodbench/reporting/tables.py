@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.run_names import labels_of, method_name, natural, title_of, titles_of
 from lodbench.reporting.safe_text import plain_text
-from lodbench.reporting.split_numbers import common_photos, mean_numbers, numbers_of, require_one_run_a_seed
+from lodbench.reporting.split_numbers import (
+    common_photos,
+    mean_numbers,
+    numbers_of,
+    require_one_run_a_seed,
+    require_seeds_alone,
+)
 from lodbench.reporting.table_columns import Column, columns_named, paper_columns
 from lodbench.storage import digest_of
 
@@ -143,7 +149,7 @@ def tables_of(
         over_seeds: Whether runs that differ in their seed alone become one row, mean and spread.
 
     Raises:
-        ConfigError: Two runs that would become one row have the same seed.
+        ConfigError: Runs that would become one row have the same seed, or other code, settings or inputs.
     """
     free = {*free, "seed"} if over_seeds else set(free)
     keys = [_shared(summary, free) for summary in summaries]
@@ -197,6 +203,7 @@ def _table(title: str, members: list[dict[str, Any]], free: set[str], over_seeds
     found = []
     for label, runs in labelled.items():
         require_one_run_a_seed(label, runs)
+        require_seeds_alone(label, runs)
         shown = label.split("\0")[0] + (f" ({count_of(len(runs), 'seeds')})" if over_seeds else "")
         found.append(Line(shown, {name: mean_numbers(runs, name) for name in runs[0]["splits"]}))
     if len({method_name(member) for member in members}) == 1:

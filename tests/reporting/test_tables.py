@@ -194,6 +194,20 @@ def test_a_seed_counts_once_in_a_mean_over_seeds():
     assert len(tables_of(runs)) == 2
 
 
+@pytest.mark.parametrize(("name", "words"), [("code", "code"), ("weights", "weights"), ("masks", "masks")])
+def test_a_mean_over_seeds_is_of_runs_that_are_otherwise_alike(name, words):
+    runs = [summary("full", 97.9), summary("full", 95.0), summary("full", 96.0)]
+    for seed, run in enumerate(runs):
+        run["protocol"] = {**run["protocol"], "seed": seed}
+    runs[0]["dataset"][name] = runs[1]["dataset"][name] = "a"
+    runs[2]["dataset"].pop(name, None)  # one that does not say
+    (table,) = tables_of(runs, free={"segmenter"}, over_seeds=True)
+    assert "3 seeds" in table.lines[-1].label
+    runs[1]["dataset"][name] = "b"
+    with pytest.raises(ConfigError, match=f"differ in their {words}, not in their seed alone"):
+        tables_of(runs, free={"segmenter"}, over_seeds=True)
+
+
 def test_what_is_freed_stands_in_the_row():
     runs = [summary("full", 90.0), summary("full", 95.0)]
     runs[1]["protocol"]["lod"] = "2"
