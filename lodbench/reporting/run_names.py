@@ -10,6 +10,8 @@ from lodbench.citymodel.lods import lod_in_words
 
 # Parts of the protocol that may be freed to differ within a table.
 FREE = ("lod", "segmenter", "renderer", "tilt", "prior", "seed")
+# How names of a segmenter's settings begin.
+_OF_SEGMENTER = "segmenter."
 
 
 def title_of(summary: dict[str, Any], free: Collection[str] = ()) -> str:
@@ -40,11 +42,22 @@ def _dataset_of(summary: dict[str, Any]) -> tuple[str, str]:
 
 
 def _set_apart(summary: dict[str, Any], peers: Sequence[dict[str, Any]]) -> list[str]:
-    """Returns the settings of a run's data that are not those of its peers, where they are known."""
-    settings = summary.get("settings", {}).items()
-    others = [peer.get("settings", {}) for peer in peers]
-    known = {key: value for key, value in settings if value is not None}
-    return [f"{key}={value}" for key, value in known.items() if any(o.get(key) != value for o in others)]
+    """Returns the settings of a run's data that are not those of its peers, where they are known.
+
+    And those of its segmenter that peers of the same segmenter set otherwise.
+    """
+    alike = [peer for peer in peers if _segmenter(peer) == _segmenter(summary)]
+    known = {key: value for key, value in summary.get("settings", {}).items() if value is not None}
+    words = []
+    for key, value in known.items():
+        others = alike if key.startswith(_OF_SEGMENTER) else peers
+        if any(other.get("settings", {}).get(key) != value for other in others):
+            words.append(f"{key}={value}")
+    return words
+
+
+def _segmenter(summary: dict[str, Any]) -> str:
+    return str(summary["protocol"].get("segmenter"))
 
 
 def names_of(summaries: Sequence[dict[str, Any]], free: Collection[str] = ()) -> list[str]:
@@ -98,5 +111,6 @@ def labels_of(members: Sequence[dict[str, Any]], free: Collection[str]) -> list[
         ]
         words = [f"{key}={params[key]}" for key in differing]
         words += [f"{key}={member['protocol'].get(key)}" for key in sorted(free)]
+        words += [word for word in _set_apart(member, peers) if word.startswith(_OF_SEGMENTER)]
         labels.append(" ".join([name, *words]))
     return labels

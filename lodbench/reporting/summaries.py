@@ -112,7 +112,7 @@ def with_seconds(summary: dict[str, Any], seconds: dict[str, float | None]) -> d
 
 
 def with_settings(summary: dict[str, Any], config: dict[str, Any], city: str | Path | None) -> dict[str, Any]:
-    """Returns a summary with the ``settings`` of its data, by name: no part of the summary's file.
+    """Returns a summary with the ``settings`` of its data and its segmenter: no part of the summary's file.
 
     Tables and runs that are called alike are told apart by them.
 
@@ -122,10 +122,18 @@ def with_settings(summary: dict[str, Any], config: dict[str, Any], city: str | P
         city: The city model's path, where it is known.
     """
     told = {**config["dataset"], "limit": config.get("limit"), "city": Path(city).name if city else None}
+    segmenter = config.get("segmenter")
+    if isinstance(segmenter, dict):
+        told["segmenter"] = {key: _place(value) for key, value in segmenter.items() if key != "name"}
     nested = {key: value for key, value in told.items() if isinstance(value, dict)}
     inner = {f"{key}.{name}": value for key, values in nested.items() for name, value in values.items()}
     settings = {key: value for key, value in {**told, **inner}.items() if key not in nested}
     return {**summary, "settings": settings}
+
+
+def _place(value: Any) -> Any:
+    """Returns a setting; of a path its last name."""
+    return Path(value).name if isinstance(value, str) else value
 
 
 def upgraded_split(split: dict[str, Any]) -> dict[str, Any]:

@@ -173,6 +173,24 @@ def test_tables_and_runs_that_are_called_alike_say_how_their_data_were_set():
     assert [table.title for table in tables_of(runs[:1])] == [head]
 
 
+def test_rows_and_tables_say_which_settings_of_their_segmenter_differ():
+    runs = []
+    for masks, weights, size in (("a", "nets/a.onnx", 512), ("b", "nets/b.onnx", 512), ("c", None, None)):
+        settings = {"weights": weights, "size": size} if size else {}
+        run = summary("full", 90.0, masks=masks)
+        run["protocol"]["segmenter"] = "net" if size else "masks"
+        segmenter = {"name": run["protocol"]["segmenter"], **settings}
+        runs.append(with_settings(run, {"dataset": {"name": "demo"}, "segmenter": segmenter}, None))
+    heads = [table.title.split("seed=0")[1] for table in tables_of(runs)]
+    assert heads == [" · segmenter.weights=a.onnx", " · segmenter.weights=b.onnx", ""]
+    (table,) = tables_of(runs, free={"segmenter"})
+    assert [line.label for line in table.lines[1:]] == [
+        "lodlocv2 full segmenter=masks",
+        "lodlocv2 full segmenter=net segmenter.weights=a.onnx",
+        "lodlocv2 full segmenter=net segmenter.weights=b.onnx",
+    ]
+
+
 def test_failures_over_seeds_are_a_mean_and_none_is_rounded_away():
     runs = [summary("full", 90.0) for _ in range(4)]
     for seed, run in enumerate(runs):
