@@ -24,6 +24,7 @@ from lodbench.reporting.leaderboard_entry import (
     read_entries,
     reasons_against,
 )
+from lodbench.reporting.summaries import without_metrics
 from lodbench.storage import make_folder, write_text
 
 
@@ -72,7 +73,7 @@ def _add(run: Path, options: argparse.Namespace) -> int:
     inputs = verdict.stored.summary["dataset"]
     reasons = [*reasons_against(read_config(run), _sizes(verdict), inputs), *_doubts(verdict)]
     entry = measured_entry(
-        verdict.stored.summary,
+        without_metrics(verdict.stored.summary, verdict.unknown),
         verdict.stored.provenance,
         digests=_digests(verdict),
         run=run.resolve().name,

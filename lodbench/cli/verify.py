@@ -23,6 +23,7 @@ from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import Verdict, verify_run
 from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting.safe_text import plain_text
 from lodbench.segmentation.registry import make_segmenter
 
 _EPILOG = """\
@@ -173,6 +174,9 @@ def describe(verdict: Verdict) -> str:
             "only; name its place with --dataset-root"
         )
     lines += [f"note: {note}" for note in verdict.notes]
+    if verdict.unknown:
+        names = plain_text(", ".join(verdict.unknown))
+        lines.append(f"note: metrics of packages that were not, or are not, installed, not compared: {names}")
     count = len(verdict.differences)
     queries = len(verdict.stored.queries)
     if count:

@@ -34,6 +34,11 @@ _TAKEN = re.compile(
     r"|code|table|row|run|kept apart because|notes"
 )
 
+_PARTS = ("median_horizontal_m", "median_vertical_m", "median_yaw_deg")
+_CALIBRATION = ("mean_confidence_percent", "ece_percent", "aurc_percent")
+# The numbers of lodbench's own metrics: every lodbench computes them.
+OWN_NUMBERS = frozenset((*_PARTS, *_CALIBRATION, "mask_iou"))
+
 
 def is_taken(name: str) -> bool:
     """Tells whether a number of a metric may not be called so: something of lodbench's own is."""
@@ -76,8 +81,7 @@ def installed_metrics() -> dict[str, Metric]:
 def error_parts(queries: pd.DataFrame) -> dict[str, float]:
     """Returns medians of the error along the ground, and of the sizes of those of height and yaw."""
     parts = queries[["horizontal_error_m", "vertical_error_m", "yaw_error_deg"]].abs().median()
-    names = ("median_horizontal_m", "median_vertical_m", "median_yaw_deg")
-    return dict(zip(names, map(float, parts), strict=True))
+    return dict(zip(_PARTS, map(float, parts), strict=True))
 
 
 def mask_iou(queries: pd.DataFrame) -> dict[str, float]:
@@ -92,12 +96,15 @@ def calibration(queries: pd.DataFrame) -> dict[str, float]:
     the risk-coverage curve (Geifman and El-Yaniv 2017); NaN where the method gives no probability. A
     query without an answer is one that the method declined: its probability is 0.
     """
-    names = ("mean_confidence_percent", "ece_percent", "aurc_percent")
     if queries["probability"].isna().all():
-        return dict.fromkeys(names, math.nan)
+        return dict.fromkeys(_CALIBRATION, math.nan)
     confidence = queries["probability"].fillna(0.0).to_numpy()
     errors = queries[["translation_error_m", "rotation_error_deg"]].to_numpy()
     found = calibrate(confidence, hits_of(errors, PROBABILITY_THRESHOLD))
     return dict(
-        zip(names, (100.0 * float(confidence.mean()), 100.0 * found.ece, 100.0 * found.aurc), strict=True)
+        zip(
+            _CALIBRATION,
+            (100.0 * float(confidence.mean()), 100.0 * found.ece, 100.0 * found.aurc),
+            strict=True,
+        )
     )

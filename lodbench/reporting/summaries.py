@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 from lodbench.errors import DatasetError
+from lodbench.evaluation.metrics import OWN_NUMBERS
 from lodbench.storage.json_text import parse_json
 
 # Raised whenever a number of a summary gets another meaning, or a new one must be there.
@@ -134,6 +136,27 @@ def with_settings(summary: dict[str, Any], config: dict[str, Any], city: str | P
 def _place(value: Any) -> Any:
     """Returns a setting; of a path its last name."""
     return Path(value).name if isinstance(value, str) else value
+
+
+def without_metrics(summary: dict[str, Any], names: Collection[str]) -> dict[str, Any]:
+    """Returns a summary less the numbers of some metrics."""
+    parts = {
+        part: {
+            split: {**numbers, "metrics": {k: v for k, v in numbers["metrics"].items() if k not in names}}
+            if "metrics" in numbers
+            else numbers
+            for split, numbers in summary[part].items()
+        }
+        for part in ("splits", "prior")
+        if part in summary
+    }
+    return {**summary, **parts}
+
+
+def plugin_metrics(summary: dict[str, Any]) -> set[str]:
+    """Returns the names of the numbers that metrics of plug-ins give."""
+    splits = [*summary["splits"].values(), *summary.get("prior", {}).values()]
+    return {name for split in splits for name in split.get("metrics", {})} - OWN_NUMBERS
 
 
 def upgraded_split(split: dict[str, Any]) -> dict[str, Any]:

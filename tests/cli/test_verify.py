@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from lodbench.evaluation import metrics
 from lodbench.harness.runs.named_paths import named_by, without_paths
 from lodbench.harness.runs.predict import open_predictions
 from tests.town import write_dataset
@@ -167,6 +168,31 @@ def test_other_data_is_caught_and_moved_data_is_found(lodbench, made, run, tmp_p
     done = lodbench("verify", str(run), "--dataset-root", str(moved))
     assert done.returncode == 1
     assert "queries is" in done.stdout
+
+
+def theirs(queries):
+    return {"theirs_m": 7.0}
+
+
+def test_metrics_of_plug_ins_may_come_and_go(lodbench, run, monkeypatch):
+    """One that was installed when the run was made is not now, and another way round; it still ranks."""
+    change(run / "summary.json", r'("metrics": \{)', r'\g<1>"gone_m": 3.5,')
+    forge(run)
+    ours = metrics.installed_metrics()
+    monkeypatch.setattr(metrics, "installed_metrics", lambda: {**ours, "theirs": theirs})
+    done = lodbench("verify", str(run))
+    assert done.returncode == 0, done.stdout
+    assert "not compared: gone_m, theirs_m" in done.stdout
+    done = lodbench("leaderboard", "add", str(run))
+    assert (done.returncode, "kept out" in done.stdout) == (0, False), done.stdout
+    assert "gone_m" not in Path(run.parent / done.stdout.strip()).read_text()
+
+
+def test_a_metric_of_our_own_that_is_not_there_is_told(lodbench, run):
+    change(run / "summary.json", r'"median_vertical_m": [\d.]+,', "")
+    forge(run)
+    done = lodbench("verify", str(run))
+    assert (done.returncode, "median_vertical_m is missing" in done.stdout) == (1, True), done.stderr
 
 
 def test_other_roofs_are_caught_and_older_runs_are_not(lodbench, tmp_path):

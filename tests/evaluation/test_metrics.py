@@ -42,6 +42,11 @@ def test_parts_of_the_error_and_masks_by_hand():
     assert (found.num_queries, found.num_failed, found.hypotheses_per_query) == (3, 1, 20.0)
 
 
+def test_the_numbers_of_our_own_metrics_are_known_by_name():
+    ours = [point.load() for point in installed("metrics") if point.is_ours]
+    assert {name for metric in ours for name in metric(QUERIES)} == metrics.OWN_NUMBERS
+
+
 def test_unanswered_queries_without_a_truth_are_failed_ones():
     reasons = ("no true pose to compare with", "no true pose to compare with; no mask")
     found = summarize_queries(frame(*({"failure": reason, "hypotheses": 1} for reason in reasons)), "a")[0]

@@ -36,6 +36,7 @@ from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.result import Result, chosen_entries, flights_digest, queries_digest
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.rendering import Scorer, make_renderer
+from lodbench.reporting.summaries import plugin_metrics, without_metrics
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.registry import fingerprint_of, masks_digest
 from lodbench.storage import digest_of
@@ -66,6 +67,7 @@ class Verdict:
         is_weak: True if the truth was not there, so that errors were taken as written.
         dataset: The dataset, or None.
         entries: The queries scored; empty without the dataset.
+        unknown: Metrics of plug-ins that only the run has, or only what is installed now: not compared.
     """
 
     stored: StoredRun
@@ -74,6 +76,7 @@ class Verdict:
     is_weak: bool
     dataset: Dataset | None
     entries: tuple[Entry, ...]
+    unknown: tuple[str, ...] = ()
 
 
 def verify_run(
@@ -141,9 +144,14 @@ def verify_run(
     expected = summary_of(
         Result(folder, config, told, splits, stored.predictions, stored.queries, inputs, lod)
     )
-    differences += compare_values(stored.summary, expected, "summary.json")
+    # Plug-ins may have come and gone since.
+    unknown = plugin_metrics(stored.summary) ^ plugin_metrics(expected)
+    found, expected = (without_metrics(each, unknown) for each in (stored.summary, expected))
+    differences += compare_values(found, expected, "summary.json")
     differences += _wrong_name(folder, config, inputs)
-    return Verdict(stored, tuple(differences), tuple(notes), dataset is None, dataset, entries)
+    return Verdict(
+        stored, tuple(differences), tuple(notes), dataset is None, dataset, entries, tuple(sorted(unknown))
+    )
 
 
 def compare_values(found: Any, expected: Any, where: str) -> list[str]:
