@@ -25,6 +25,7 @@ from lodbench.methods.registry import make_method
 from lodbench.plugins import PlugIn
 from lodbench.segmentation.masks import MaskFiles, MasksParams
 from tests.harness.scripted import Flying, Scripted, run
+from tests.site_packages import write_package
 from tests.town import write_dataset
 
 
@@ -108,6 +109,35 @@ class TestTheCodeThatNamesARun:
         before = code_digest(method)
         (package / "model.py").write_text("OFF = 100\n")
         assert code_digest(method) != before
+
+    def test_what_a_package_requires_counts_by_its_version(self, package, tmp_path):
+        method = importlib.import_module("sky_package").Method()
+        needs = {
+            "sky": ("Nets_Of-Sky>=1", "lodbench", "absent"),
+            "nets-of-sky": ("deep; extra == 'x'", "deeper"),
+            "deep": (),
+            "deeper": ("sky",),
+        }
+        infos = {name: write_package(tmp_path, name, {}) for name in needs}
+        (infos["sky"] / "top_level.txt").write_text("sky_package\n")
+        alone = code_digest(method)
+
+        def digest_after(changed: str, version: str) -> str:
+            for name, words in needs.items():
+                lines = [f"Name: {name}", f"Version: {version if name == changed else '1.0'}"]
+                lines += [f"Requires-Dist: {word}" for word in words]
+                (infos[name] / "METADATA").write_text("\n".join(lines))
+            return code_digest(method)
+
+        before = digest_after("sky", "1.0")
+        assert before not in (alone, digest_after("nets-of-sky", "1.1"), digest_after("deeper", "1.1"))
+        assert before == digest_after("sky", "1.1") == digest_after("deep", "1.1")
+        (tmp_path / "deeper.py").write_text("OFF = 1\n")
+        (infos["deeper"] / "top_level.txt").write_text("deeper\n")
+        (infos["deeper"] / "direct_url.json").write_text('{"dir_info": {"editable": true}}')
+        edited = code_digest(method)
+        (tmp_path / "deeper.py").write_text("OFF = 2\n")
+        assert len({before, edited, code_digest(method)}) == 3
 
     def test_a_plugin_that_a_setting_names_counts(self, package, monkeypatch):
         point = EntryPoint("skyline", "sky_package:Method", "lodbench.fits")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import inspect
 import linecache
+import re
 import sys
 from collections.abc import Collection, Iterator
+from importlib.metadata import Distribution, PackageNotFoundError, distribution, packages_distributions
 from pathlib import Path
 
 from lodbench.errors import ConfigError
@@ -15,10 +17,14 @@ from lodbench.storage import digest_of, file_digest
 from lodbench.storage.digest import package_files
 
 _OURS = "lodbench"
+# The name that a requirement begins with.
+_NAME = re.compile(r"\w[\w.-]*")
 
 
 def code_digest(*parts: object, names: Collection[object] = ()) -> str:
     """Returns a digest of lodbench's own code, of the libraries that compute, and of others' packages.
+
+    Of what these require the versions count, and the files of what is edited in place.
 
     Args:
         parts: A method, a segmenter: the packages that define them count in whole; and what one that runs
@@ -31,10 +37,46 @@ def code_digest(*parts: object, names: Collection[object] = ()) -> str:
     elsewhere = [list(getattr(part, "remote_code", ())) for part in parts if hasattr(part, "remote_code")]
     named = [each for group in KINDS for each in installed(group) if not each.is_ours and each.name in names]
     modules = {type(part).__module__ for part in parts} | {each.point.module for each in named}
-    tops = sorted({module.partition(".")[0] for module in modules} - {_OURS, "__main__"})
-    files = [file_digest(file) for top in tops for file in package_files(top)]
+    tops = {module.partition(".")[0] for module in modules} - {_OURS, "__main__"}
+    required = required_by(tops)
+    # What is edited in place keeps its version.
+    tops |= {top for each in required if _is_editable(each) for top in _read(each, "top_level.txt").split()}
+    files = [file_digest(file) for top in sorted(tops) for file in package_files(top)]
+    versions = sorted(f"{each.name}=={each.version}" for each in required)
     typed = [_typed_code(part) for part in parts if type(part).__module__ == "__main__"]
-    return digest_of([own_digest(), files, *typed, *elsewhere])
+    return digest_of([own_digest(), files, *typed, *elsewhere, *([versions] if versions else [])])
+
+
+def required_by(packages: Collection[str]) -> list[Distribution]:
+    """Returns the distributions that those of some packages require, and what these require, as installed.
+
+    Without lodbench, and what is required for extras alone.
+    """
+    offered = packages_distributions() if packages else {}
+    waiting = [name for package in packages for name in offered.get(package, ())]
+    asked = set(waiting)
+    found: dict[str, Distribution] = {}
+    while waiting:
+        name = waiting.pop()
+        plain = re.sub(r"[-_.]+", "-", name).lower()
+        if plain in found or plain == _OURS:
+            continue
+        try:
+            found[plain] = distribution(name)
+        except PackageNotFoundError:
+            continue
+        needs = [text for text in found[plain].requires or () if "extra" not in text.partition(";")[2]]
+        waiting += [match[0] for match in map(_NAME.match, needs) if match]
+    # The packages themselves count by their files.
+    return [each for each in found.values() if each.name not in asked]
+
+
+def _is_editable(package: Distribution) -> bool:
+    return '"editable": true' in _read(package, "direct_url.json")
+
+
+def _read(package: Distribution, name: str) -> str:
+    return package.read_text(name) or ""
 
 
 def words_in(settings: object) -> Iterator[str]:
