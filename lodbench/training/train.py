@@ -15,6 +15,7 @@ from lodbench.extras import require
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.trainable import TrainableSegmenter
 from lodbench.storage import digest_of, file_digest, make_folder, write_text
+from lodbench.storage.digest import digest_of_code, package_files
 from lodbench.storage.json_text import finite, parse_json
 from lodbench.training.learning_curves import write_curves
 from lodbench.training.posed_photos import is_posed, posed_samples
@@ -205,6 +206,7 @@ def _record(
     init = file_digest(Path(params.init).expanduser()) if params.init else None
     identity = {
         "segmenter": asdict(segmenter.params),
+        **_code_of(segmenter),
         "settings": settings | {"scale": list(params.scale)},
         "init": init,
         "average": [file_digest(Path(path).expanduser()) for path in params.average],
@@ -219,6 +221,15 @@ def _record(
         "sets": _sets(data),
         "versions": {"lodbench": __version__, "torch": version("torch"), "numpy": version("numpy")},
     }
+
+
+def _code_of(segmenter: TrainableSegmenter) -> dict[str, str]:
+    """Returns a digest of the package that builds a plug-in's network.
+
+    Nothing of lodbench's own: a training of those goes on under another version, which its record names.
+    """
+    package = type(segmenter).__module__.partition(".")[0]
+    return {} if package == "lodbench" else {"code": digest_of_code(package_files(package), ())}
 
 
 def _sets(data: Path) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Trainings by command: determinism, exact resume, what is left behind."""
 
+import importlib
 import json
 import math
 import shutil
@@ -10,8 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
+from lodbench.errors import ConfigError
 from lodbench.segmentation.compact import Compact, CompactParams
 from lodbench.training.samples import find_samples
+from lodbench.training.train import train_network
+from lodbench.training.train_params import TrainParams
 from tests.training.squares import train
 
 torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
@@ -65,6 +69,54 @@ def test_another_training_in_the_same_folder_is_refused(views, tmp_path, capsys)
     assert train(views, tmp_path / "a", "schedule.epochs=1") == 0
     assert train(views, tmp_path / "a", "schedule.epochs=1", "schedule.lr=0.01") == 2
     assert "other settings" in capsys.readouterr().err
+
+
+TINY = """
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+@dataclass(frozen=True)
+class Params:
+    name: str = "tiny"
+    size: int = 64
+    normalise: str = "none"
+    weights: str | None = None
+
+class Tiny:
+    params, stride = Params(), 8
+
+    def build(self, init):
+        class Net(torch.nn.Module):
+            def __init__(self):
+                super().__init__()
+                self.convolution = torch.nn.Conv2d(3, 1, 3, padding=1)
+
+            def forward(self, photos):
+                return (self.convolution(photos),)
+
+        return Net()
+
+    def store(self, net, folder):
+        torch.save(net.state_dict(), Path(folder) / "tiny.pt")
+        return Path(folder) / "tiny.pt"
+"""
+
+
+@pytest.mark.slow
+def test_a_plug_in_that_was_edited_since_is_another_training(views, tmp_path, monkeypatch):
+    module = tmp_path / "site" / "tiny_nets" / "__init__.py"
+    module.parent.mkdir(parents=True)
+    module.write_text(TINY)
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    tiny = importlib.import_module("tiny_nets").Tiny()
+    params = TrainParams(data=str(views), out=str(tmp_path / "a"), epochs=1, crop=64, size=0)
+    train_network(tiny, params)
+    assert train_network(tiny, params).started_at == 1
+    module.write_text(TINY.replace("return (", "return 2 * ("))
+    with pytest.raises(ConfigError, match="other code"):
+        train_network(tiny, params)
 
 
 @pytest.mark.slow

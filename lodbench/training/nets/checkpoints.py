@@ -40,7 +40,7 @@ def load_checkpoint(folder: Path, identity: str) -> dict[str, Any] | None:
     """Returns the checkpoint of a folder, or None where there is none.
 
     Raises:
-        ConfigError: It cannot be read, or belongs to other settings or other views.
+        ConfigError: It cannot be read, or belongs to other settings, views or code.
     """
     path = folder / CHECKPOINT_FILE
     if not path.exists():
@@ -54,7 +54,7 @@ def load_checkpoint(folder: Path, identity: str) -> dict[str, Any] | None:
         ) from error
     if found != identity:
         raise ConfigError(
-            f"{folder} holds the training of other settings or other views.",
+            f"{folder} holds the training of other settings, other views or other code.",
             "Name another out=FOLDER, or set resume=false to start anew there.",
         )
     return state
