@@ -44,7 +44,7 @@ _SHAPE = {
         "dataset": {
             "type": "object",
             "required": ["name", "version"],
-            "properties": {"name": _TEXT, "version": _TEXT},
+            "properties": {"name": _TEXT, "version": _TEXT, "images": _TEXT},
         },
         "method": {
             "type": "object",
@@ -140,7 +140,7 @@ def _place(value: Any) -> Any:
 
 def without_metrics(summary: dict[str, Any], names: Collection[str]) -> dict[str, Any]:
     """Returns a summary less the numbers of some metrics."""
-    parts = {
+    parts: dict[str, Any] = {
         part: {
             split: {**numbers, "metrics": {k: v for k, v in numbers["metrics"].items() if k not in names}}
             if "metrics" in numbers

@@ -97,6 +97,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
         (("prior", "in_place", "median_translation_m"), "x"),
         (("protocol",), {}),
         (("method", "name"), None),
+        (("dataset", "images"), ["a"]),
         (("schema",), 2),
     ],
 )
