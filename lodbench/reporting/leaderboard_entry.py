@@ -116,7 +116,8 @@ def measured_entry(
         "protocol": {
             "condition": "",
             **{key: digests.get(key) for key in ("prior", "split")},
-            **{key: dataset[key] for key in _INPUTS if key in dataset},
+            # Of masks that nobody makes there is no digest.
+            **{key: dataset[key] for key in _INPUTS if dataset.get(key)},
             "tilt": protocol["tilt"],
             "segmenter": protocol["segmenter"],
             "renderer": protocol["renderer"],

@@ -46,6 +46,12 @@ def test_a_run_ranks_and_its_oracle_twin_does_not(lodbench, tmp_path, data):
     assert [(line["tilt"], line["rank"]) for line in lines] == [("prior", "1"), ("truth", "")]
 
 
+def test_a_run_without_masks_has_an_entry(lodbench, tmp_path, data):
+    done = lodbench("leaderboard", "add", str(run(lodbench, tmp_path, data, "segmenter=none")))
+    assert done.returncode == 0, done.stderr
+    assert "masks" not in entries(tmp_path)[0]["protocol"]
+
+
 def test_the_board_of_a_dataset_whose_last_entry_is_gone_is_told(lodbench, tmp_path, data):
     assert lodbench("leaderboard", "add", str(run(lodbench, tmp_path, data))).returncode == 0
     entries = tmp_path / "leaderboard" / "entries" / "folder"
