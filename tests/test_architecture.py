@@ -227,3 +227,11 @@ def test_the_public_names_load():
         assert getattr(lodbench, name) is not None
     with pytest.raises(AttributeError):
         lodbench.no_such_name  # noqa: B018
+
+
+def test_every_decision_is_in_the_index():
+    folder = ROOT / "docs" / "adr"
+    index = (folder / "README.md").read_text()
+    pages = sorted(path.name for path in folder.glob("*.md") if path.name != "README.md")
+    assert [name for name in pages if f"({name})" not in index] == []
+    assert index.count("](") == len(pages)

@@ -66,7 +66,7 @@ Usage: lodbench COMMAND [...]        lodbench COMMAND --help
 {commands}
 
 Start here:
-  lodbench run method=lodlocv2 dataset=demo
+  lodbench run method=region dataset=demo
   lodbench localize PHOTO ... --city FILE # where were they taken?
   lodbench run dataset=folder dataset.root=DIR city=FILE
   lodbench city info FILE                 # is it read as it should be?

@@ -46,8 +46,8 @@ the rough pose, 30 m up and down and 7.5 degrees to either side: --prior-range, 
 say where it may be farther off.
 
 Several photos, or a folder, are flights: told apart by camera and by the clock in EXIF, and each solved as a
-whole (--method flight), with masks from --masks, from the folder's own folder masks, or from a segmenter;
-without any by their pixels (--method-option single=region).
+whole (--method flight). Masks come from --masks, else from a folder named masks in it, else from a network
+(efficient_unet); with --method-option single=region from their own pixels, without any network.
 flights.json says what the drone and the map are wrong about, map_findings.geojson which buildings;
 localized.csv and localized.geojson have all photos. --each-alone takes each photo by itself.
 

@@ -40,7 +40,7 @@ class Params:
     Attributes:
         name: Name to report.
         coarse_width: Width of silhouettes in the search, pixels; their height follows from the photo's.
-        fine_width: The same where the best modes are refined.
+        fine_width: Width of silhouettes where the best modes are refined, pixels.
         range_x_m: Full width of the prior's error in x, metres; likewise y and z.
         range_y_m: See range_x_m.
         range_z_m: See range_x_m.
@@ -48,12 +48,12 @@ class Params:
         range_tilt_deg: Full width in pitch and in roll, degrees.
         beyond_m: How much farther than the prior's error the search looks to either side in x and in y,
             metres, but never more than half the range: priors are often told narrower than they are.
-        beyond_yaw_deg: The same in yaw, degrees.
+        beyond_yaw_deg: How much farther than the prior's error the search looks in yaw, degrees.
         stride_m: Largest distance between samples of the grid along x and y, metres.
-        stride_z_m: The same in height.
-        stride_yaw_deg: The same in yaw, degrees.
+        stride_z_m: Largest distance between samples of the grid in height, metres.
+        stride_yaw_deg: Largest distance between samples of the grid in yaw, degrees.
         starts: Distinct samples of the grid that are climbed from, for a grid of the published priors' range;
-            see ``num_starts``.
+            more for wider ones.
         modes: Distinct tops of those that are refined.
         more_starts: How many times as many a second search begins from, where the first one's answer is not
             to be trusted; 1 for no second one.
@@ -61,12 +61,13 @@ class Params:
         fine_generations: Generations of each refinement.
         population: Poses in a generation, even.
         coarse_spread_px: How far outlines lie apart in the first generation, pixels of the coarse size.
-        fine_spread_px: The same in a refinement, pixels of the fine size.
+        fine_spread_px: How far outlines lie apart in the first generation of a refinement, pixels of the fine
+            size.
         effective_pixels: How many independent pixels a photo is worth against the prior.
         edge_weight: Weight of the photo's edges along the outline beside its regions; 0 leaves them out.
-        coarse_edge_weight: The same in the search.
-        judging_edge_weight: The same where one of the tops is chosen: one large silhouette parts a photo well
-            in many wrong places, but no edges lie along it.
+        coarse_edge_weight: Weight of the photo's edges in the search.
+        judging_edge_weight: Weight of the photo's edges where one of the tops is chosen: one large silhouette
+            parts a photo well in many wrong places, but no edges lie along it.
         edge_blur_px: Blur of the photo before edges are looked for, pixels of the fine size.
         roofs_m: How far all roofs may be higher or lower than in the map, all alike: a standard deviation,
             metres; 0 for a map whose roofs do not err.
@@ -78,7 +79,8 @@ class Params:
         eaves_m: How much farther or less far than in the map all eaves may stand out, all alike, if they do
             at all, which is as likely as not: a standard deviation, metres; 0 for a map of roof outlines.
         lens_percent: Standard deviation of the focal length, percent.
-        lens_doubt_percent: The same where the photo speaks against what is told; 0 believes that anyway.
+        lens_doubt_percent: Standard deviation of the focal length where the photo speaks against what is told,
+            percent; 0 believes that anyway.
         tilt_doubt_deg: How far pitch and roll may be off where the photo speaks against the range that is
             told, degrees; 0 believes that anyway, and so does a range of 0.
         doubt_nats: By how many nats lines must be likelier with another tilt or lens for it to be believed.
