@@ -79,8 +79,8 @@ class Params:
         eaves_m: How much farther or less far than in the map all eaves may stand out, all alike, if they do
             at all, which is as likely as not: a standard deviation, metres; 0 for a map of roof outlines.
         lens_percent: Standard deviation of the focal length, percent.
-        lens_doubt_percent: Standard deviation of the focal length where the photo speaks against what is told,
-            percent; 0 believes that anyway.
+        lens_doubt_percent: Standard deviation of the focal length where the photo speaks against the one that
+            is told, percent; 0 believes that anyway.
         tilt_doubt_deg: How far pitch and roll may be off where the photo speaks against the range that is
             told, degrees; 0 believes that anyway, and so does a range of 0.
         doubt_nats: By how many nats lines must be likelier with another tilt or lens for it to be believed.
