@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.cityjson_geometry import GeometryReader
+from lodbench.citymodel.cityjson_parents import parents_of, roots_of
 from lodbench.citymodel.cityjson_textures import TextureReader
 from lodbench.citymodel.cityjson_values import declared_system
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
@@ -25,6 +26,7 @@ from lodbench.citymodel.roof_types import roof_type_of
 from lodbench.errors import CityModelError
 
 _HINT = "Check it with a CityJSON validator."
+_MAX_DEPTH = 100  # of parts in parts: real ones have three, and who writes them goes down as deep
 
 Json = dict[str, Any]
 
@@ -193,29 +195,30 @@ class _Reader:
 
     def _number_objects(self, objects: dict[str, Json]) -> dict[str, int]:
         """Adds every object that belongs to a building, parents first; returns their numbers by id."""
-        parents: dict[str, str] = {}
         for object_id, item in objects.items():
             if not isinstance(item, dict):
                 raise CityModelError(f"{self._source}: the object {object_id} is malformed.", _HINT)
-            for child in item.get("children") or ():
-                parents.setdefault(str(child), object_id)
-            for parent in (item.get("parents") or ())[:1]:
-                parents[object_id] = str(parent)
-        lines = {object_id: _line_of(object_id, parents, objects) for object_id in objects}
-        has_geometry = {lines[object_id][-1] for object_id, item in objects.items() if item.get("geometry")}
+        parents = parents_of(objects)
+        roots = roots_of(objects, parents)
+        has_geometry = {roots[object_id] for object_id, item in objects.items() if item.get("geometry")}
         numbers: dict[str, int] = {}
+        depths: dict[str, int] = {}
         for object_id, item in objects.items():
-            line = lines[object_id]
-            root_type = str(objects[line[-1]].get("type"))
+            root = roots[object_id]
+            root_type = str(objects[root].get("type"))
             if root_type not in self._wanted and not _is_building(root_type):
                 self._others[str(item.get("type"))] += 1
                 continue
-            for ancestor in reversed(line):
-                if ancestor not in numbers:
-                    parent = parents.get(ancestor, "") if ancestor != line[-1] else ""
-                    numbers[ancestor] = self._add_object(
-                        ancestor, objects[ancestor], numbers.get(parent, -1), line[-1] in has_geometry
-                    )
+            line = [object_id]
+            while line[-1] not in numbers and line[-1] != root:
+                line.append(parents[line[-1]])
+            for own in reversed(line):
+                if own not in numbers:
+                    parent = -1 if own == root else numbers[parents[own]]
+                    depths[own] = 0 if own == root else depths[parents[own]] + 1
+                    if depths[own] > _MAX_DEPTH:
+                        raise CityModelError(f"{self._source}: {own} is nested too deeply.", _HINT)
+                    numbers[own] = self._add_object(own, objects[own], parent, root in has_geometry)
         return numbers
 
     def _add_object(self, object_id: str, item: Json, parent: int, has_geometry: bool) -> int:
@@ -255,13 +258,3 @@ class _Reader:
 def _is_building(kind: str) -> bool:
     # Extensions name their own: "+NoiseBuilding", and "BuildingZ" without the sign has been seen.
     return kind.lstrip("+").startswith("Building") or (kind.startswith("+") and "Building" in kind)
-
-
-def _line_of(object_id: str, parents: dict[str, str], objects: dict[str, Json]) -> list[str]:
-    """Returns an object and its ancestors in the file, the topmost last; a circle ends where it closes."""
-    line = [object_id]
-    visited = {object_id}
-    while (parent := parents.get(line[-1])) in objects and parent not in visited and parent is not None:
-        visited.add(parent)
-        line.append(parent)
-    return line

@@ -82,6 +82,27 @@ class TestReading:
         }
         assert len(read(tmp_path, document(objects)).polygons) == 2
 
+    def test_groups_list_buildings_and_own_none(self, tmp_path: Path) -> None:
+        square = surface([0, 1, 2])
+        objects = {
+            "g": {"type": "CityObjectGroup", "children": ["a", "p"]},
+            "a": building(square, parents=["g"], children=["p"]),
+            "p": {"type": "BuildingPart", "geometry": [square], "parents": ["g", "a"]},
+        }
+        model = read(tmp_path, document(objects))
+        assert (model.building_ids, model.num_parts, len(model.polygons)) == (("a",), 1, 2)
+        assert codes(model) == {"LB209": 1}
+
+    def test_parts_in_parts(self, tmp_path: Path) -> None:
+        def nested(depth: int) -> dict[str, Any]:
+            part = {"type": "BuildingPart", "geometry": [surface([0, 1, 2])]}
+            return {"0": building(), **{str(n): part | {"parents": [str(n - 1)]} for n in range(1, depth)}}
+
+        model = read(tmp_path, document(dict(reversed(nested(50).items()))))
+        assert (model.building_ids, model.num_parts, len(model.polygons)) == (("0",), 49, 49)
+        with pytest.raises(CityModelError, match="nested too deeply"):
+            read(tmp_path, document(nested(5000)))
+
     def test_template(self, tmp_path: Path) -> None:
         templates = {
             "templates": [surface([0, 1, 2], lod="2")],
