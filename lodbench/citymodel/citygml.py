@@ -131,8 +131,9 @@ class _Reader:
         """Looks in every member for the targets of references that point out of their own."""
         self.links.begin_second_pass(self._building_ids)
         for member in XmlMembers(stream, self._source, MEMBERS, Findings()):
-            self.walk.begin_member()
-            if not self.links.resolve_elsewhere(member, self._building_ids):
+            self._begin_member(member)
+            srs_name = next(filter(None, map(envelope_srs, member)), self._srs_name)
+            if not self.links.resolve_elsewhere(member, self._building_ids, srs_name):
                 break
         self.links.end_second_pass()
         self._flush()
@@ -150,11 +151,14 @@ class _Reader:
         self._version = versions[0] if versions else ""
         self._srs_name = self._root_srs = envelope_srs(root) or root.get("srsName")
 
-    def _read_member(self, member: Element) -> None:
+    def _begin_member(self, member: Element) -> None:
         self.walk.begin_member()
         around = member.getparent()
         if around is not None and around is not self._around:  # its Envelope goes with its first member
             self._around, self._srs_name = around, envelope_srs(around) or self._root_srs
+
+    def _read_member(self, member: Element) -> None:
+        self._begin_member(member)
         met: list[tuple[Element, dict[Element, int], int]] = []
         for element in member.iter(*self._wanted):
             type_ = local_name(element.tag)

@@ -94,3 +94,11 @@ def envelope_srs(element: Element) -> str | None:
             name = envelope.get("srsName")
             return None if name is None else str(name).strip()
     return None
+
+
+def declared_around(geometry: Element) -> tuple[str | None, int]:
+    """Returns the srsName and the srsDimension around a geometry, None and 0 where none is."""
+    names = (node.get("srsName") for node in geometry.iterancestors())
+    dimensions = ((node.get("srsDimension") or "").strip() for node in geometry.iterancestors())
+    srs_name = next((str(name).strip() for name in names if name), None)
+    return srs_name, int(next((text for text in dimensions if text in ("2", "3")), 0))

@@ -7,11 +7,8 @@ from dataclasses import dataclass
 from itertools import chain
 
 from lodbench.citymodel.codes import DUPLICATE_ID, XLINK_CYCLE, XLINK_REMOTE, XLINK_UNRESOLVED
-from lodbench.citymodel.gml_names import (
-    GML_IDS,
-    POLYGONS,
-    XLINK_HREF,
-)
+from lodbench.citymodel.gml_context import declared_around
+from lodbench.citymodel.gml_names import GML_IDS, POLYGONS, XLINK_HREF
 from lodbench.citymodel.gml_polygons import Reference
 from lodbench.citymodel.gml_walk import GeometryWalk
 from lodbench.citymodel.model import SurfaceKind
@@ -97,14 +94,19 @@ class LinkResolver:
             target = self._target_id(reference, building_ids)
             self._wanted.setdefault(target or "", []).append(number)
 
-    def resolve_elsewhere(self, member: Element, building_ids: list[str]) -> bool:
-        """Second pass: adds what ``member`` holds of the unresolved references; tells if any are left."""
+    def resolve_elsewhere(self, member: Element, building_ids: list[str], srs_name: str | None) -> bool:
+        """Second pass: adds what ``member`` holds of the unresolved references; tells if any are left.
+
+        ``srs_name`` is the reference system of what declares none in it.
+        """
         index = index_member(member, None)
         found = [
             (number, target)
             for target in self._wanted.keys() & index.elements.keys()
             for number in self._wanted.pop(target)
         ]
+        if found:
+            self._walk.default_srs = self._walk.srs_names.index(srs_name)
         for number, target in sorted(found):
             self._copy_all(index, target, self.unresolved[number], building_ids)
         return bool(self._wanted)
@@ -202,7 +204,9 @@ class LinkResolver:
         walk = self._walk
         polygon = len(walk.batch.owners)
         walk.part = reference.part
-        walk.walk_geometry(element, reference.building, reference.lod, reference.kind, walk.default_srs, 0)
+        srs_name, dimension = declared_around(element)
+        srs = walk.default_srs if srs_name is None else walk.srs_names.index(srs_name)
+        walk.walk_geometry(element, reference.building, reference.lod, reference.kind, srs, dimension)
         index.polygons[element] = polygon
         if reference.is_flipped:
             walk.batch.flipped.append(polygon)

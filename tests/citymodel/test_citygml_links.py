@@ -56,6 +56,22 @@ class TestLinks:
         assert model.polygons.building.tolist() == [1, 0]
         assert model.findings.counts() == {}
 
+    @pytest.mark.parametrize("is_around", [True, False], ids=["envelope", "geometry"])
+    def test_a_link_across_members_keeps_the_system_of_its_target(
+        self, tmp_path: Path, is_around: bool
+    ) -> None:
+        envelope = '<gml:boundedBy><gml:Envelope srsName="EPSG:4326"/></gml:boundedBy>'
+        system = ' srsName="EPSG:4326" srsDimension="2"'
+        plan = "50.5 9.0 50.6 9.0 50.5 9.1 50.5 9.0"
+        flat = polygon(f"<gml:posList>{plan}</gml:posList>", gml_id="w")
+        walls = (envelope if is_around else "") + multi_surface(
+            surface_members([flat]), attributes="" if is_around else system
+        )
+        last = member(multi_surface(surface_members([polygon(BOX[0])])), "b3")
+        text = city(member(solid(link("#w"), 2), "b1") + member(walls, "b2") + last)
+        own, _, borrowed = np.split(model_of(tmp_path, text).polygons.points, [3, -3])
+        assert np.array_equal(own, borrowed)
+
     @pytest.mark.parametrize(
         ("href", "code"),
         [
