@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
-from lodbench.citymodel.gml_names import GML_IDS, INTERIOR_NAMES, OUTER_NAMES, SURFACE_KINDS
+from typing import cast
+
+from lxml import etree
+
+from lodbench.citymodel.gml_names import (
+    GML_IDS,
+    INTERIOR_NAMES,
+    OBJECT_PROPERTIES,
+    OUTER_NAMES,
+    SURFACE_KINDS,
+)
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.xml import Element, local_name
 
 # Plain integers: looking a member up in its class costs more than the rest of a step.
+# Of the object itself, of its surfaces and parts, and of their surfaces: a look at all would cost too much.
+_LINKED = etree.XPath(
+    "(* | */*/* | */*/*/*/*)[@xlink:href]", namespaces={"xlink": "http://www.w3.org/1999/xlink"}
+)
 _UNKNOWN, _INTERIOR = int(SurfaceKind.UNKNOWN), int(SurfaceKind.INTERIOR)
 
 
@@ -76,6 +90,12 @@ def is_inside(element: Element, met: list[tuple[Element, dict[Element, int], int
     """Tells whether an element stands inside of one that was met, as terrain does inside of terrain."""
     above = set(element.iterancestors())
     return any(other in above for other, _, _ in met)
+
+
+def linked_objects(element: Element) -> list[Element]:
+    """Returns the properties of an object and of its parts that refer to a surface or part elsewhere."""
+    linked = cast("list[Element]", _LINKED(element))
+    return [prop for prop in linked if len(prop) == 0 and local_name(prop.tag) in OBJECT_PROPERTIES]
 
 
 def gml_id(element: Element) -> str | None:

@@ -6,10 +6,11 @@ import re
 from typing import Any
 
 from lodbench.citymodel.gml_context import owner_of
-from lodbench.citymodel.gml_links import MemberIndex, index_member
+from lodbench.citymodel.gml_index import MemberIndex, index_member
 from lodbench.citymodel.gml_names import (
     GEOMETRY_PROPERTIES,
     GML_IDS,
+    OBJECT_PROPERTIES,
     POLYGONS,
     XLINK_HREF,
     is_citygml,
@@ -20,20 +21,9 @@ from lodbench.citymodel.objects import ObjectTable
 from lodbench.citymodel.xml import Element, local_name
 
 # Children that hold geometry, other objects or bookkeeping, not facts about the object.
-_NO_ATTRIBUTES = frozenset(
-    {
-        "boundedBy", "boundary", "consistsOfBuildingPart", "buildingPart", "outerBuildingInstallation",
-        "buildingInstallation", "interiorBuildingInstallation", "interiorRoom", "buildingRoom", "opening",
-        "buildingSubdivision", "buildingConstructiveElement", "appearance", "address", "generalizesTo",
-        "adeOfAbstractBuilding", "interiorFurniture", "roomInstallation", "buildingFurniture",
-        "consistsOfBridgePart", "bridgePart", "outerBridgeInstallation", "outerBridgeConstruction",
-        "bridgeInstallation", "bridgeConstructiveElement", "interiorBridgeInstallation",
-        "interiorBridgeRoom", "bridgeRoom", "bridgeFurniture", "consistsOfTunnelPart", "tunnelPart",
-        "outerTunnelInstallation", "tunnelInstallation", "tunnelConstructiveElement",
-        "interiorTunnelInstallation", "interiorHollowSpace", "hollowSpace", "tunnelFurniture",
-        "reliefComponent", "tin", "trafficArea", "auxiliaryTrafficArea",
-    }
-)  # fmt: skip
+_NO_ATTRIBUTES = OBJECT_PROPERTIES | {
+    "appearance", "address", "generalizesTo", "adeOfAbstractBuilding", "reliefComponent", "tin",
+}  # fmt: skip
 _GENERIC = ("attribute", "attributeset")
 _GENERIC_KINDS = {"doubleAttribute": float, "intAttribute": int, "measureAttribute": float}
 _DAYS = ("creationDate", "terminationDate")

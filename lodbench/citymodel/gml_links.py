@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 from itertools import chain
 
-from lodbench.citymodel.codes import DUPLICATE_ID, XLINK_CYCLE, XLINK_REMOTE, XLINK_UNRESOLVED
-from lodbench.citymodel.gml_context import declared_around
-from lodbench.citymodel.gml_names import GML_IDS, POLYGONS, XLINK_HREF
+from lodbench.citymodel.codes import (
+    DUPLICATE_ID,
+    GEOMETRY_UNSUPPORTED,
+    XLINK_CYCLE,
+    XLINK_REMOTE,
+    XLINK_UNRESOLVED,
+)
+from lodbench.citymodel.gml_context import declared_around, linked_objects, surface_kind
+from lodbench.citymodel.gml_index import MemberIndex, index_member
+from lodbench.citymodel.gml_names import (
+    GEOMETRY_PROPERTIES,
+    POLYGONS,
+    XLINK_HREF,
+    property_lod,
+)
 from lodbench.citymodel.gml_polygons import Reference
 from lodbench.citymodel.gml_walk import GeometryWalk
 from lodbench.citymodel.model import SurfaceKind
-from lodbench.citymodel.xml import Element
+from lodbench.citymodel.xml import Element, local_name
 from lodbench.findings import Findings
 
 _INTERIOR = int(SurfaceKind.INTERIOR)
-
-
-@dataclass(slots=True)
-class MemberIndex:
-    """Everything in a member that can be referred to; built only when a plain look-up fails."""
-
-    elements: dict[str, Element]
-    polygons: dict[Element, int]
 
 
 class LinkResolver:
@@ -75,7 +78,7 @@ class LinkResolver:
             target = self._target_id(reference, building_ids)
             if target is None:
                 continue
-            polygon = walk.polygon_ids.get(target)
+            polygon = walk.polygon_ids.get(target) if lod >= 0 else None
             if polygon is not None:
                 self._copy(polygon, reference)
                 continue
@@ -84,7 +87,7 @@ class LinkResolver:
             if target not in index.elements:
                 self.unresolved.append(reference)
             else:
-                self._copy_all(index, target, reference, building_ids)
+                self._follow(index, target, reference, building_ids)
 
     def begin_second_pass(self, building_ids: list[str]) -> None:
         """Sorts the unresolved references by the id they name, so that each member is asked once."""
@@ -108,7 +111,7 @@ class LinkResolver:
         if found:
             self._walk.default_srs = self._walk.srs_names.index(srs_name)
         for number, target in sorted(found):
-            self._copy_all(index, target, self.unresolved[number], building_ids)
+            self._follow(index, target, self.unresolved[number], building_ids)
         return bool(self._wanted)
 
     def end_second_pass(self) -> None:
@@ -153,6 +156,56 @@ class LinkResolver:
                     *(reference.is_flipped, reference.placement, reference.part),
                 )
             )
+
+    def _follow(self, index: MemberIndex, target: str, reference: Reference, building_ids: list[str]) -> None:
+        """Copies what a reference stands for: a geometry, or those of a whole boundary surface or part."""
+        if reference.lod >= 0:
+            self._copy_all(index, target, reference, building_ids)
+            return
+        visited = self._visited.setdefault((reference.building, reference.lod, 0), set())
+        todo = [target]
+        for name in todo:  # which grows
+            if name in visited:
+                continue
+            visited.add(name)
+            if not self._copy_object(index, index.elements[name], reference, building_ids):
+                self._findings.add(XLINK_UNRESOLVED, building_ids[reference.building], reference.href)
+            hrefs = (prop.get(XLINK_HREF, "") for prop in linked_objects(index.elements[name]))
+            todo += self._targets_within(index, hrefs, reference, building_ids)
+
+    def _copy_object(
+        self, index: MemberIndex, element: Element, reference: Reference, building_ids: list[str]
+    ) -> bool:
+        """Copies each geometry of an object at its own level and of its own kind; tells if there are any."""
+        around, properties = element.getparent(), 0
+        for prop in element.iter(*GEOMETRY_PROPERTIES):
+            lod_name = property_lod(prop.tag)
+            if lod_name is None or around is None:
+                continue
+            properties += 1
+            if local_name(prop.tag).endswith("ImplicitRepresentation"):
+                detail = f"{local_name(prop.tag)} of an object elsewhere"
+                self._findings.add(GEOMETRY_UNSUPPORTED, building_ids[reference.building], detail)
+                continue
+            lod, kind = self._walk.lods.index(lod_name), surface_kind(prop, around)
+            own = reference._replace(lod=lod, kind=kind)
+            hrefs = (*filter(None, [prop.get(XLINK_HREF)]), *self._copy_below(prop, index, own))
+            for inner in self._targets_within(index, hrefs, own, building_ids):
+                self._copy_all(index, inner, own, building_ids)
+        return properties > 0
+
+    def _targets_within(
+        self, index: MemberIndex, hrefs: Iterable[str], reference: Reference, building_ids: list[str]
+    ) -> list[str]:
+        """Returns the ids that stand in the member; adds a finding for every other."""
+        targets = []
+        for href in hrefs:
+            target = self._target_id(reference._replace(href=href), building_ids)
+            if target in index.elements:
+                targets.append(target)
+            elif target is not None:
+                self._findings.add(XLINK_UNRESOLVED, building_ids[reference.building], href)
+        return targets
 
     def _copy_all(
         self, index: MemberIndex, target: str, reference: Reference, building_ids: list[str]
@@ -212,19 +265,3 @@ class LinkResolver:
             walk.batch.flipped.append(polygon)
         if reference.placement is not None:
             walk.batch.placed[polygon] = reference.placement
-
-
-def index_member(member: Element, walk: GeometryWalk | None) -> MemberIndex:
-    """Returns what can be referred to; polygons by number where ``walk`` has just collected them."""
-    elements: dict[str, Element] = {}
-    for element in member.iter():
-        for name in GML_IDS:
-            gml_id = element.get(name)
-            if gml_id is not None:
-                elements.setdefault(gml_id, element)
-    if walk is None:
-        return MemberIndex(elements, {})
-    # The same steps in the same order as the walk took, so that numbers agree.
-    in_order = (polygon for prop in walk.properties for polygon in prop.iter(*POLYGONS))
-    polygons = {element: walk.first_polygon + i for i, element in enumerate(in_order)}
-    return MemberIndex(elements, polygons)

@@ -36,6 +36,20 @@ NESTED_TYPES = {
     "HollowSpace": "TunnelHollowSpace",
     "TunnelFurniture": "TunnelFurniture",
 }
+# Properties that hold surfaces and objects, or refer to them elsewhere.
+OBJECT_PROPERTIES = frozenset(
+    {
+        "boundedBy", "boundary", "consistsOfBuildingPart", "buildingPart", "outerBuildingInstallation",
+        "buildingInstallation", "interiorBuildingInstallation", "interiorRoom", "buildingRoom", "opening",
+        "buildingSubdivision", "buildingConstructiveElement", "interiorFurniture", "roomInstallation",
+        "buildingFurniture", "consistsOfBridgePart", "bridgePart", "outerBridgeInstallation",
+        "outerBridgeConstruction", "bridgeInstallation", "bridgeConstructiveElement",
+        "interiorBridgeInstallation", "interiorBridgeRoom", "bridgeRoom", "bridgeFurniture",
+        "consistsOfTunnelPart", "tunnelPart", "outerTunnelInstallation", "tunnelInstallation",
+        "tunnelConstructiveElement", "interiorTunnelInstallation", "interiorHollowSpace", "hollowSpace",
+        "tunnelFurniture", "trafficArea", "auxiliaryTrafficArea",
+    }
+)  # fmt: skip
 _NESTED = tuple("{*}" + name for name in NESTED_TYPES)
 _NESTED_IN_BUILDINGS = tuple(name for name in _NESTED if "Bridge" not in name and "Tunnel" not in name)
 

@@ -13,7 +13,10 @@ _MAX_NAMES = 32
 
 
 class Reference(NamedTuple):
-    """An XLink met inside a geometry property: the id it names, and whose surface it stands for."""
+    """An XLink met inside a geometry property: the id it names, and whose surface it stands for.
+
+    One to a whole boundary surface or part has the level -1: its surfaces keep their own levels and kinds.
+    """
 
     href: str
     building: int

@@ -7,7 +7,14 @@ from typing import Any
 
 from lodbench.citymodel.codes import GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
 from lodbench.citymodel.crs import is_in_degrees
-from lodbench.citymodel.gml_context import is_in_ring, owner_of, plain_numbers, relief_lod, surface_kind
+from lodbench.citymodel.gml_context import (
+    is_in_ring,
+    linked_objects,
+    owner_of,
+    plain_numbers,
+    relief_lod,
+    surface_kind,
+)
 from lodbench.citymodel.gml_implicit import read_placement
 from lodbench.citymodel.gml_names import (
     CURVE,
@@ -124,6 +131,9 @@ class GeometryWalk:
                 self._walk_implicit(prop, building, building_id, lod, kind, srs)
             elif not self._walk_property(prop, building, lod, kind, srs):
                 self._findings.add(GEOMETRY_EMPTY, building_id, name)
+        for prop in linked_objects(element):
+            part = owner_of(prop, element, part_of, own)
+            self.references.append(Reference(prop.get(XLINK_HREF, ""), building, -1, 0, False, None, part))
         return part_of
 
     def _walk_property(self, prop: Element, building: int, lod: int, kind: int, srs: int) -> bool:

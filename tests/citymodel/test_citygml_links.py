@@ -72,6 +72,37 @@ class TestLinks:
         own, _, borrowed = np.split(model_of(tmp_path, text).polygons.points, [3, -3])
         assert np.array_equal(own, borrowed)
 
+    def test_a_whole_surface_and_a_whole_part(self, tmp_path: Path) -> None:
+        wall = (
+            f'<bldg:boundedBy><bldg:WallSurface gml:id="ws">{multi_surface(link("#p"))}'
+            "</bldg:WallSurface></bldg:boundedBy>"
+        )
+        face = multi_surface(surface_members([polygon(BOX[3], gml_id="p")]), 3)
+        box = solid(surface_members(map(polygon, box_rings(x=500100.0))))
+        part = (
+            f'<core:cityObjectMember><bldg:BuildingPart gml:id="bp">{box}</bldg:BuildingPart>'
+            "</core:cityObjectMember>"
+        )
+        links = '<bldg:boundedBy xlink:href="#ws"/><bldg:consistsOfBuildingPart xlink:href="#bp"/>'
+        model = model_of(tmp_path, city(member(links) + member(wall + face, "b2") + part))
+        own = model.polygons.building == 0
+        assert [model.lods[n] for n in model.polygons.lod[own]] == ["2"] + ["1"] * 6
+        assert model.polygons.kind[own][0] == SurfaceKind.WALL
+        assert codes(model) == {"LB209": 1}
+
+    @pytest.mark.parametrize("href", ["#nowhere", "#c", "#c2"])
+    def test_a_surface_that_is_not_found_is_a_finding(self, tmp_path: Path, href: str) -> None:
+        circle = "".join(
+            f'<bldg:boundedBy><bldg:WallSurface gml:id="{name}"><bldg:opening xlink:href="#{other}"/>'
+            "</bldg:WallSurface></bldg:boundedBy>"
+            for name, other in (("c", "c2"), ("c2", "c"))
+        )
+        text = city(member(f'{self.walls}<bldg:boundedBy xlink:href="{href}"/>') + member(circle, "b2"))
+        model = model_of(tmp_path, text)
+        found = [item.code.code for item in model.findings.items if item.object_id == "b1"]
+        assert len(model.polygons) == 1
+        assert set(found) == {"LB202"}
+
     @pytest.mark.parametrize(
         ("href", "code"),
         [
