@@ -12,6 +12,7 @@ from lodbench.citymodel.gml_names import (
     OBJECT_PROPERTIES,
     OUTER_NAMES,
     SURFACE_KINDS,
+    is_building_tag,
 )
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.xml import Element, local_name
@@ -90,6 +91,11 @@ def is_inside(element: Element, met: list[tuple[Element, dict[Element, int], int
     """Tells whether an element stands inside of one that was met, as terrain does inside of terrain."""
     above = set(element.iterancestors())
     return any(other in above for other, _, _ in met)
+
+
+def buildings_inside(element: Element) -> set[Element]:
+    """Returns the buildings inside of another (``generalizesTo``), which are read as their own."""
+    return {inner for inner in element.iterdescendants("{*}Building") if is_building_tag(inner.tag)}
 
 
 def linked_objects(element: Element) -> list[Element]:

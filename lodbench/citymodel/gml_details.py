@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from lodbench.citymodel.gml_context import owner_of
+from lodbench.citymodel.gml_context import buildings_inside, owner_of
 from lodbench.citymodel.gml_index import MemberIndex, index_member
 from lodbench.citymodel.gml_names import (
     GEOMETRY_PROPERTIES,
@@ -173,8 +173,9 @@ class SolidReader:
 
     def read(self, building: Element, part_of: dict[Element, int], own: int) -> None:
         """Adds the solids of a building and its parts."""
+        inner = buildings_inside(building)
         for prop in building.iter(*GEOMETRY_PROPERTIES):
-            if property_lod(prop.tag) is None:
+            if property_lod(prop.tag) is None or not inner.isdisjoint(prop.iterancestors()):
                 continue
             composites: dict[Element, int] = {}
             for composite in prop.iter("{*}CompositeSolid"):

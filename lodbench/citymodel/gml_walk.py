@@ -8,6 +8,7 @@ from typing import Any
 from lodbench.citymodel.codes import GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
 from lodbench.citymodel.crs import is_in_degrees
 from lodbench.citymodel.gml_context import (
+    buildings_inside,
     is_in_ring,
     linked_objects,
     owner_of,
@@ -113,8 +114,11 @@ class GeometryWalk:
         """
         srs = self.default_srs = self.srs_names.index(srs_name)
         part_of: dict[Element, int] = {}
+        inner = buildings_inside(element)
         # One pass for objects and geometry: an object comes before what is in it.
         for prop in element.iter(*(WALKED_IN_BUILDINGS if is_building_tag(element.tag) else WALKED)):
+            if inner and not inner.isdisjoint(prop.iterancestors()):
+                continue
             lod_name = property_lod(prop.tag)
             if lod_name is None:
                 name = local_name(prop.tag)
@@ -132,6 +136,8 @@ class GeometryWalk:
             elif not self._walk_property(prop, building, lod, kind, srs):
                 self._findings.add(GEOMETRY_EMPTY, building_id, name)
         for prop in linked_objects(element):
+            if not inner.isdisjoint(prop.iterancestors()):
+                continue
             part = owner_of(prop, element, part_of, own)
             self.references.append(Reference(prop.get(XLINK_HREF, ""), building, -1, 0, False, None, part))
         return part_of

@@ -9,6 +9,7 @@ import pytest
 
 from lodbench.citymodel import city_info, mesh_city, mesh_model, open_scene, read_city_model
 from lodbench.citymodel.convert import convert_city
+from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import CityModelError
 
 from .gml_text import (
@@ -122,3 +123,14 @@ class TestIds:
         assert codes(model) == {"LB205": 1}
         convert_city(model, tmp_path / "a.json")
         assert read_city_model(tmp_path / "a.json").building_ids == ("b1", "b1~2")
+
+    @pytest.mark.parametrize("has_details", [False, True])
+    def test_a_building_inside_of_another_is_one_of_its_own(self, tmp_path: Path, has_details: bool) -> None:
+        boxes = [solid(surface_members(map(polygon, box_rings(x=500000.0 + 50 * n)))) for n in range(2)]
+        inner = f'<bldg:Building gml:id="in">{boxes[1]}</bldg:Building>'
+        inner = f"<core:generalizesTo>{inner}</core:generalizesTo>"
+        options = ReadOptions(has_details=has_details)
+        model = model_of(tmp_path, city(member(inner + boxes[0])), options=options)
+        assert model.building_ids == ("b1", "in")
+        assert np.bincount(model.polygons.building).tolist() == [6, 6]
+        assert model.solids is None or model.solids.part.tolist() == [0, 1]
