@@ -206,12 +206,12 @@ def srs_name(crs: str | None) -> str | None:
 def _xml_ids(names: Iterable[str], taken: set[str], notes: Counter[str]) -> list[str]:
     """Returns ids that XML allows, none of them twice; ``taken`` grows."""
     result: list[str] = []
+    numbers: Counter[str] = Counter()  # how often each was taken: the search goes on where it ended
     for name in names:
-        own = name if _NAME.fullmatch(name) else f"id_{_NOT_IN_NAMES.sub('_', name)}"
-        number = 1
+        plain = own = name if _NAME.fullmatch(name) else f"id_{_NOT_IN_NAMES.sub('_', name)}"
         while own in taken:
-            number += 1
-            own = f"{name if _NAME.fullmatch(name) else 'id_' + _NOT_IN_NAMES.sub('_', name)}_{number}"
+            numbers[plain] += 1
+            own = f"{plain}_{numbers[plain] + 1}"
         if own != name:
             notes["id that XML does not allow, written otherwise"] += 1
         taken.add(own)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, BinaryIO
@@ -77,13 +78,14 @@ def _parse(data: bytes, source: str, line: int | None, repeated: list[str]) -> A
 def _apart(pairs: list[tuple[str, Any]], repeated: list[str]) -> Json:
     """Returns a JSON object with keys that stand twice; city objects stay apart, the later as ``id~2``."""
     values: Json = {}
+    numbers: Counter[str] = Counter()  # how often each was met: the search goes on where it ended
     for key, value in pairs:
-        own, number = key, 1
+        own = key
         if isinstance(value, dict) and "type" in value:
             while own in values:
-                number += 1
-                own = f"{key}~{number}"
-            if number > 1:
+                numbers[key] += 1
+                own = f"{key}~{numbers[key] + 1}"
+            if own != key:
                 repeated.append(key)
         values[own] = value
     return values

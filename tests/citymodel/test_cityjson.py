@@ -103,6 +103,15 @@ class TestReading:
         with pytest.raises(CityModelError, match="nested too deeply"):
             read(tmp_path, document(nested(5000)))
 
+    def test_a_key_that_stands_thousands_of_times(self, tmp_path: Path) -> None:
+        # Square in their number these would take minutes.
+        one = '"a": {"type": "Building"}'
+        text = json.dumps(document({"b": building(surface([0, 1, 2]))}))
+        text = text.replace('"CityObjects": {', '"CityObjects": {' + f"{one}, " * 20000)
+        model = read(tmp_path, text)
+        assert model.building_ids[:3] == ("a", "a~2", "a~3")
+        assert len(set(model.building_ids)) == 20001
+
     def test_template(self, tmp_path: Path) -> None:
         templates = {
             "templates": [surface([0, 1, 2], lod="2")],
