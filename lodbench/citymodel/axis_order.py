@@ -17,6 +17,9 @@ _AREA_MARGIN_DEG = 0.5
 # No town lies further south or north; it tells latitudes from longitudes where the area is the world.
 _INHABITED_LATITUDES_DEG = (-56.0, 80.0)
 
+# So many houses are hardly all inside out, and overrule a name that promises the order of its authority.
+_MANY_BUILDINGS = 10
+
 
 @dataclass(frozen=True, slots=True)
 class Order:
@@ -31,18 +34,19 @@ class Order:
 def settle_order(
     middle: NDArray[np.float64],
     known: KnownCrs,
-    is_declared: bool,
+    srs_name: str | None,
     findings: Findings,
-    tells_north_first: Callable[[], bool | None],
+    tells_north_first: Callable[[int], bool | None],
 ) -> Order:
     """Returns how to read the first two columns.
 
     Args:
         middle: (2,) of the data.
         known: Their reference system.
-        is_declared: Whether the file itself names it.
+        srs_name: Under which the file itself names it, or None.
         findings: Receives what is decided against the declaration, or not at all.
-        tells_north_first: Asked where both orders are plausible; None for no answer.
+        tells_north_first: Asked, with the least number of buildings, where both orders are plausible; None
+            for no answer.
     """
     axes = [axis.direction.lower() for axis in known.horizontal.axis_info[:2]]
     is_declared_north_first = axes[0].startswith("north") or axes[0] == "south"
@@ -52,7 +56,13 @@ def settle_order(
     if declared.is_plausible != swapped.is_plausible:
         told = declared.is_north_first if declared.is_plausible else swapped.is_north_first
     elif declared.is_plausible and is_declared_north_first:
-        told = tells_north_first()
+        told = tells_north_first(1)
+        if told is False and srs_name is not None and _promises_order(srs_name):
+            told = tells_north_first(_MANY_BUILDINGS) is not False
+            taken = (
+                "north first, as declared, though walls look inside" if told else "east first, as walls tell"
+            )
+            findings.add(AXES_AMBIGUOUS, "", f"{known.label}: taken as {taken}; say axis_order")
     if told == is_declared_north_first:
         return declared
     if told is not None:
@@ -64,12 +74,17 @@ def settle_order(
         # Files of projected systems store east first more often than not.
         return swapped if known.horizontal.is_projected and is_declared_north_first else declared
     # Meshes name no system, and have x to the east: latitudes first are those of files that say so.
-    if is_declared_north_first and (known.horizontal.is_projected or not is_declared):
+    if is_declared_north_first and (known.horizontal.is_projected or srs_name is None):
         findings.add(
             AXES_AMBIGUOUS, "", f"{known.label} declares north first; taken as east first, as is usual"
         )
         return swapped
     return declared
+
+
+def _promises_order(srs_name: str) -> bool:
+    """Tells whether a name is OGC's URN or URI; of others (``EPSG:4979``, ``epsg.xml#4979``) nobody knows."""
+    return "urn:ogc:def:crs" in srs_name.lower() or "opengis.net/def/crs" in srs_name.lower()
 
 
 def declares_south_and_west(known: KnownCrs) -> bool:

@@ -46,7 +46,7 @@ def to_metres(
     override: str | None,
     findings: Findings,
     axis_order: AxisOrder = "auto",
-    tells_north_first: Callable[[], bool | None] = lambda: None,
+    tells_north_first: Callable[[int], bool | None] = lambda least: None,
 ) -> str | None:
     """Brings points, in place, to east, north, up in metres; returns the label of their reference system.
 
@@ -56,8 +56,8 @@ def to_metres(
         override: What the user says instead, or None.
         findings: Receives every decision that the declaration alone does not settle.
         axis_order: What is known of the order of the columns.
-        tells_north_first: Asked, where both orders are plausible, whether northings stand first; None for
-            no answer.
+        tells_north_first: Asked, with the least number of buildings, where both orders are plausible, whether
+            northings stand first; None for no answer.
 
     Returns:
         A name pyproj understands, or None where the system is unknown.
@@ -76,7 +76,7 @@ def to_metres(
     # PROJ takes southings before westings, as declared; which is which, only the place on Earth tells.
     is_south_first = declares_south_and_west(known)
     if axis_order == "auto" or is_south_first:
-        order = settle_order(_middle(points), known, srs_name is not None, findings, tells_north_first)
+        order = settle_order(_middle(points), known, srs_name, findings, tells_north_first)
     else:
         order = try_order(_middle(points), known, axis_order == "north_first")
         if not order.is_plausible:

@@ -18,11 +18,12 @@ _LEAST_SHARE = 0.5
 _LEAST_AGREEING = 0.9
 
 
-def faces_tell_north_first(polygons: Polygons) -> bool | None:
+def faces_tell_north_first(polygons: Polygons, least_buildings: int = 1) -> bool | None:
     """Tells whether northings stand first: exchanged columns mirror houses, whose walls then look inside.
 
     Args:
         polygons: In the coordinates of the file.
+        least_buildings: So many have to tell something.
 
     Returns:
         None where walls do not tell: footprints have none, some publishers draw them at random.
@@ -42,6 +43,8 @@ def faces_tell_north_first(polygons: Polygons) -> bool | None:
     areas = is_wall * ((plan[first] - middles[building]) * vectors[:, :2]).sum(axis=1)
     total, largest = np.bincount(building, areas), np.bincount(building, np.abs(areas))
     is_outside, is_inside = total > _LEAST_SHARE * largest, total < -_LEAST_SHARE * largest
+    if is_inside.sum() + is_outside.sum() < least_buildings:
+        return None
     share = is_inside.sum() / max(is_inside.sum() + is_outside.sum(), 1)
     if share >= _LEAST_AGREEING:
         return True

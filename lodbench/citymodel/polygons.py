@@ -226,7 +226,9 @@ def _bring_to_metres(
     used = np.unique(srs)
     if len({systems[n] if override is None else systems[n][1] for n in used}) <= 1:
         name, order = systems[used[0] if len(used) else 0]
-        return to_metres(points, name, override, raw.findings, order, partial(_told_by_faces, raw, polygons))
+        return to_metres(
+            points, name, override, raw.findings, order, partial(_told_by_faces, raw, polygons, None)
+        )
     point_srs = np.repeat(srs, np.diff(polygons.ring_starts[polygons.polygon_starts]))
     first_label: str | None = None
     for number in [int(srs[0]), *(int(s) for s in used if s != srs[0])]:
@@ -245,11 +247,10 @@ def _bring_to_metres(
 
 
 def _told_by_faces(
-    raw: RawCity, polygons: Polygons, is_chosen: NDArray[np.bool_] | None = None
+    raw: RawCity, polygons: Polygons, is_chosen: NDArray[np.bool_] | None, least_buildings: int
 ) -> bool | None:
     """Tells whether northings stand first in polygons of a reference system; meshes have x to the east."""
     if raw.lods == ("",):
         return None
-    return faces_tell_north_first(
-        polygons if is_chosen is None else select_polygons(polygons, np.flatnonzero(is_chosen))
-    )
+    chosen = polygons if is_chosen is None else select_polygons(polygons, np.flatnonzero(is_chosen))
+    return faces_tell_north_first(chosen, least_buildings)

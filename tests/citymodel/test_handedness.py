@@ -79,6 +79,25 @@ def test_what_the_user_says_goes_before_the_faces(tmp_path: Path) -> None:
     assert found == pytest.approx(PLACES["EPSG:4326"], abs=2e-3)
 
 
+@pytest.mark.parametrize("name", ["urn:ogc:def:crs:EPSG::{}", "http://www.opengis.net/def/crs/EPSG/0/{}"])
+@pytest.mark.parametrize(("count", "told"), [(1, [637000.0, 486000.0]), (12, [486000.0, 637000.0])])
+def test_a_name_that_promises_an_order_yields_to_many_houses(
+    tmp_path: Path, name: str, count: int, told: list[float]
+) -> None:
+    # Northing first as EPSG:2180 has it, and all faces inside: one house is drawn badly, many are mirrored.
+    boxes = [box_rings(x=637000.0 + 20 * n, y=486000.0) for n in range(count)]
+    text = "".join(
+        member(
+            solid(surface_members(polygon([(y, x, z) for x, y, z in ring[::-1]]) for ring in box)), f"b{n}"
+        )
+        for n, box in enumerate(boxes)
+    )
+    model = read_city_model(write(tmp_path / "a.gml", city(text, srs=name.format(2180))))
+    assert model.origin[:2].tolist() == told
+    (found,) = [item for item in model.findings.items if item.code.name == "AXES_AMBIGUOUS"]
+    assert found.detail.endswith("say axis_order")
+
+
 def test_a_system_that_declares_eastings_first_asks_no_faces(tmp_path: Path) -> None:
     inside_out = [[(p[0] + 5e5, p[1] + 6e5, p[2]) for p in ring[::-1]] for ring in BOX]
     text = city(member(solid(surface_members(map(polygon, inside_out)))), srs="EPSG:2157")
