@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.cityjson_geometry import GeometryReader
 from lodbench.citymodel.cityjson_parents import parents_of, roots_of
 from lodbench.citymodel.cityjson_textures import TextureReader
-from lodbench.citymodel.cityjson_values import declared_system
+from lodbench.citymodel.cityjson_values import declared_system, points_of
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
 from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.crs import crs_label, is_in_degrees
@@ -172,10 +172,7 @@ class _Reader:
     def _vertices(self, values: Any) -> NDArray[np.float64]:
         """Returns (V, 3) coordinates: the transform is applied where there is one."""
         try:
-            numbers = np.asarray(values)
-            if numbers.size and numbers.dtype.kind not in "iuf":
-                raise ValueError("one is no number")  # numpy would take "1" for 1
-            vertices = numbers.astype(np.float64).reshape(-1, 3)
+            vertices = points_of(values)
         except (TypeError, ValueError, OverflowError) as error:
             raise CityModelError(f"{self._source} has malformed vertices ({error}).", _HINT) from None
         if not np.isfinite(vertices).all():

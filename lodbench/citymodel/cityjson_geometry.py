@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.cityjson_semantics import DEPTHS, flatten, surface_kinds
 from lodbench.citymodel.cityjson_textures import TextureReader
+from lodbench.citymodel.cityjson_values import points_of
 from lodbench.citymodel.codes import BAD_INDEX, GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED, SEMANTICS_MISFIT
 from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.objects import ObjectTable
@@ -191,7 +192,7 @@ class GeometryReader:
             self._report_index([anchor], object_id)
             return
         matrix = np.asarray(geometry["transformationMatrix"], np.float64).reshape(4, 4)
-        local = np.asarray(self._templates["vertices-templates"], np.float64).reshape(-1, 3)
+        local = points_of(self._templates["vertices-templates"])
         placed = local @ matrix[:3, :3].T + matrix[:3, 3] + self._vertices[anchor]
         if not np.isfinite(placed).all():
             raise ValueError("template coordinates are not finite")
@@ -203,11 +204,11 @@ class GeometryReader:
 
 
 def lod_name(value: Any) -> str:
-    """Returns the level as text: ``1``, ``1.0`` and ``"1"`` are one level, ``2.2`` another.
+    """Returns the level as text: ``1``, ``1.0``, ``"1"`` and ``"LoD1"`` are one level, ``2.2`` another.
 
     Example:
-        >>> lod_name(1.0), lod_name("2.2"), lod_name(0)
-        ('1', '2.2', '0')
+        >>> lod_name(1.0), lod_name("2.2"), lod_name(0), lod_name("LoD2"), lod_name(None)
+        ('1', '2.2', '0', '2', '')
     """
-    text = str(value).strip()
-    return text.removesuffix(".0")
+    text = "" if value is None else str(value).strip()
+    return text.removeprefix(text[:3] if text[:3].lower() == "lod" else "").strip().removesuffix(".0")

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lodbench.citymodel.crs import epsg_codes
 from lodbench.errors import CityModelError
 
@@ -25,6 +28,21 @@ def fitting(key: str, value: Any) -> Any:
     if key.startswith("storeys") and str(value).isdigit():
         return int(value)
     return value
+
+
+def points_of(values: Any) -> NDArray[np.float64]:
+    """Returns (N, 3) coordinates.
+
+    Raises:
+        ValueError: They are no points of three numbers each; the message says which.
+        TypeError, OverflowError: One is nothing that numpy takes for a number.
+    """
+    numbers = np.asarray(values)
+    if numbers.size and numbers.dtype.kind not in "iuf":
+        raise ValueError("one is no number")  # numpy would take "1" for 1
+    if numbers.size and (numbers.ndim != 2 or numbers.shape[1] != 3):
+        raise ValueError("one has no three coordinates")
+    return numbers.astype(np.float64).reshape(-1, 3)
 
 
 def declared_system(metadata: Any, source: str) -> str | None:

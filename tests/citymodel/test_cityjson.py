@@ -53,7 +53,7 @@ class TestReading:
         assert (model.format, model.version, model.crs) == ("CityJSON", "1.1", "EPSG:7415")
         assert model.findings.counts() == {}
 
-    @pytest.mark.parametrize("lod", [1, 1.0, "1", "1.0"])
+    @pytest.mark.parametrize("lod", [1, 1.0, "1", "1.0", "LoD1", "lod 1.0"])
     def test_level_names(self, tmp_path: Path, lod: Any) -> None:
         assert read(tmp_path, document({"a": building(surface([0, 1, 2], lod=lod))})).lods == ("1",)
 
@@ -102,6 +102,19 @@ class TestReading:
         assert (model.building_ids, model.num_parts, len(model.polygons)) == (("0",), 49, 49)
         with pytest.raises(CityModelError, match="nested too deeply"):
             read(tmp_path, document(nested(5000)))
+
+    def test_no_level_is_no_level_of_that_name(self, tmp_path: Path) -> None:
+        assert read(tmp_path, document({"a": building(surface([0, 1, 2], lod=None))})).lods == ("",)
+
+    @pytest.mark.parametrize("vertices", [[[0, 0], [4, 0], [4, 4]], [0, 0, 0, 4, 0, 0, 4, 4, 0]])
+    def test_points_of_two_coordinates_are_refused(self, tmp_path: Path, vertices: Any) -> None:
+        with pytest.raises(CityModelError, match="no three coordinates"):
+            read(tmp_path, document({"a": building(surface([0, 1, 2]))}, vertices=vertices))
+        templates = {"templates": [surface([0, 1, 2])], "vertices-templates": vertices}
+        instance = {"type": "GeometryInstance", "template": 0, "boundaries": [1]}
+        instance["transformationMatrix"] = np.eye(4).ravel().tolist()
+        with pytest.raises(CityModelError, match="no three coordinates"):
+            read(tmp_path, document({"a": building(instance)}, **{"geometry-templates": templates}))
 
     def test_a_key_that_stands_thousands_of_times(self, tmp_path: Path) -> None:
         # Square in their number these would take minutes.
