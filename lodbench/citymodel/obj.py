@@ -7,6 +7,7 @@ carry no surface. Numbers are read in bulk; a line at fault is looked for only w
 from __future__ import annotations
 
 import re
+from codecs import BOM_UTF8
 from collections import Counter
 from typing import BinaryIO
 
@@ -42,7 +43,7 @@ def read_obj(stream: BinaryIO, source: str, up_axis: str = "auto") -> RawCity:
         CityModelError: A number is malformed or not finite, a face has fewer than three corners or
             an index out of range (the message names the line), or there is no face.
     """
-    lines = _logical_lines(stream.read().decode("latin-1"))
+    lines = _logical_lines(stream.read().removeprefix(BOM_UTF8).decode("latin-1"))
     findings = Findings()
     positions = [i for i, line in enumerate(lines) if line.startswith("v ")]
     faces = [i for i, line in enumerate(lines) if line.startswith("f ")]

@@ -38,6 +38,9 @@ class TestReadObj:
         text = SQUARE + "f -4 -3 -2\nv 9 9 9\nf -2 -3 -4\n"
         assert faces(text)[1][3:] == [[0, 2, 0], [2, 2, 0], [2, 0, 0]]
 
+    def test_a_byte_order_mark_hides_no_vertex(self) -> None:
+        assert faces("\ufeff" + SQUARE + "f 1 2 3\n")[1] == [[0, 0, 0], [2, 0, 0], [2, 2, 0]]
+
     def test_extra_numbers_on_a_vertex(self) -> None:
         text = "v 0 0 0 1\nv 1 0 0 .5 .5 .5\nv 0 1 0\nf 1 2 3\n"
         assert faces(text)[1] == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
