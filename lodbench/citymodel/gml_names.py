@@ -59,7 +59,8 @@ _PROPERTY_LODS = {f"lod{lod}{suffix}": str(lod) for lod in range(5) for suffix i
 _PROPERTY_LODS |= {"lod0FootPrint": "0", "lod0RoofEdge": "0"}
 GEOMETRY_PROPERTIES = tuple("{*}" + name for name in _PROPERTY_LODS)
 _MULTI_SOLIDS = {f"lod{lod}MultiSolid": str(lod) for lod in range(1, 5)}  # of plants
-_PROPERTY_LODS |= _MULTI_SOLIDS
+_SURFACES = {f"lod{lod}Surface": str(lod) for lod in range(2, 5)}  # of water
+_PROPERTY_LODS |= _MULTI_SOLIDS | _SURFACES
 # Terrain says its level beside its surface, not in the name of it.
 RELIEF_SURFACE = "tin"
 # All that is looked for below an object, in one pass: every name more costs at every element.
@@ -68,7 +69,11 @@ WALKED_IN_BUILDINGS = (
     *(name for name in GEOMETRY_PROPERTIES if name not in _NOT_OF_BUILDINGS),
     *_NESTED_IN_BUILDINGS,
 )
-WALKED = (*GEOMETRY_PROPERTIES, *_NESTED, "{*}" + RELIEF_SURFACE, *("{*}" + name for name in _MULTI_SOLIDS))
+WALKED = (
+    *GEOMETRY_PROPERTIES,
+    *_NESTED,
+    *("{*}" + name for name in (RELIEF_SURFACE, *_MULTI_SOLIDS, *_SURFACES)),
+)
 
 _KINDS = {
     "WallSurface": SurfaceKind.WALL,
@@ -145,6 +150,7 @@ _NODES = {
     "OrientableSurface": ORIENTABLE,
     "LineString": CURVE,
     "Point": CURVE,
+    "controlPoint": CURVE,  # of a Tin, behind its triangles
     "Curve": CURVE,
     "LineStringSegment": CURVE,
 }

@@ -142,6 +142,28 @@ def test_layers_are_opted_in(text: str) -> None:
     assert info["lods"]["1"]["area_m2"] == pytest.approx(2 * box_area() + _TREE)  # each level by itself
 
 
+def test_control_points_of_terrain_are_in_no_triangle() -> None:
+    points = "<gml:posList>500000 5600000 49 500300 5600000 49</gml:posList>"
+    points = f"<gml:controlPoint>{points}</gml:controlPoint>"
+    text = town().replace("TriangulatedSurface", "Tin").replace("</gml:Tin>", points + "</gml:Tin>")
+    model = parse_city_model(text.encode(), "town.gml", ReadOptions(layers=("relief",)))
+    is_ground = ~model.is_building()[model.polygons.building]
+    assert np.diff(model.polygons.ring_starts)[is_ground].tolist() == [3]
+
+
+def test_surfaces_of_water() -> None:
+    top = polygon(box_rings(x=500300.0)[1])
+    water = (
+        '<core:cityObjectMember><wtr:WaterBody gml:id="pond" '
+        'xmlns:wtr="http://www.opengis.net/citygml/waterbody/2.0">'
+        f"<wtr:boundedBy><wtr:WaterSurface><wtr:lod2Surface>{top}</wtr:lod2Surface></wtr:WaterSurface>"
+        "</wtr:boundedBy></wtr:WaterBody></core:cityObjectMember>"
+    )
+    text = city(member(solid(_faces(0)), "house") + water)
+    model = parse_city_model(text.encode(), "town.gml", ReadOptions(layers=("water",)))
+    assert mesh_model(model).area_m2 == pytest.approx(box_area() + 100.0)
+
+
 def test_rooms_are_a_layer() -> None:
     text = town().encode()
     inside = parse_city_model(text, "a.gml", ReadOptions(layers=("interiors",)))
