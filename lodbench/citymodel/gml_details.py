@@ -26,6 +26,14 @@ _NO_ATTRIBUTES = OBJECT_PROPERTIES | {
 }  # fmt: skip
 _GENERIC = ("attribute", "attributeset")
 _GENERIC_KINDS = {"doubleAttribute": float, "intAttribute": int, "measureAttribute": float}
+_HEIGHTS = ("measuredHeight", "storeyHeightsAboveGround", "storeyHeightsBelowGround")
+# By their names, in UCUM and in EPSG; without a unit a length is in metres.
+_METRES_PER_UNIT = (
+    dict.fromkeys(("", "m", "metre", "metres", "meter", "meters", "9001"), 1.0)
+    | {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "km": 1e3}
+    | dict.fromkeys(("ft", "foot", "feet", "[ft_i]", "ft_i", "9002"), 0.3048)
+    | dict.fromkeys(("us-ft", "ftus", "[ft_us]", "ft_us", "9003"), 1200.0 / 3937.0)
+)
 _DAYS = ("creationDate", "terminationDate")
 _MAX_DEPTH = 8
 # Lines, points and terrain intersections: geometry too, which no scene has.
@@ -44,7 +52,8 @@ def read_attributes(element: Element) -> dict[str, Any]:
     """Returns the attributes of an object by their names in CityGML: text, numbers, lists or nested mappings.
 
     Generic attributes stand under the names they give themselves; an address under ``address``, as CityJSON
-    has it. Geometry, parts and surfaces are left out.
+    has it. Geometry, parts and surfaces are left out. Lengths are in metres; a height of a
+    unit that is not known has it in its name.
     """
     values: dict[str, Any] = {}
     for child in element.iterchildren("*"):
@@ -60,23 +69,49 @@ def read_attributes(element: Element) -> dict[str, Any]:
             if name in _DAYS:
                 value = str(value).removesuffix("T00:00:00")  # a day, which CityGML 3 writes as a moment
             elif name.startswith("storey"):
-                value = _storeys(name, str(child.text or ""))
+                value = _storeys(name, str(child.text or ""), _metres(child) or 1.0)
+            if name in _HEIGHTS and _metres(child) is None:
+                name = f"{name}_{child.get('uom')}"  # not to be taken for metres
             if value not in (None, "", {}):
                 _put(values, name, value)
-    height = values.get("height")
-    if isinstance(height, dict) and height.get("Height", {}).get("status") == "measured":
-        # What measuredHeight became in CityGML 3, where its ends are those it had.
-        values["measuredHeight"] = height["Height"].get("value")
-        ends = (height["Height"].get("lowReference"), height["Height"].get("highReference"))
-        if ends == ("lowestGroundPoint", "highestRoofEdge"):
-            del values["height"]
+    _take_measured_height(values)
     return values
 
 
-def _storeys(name: str, text: str) -> Any:
-    """Returns the number of storeys, or a list of their heights; the text where it is neither."""
+def _take_measured_height(values: dict[str, Any]) -> None:
+    """Puts what measuredHeight became in CityGML 3 under its name: of several heights that with its ends."""
+    told = values.get("height")
+    heights = told if isinstance(told, list) else [told]
+    inner = [one.get("Height") if isinstance(one, dict) else None for one in heights]
+    measured = [one for one in inner if isinstance(one, dict) and one.get("status") == "measured"]
+    if not measured:
+        return
+    chosen = max(measured, key=_is_overall)
+    values["measuredHeight"] = chosen.get("value")
+    if _is_overall(chosen):
+        rest = [one for one, height in zip(heights, inner, strict=True) if height is not chosen]
+        values["height"] = rest if len(rest) > 1 else next(iter(rest), None)
+        if not rest:
+            del values["height"]
+
+
+def _is_overall(height: dict[str, Any]) -> bool:
+    return (height.get("lowReference"), height.get("highReference")) == (
+        "lowestGroundPoint",
+        "highestRoofEdge",
+    )
+
+
+def _metres(element: Element) -> float | None:
+    """Returns the metres per unit that a measure declares, None where its unit is no known length."""
+    unit = re.split("[:#/]", element.get("uom", "m").strip().lower())[-1]
+    return _METRES_PER_UNIT.get(unit)
+
+
+def _storeys(name: str, text: str, metres: float) -> Any:
+    """Returns the number of storeys, or a list of their heights in metres; the text where it is neither."""
     try:
-        return int(text) if name.startswith("storeys") else [float(word) for word in text.split()]
+        return int(text) if name.startswith("storeys") else [float(word) * metres for word in text.split()]
     except ValueError:
         return text.strip()
 
@@ -123,7 +158,7 @@ def _put(values: dict[str, Any], name: str, value: Any) -> None:
 def _value(element: Element, depth: int) -> Any:
     if len(element) == 0:
         text = (element.text or "").strip() or str(element.get(XLINK_HREF) or "")
-        return _number(text) if element.get("uom") is not None else text
+        return _number(text, _metres(element) or 1.0) if element.get("uom") is not None else text
     if depth >= _MAX_DEPTH:
         return None
     values: dict[str, Any] = {}
@@ -134,9 +169,9 @@ def _value(element: Element, depth: int) -> Any:
     return values
 
 
-def _number(text: str) -> Any:
+def _number(text: str, scale: float) -> Any:
     try:
-        return float(text)
+        return float(text) * scale
     except ValueError:
         return text
 

@@ -134,3 +134,34 @@ class TestIds:
         assert model.building_ids == ("b1", "in")
         assert np.bincount(model.polygons.building).tolist() == [6, 6]
         assert model.solids is None or model.solids.part.tolist() == [0, 1]
+
+
+class TestHeights:
+    @pytest.mark.parametrize(
+        ("unit", "name", "metres"),
+        [("m", "", 20.0), ("#m", "", 20.0), ("urn:adv:uom:m", "", 20.0), ("cm", "", 0.2),
+         ("[ft_i]", "", 6.096), ("urn:ogc:def:uom:EPSG::9003", "", 20 * 1200 / 3937), ("ell", "_ell", 20.0)],
+    )  # fmt: skip
+    def test_are_in_metres(self, tmp_path: Path, unit: str, name: str, metres: float) -> None:
+        heights = f'<bldg:measuredHeight uom="{unit}">20</bldg:measuredHeight>'
+        heights += f'<bldg:storeyHeightsAboveGround uom="{unit}">20 20</bldg:storeyHeightsAboveGround>'
+        model = model_of(tmp_path, city(member(heights)), options=ReadOptions(has_details=True))
+        assert model.objects is not None
+        told = model.objects.attributes[0]
+        assert told[f"measuredHeight{name}"] == pytest.approx(metres)
+        assert told[f"storeyHeightsAboveGround{name}"] == pytest.approx([metres, metres])
+
+    def test_of_several_the_overall_one_is_the_measured_height(self, tmp_path: Path) -> None:
+        heights = "".join(
+            f"<con:height><con:Height><con:highReference>{high}</con:highReference>"
+            "<con:lowReference>lowestGroundPoint</con:lowReference><con:status>measured</con:status>"
+            f'<con:value uom="m">{value}</con:value></con:Height></con:height>'
+            for high, value in (("lowestEave", 4), ("highestRoofEdge", 6))
+        )
+        text = city(member(heights), version="3.0").replace(
+            "xmlns:uro=", 'xmlns:con="http://www.opengis.net/citygml/construction/3.0" xmlns:uro=', 1
+        )
+        model = model_of(tmp_path, text, options=ReadOptions(has_details=True))
+        assert model.objects is not None
+        told = model.objects.attributes[0]
+        assert (told["measuredHeight"], told["height"]["Height"]["value"]) == (6.0, 4.0)
