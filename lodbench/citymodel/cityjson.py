@@ -26,6 +26,7 @@ from lodbench.citymodel.roof_types import roof_type_of
 from lodbench.errors import CityModelError
 
 _HINT = "Check it with a CityJSON validator."
+_LOOKS = ("textures", "materials")
 _MAX_DEPTH = 100  # of parts in parts: real ones have three, and who writes them goes down as deep
 
 Json = dict[str, Any]
@@ -138,7 +139,7 @@ class _Reader:
         if not isinstance(document, dict) or not isinstance(document.get("CityObjects", {}), dict):
             raise CityModelError(f"{self._source} has a feature that is no CityJSON object.", _HINT)
         appearance, textures = document.get("appearance"), None
-        self._has_textures |= isinstance(appearance, dict) and bool(appearance.get("textures"))
+        self._has_textures |= isinstance(appearance, dict) and any(map(appearance.get, _LOOKS))
         if self._collector.pictures is not None and isinstance(appearance, dict):
             textures = TextureReader(appearance, self._collector.pictures, self._source)
         if document.get("type") == "CityJSON":

@@ -142,7 +142,7 @@ def convert_city(
 def _written_pictures(model: CityModel, target: Path) -> tuple[dict[int, str], tuple[str, ...]]:
     """Writes the pictures of a city; returns their names by number, and what is not kept, a line each."""
     if model.pictures is None:
-        return {}, (("pictures of surfaces (--textures keeps them)",) if model.has_textures else ())
+        return {}, ((_LOST_LOOKS,) if model.has_textures else ())
     try:
         names, notes = write_pictures(model, target)
     except OSError as error:
@@ -239,6 +239,7 @@ _MESH_WRITERS: dict[str, Callable[[Scene], bytes]] = {
 _TEXTURED_SUFFIXES = (".glb", ".obj")
 # What is read again from these is a building where it hangs together; OBJ has the names for other programs.
 _NAMELESS_SUFFIXES = (".obj", ".ply")
+_LOST_LOOKS = "pictures of surfaces (--textures keeps them) or materials (which it does not)"
 _LOST_NAMES = "names of buildings where lodbench reads it again: what hangs together is one (.glb keeps them)"
 _CITYGML_SUFFIXES = (".gml", ".xml", ".citygml")
 FORMATS = (*_MESH_WRITERS, *_CITYJSON_WRITERS, *_CITYGML_SUFFIXES, ".scene")

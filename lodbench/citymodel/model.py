@@ -85,7 +85,7 @@ class CityModel:
         objects: Buildings and their parts; None where buildings are all there is.
         solids: Volumes that the polygons close; only with ``ReadOptions(has_details=True)``.
         polygon_ids: The source's id of each polygon, or ""; likewise, else empty.
-        has_textures: Whether the source has pictures of its surfaces.
+        has_textures: Whether the source has pictures or materials of its surfaces.
         pictures: Those; only with ``ReadOptions(has_textures=True)``.
         has_interiors: Whether rooms and furniture are asked for.
         pitched: (B,) which buildings have pitched roofs, as the source tells; None where it tells of none.

@@ -50,7 +50,7 @@ class RawCity:
         findings: What was met while reading.
         axis_orders: For each of ``srs_names``, which of the first two columns is the easting, where the
             format settles it; empty where it never does.
-        has_textures: Whether the file has pictures of its surfaces.
+        has_textures: Whether the file has pictures or materials of its surfaces.
         part, objects, solids, polygon_ids, pictures, picture, uv, pitched: As in ``Polygons`` and
             ``CityModel``.
     """

@@ -33,6 +33,16 @@ def test_there_and_back(ending: str, tmp_path: Path) -> None:
     assert b"EPSG:25832" in name
 
 
+def test_materials_that_are_left_out_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    roof = {"type": "MultiSurface", "lod": "2", "boundaries": [[[0, 1, 2]]]}
+    town = {"type": "CityJSON", "version": "1.0", "vertices": [[0.5, 0, 0], [4.5, 0, 0], [0.5, 4, 0]]}
+    town |= {"CityObjects": {"a": {"type": "Building", "geometry": [roof]}}}
+    town |= {"appearance": {"materials": [{"name": "red"}]}}
+    (tmp_path / "a.city.json").write_text(json.dumps(town))
+    assert main(["city", "convert", str(tmp_path / "a.city.json"), str(tmp_path / "a.gml"), "--json"]) == 0
+    assert "or materials" in json.loads(capsys.readouterr().out)["left_out"][0]
+
+
 def test_pictures_that_are_left_out_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = write_gml(tmp_path)
     assert main(["city", "convert", str(source), str(tmp_path / "a.city.json"), "--json"]) == 0
