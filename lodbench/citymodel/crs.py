@@ -49,7 +49,7 @@ _HEIGHTS_IN_METRES = {6360: 5703, 8228: 5703, 5702: 7968, 5754: 7962, 8050: 5714
 # EPSG:25832, urn:ogc:def:crs:EPSG::7415, urn:...crs:EPSG:6.12:25833, .../def/crs/EPSG/0/6697,
 # .../gml/srs/epsg.xml#4326
 _EPSG_CODE = re.compile(r"EPSG(?:/[\w.]+/|:[\w.]*:|:|\.xml#)(\d{4,6})(?!\d)", re.IGNORECASE)
-_COMPOUND_EPSG = re.compile(r".*EPSG(?:/[\w.]+/|:[\w.]*:|:)(\d{4,6})\+(\d{4,6})", re.IGNORECASE)
+_COMPOUND_EPSG = re.compile(r".*EPSG(?:/[\w.]+/|:[\w.]*:|:)(\d{4,6})[+,](\d{4,6})", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +178,17 @@ def is_in_degrees(name: str | None) -> bool:
     """Tells whether a name is known to stand for coordinates in degrees."""
     known = None if name is None else resolve_crs(name)
     return known is not None and bool(known.horizontal.is_geographic)
+
+
+def is_geocentric(name: str) -> bool:
+    """Tells whether a name stands for coordinates from the middle of the Earth (EPSG:4978)."""
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        return bool(CRS.from_user_input(crs_label(name)[0]).is_geocentric)
+    except CRSError:
+        return False
 
 
 def require_crs(name: str) -> KnownCrs:

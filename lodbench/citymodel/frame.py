@@ -23,7 +23,7 @@ from lodbench.citymodel.codes import (
     CRS_UNKNOWN,
     HEIGHTS_ELLIPSOIDAL,
 )
-from lodbench.citymodel.crs import KnownCrs, metric_crs, require_crs, resolve_crs
+from lodbench.citymodel.crs import KnownCrs, is_geocentric, metric_crs, require_crs, resolve_crs
 from lodbench.citymodel.options import AxisOrder
 from lodbench.citymodel.scale import is_true_to_scale
 from lodbench.errors import CityModelError
@@ -63,7 +63,8 @@ def to_metres(
         A name pyproj understands, or None where the system is unknown.
 
     Raises:
-        CityModelError: ``override`` is unknown, or the coordinates are degrees of an unknown system.
+        CityModelError: ``override`` is unknown, or the coordinates are degrees of an unknown system, or
+            geocentric.
     """
     known = _settle_crs(points, srs_name, override, findings)
     if known is None:
@@ -122,6 +123,11 @@ def _middle(points: NDArray[np.float64]) -> NDArray[np.float64]:
 def _check_without_crs(points: NDArray[np.float64], srs_name: str | None, findings: Findings) -> None:
     if srs_name is None:
         findings.add(CRS_MISSING, "", "")
+    elif is_geocentric(srs_name):
+        raise CityModelError(
+            f"{srs_name} is geocentric: its metres go from the middle of the Earth, not east and north.",
+            "Convert the file to a projected system first, or to EPSG:4979.",
+        )
     else:
         findings.add(CRS_UNKNOWN, "", srs_name)
     require_no_degrees(points)

@@ -31,6 +31,11 @@ def convert(
     return metres, label, [item.code.code for item in findings.items]
 
 
+def test_geocentric_coordinates_are_refused() -> None:
+    with pytest.raises(CityModelError, match="is geocentric"):
+        convert(points((4.0e6, 8.0e5, 4.9e6)), "urn:ogc:def:crs:EPSG::4978")
+
+
 class TestLabel:
     @pytest.mark.parametrize(
         ("name", "label"),
@@ -39,6 +44,8 @@ class TestLabel:
             ("epsg:25832+7837", "EPSG:25832+7837"),
             ("urn:ogc:def:crs:EPSG::25832+7837", "EPSG:25832+7837"),
             ("http://www.opengis.net/def/crs/EPSG/0/25832+7837", "EPSG:25832+7837"),
+            ("urn:ogc:def:crs:EPSG::25832,5783", "EPSG:25832+5783"),
+            ("EPSG:25832,7837", "EPSG:25832+7837"),
             ("urn:ogc:def:crs:EPSG::7415", "EPSG:7415"),
             ("urn:ogc:def:crs:EPSG:6.12:28992", "EPSG:28992"),
             ("urn:ogc:def:crs,crs:EPSG:6.12:25833,crs:EPSG:6.12:5783", "EPSG:25833+5783"),
