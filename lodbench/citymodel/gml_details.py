@@ -237,7 +237,8 @@ class SolidReader:
                 if number is not None:
                     faces.append((self._first + number, is_flipped))
                 href = node.get(XLINK_HREF)
-                target = None if href is None else self._index.elements.get(href.strip().removeprefix("#"))
+                name = (href or "").strip().removeprefix("#").strip().removeprefix("urn:uuid:")
+                target = self._index.elements.get(name)
                 if target is not None and target not in visited:
                     visited.add(target)
                     parent = node.getparent()

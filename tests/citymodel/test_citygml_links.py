@@ -10,6 +10,7 @@ import pytest
 from lodbench.citymodel import mesh_model
 from lodbench.citymodel.gml_links import LinkResolver
 from lodbench.citymodel.model import SurfaceKind
+from lodbench.citymodel.options import ReadOptions
 
 from .gml_text import (
     bounded_by,
@@ -37,6 +38,14 @@ class TestLinks:
         model = model_of(tmp_path, city(member("".join(parts if is_forward else parts[::-1]))))
         assert len(model.polygons) == 1
         assert model.findings.counts() == {}
+
+    @pytest.mark.parametrize("href", ["#w", "# w ", "urn:uuid:w"])
+    def test_a_solid_is_closed_by_what_it_borrows(self, tmp_path: Path, href: str) -> None:
+        own = surface_members(map(polygon, [*BOX[:2], *BOX[3:]]))
+        text = city(member(solid(own + link(href), 2) + self.walls))
+        solids = model_of(tmp_path, text, options=ReadOptions(has_details=True)).solids
+        assert solids is not None
+        assert [len(shell) for shell in solids.shells_of(0)] == [6]
 
     def test_a_link_to_another_level_adds_its_polygon_there(self, tmp_path: Path) -> None:
         model = model_of(tmp_path, city(member(solid(link("#w"), 3) + self.walls)))
