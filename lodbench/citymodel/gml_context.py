@@ -17,11 +17,11 @@ from lodbench.citymodel.gml_names import (
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.xml import Element, local_name
 
-# Plain integers: looking a member up in its class costs more than the rest of a step.
 # Of the object itself, of its surfaces and parts, and of their surfaces: a look at all would cost too much.
 _LINKED = etree.XPath(
     "(* | */*/* | */*/*/*/*)[@xlink:href]", namespaces={"xlink": "http://www.w3.org/1999/xlink"}
 )
+# Plain integers: looking a member up in its class costs more than the rest of a step.
 _UNKNOWN, _INTERIOR = int(SurfaceKind.UNKNOWN), int(SurfaceKind.INTERIOR)
 
 

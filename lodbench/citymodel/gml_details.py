@@ -52,8 +52,8 @@ def read_attributes(element: Element) -> dict[str, Any]:
     """Returns the attributes of an object by their names in CityGML: text, numbers, lists or nested mappings.
 
     Generic attributes stand under the names they give themselves; an address under ``address``, as CityJSON
-    has it. Geometry, parts and surfaces are left out. Lengths are in metres; a height of a
-    unit that is not known has it in its name.
+    has it. Geometry, parts and surfaces are left out. Lengths are in metres; a height whose unit is not known
+    has that in its name.
     """
     values: dict[str, Any] = {}
     for child in element.iterchildren("*"):
