@@ -13,8 +13,8 @@ _CALLED = {
     "east": "positions, to the east", "north": "positions, to the north", "pitch": "gimbal pitch",
     "roll": "gimbal roll", "yaw": "heading, counter-clockwise", "focal length": "focal length",
     "radial distortion k1": "radial distortion k1", "masks too large by": "masks too large by",
-    "roofs higher than the map": "the map's roofs",
-    "feet of walls higher than the map": "the map's feet of walls",
+    "roofs higher than the map": "heights of the map's roofs",
+    "feet of walls higher than the map": "bases of the map's walls",
 }  # fmt: skip
 # Heights this far off, beyond doubt, are of another zero rather than of a barometer.
 _OTHER_ZERO_M, _BEYOND_DOUBT = 8.0, 3.0
