@@ -98,6 +98,12 @@ class TestReading:
         model = self.read(tmp_path, text, storeys_column="b", storey_height_m=3.5)
         assert np.ptp(model.polygons.points[:, 2]) == 7
 
+    def test_heights_that_outlines_have_are_told_where_no_ground_is_known(self, tmp_path):
+        lifted = [[*point, 510.0] for point in square()]
+        model = self.read(tmp_path, geojson([([lifted], {"height": 5})]))
+        (found,) = [item for item in model.findings.items if item.code.name == "GROUND_DEFAULTED"]
+        assert found.detail == "ground_m=0; the outlines lie at 510 to 510, which is not asked"
+
     def test_missing_heights(self, tmp_path: Path) -> None:
         rows = [([square(i)], {"height": h}) for i, h in enumerate([5.0, None, 0.0, -2.0])]
         model = self.read(tmp_path, geojson(rows))
