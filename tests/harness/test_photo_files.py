@@ -28,9 +28,9 @@ def test_masks_and_earlier_results_are_no_photos(flight, monkeypatch, relative):
     found = photos_of([source], flight / "better", source / "masks", Path("flight/out"))
     assert [photo.name for photo in found] == ["a.JPG", "b.JPG"]
     # What the shell makes of flight/*, folders among it.
-    assert photos_of(sorted(source.iterdir()), flight / "better", flight / "masks", flight / "out")[0] == (
-        source / "a.JPG"
-    )
+    named = photos_of(sorted(source.iterdir()), flight / "better", flight / "masks", flight / "out")
+    assert source / "a.JPG" in named
+    assert source / "better" / "a.png" not in named
     # Results beside the photos, or above them, are no reason to leave photos out.
     for out in (flight, flight.parent):
         assert source / "a.JPG" in photos_of([source], flight / "better", flight / "masks", out)
@@ -42,12 +42,16 @@ def test_what_macos_keeps_of_photos_is_none(flight):
     assert [photo.name for photo in found] == ["a.JPG", "b.JPG"]
 
 
-def test_photos_among_their_masks_are_refused_in_one_line(capsys, flight):
+def test_a_folder_of_masks_alone_and_one_of_photos_alone_are_refused_in_one_line(capsys, flight):
+    (flight / "c" / "masks").mkdir(parents=True)
+    (flight / "masks" / "a.png").rename(flight / "c" / "masks" / "c.png")
     with pytest.raises(DatasetError, match="holds no photos outside the folders of masks"):
-        photos_of([flight], flight)
+        photos_of([flight / "c"], flight / "c" / "masks")
+    photos = photos_of([flight], flight, flight / "masks", flight / "better")
+    assert photos[:2] == [flight / "a.JPG", flight / "b.JPG"]
     assert main(["localize", str(flight), "--city", "city.gml", "--masks", str(flight)]) == 2
     told = capsys.readouterr().err
-    assert "holds no photos outside the folders of masks" in told
+    assert f"{flight} holds no mask of any image" in told
     assert "Traceback" not in told
 
 

@@ -104,7 +104,7 @@ def photos_of(paths: Sequence[Path], masks: Path | None = None, *others: Path | 
 
     Args:
         paths: Files, and folders with all below them.
-        masks: Folder of masks among them, whose pictures are no photos; or None.
+        masks: Folder of masks among them, whose pictures are no photos unless all photos lie in it; or None.
         others: More such folders; see ``find_photos``.
 
     Raises:
@@ -116,9 +116,14 @@ def photos_of(paths: Sequence[Path], masks: Path | None = None, *others: Path | 
             raise DatasetError(f"{path} does not exist.", "Check the path.")
         for photo in find_photos(path, masks, *others):
             found.setdefault(photo.resolve(), photo)
-    photos = list(found.values())
+    outside = [path for whole, path in found.items() if masks is None or not _is_below(whole, masks)]
+    photos = outside or list(found.values())
     require_photos(photos, paths[0])
     return photos
+
+
+def _is_below(path: Path, folder: Path) -> bool:
+    return path.is_relative_to(folder.resolve())
 
 
 def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path | None) -> Answers:
