@@ -121,8 +121,7 @@ def _blocks(
         )
     corners = rings[ring_starts[polygon_starts[:-1]]]
     ground = _ground(columns, corners, owner, options.crs or str(crs), options)
-    default = f"ground_m={options.ground_m:g}{_of_their_own(polygons)}"
-    ground = _without_gaps(ground, owner, ids, options, unit_m, default, findings)
+    ground = _without_gaps(ground, owner, ids, options, unit_m, polygons, findings)
     blocks = extrude(rings, ring_starts, polygon_starts, ground, ground + heights[owner])
     used, building = np.unique(owner[blocks.footprint], return_inverse=True)
     pitched = pitched_buildings(columns.roof_types(), len(ids))
@@ -174,12 +173,13 @@ def _without_gaps(
     ids: list[str],
     options: ReadOptions,
     unit_m: float,
-    default: str,
+    polygons: WkbPolygons,
     findings: Findings,
 ) -> NDArray[np.float64]:
     """Returns ground heights with the default in place of what is not known, and says where, and of which."""
     is_lost = ~((ground * unit_m > LOWEST_M) & (ground * unit_m < HIGHEST_M))
     # One word where nothing could give the ground; else those that fall through its gaps.
+    default = f"ground_m={options.ground_m:g}{_of_their_own(polygons) if is_lost.any() else ''}"
     for name in [""] if is_lost.all() else [ids[i] for i in np.unique(owner[is_lost])]:
         findings.add(GROUND_DEFAULTED, name, default)
     return np.where(is_lost, options.ground_m / unit_m, ground)
@@ -188,6 +188,7 @@ def _without_gaps(
 def _of_their_own(polygons: WkbPolygons) -> str:
     """Returns that footprints have heights, which are not asked: some are of the ground, some of eaves."""
     heights = np.concatenate([ring[:, 2] for ring in polygons.rings])
+    heights = heights[np.isfinite(heights)]
     if not heights.any():
         return ""
     return f"; the outlines lie at {heights.min():g} to {heights.max():g}, which is not asked"

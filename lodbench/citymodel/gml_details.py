@@ -52,8 +52,8 @@ def read_attributes(element: Element) -> dict[str, Any]:
     """Returns the attributes of an object by their names in CityGML: text, numbers, lists or nested mappings.
 
     Generic attributes stand under the names they give themselves; an address under ``address``, as CityJSON
-    has it. Geometry, parts and surfaces are left out. Lengths are in metres; a height whose unit is not known
-    has that in its name.
+    has it. Geometry, parts and surfaces are left out. Heights and lengths that CityGML names are in metres; a
+    height whose unit is not known has that in its name.
     """
     values: dict[str, Any] = {}
     for child in element.iterchildren("*"):
@@ -104,8 +104,10 @@ def _is_overall(height: dict[str, Any]) -> bool:
 
 def _metres(element: Element) -> float | None:
     """Returns the metres per unit that a measure declares, None where its unit is no known length."""
-    unit = re.split("[:#/]", element.get("uom", "m").strip().lower())[-1]
-    return _METRES_PER_UNIT.get(unit)
+    unit = element.get("uom", "m").strip().lower()
+    # What divides is no length; names of authorities are URNs and addresses.
+    name = unit if "/" in unit and "://" not in unit else re.split("[:#/]", unit)[-1]
+    return _METRES_PER_UNIT.get(name)
 
 
 def _storeys(name: str, text: str, metres: float) -> Any:

@@ -49,6 +49,7 @@ class LinkResolver:
         self._copied: set[tuple[int, int, int, int]] = set()
         self._visited: dict[tuple[int, int, int], set[str]] = {}
         self._wanted: dict[str, list[int]] = {}
+        self._is_second_pass = False
 
     def resolve_member(self, member: Element, building_ids: list[str]) -> None:
         """Turns the current member's references into copies where they add a surface.
@@ -93,6 +94,7 @@ class LinkResolver:
         """Sorts the unresolved references by the id they name, so that each member is asked once."""
         self._copied.clear()
         self._visited.clear()
+        self._is_second_pass = True
         for number, reference in enumerate(self.unresolved):
             target = self._target_id(reference, building_ids)
             self._wanted.setdefault(target or "", []).append(number)
@@ -163,15 +165,17 @@ class LinkResolver:
             self._copy_all(index, target, reference, building_ids)
             return
         visited = self._visited.setdefault((reference.building, reference.lod, 0), set())
-        todo = [target]
+        todo, has_geometry = [target], False
         for name in todo:  # which grows
             if name in visited:
                 continue
             visited.add(name)
-            if not self._copy_object(index, index.elements[name], reference, building_ids):
-                self._findings.add(XLINK_UNRESOLVED, building_ids[reference.building], reference.href)
+            has_geometry |= self._copy_object(index, index.elements[name], reference, building_ids)
             hrefs = (prop.get(XLINK_HREF, "") for prop in linked_objects(index.elements[name]))
             todo += self._targets_within(index, hrefs, reference, building_ids)
+        # An object without geometry is one; objects that name only each other are none.
+        if len(todo) > 1 and not has_geometry:
+            self._findings.add(XLINK_UNRESOLVED, building_ids[reference.building], reference.href)
 
     def _copy_object(
         self, index: MemberIndex, element: Element, reference: Reference, building_ids: list[str]
@@ -188,7 +192,7 @@ class LinkResolver:
                 self._findings.add(GEOMETRY_UNSUPPORTED, building_ids[reference.building], detail)
                 continue
             lod, kind = self._walk.lods.index(lod_name), surface_kind(prop, around)
-            own = reference._replace(lod=lod, kind=kind)
+            own = reference._replace(lod=lod, kind=_INTERIOR if reference.kind == _INTERIOR else kind)
             hrefs = (*filter(None, [prop.get(XLINK_HREF)]), *self._copy_below(prop, index, own))
             for inner in self._targets_within(index, hrefs, own, building_ids):
                 self._copy_all(index, inner, own, building_ids)
@@ -197,14 +201,16 @@ class LinkResolver:
     def _targets_within(
         self, index: MemberIndex, hrefs: Iterable[str], reference: Reference, building_ids: list[str]
     ) -> list[str]:
-        """Returns the ids that stand in the member; adds a finding for every other."""
+        """Returns the ids that stand in the member; every other is looked for in those that follow."""
         targets = []
         for href in hrefs:
             target = self._target_id(reference._replace(href=href), building_ids)
             if target in index.elements:
                 targets.append(target)
             elif target is not None:
-                self._findings.add(XLINK_UNRESOLVED, building_ids[reference.building], href)
+                if self._is_second_pass:
+                    self._wanted.setdefault(target, []).append(len(self.unresolved))
+                self.unresolved.append(reference._replace(href=href))
         return targets
 
     def _copy_all(

@@ -139,7 +139,9 @@ class GeometryWalk:
             if not inner.isdisjoint(prop.iterancestors()):
                 continue
             part = owner_of(prop, element, part_of, own)
-            self.references.append(Reference(prop.get(XLINK_HREF, ""), building, -1, 0, False, None, part))
+            # A door that two rooms share is inside from both.
+            kind = surface_kind(prop, element)
+            self.references.append(Reference(prop.get(XLINK_HREF, ""), building, -1, kind, False, None, part))
         return part_of
 
     def _walk_property(self, prop: Element, building: int, lod: int, kind: int, srs: int) -> bool:

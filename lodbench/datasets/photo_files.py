@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from lodbench.errors import DatasetError
+from lodbench.storage.json_text import parse_json
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
@@ -54,7 +55,14 @@ def find_photos(folder: Path, masks: Path | None = None, *others: Path | None) -
 def _is_overlay(path: Path) -> bool:
     """Tells whether ``lodbench localize`` wrote a picture: with the answer beside it."""
     label = path.name.removesuffix("_overlay.png")
-    return label != path.name and path.with_name(f"{label}.json").exists()
+    if label == path.name:
+        return False
+    try:
+        answer = parse_json(path.with_name(f"{label}.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    # Others put polygons into a file of that name.
+    return isinstance(answer, dict) and "sha256" in answer and "pose" in answer
 
 
 def mask_names(photo: str) -> tuple[str, ...]:

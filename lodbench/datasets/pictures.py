@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,9 @@ from lodbench.storage.contents import read_content
 
 # Tags of TIFF.
 _WIDTH, _HEIGHT, _ORIENTATION = 0x0100, 0x0101, 0x0112
+# OpenCV's level before each silence that lasts: it is the process's, and the last thread to end restores the
+# first one.
+_LOCK, _levels = Lock(), list[int]()
 
 
 def read_picture(path: Path, *, as_stored: bool = False) -> NDArray[Any] | None:
@@ -61,6 +65,8 @@ def decoded(content: bytes, *, as_stored: bool) -> NDArray[Any] | None:
         return None
     if picture is None or as_stored:
         return None if picture is None else np.asarray(picture)
+    if picture.ndim == 3 and picture.shape[2] != 3:
+        return None
     in_use = in_8_bits(np.asarray(picture))
     return in_use if in_use.ndim == 3 else np.repeat(in_use[..., None], 3, axis=2)
 
@@ -70,11 +76,13 @@ def opencv_silenced() -> Iterator[None]:
     """Keeps OpenCV from writing to the terminal what it makes of a file, which our own line says."""
     from cv2.utils import logging
 
-    before = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    with _LOCK:
+        _levels.append(logging.setLogLevel(logging.LOG_LEVEL_SILENT))
     try:
         yield
     finally:
-        logging.setLogLevel(before)
+        with _LOCK:
+            logging.setLogLevel(_levels.pop())
 
 
 def _unturned(content: bytes) -> bytes:

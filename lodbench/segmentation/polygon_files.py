@@ -6,8 +6,9 @@ import json
 import logging
 from collections import Counter
 from collections.abc import Callable, Collection
-from pathlib import Path, PureWindowsPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
+from unicodedata import normalize
 
 import cv2
 import numpy as np
@@ -176,7 +177,7 @@ def _image_of(images: list[dict[str, Any]], path: Path, photo: str) -> dict[str,
     Raises:
         DatasetError: None is, or several are.
     """
-    found = [image for image in images if PureWindowsPath(str(image["file_name"])).name == photo]
+    found = [image for image in images if _name_of(str(image["file_name"])) == _name_of(photo)]
     if len(found) > 1:
         names = " and ".join(str(image["file_name"]) for image in found[:2])
         raise DatasetError(
@@ -191,8 +192,12 @@ def _image_of(images: list[dict[str, Any]], path: Path, photo: str) -> dict[str,
 
 def _means(named: str, photo: str) -> bool:
     """Tells whether a file names a photo: in whatever folder, format and case of letters."""
-    # Which splits paths of both kinds of systems.
-    return PureWindowsPath(named).stem.lower() == PureWindowsPath(photo).stem.lower()
+    return PurePosixPath(_name_of(named)).stem.lower() == PurePosixPath(_name_of(photo)).stem.lower()
+
+
+def _name_of(path: str) -> str:
+    """Returns the last name of a path of either kind of system; letters of macOS are two characters."""
+    return normalize("NFC", PureWindowsPath(path).name)
 
 
 def _other_photo(path: Path, named: str, photo: str, key: str) -> DatasetError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, is_dataclass
+from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.query import Entry
@@ -49,8 +50,12 @@ def masks_digest(segmenter: Segmenter, entries: tuple[Entry, ...]) -> str:
     return digest_of([segmenter.name, settings, told]) if settings else told
 
 
-def _settings(segmenter: Segmenter) -> dict[str, Any]:
-    """Returns a segmenter's settings, less its name and the places of weights, which are no content."""
+def _settings(segmenter: Segmenter) -> dict[str, str]:
+    """Returns a segmenter's settings as text, less its name and places of weights, which are no content."""
     params: Any = getattr(segmenter, "params", None)
     values = asdict(params) if is_dataclass(params) and not isinstance(params, type) else {}
-    return {key: value for key, value in values.items() if key != "name" and not key.endswith("weights")}
+    return {
+        key: repr(value)
+        for key, value in values.items()
+        if key != "name" and not (key.endswith("weights") and isinstance(value, str | Path | None))
+    }

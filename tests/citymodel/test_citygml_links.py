@@ -197,6 +197,38 @@ class TestLongLinks:
             mesh = mesh_model(model_of(tmp_path, city(member(content))), "4")
             assert mesh.area_m2 == pytest.approx(102.0)
 
+    def test_a_door_that_two_rooms_share_stays_inside(self, tmp_path: Path) -> None:
+        door = multi_surface(surface_members([polygon(BOX[2])]), 4)
+        doors = (
+            f'<bldg:opening><bldg:Door gml:id="d">{door}</bldg:Door></bldg:opening>',
+            '<bldg:opening xlink:href="#d"/>',
+        )
+        rooms = "".join(
+            "<bldg:interiorRoom><bldg:Room>"
+            + bounded_by(
+                "InteriorWallSurface", multi_surface(surface_members([polygon(BOX[n])]), 4) + opening
+            )
+            + "</bldg:Room></bldg:interiorRoom>"
+            for n, opening in zip((3, 4), doors, strict=True)
+        )
+        model = model_of(tmp_path, city(member(rooms)))
+        assert len(model.polygons) == 3
+        assert set(model.polygons.kind) == {SurfaceKind.INTERIOR}
+
+    def test_a_part_that_only_refers_is_followed_to_members_behind_it(self, tmp_path: Path) -> None:
+        part = '<bldg:BuildingPart gml:id="bp"><bldg:boundedBy xlink:href="#w"/></bldg:BuildingPart>'
+        wall = (
+            '<bldg:boundedBy><bldg:WallSurface gml:id="w">'
+            + multi_surface(surface_members([polygon(BOX[0])]))
+            + "</bldg:WallSurface></bldg:boundedBy>"
+        )
+        room = '<bldg:interiorRoom><bldg:Room gml:id="r"/></bldg:interiorRoom>'
+        refers = '<bldg:consistsOfBuildingPart xlink:href="#bp"/><bldg:interiorRoom xlink:href="#r"/>'
+        apart = f"<core:cityObjectMember>{part}</core:cityObjectMember>"
+        model = model_of(tmp_path, city(member(refers) + apart + member(wall + room, "b2")))
+        assert sorted(model.polygons.building.tolist()) == [0, 1]
+        assert "LB202" not in codes(model)
+
 
 class TestSurfacesWrittenTwice:
     def test_inline_in_solid_and_walls(self, tmp_path: Path) -> None:

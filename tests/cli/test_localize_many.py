@@ -248,7 +248,7 @@ class TestMasksBesideTheirPhotos:
         assert "--heading 10 takes the place of what 2 of the photos state themselves" in told
         assert main(["localize", *map(str, [photos / "DJI_0001.JPG", *words])]) == 0
         told = caplog.text
-        assert f"The mask {photos / 'DJI_0001_mask.png'} is not used: --mask names it." in told
+        assert f"is not used: --mask {photos / 'DJI_0001_mask.png'} takes it." in told
 
 
 def test_results_among_the_photos_are_none(capsys, case, tmp_path):
@@ -258,6 +258,10 @@ def test_results_among_the_photos_are_none(capsys, case, tmp_path):
         assert main(["localize", *map(str, [tmp_path, *words, "--out", tmp_path])]) == 0
         assert "1 photo: 1 found" in capsys.readouterr().out
     assert (tmp_path / "DJI_0001_overlay.png").is_file()
+    # A picture of that name beside polygons that another program wrote is a photo.
+    shutil.copy(case.mask, tmp_path / "house_overlay.png")
+    (tmp_path / "house.json").write_text('{"shapes": []}')
+    assert find_photos(tmp_path) == [tmp_path / "DJI_0001.JPG", tmp_path / "house_overlay.png"]
     assert not (tmp_path / "localized_2.csv").exists()
 
 

@@ -134,10 +134,20 @@ class TestTheCodeThatNamesARun:
         assert before == digest_after("sky", "1.1") == digest_after("deep", "1.1")
         (tmp_path / "deeper.py").write_text("OFF = 1\n")
         (infos["deeper"] / "top_level.txt").write_text("deeper\n")
-        (infos["deeper"] / "direct_url.json").write_text('{"dir_info": {"editable": true}}')
+        (infos["deeper"] / "direct_url.json").write_text('{"dir_info": {"editable": true}, "url": ""}')
         edited = code_digest(method)
         (tmp_path / "deeper.py").write_text("OFF = 2\n")
-        assert len({before, edited, code_digest(method)}) == 3
+        again = code_digest(method)
+        # As other builders write it: without blanks, and without the packages' names.
+        (infos["deeper"] / "top_level.txt").unlink()
+        source = tmp_path / "source"
+        source.mkdir()
+        (source / "more.py").write_text("MORE = 1\n")
+        told = f'{{"url":"{source.as_uri()}","dir_info":{{"editable":true}}}}'
+        (infos["deeper"] / "direct_url.json").write_text(told)
+        others = code_digest(method)
+        (source / "more.py").write_text("MORE = 2\n")
+        assert len({before, edited, again, others, code_digest(method)}) == 5
 
     def test_a_plugin_that_a_setting_names_counts(self, package, monkeypatch):
         point = EntryPoint("skyline", "sky_package:Method", "lodbench.fits")

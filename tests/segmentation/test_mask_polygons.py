@@ -188,6 +188,16 @@ def test_files_name_a_photo_by_its_stem_in_any_folder(tmp_path):
         assert read_polygons(path, "photo.jpg", 40, 60)[4, 4]
 
 
+def test_letters_of_macos_are_the_same_letters(tmp_path):
+    path = tmp_path / "drawn.json"
+    for content in (
+        labelme("roof") | {"imagePath": "Geb\u00e4ude.jpg"},
+        coco(images=[coco()["images"][0] | {"file_name": "Geb\u00e4ude.jpg"}]),
+    ):
+        path.write_text(json.dumps(content))
+        assert read_polygons(path, "Geba\u0308ude.jpg", 40, 60)[4, 4]
+
+
 def test_a_photo_without_buildings_has_an_empty_mask(tmp_path):
     path = tmp_path / "drawn.json"
     for content in (labelme(), coco(annotations=[])):

@@ -39,6 +39,9 @@ def test_degrees_of_a_radiometric_photo_fill_the_range(tmp_path, capfd):
     Image.fromarray(degrees).save(tmp_path / "thermal.tif")
     assert read_photo(tmp_path / "thermal.tif")[..., 0].tolist() == [[0, 0], [128, 255]]
     assert read_picture(tmp_path / "thermal.tif")[..., 2].tolist() == [[0, 0], [128, 255]]
+    # Four such channels are no photo, for any reader.
+    assert cv2.imwrite(str(tmp_path / "four.tif"), np.ones((4, 4, 4), np.float32))
+    assert read_picture(tmp_path / "four.tif") is None
     (tmp_path / "cut.tif").write_bytes((tmp_path / "thermal.tif").read_bytes()[:-8])
     assert read_picture(tmp_path / "cut.tif") is None
     assert capfd.readouterr().err == ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,8 +17,10 @@ def saved_masks_note(photos: Sequence[Path]) -> str | None:
     if not saved:
         return None
     if len(photos) == 1:
-        return f"The mask {saved[0]} is not used: --mask names it."
-    return f"Masks beside {len(saved)} of the photos are not used: --masks {saved[0].parent} takes them."
+        return f"The mask beside the photo is not used: --mask {shlex.quote(str(saved[0]))} takes it."
+    folders = {mask.parent for mask in saved}
+    folder = shlex.quote(str(saved[0].parent)) if len(folders) == 1 else "DIR"
+    return f"Masks beside {len(saved)} of the photos are not used: --masks {folder} takes them."
 
 
 def heading_note(photos: Sequence[Path], heading_deg: float | None) -> str | None:

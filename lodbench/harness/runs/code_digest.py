@@ -9,12 +9,15 @@ import sys
 from collections.abc import Collection, Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution, packages_distributions
 from pathlib import Path
+from urllib.parse import urlparse
+from urllib.request import url2pathname
 
 from lodbench.errors import ConfigError
 from lodbench.execution.same_code import own_digest
 from lodbench.plugins import KINDS, installed
 from lodbench.storage import digest_of, file_digest
 from lodbench.storage.digest import package_files
+from lodbench.storage.json_text import parse_json
 
 _OURS = "lodbench"
 # The name that a requirement begins with.
@@ -39,9 +42,9 @@ def code_digest(*parts: object, names: Collection[object] = ()) -> str:
     modules = {type(part).__module__ for part in parts} | {each.point.module for each in named}
     tops = {module.partition(".")[0] for module in modules} - {_OURS, "__main__"}
     required = required_by(tops)
-    # What is edited in place keeps its version.
-    tops |= {top for each in required if _is_editable(each) for top in _read(each, "top_level.txt").split()}
     files = [file_digest(file) for top in sorted(tops) for file in package_files(top)]
+    # What is edited in place keeps its version.
+    files += [file_digest(file) for each in sorted(required, key=_name_of) for file in _edited_files(each)]
     versions = sorted(f"{each.name}=={each.version}" for each in required)
     typed = [_typed_code(part) for part in parts if type(part).__module__ == "__main__"]
     return digest_of([own_digest(), files, *typed, *elsewhere, *([versions] if versions else [])])
@@ -71,8 +74,28 @@ def required_by(packages: Collection[str]) -> list[Distribution]:
     return [each for each in found.values() if each.name not in asked]
 
 
-def _is_editable(package: Distribution) -> bool:
-    return '"editable": true' in _read(package, "direct_url.json")
+def _name_of(package: Distribution) -> str:
+    return package.name
+
+
+def _edited_files(package: Distribution) -> list[Path]:
+    """Returns the Python files of a package that is installed to be edited (PEP 610), else none."""
+    try:
+        told = parse_json(_read(package, "direct_url.json") or "{}")
+        is_editable = told["dir_info"]["editable"] is True
+        folder = Path(url2pathname(urlparse(told["url"]).path))
+    except (ValueError, KeyError, TypeError):
+        return []
+    if not is_editable:
+        return []
+    tops = _read(package, "top_level.txt").split()
+    if tops:
+        return [file for top in tops for file in package_files(top)]
+    # Not every builder says which packages it holds: all there is, but environments in it.
+    found = ((file, file.relative_to(folder).parts) for file in folder.rglob("*.py"))
+    return sorted(
+        file for file, parts in found if "site-packages" not in parts and not parts[0].startswith(".")
+    )
 
 
 def _read(package: Distribution, name: str) -> str:
