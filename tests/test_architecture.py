@@ -231,7 +231,7 @@ def test_the_public_names_load():
 
 def test_every_decision_is_in_the_index():
     folder = ROOT / "docs" / "adr"
-    index = (folder / "README.md").read_text()
-    pages = sorted(path.name for path in folder.glob("*.md") if path.name != "README.md")
+    index = (folder / "index.md").read_text()
+    pages = sorted(path.name for path in folder.glob("*.md") if path.name != "index.md")
     assert [name for name in pages if f"({name})" not in index] == []
     assert index.count("](") == len(pages)
