@@ -265,6 +265,10 @@ class TestCommand:
             assert main(["mask", str(turned), "--no-page", *words]) == 2
             assert "EXIF orientation 3" in capsys.readouterr().err
         assert main(["mask", str(turned), "--no-page", *traced, "--export", "geojson"]) == 0
+        # A format without that tag is turned by nobody.
+        Image.open(photo).save(photo.with_suffix(".bmp"))
+        plain = ["mask", str(photo.with_suffix(".bmp")), "--no-page", "--out", str(photo.parent / "b.png")]
+        assert main([*plain, *traced, "--export", "labelme"]) == 0
 
     def test_it_starts_from_a_plug_in_that_looks_at_photos(self, photo, monkeypatch):
         monkeypatch.setattr("lodbench.segmentation.registry.load_plugin", lambda group, name: Bright)

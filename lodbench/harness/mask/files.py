@@ -68,7 +68,10 @@ def require_unturned(photo: Path, formats: tuple[str, ...], polygons: Path | Non
     """
     if polygons is None and not {"labelme", "coco"}.intersection(formats):
         return
-    orientation = read_photo_metadata(photo).orientation
+    try:
+        orientation = read_photo_metadata(photo).orientation
+    except DatasetError:  # a format without such a tag, or a header that nobody can read
+        return
     if orientation > 1:
         raise DatasetError(
             f"Other programs turn {photo.name} for display (EXIF orientation {orientation}), so polygons "
