@@ -42,7 +42,8 @@ class PhotoMetadata:
         optical_center_y_px: Likewise.
         dewarp: DJI's calibration with lens distortion.
         is_dewarped: The drone has undistorted the picture already.
-        has_rtk: The position is an RTK solution.
+        has_rtk: The height is that of an RTK receiver, above the ellipsoid.
+        is_single_point: An RTK receiver had no corrections, and nothing says whether the height is its own.
     """
 
     name: str
@@ -70,6 +71,7 @@ class PhotoMetadata:
     dewarp: Dewarp | None = None
     is_dewarped: bool = False
     has_rtk: bool = False
+    is_single_point: bool = False
 
     @property
     def has_position(self) -> bool:

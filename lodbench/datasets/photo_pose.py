@@ -8,7 +8,7 @@ city (up to 100 m), the gimbal's roll about the optical axis (what it is).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, cast, get_args
 
@@ -20,8 +20,6 @@ from lodbench.geometry import Pose
 from lodbench.geometry.angles import rotation_from_dji
 
 HeightSource = Literal["auto", "sea_level", "ellipsoid", "takeoff"]
-# A datum shift known no better than this is worth telling.
-_TELL_ACCURACY_M = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,47 +218,6 @@ def pose_at(
     pitch = cast(float, _first(given.pitch_deg, photo.gimbal_pitch_deg))
     roll = _first(given.roll_deg, photo.gimbal_roll_deg) or 0.0
     return Pose.from_center(rotation_from_dji(yaw, pitch, roll, convergence_deg), center)
-
-
-def datum_note(frame: MapFrame) -> str | None:
-    """Returns a sentence if the step from GPS to the city's datum may be off by metres."""
-    accuracy = frame.accuracy_m
-    if accuracy is not None and accuracy <= _TELL_ACCURACY_M:
-        return None
-    known = "unknown here" if accuracy is None else f"{accuracy:g} m"
-    return f"the accuracy of the step from WGS 84 to {frame.crs} is {known} (PROJ_NETWORK=ON may better it)"
-
-
-def place_notes(
-    frame: MapFrame | None, photos: Iterable[PhotoMetadata], options: HeightOptions | None = None
-) -> tuple[str, ...]:
-    """Returns what a reader should know of places and heights that were read from photos, a sentence each.
-
-    Args:
-        frame: The city's coordinates; None where nobody knows them on Earth.
-        photos: Those whose stated heights were used.
-        options: How the drone's heights became the city's.
-    """
-    photos, options = list(photos), options or HeightOptions()
-    datum = None if frame is None else datum_note(frame)
-    is_unused = options.geoid_m is not None and any(
-        options.source_for(photo) == "sea_level" for photo in photos
-    )
-    geoid = (
-        "--geoid was not used: heights are taken as above sea level without RTK; --heights ellipsoid uses it"
-    )
-    return tuple(filter(None, (datum, geoid if is_unused else None, heights_note(photos, options))))
-
-
-def heights_note(photos: Sequence[PhotoMetadata], options: HeightOptions) -> str | None:
-    """Returns a sentence if heights of some photos are taken as above something else than those of others."""
-    above_sea = sum(options.source_for(photo) == "sea_level" for photo in photos)
-    if above_sea in (0, len(photos)):
-        return None
-    return (
-        f"{above_sea} of {len(photos)} photos have no RTK solution: their heights are taken as above "
-        "sea level, those of the others as above the ellipsoid; --heights says what all are"
-    )
 
 
 def _height(

@@ -41,9 +41,16 @@ _XMP_NUMBERS = {
     "optical_center_x_px": ("CalibratedOpticalCenterX",),
     "optical_center_y_px": ("CalibratedOpticalCenterY",),
 }
-# Fixed and float solutions of a real-time kinematic receiver (DJI's RtkFlag).
-_RTK_SOLUTIONS = ("34", "50")
-_FIELD_LIMITS = {"latitude_deg": 90.0, "longitude_deg": 180.0, "gimbal_pitch_deg": 360.0}
+# DJI's RtkFlag: 32 to 49 are float solutions, 50 is a fixed one, 16 a single point without corrections.
+_RTK_FLOAT, _RTK_FIXED, _SINGLE_POINT = 32, 50, 16
+# What a height is said to be by (AltitudeType) if the RTK receiver has measured it; drones without one write
+# it too.
+_BY_RTK = "RtkAlt"
+_FIELD_LIMITS = {
+    "latitude_deg": 90.0,
+    "longitude_deg": 180.0,
+    **dict.fromkeys(("gimbal_yaw_deg", "gimbal_pitch_deg", "gimbal_roll_deg"), 360.0),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,8 +152,19 @@ def xmp_values(path: Path, packet: bytes) -> dict[str, Any]:
     values |= _position(values.pop("latitude_deg", None), values.pop("longitude_deg", None))
     values["dewarp"] = _dewarp(properties.get("DewarpData"))
     values["is_dewarped"] = properties.get("DewarpFlag", "0").strip() == "1"
-    values["has_rtk"] = properties.get("RtkFlag", "").strip() in _RTK_SOLUTIONS
+    values |= _rtk(properties)
     return {name: value for name, value in values.items() if value is not None}
+
+
+def _rtk(properties: Mapping[str, str]) -> dict[str, bool]:
+    """Returns whether a height is an RTK receiver's, and whether nobody says if it is."""
+    flag = _number(properties.get("RtkFlag")) or 0.0
+    is_single = flag == _SINGLE_POINT
+    is_told = is_single and properties.get("AltitudeType", "").strip() == _BY_RTK
+    return {
+        "has_rtk": is_told or _RTK_FLOAT <= flag <= _RTK_FIXED,
+        "is_single_point": is_single and not is_told,
+    }
 
 
 def _position(latitude_deg: float | None, longitude_deg: float | None) -> dict[str, float]:

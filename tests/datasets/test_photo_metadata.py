@@ -46,6 +46,33 @@ def test_everything_a_dji_photo_states(tmp_path, as_elements):
     assert photo.dewarp.distortion == (-0.2651, 0.1123, 0.0002, -0.0004, -0.0331)
 
 
+@pytest.mark.parametrize(
+    ("flag", "kind", "has_rtk", "is_single_point"),
+    [
+        ("34", "", True, False),
+        ("48", "", True, False),  # newer drones' float solutions
+        ("50", "RtkAlt", True, False),
+        ("16", "RtkAlt", True, False),
+        ("16", "", False, True),
+        ("16", "GpsFusionAlt", False, True),
+        ("0", "RtkAlt", False, False),
+        (None, "RtkAlt", False, False),  # drones without a receiver write it
+        ("?", "", False, False),
+    ],
+)
+def test_whose_height_it_is(tmp_path, flag, kind, has_rtk, is_single_point):
+    properties = {"RtkFlag": flag, "AltitudeType": kind}
+    packet = xmp_packet({key: value for key, value in properties.items() if value})
+    photo = read_photo_metadata(write_photo(tmp_path / "a.jpg", xmp=packet))
+    assert (photo.has_rtk, photo.is_single_point) == (has_rtk, is_single_point)
+
+
+def test_angles_that_are_none_are_absent(tmp_path):
+    packet = xmp_packet({"GimbalYawDegree": "999", "GimbalRollDegree": "-999", "GimbalPitchDegree": "-90"})
+    photo = read_photo_metadata(write_photo(tmp_path / "a.jpg", xmp=packet))
+    assert (photo.gimbal_yaw_deg, photo.gimbal_pitch_deg, photo.gimbal_roll_deg) == (None, -90.0, None)
+
+
 def test_exif_alone(tmp_path):
     photo = read_photo_metadata(write_photo(tmp_path / "a.jpg", exif=exif_of(-33.865143, -70.5, -12.25)))
     assert photo.latitude_deg == pytest.approx(-33.865143, abs=3e-8)

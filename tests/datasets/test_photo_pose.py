@@ -18,7 +18,8 @@ from lodbench.datasets import map_frame
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import PhotoMetadata
-from lodbench.datasets.photo_pose import HeightOptions, RoughPlace, datum_note, place_notes, pose_from_photo
+from lodbench.datasets.photo_notes import datum_note, place_notes
+from lodbench.datasets.photo_pose import HeightOptions, RoughPlace, pose_from_photo
 from lodbench.datasets.photo_tags import Dewarp
 from lodbench.errors import ConfigError, DatasetError
 
@@ -143,6 +144,14 @@ class TestHeights:
         (note,) = place_notes(NRW, iter(photos))
         assert "1 of 4 photos have no RTK solution" in note
         for told in (HeightOptions("ellipsoid"), HeightOptions(takeoff_m=60.0)):
+            assert place_notes(NRW, photos, told) == ()
+
+    def test_an_rtk_receiver_without_corrections_is_told(self):
+        photos = [PHOTO, replace(PHOTO, is_single_point=True)]
+        (note,) = place_notes(NRW, photos)
+        assert "1 of 2 photos" in note
+        assert "--heights says which" in note
+        for told in (HeightOptions("ellipsoid"), HeightOptions("sea_level"), HeightOptions(takeoff_m=60.0)):
             assert place_notes(NRW, photos, told) == ()
 
     def test_without_a_geoid_model_it_is_an_error_and_no_silent_46_metres(self, proj_data):

@@ -14,7 +14,8 @@ from lodbench.datasets.exchange.posed import FoundPose, Place, read_json
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import find_photo, shared_files
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_pose import place_notes, pose_from_photo
+from lodbench.datasets.photo_notes import place_notes
+from lodbench.datasets.photo_pose import pose_from_photo
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose

@@ -14,7 +14,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.photo_flights import Flight, split_flights
-from lodbench.datasets.photo_pose import heights_note
+from lodbench.datasets.photo_notes import height_notes
 from lodbench.datasets.query import Query
 from lodbench.errors import LodbenchError, QueryFault
 from lodbench.execution import Progress
@@ -87,8 +87,7 @@ def localize_flights(
         taken = _taken(flight, [names[row] for row in rows])
         taken += tied_notes(reconstruction, [photos[row] for row in mine], known)
         if request.center is None and request.given.height_m is None:
-            note = heights_note([ready[row][0].stated for row in mine], request.heights)
-            taken += [] if note is None else [note]
+            taken += height_notes([ready[row][0].stated for row in mine], request.heights)
         name, paths = f"flight {len(flights) + 1}", tuple(photos[row] for row in mine)
         flights.append(FlightAnswer(name, paths, tuple(taken), found.findings))
     answers = []

@@ -16,7 +16,7 @@ from lodbench.citymodel.stored_city import OpenCity
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.datasets.inputs import Input, declared_inputs, require_inputs
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_pose import place_notes
+from lodbench.datasets.photo_notes import place_notes
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city

@@ -24,7 +24,8 @@ from lodbench.datasets.own import (
 )
 from lodbench.datasets.own_sources import LeftOut, images_from_photos, images_from_poses
 from lodbench.datasets.photo_files import PHOTO_SUFFIXES
-from lodbench.datasets.photo_pose import HeightOptions, place_notes
+from lodbench.datasets.photo_notes import place_notes
+from lodbench.datasets.photo_pose import HeightOptions
 from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_cameras

@@ -22,7 +22,8 @@ from lodbench.datasets.own import require_some_mask
 from lodbench.datasets.photo_camera import PhotoCamera, camera_from_photo, require_photo_size
 from lodbench.datasets.photo_files import in_pose_lines
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_pose import place_notes, pose_at, pose_from_photo
+from lodbench.datasets.photo_notes import place_notes
+from lodbench.datasets.photo_pose import pose_at, pose_from_photo
 from lodbench.datasets.undistort import pinhole_of
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.execution import Progress

@@ -1,0 +1,71 @@
+"""What a reader should know of the places and heights that photos state, a sentence each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.photo_metadata import PhotoMetadata
+from lodbench.datasets.photo_pose import HeightOptions
+
+# A datum shift known no better than this is worth telling.
+_TELL_ACCURACY_M = 2.0
+
+
+def datum_note(frame: MapFrame) -> str | None:
+    """Returns a sentence if the step from GPS to the city's datum may be off by metres."""
+    accuracy = frame.accuracy_m
+    if accuracy is not None and accuracy <= _TELL_ACCURACY_M:
+        return None
+    known = "unknown here" if accuracy is None else f"{accuracy:g} m"
+    return f"the accuracy of the step from WGS 84 to {frame.crs} is {known} (PROJ_NETWORK=ON may better it)"
+
+
+def place_notes(
+    frame: MapFrame | None, photos: Iterable[PhotoMetadata], options: HeightOptions | None = None
+) -> tuple[str, ...]:
+    """Returns what a reader should know of places and heights that were read from photos, a sentence each.
+
+    Args:
+        frame: The city's coordinates; None where nobody knows them on Earth.
+        photos: Those whose stated heights were used.
+        options: How the drone's heights became the city's.
+    """
+    photos, options = list(photos), options or HeightOptions()
+    datum = None if frame is None else datum_note(frame)
+    is_unused = options.geoid_m is not None and any(
+        options.source_for(photo) == "sea_level" for photo in photos
+    )
+    geoid = (
+        "--geoid was not used: heights are taken as above sea level without RTK; --heights ellipsoid uses it"
+    )
+    heights = height_notes(photos, options)
+    return tuple(filter(None, (datum, geoid if is_unused else None, *heights)))
+
+
+def height_notes(photos: Sequence[PhotoMetadata], options: HeightOptions) -> tuple[str, ...]:
+    """Returns what a reader should know of what photos' heights are taken as above, a sentence each."""
+    return tuple(filter(None, (_mixed_note(photos, options), _single_point_note(photos, options))))
+
+
+def _mixed_note(photos: Sequence[PhotoMetadata], options: HeightOptions) -> str | None:
+    """Returns a sentence if heights of some photos are taken as above something else than those of others."""
+    above_sea = sum(options.source_for(photo) == "sea_level" for photo in photos)
+    if above_sea in (0, len(photos)):
+        return None
+    return (
+        f"{above_sea} of {len(photos)} photos have no RTK solution: their heights are taken as above "
+        "sea level, those of the others as above the ellipsoid; --heights says what all are"
+    )
+
+
+def _single_point_note(photos: Sequence[PhotoMetadata], options: HeightOptions) -> str | None:
+    """Returns a sentence if a height may be above the ellipsoid though there is no RTK solution."""
+    is_told = options.source != "auto" or options.takeoff_m is not None
+    count = sum(photo.is_single_point for photo in photos)
+    if count == 0 or is_told:
+        return None
+    return (
+        f"an RTK receiver without corrections (RtkFlag 16) placed {count} of {len(photos)} photos: their heights "
+        "are taken as above sea level, and may be above the ellipsoid; --heights says which"
+    )
