@@ -66,6 +66,6 @@ def _single_point_note(photos: Sequence[PhotoMetadata], options: HeightOptions) 
     if count == 0 or is_told:
         return None
     return (
-        f"an RTK receiver without corrections (RtkFlag 16) placed {count} of {len(photos)} photos: their heights "
-        "are taken as above sea level, and may be above the ellipsoid; --heights says which"
+        f"an RTK receiver without corrections (RtkFlag 16) placed {count} of {len(photos)} photos: their "
+        "heights are taken as above sea level, and may be above the ellipsoid; --heights says which"
     )
