@@ -25,6 +25,7 @@ class PhotoMetadata:
         orientation: EXIF's turn for display, 1 for none.
         size_when_taken: Width and height that EXIF states; scaling a photo often leaves them.
         taken_at: Local time as written, ``2023:10:18 11:46:19``.
+        taken_fraction_s: Of the second of ``taken_at``.
         latitude_deg: WGS 84; DJI's own value, which has more digits, before EXIF's.
         longitude_deg: Likewise.
         altitude_m: Absolute altitude, metres, above what the drone takes for sea level, or above the
@@ -54,6 +55,7 @@ class PhotoMetadata:
     orientation: int = 1
     size_when_taken: tuple[int, int] | None = None
     taken_at: str = ""
+    taken_fraction_s: float | None = None
     latitude_deg: float | None = None
     longitude_deg: float | None = None
     altitude_m: float | None = None

@@ -24,7 +24,8 @@ _DJI_NAMESPACE = "drone-dji"
 _MAKE, _MODEL, _ORIENTATION = 0x010F, 0x0110, 0x0112
 _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
 _DNG_VERSION = 0xC612
-_TAKEN_AT, _FOCAL_MM, _FOCAL_35MM, _WIDTH, _HEIGHT = 0x9003, 0x920A, 0xA405, 0xA002, 0xA003
+_TAKEN_AT, _TAKEN_FRACTION = 0x9003, 0x9291
+_FOCAL_MM, _FOCAL_35MM, _WIDTH, _HEIGHT = 0x920A, 0xA405, 0xA002, 0xA003
 _PLANE_X, _PLANE_Y, _PLANE_UNIT, _ZOOM = 0xA20E, 0xA20F, 0xA210, 0xA404
 _LAT_REF, _LAT, _LON_REF, _LON, _ALT_REF, _ALT = 1, 2, 3, 4, 5, 6
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}
@@ -122,6 +123,7 @@ def exif_values(tags: Mapping[int, Any]) -> dict[str, Any]:
         "orientation": int(orientation) if orientation is not None else 1,
         "size_when_taken": None if width is None or height is None else (round(width), round(height)),
         "taken_at": _text(exif.get(_TAKEN_AT)),
+        "taken_fraction_s": _fraction(exif.get(_TAKEN_FRACTION)),
         **_position(_degrees(gps.get(_LAT), gps.get(_LAT_REF)), _degrees(gps.get(_LON), gps.get(_LON_REF))),
         "altitude_m": -altitude if altitude is not None and below else altitude,
         "focal_mm": _positive(exif.get(_FOCAL_MM)),
@@ -129,6 +131,12 @@ def exif_values(tags: Mapping[int, Any]) -> dict[str, Any]:
         "pixel_mm": _pixel_mm(exif),
         "digital_zoom": _zoom(exif),
     }
+
+
+def _fraction(digits: Any) -> float | None:
+    """Returns the part of a second whose digits EXIF writes, as many as the camera knows."""
+    text = _text(digits)
+    return float(f"0.{text}") if text.isascii() and text.isdecimal() else None
 
 
 def _zoom(exif: Mapping[int, Any]) -> float | None:

@@ -22,6 +22,12 @@ _WIDTH, _HEIGHT, _ORIENTATION = 0x0100, 0x0101, 0x0112
 # OpenCV's level before each silence that lasts: it is the process's, and the last thread to end restores the
 # first one.
 _LOCK, _levels = Lock(), list[int]()
+# No degrees, in Celsius or Kelvin: programs write -9999 and the like where a thermal photo has no number.
+_ABSOLUTE_ZERO_C = -273.15
+# Beyond this many times the range of all but the outermost percents, a pixel is dead or has no number.
+_OUTER_PERCENT, _STRAY_RANGES = 1.0, 2.0
+# Pixels that tell the range of the rest, at least.
+_SAMPLED = 1 << 20
 
 
 def read_picture(path: Path, *, as_stored: bool = False) -> NDArray[Any] | None:
@@ -103,17 +109,27 @@ def in_8_bits(picture: NDArray[Any]) -> NDArray[np.uint8]:
     """Returns a picture of 8 bits as it is, any other over the range that it uses.
 
     A thermal or raw-like picture uses a small part of 16 bits: its own range is what is there to see. What is
-    not finite, of floating-point numbers, is black.
+    not finite, of floating-point numbers, or colder than anything, is black; single pixels far out of the
+    range of the rest, dead or without a number, are black or white, and leave the range as it is.
     """
     if picture.dtype == np.uint8:
         return picture
     is_float = picture.dtype.kind == "f"
-    finite = picture[np.isfinite(picture)] if is_float else picture
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    used = picture[np.isfinite(picture) & (picture > _ABSOLUTE_ZERO_C)] if is_float else picture
+    low, high = _range_in_use(used.ravel()) if used.size else (0.0, 0.0)
     # Degrees differ by less than one; whole numbers that do not differ at all are dark.
     span = max(high - low, 1e-6 if is_float else 1.0)
     values = np.nan_to_num(picture.astype(np.float32), nan=low, posinf=low, neginf=low)
-    return ((values - low) * (255.0 / span) + 0.5).astype(np.uint8)
+    return ((np.clip(values, low, high) - low) * (255.0 / span) + 0.5).astype(np.uint8)
+
+
+def _range_in_use(values: NDArray[Any]) -> tuple[float, float]:
+    """Returns the lowest and the highest of (N,) values, strays left out."""
+    low, high = float(values.min()), float(values.max())
+    sample = values[:: max(1, values.size // _SAMPLED)]
+    inner_low, inner_high = np.percentile(sample, (_OUTER_PERCENT, 100.0 - _OUTER_PERCENT)).astype(float)
+    reach = _STRAY_RANGES * (inner_high - inner_low)
+    return (max(low, inner_low - reach), min(high, inner_high + reach)) if reach > 0 else (low, high)
 
 
 def has_too_many_pixels(content: bytes) -> bool:

@@ -51,11 +51,15 @@ def exif_of(
     size: tuple[int, int] | None = None,
     orientation: int = 1,
     zoom: float | None = None,
+    taken_at: str = "2023:10:18 11:46:19",
+    fraction: str = "",
 ) -> bytes:
     """Returns EXIF with the tags DJI writes."""
     exif = Image.Exif()
     exif[0x010F], exif[0x0110], exif[0x0112] = "DJI", model, orientation
-    details: dict[int, Any] = {0x9003: "2023:10:18 11:46:19"}
+    details: dict[int, Any] = {0x9003: taken_at}
+    if fraction:
+        details[0x9291] = fraction
     if focal_mm is not None:
         details[0x920A] = IFDRational(Fraction(focal_mm).limit_denominator(1000))
     if focal_35mm is not None:

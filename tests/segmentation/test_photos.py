@@ -47,6 +47,30 @@ def test_degrees_of_a_radiometric_photo_fill_the_range(tmp_path, capfd):
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize(
+    ("kind", "scale", "strays"),
+    [(np.uint16, 1, (0, 65535)), (np.float32, 0.04, (-9999, 3e4)), (np.float32, 0.04, (-3.4e38, 900.0))],
+)
+def test_dead_pixels_and_those_without_a_number_leave_the_rest_its_contrast(tmp_path, kind, scale, strays):
+    whole = (np.linspace(7000, 7600, 80 * 60).reshape(60, 80) * scale).astype(kind)
+    photo = read_photo(written(tmp_path / "whole.tif", whole)).astype(int)
+    assert (photo.min(), photo.max()) == (0, 255)
+    whole[20, 30], whole[40, 50] = strays
+    damaged = read_photo(written(tmp_path / "damaged.tif", whole)).astype(int)
+    assert damaged[20, 30, 0] == 0
+    assert damaged[40, 50, 0] == 255
+    inner = np.delete(np.arange(60), (20, 40))
+    assert np.ptp(damaged[inner]) >= 50
+
+
+def test_a_border_without_numbers_is_black(tmp_path):
+    degrees = np.tile(np.linspace(12.0, 30.0, 80, dtype=np.float32), (60, 1))
+    bordered = np.pad(degrees, 10, constant_values=-9999)
+    found = read_photo(written(tmp_path / "bordered.tif", bordered))
+    assert (found[10:-10, 10:-10] == read_photo(written(tmp_path / "inside.tif", degrees))).all()
+    assert not found[:10].any()
+
+
 def test_transparent_pixels_are_black(tmp_path):
     image = np.full((2, 2, 4), 255, np.uint8)
     image[0, 0, 3] = 0

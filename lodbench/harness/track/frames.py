@@ -9,7 +9,6 @@ from collections import Counter, deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,13 +23,14 @@ from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.undistort import undistorted
 from lodbench.errors import DatasetError, LodbenchError, QueryFault
 from lodbench.geometry import Camera
+from lodbench.harness.track.clocks import PHOTO_RATE, photo_clocks
 from lodbench.segmentation import Segmenter, check_mask
 from lodbench.segmentation.masks import read_mask
 
 Mask = NDArray[np.float32]
 
-# What a video is taken to be where it does not say, and photos without clocks, frames per second.
-_VIDEO_RATE, _PHOTO_RATE = 25.0, 1.0
+# What a video is taken to be where it does not say, frames per second.
+_VIDEO_RATE = 25.0
 # A video with less than this share of the frames that it says to have is not whole: some only estimate them.
 _LEAST_READ = 0.95
 # Frames whose masks are made while another is aligned.
@@ -118,14 +118,13 @@ class Footage:
 
     def _of_photos(self) -> Iterator[Shot]:
         photos = self.photos()[:: self.every]
-        clocks = _clocks(photos) if self.rate is None else None
-        rate = self.rate or _PHOTO_RATE
-        if clocks is None and self.rate is None and len(photos) > 1:
-            self.notes.append(
-                f"no clock tells the photos apart: {rate:g} a second is assumed; --fps says how many"
-            )
-        for number, photo in enumerate(photos):
-            when = self.every * number / rate if clocks is None else clocks[number]
+        rate = self.rate or PHOTO_RATE
+        clocks = [self.every * number / rate for number in range(len(photos))]
+        if self.rate is None:
+            told, note = photo_clocks(photos)
+            clocks = told or clocks
+            self.notes.extend(note)
+        for photo, when in zip(photos, clocks, strict=True):
             # A mask that is there is looked at alone: decoding a drone's photo takes longer than aligning it.
             pixels = read_picture(photo) if self.masks is None else None
             size = _stated_size(photo) if pixels is None else _size(pixels)
@@ -181,18 +180,6 @@ def _stated_size(photo: Path) -> tuple[int, int] | None:
 
 def _frame_name(number: int) -> str:
     return f"frame_{number:06d}.png"
-
-
-def _clocks(photos: list[Path]) -> list[float] | None:
-    """Returns when photos were taken, seconds after the first; None where clocks lack or stand still."""
-    try:
-        times = [
-            datetime.strptime(read_photo_metadata(photo).taken_at, "%Y:%m:%d %H:%M:%S") for photo in photos
-        ]
-    except (ValueError, LodbenchError):
-        return None
-    seconds = [(taken - times[0]).total_seconds() for taken in times]
-    return seconds if all(later > sooner for sooner, later in itertools.pairwise(seconds)) else None
 
 
 @dataclass(slots=True)

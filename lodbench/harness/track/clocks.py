@@ -1,0 +1,76 @@
+"""When photos that are tracked were taken, by their own clocks, most of which count whole seconds."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from datetime import datetime, timedelta
+from itertools import pairwise
+from pathlib import Path
+
+from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.errors import LodbenchError
+
+# What photos without clocks are taken to be, a second.
+PHOTO_RATE = 1.0
+
+
+def photo_clocks(photos: Sequence[Path]) -> tuple[list[float] | None, list[str]]:
+    """Returns when photos were taken, seconds after the first, and what the reader should know of it.
+
+    Several of one second are taken to be evenly spaced in it. Without clocks, or with such as stand still or
+    run back, there are no times.
+    """
+    seconds = _stated(photos)
+    if len(photos) < 2:
+        return None, []
+    if seconds is not None and _rises(seconds):
+        return _from_first(seconds), []
+    whole = [float(second // 1) for second in seconds or ()]
+    if not whole or whole[0] == whole[-1] or whole != sorted(whole):
+        return None, [_NO_CLOCK]
+    return _from_first(_spread(whole)), [_WHOLE_SECONDS]
+
+
+_NO_CLOCK = f"no clock tells the photos apart: {PHOTO_RATE:g} a second is assumed; --fps says how many"
+_WHOLE_SECONDS = (
+    "the photos' clock counts whole seconds: those of one second are taken as evenly spaced; "
+    "--fps says how many there are"
+)
+
+
+def _stated(photos: Sequence[Path]) -> list[float] | None:
+    """Returns seconds after the whole second of the first; None where a clock lacks."""
+    times = []
+    try:
+        for photo in photos:
+            stated = read_photo_metadata(photo)
+            taken = datetime.strptime(stated.taken_at, "%Y:%m:%d %H:%M:%S")
+            times.append(taken + timedelta(seconds=stated.taken_fraction_s or 0.0))
+    except (ValueError, LodbenchError):
+        return None
+    first = times[0].replace(microsecond=0)
+    return [(taken - first).total_seconds() for taken in times]
+
+
+def _from_first(seconds: Sequence[float]) -> list[float]:
+    return [second - seconds[0] for second in seconds]
+
+
+def _rises(seconds: Sequence[float]) -> bool:
+    return all(later > sooner for sooner, later in pairwise(seconds))
+
+
+def _spread(whole: Sequence[float]) -> list[float]:
+    """Returns whole seconds with what is of one second evenly spaced in it.
+
+    The first second and the last were begun or left in between, so they hold as many as the fullest would.
+    """
+    counts, done = Counter(whole), Counter[float]()
+    fullest, spread = max(counts.values()), []
+    for second in whole:
+        is_cut = second in (whole[0], whole[-1])
+        before = fullest - counts[second] if second == whole[0] else 0
+        spread.append(second + (before + done[second]) / (fullest if is_cut else counts[second]))
+        done[second] += 1
+    return spread
