@@ -21,6 +21,7 @@ from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import find_mask
 from lodbench.datasets.photo_files import find_photos
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.harness.photo import many
 from lodbench.segmentation import registry
 from tests.cli.photo_case import Case, make_case
 
@@ -354,3 +355,32 @@ def test_why_answers_are_not_to_be_trusted_is_said_photo_by_photo(
     with (out / "localized.csv").open() as stream:
         notes = [row["notes"] for row in csv.DictReader(stream)]
     assert [note.count("yaw") for note in notes] == [1, 1, 0]
+
+
+def test_what_was_found_until_it_was_stopped_is_written(caplog, case, flight, tmp_path, monkeypatch):
+    once, begun = many.localize_photo, []
+
+    def stopped(request):
+        begun.append(request.photo)
+        if len(begun) == 2:
+            raise KeyboardInterrupt
+        return once(request)
+
+    monkeypatch.setattr(many, "localize_photo", stopped)
+    out = tmp_path / "out"
+    words = [flight / "a", flight / "b", "--city", case.city, "--masks", flight / "masks", "--out", out]
+    words = ["localize", *map(str, words), "--each-alone"]
+    assert main(words) == 130
+    with (out / "localized.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["trust"] for row in rows] == ["good", "failed", "failed"]
+    assert [row["failure"] for row in rows] == ["", *["stopped before its turn"] * 2]
+    assert len(json.loads((out / "localized.geojson").read_text())["features"]) > 3
+    assert f"1 of 3 photos were done until then: {out}" in caplog.text
+    # The whole command takes its place; one that is stopped again does not.
+    assert main(words) == 3
+    whole = (out / "localized.csv").read_bytes()
+    begun.clear()
+    assert main(words) == 130
+    assert (out / "localized.csv").read_bytes() == whole
+    assert not (out / "localized_2.csv").exists()

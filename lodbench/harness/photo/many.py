@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import itertools
-from collections.abc import Sequence
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
 from lodbench.storage import hide_formula, make_folder, write_text
 from lodbench.storage.atomic import writable
 
+_LOG = logging.getLogger(__name__)
 TABLE_FILE, MAP_FILE, VIEW_FILE = "localized.csv", "localized.geojson", "localized_3d.html"
 FLIGHTS_FILE, FINDINGS_FILE = "flights.json", "map_findings.geojson"
 COLUMNS = (
@@ -129,18 +132,33 @@ def _is_below(path: Path, folder: Path) -> bool:
 def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path | None) -> Answers:
     """Returns what became of each photo, and writes ``localized.csv`` and ``localized.geojson``.
 
+    Where it is stopped, they are written of the photos that are done.
+
     Args:
         request: As for one photo; ``photo`` and ``mask`` are set for each.
         photos: The files.
         masks: Folder of masks named as the photos, or None.
     """
-    answers = []
-    with Progress("photos", len(photos)) as progress:
+    answers: list[PhotoAnswer] = []
+    with _keeping(request.out, answers, photos), Progress("photos", len(photos)) as progress:
         for photo in photos:
             mask = find_mask(masks, f"{photo.parent.name}/{photo.name}", photo)
             answers.append(_answer(replace(request, photo=photo, mask=mask), masks))
             progress.advance()
     return write_answers(request.out, answers)
+
+
+@contextmanager
+def _keeping(out: Path, answers: Sequence[PhotoAnswer], photos: Sequence[Path]) -> Iterator[None]:
+    """Writes the answers there are when the block is stopped; an earlier table goes before."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if any(answer.found is not None for answer in answers) and not (out / TABLE_FILE).exists():
+            left = [PhotoAnswer(photo, None, "stopped before its turn") for photo in photos[len(answers) :]]
+            write_answers(out, [*answers, *left])
+            _LOG.warning("%d of %d photos were done until then: %s", len(answers), len(photos), out)
+        raise
 
 
 def write_answers(
