@@ -31,6 +31,9 @@ _SENSOR_MM = {  # by EXIF's model
 }
 # The diagonal of the 36 x 24 mm picture that "35 mm equivalent" means.
 _DIAGONAL_35MM = math.hypot(36.0, 24.0)
+# DJI writes the equivalent of the whole sensor, 4:3 where the table above has no other, into photos of 16:9,
+# which show all of its width, too: by the definition a photo of 24 mm would have 26 mm then.
+_WIDE, _WHOLE_HEIGHT = 1.6, 3.0 / 4.0
 # A field of view beyond these is a wrong number: fisheyes have no focal length of this kind.
 _FIELD_DEG = (3.0, 150.0)
 # Sizes are whole pixels, so scaling changes the aspect a little; cropping changes it more.
@@ -95,7 +98,8 @@ def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
     A digital zoom enlarges the middle of the lens's picture. So it multiplies EXIF's focal length, and DJI's
     numbers, which are of the whole picture, are left out. The equivalent has the photo's field of view
     by its definition, zoom included. So it tells a photo that was scaled since by a program that also
-    changed the size in EXIF, and the second lens of a drone whose table has the first.
+    changed the size in EXIF, and the second lens of a drone whose table has the first. DJI's of a photo of
+    16:9 is that of the whole sensor.
 
     Raises:
         DatasetError: The photo states none of them, or one that no camera has, or was cropped or scaled.
@@ -190,6 +194,9 @@ def _lens_percent(photo: PhotoMetadata, source: str) -> float | None:
 def _equivalent_px(photo: PhotoMetadata, width: int, height: int) -> float | None:
     if photo.focal_35mm is None:
         return None
+    longer, shorter = max(width, height), min(width, height)
+    if photo.make.upper() == "DJI" and longer > _WIDE * shorter:
+        width, height = longer, round(longer * _WHOLE_HEIGHT)
     return photo.focal_35mm / _DIAGONAL_35MM * math.hypot(width, height)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 from dataclasses import replace
@@ -304,6 +305,18 @@ class TestCamera:
         )
         assert part.source == "sensor"
         assert part.camera.fx == pytest.approx(all_of_it.camera.fx, rel=2e-3)
+
+    @pytest.mark.parametrize("size", [(4000, 2250), (2250, 4000)])
+    def test_dji_s_equivalent_is_of_the_whole_sensor_in_wide_photos_too(self, size):
+        # Mavic Air 2: 84 degrees across the diagonal of 4000 x 3000 pixels of 1.6 micrometres behind 4.5 mm.
+        whole = replace(PHOTO, make="DJI", model="FC3170", width=4000, height=3000, focal_35mm=24.0)
+        wide = replace(whole, width=size[0], height=size[1])
+        focal = camera_from_photo(whole).camera.fx
+        assert focal == pytest.approx(2500 / math.tan(math.radians(42)), rel=2e-3)
+        assert camera_from_photo(wide).camera.fx == pytest.approx(focal, rel=1e-9)
+        # Others keep to the definition: the diagonal of the photo.
+        other = camera_from_photo(replace(wide, make="Sony")).camera.fx
+        assert other == pytest.approx(24 / 43.2666 * math.hypot(*size), rel=1e-4)
 
     def test_a_digital_zoom_multiplies_exifs_focal_length_alone(self):
         zoomed = replace(PHOTO, model="FC6310R", focal_mm=8.8, digital_zoom=2.0)
