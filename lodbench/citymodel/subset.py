@@ -92,10 +92,22 @@ def choose_buildings(
     for key, value in where:
         is_kept &= _having(model, key, value)
     if not is_kept.any():
-        raise CityModelError(
-            "No building fulfils the conditions.", "See what there is: lodbench city info FILE."
-        )
+        raise CityModelError("No building fulfils the conditions.", _where_it_is(model, bbox))
     return model if is_kept.all() else keep_buildings(model, is_kept)
+
+
+def _where_it_is(model: CityModel, bbox: tuple[float, ...] | None) -> str:
+    """Returns a hint: the city's own rectangle, if another was asked for."""
+    low, high = footprint_boxes(model)
+    is_there = np.isfinite(low).all(axis=1)
+    if bbox is None or not is_there.any():
+        return "See what there is: lodbench city info FILE."
+    west, south = low[is_there].min(axis=0) + model.origin[:2]
+    east, north = high[is_there].max(axis=0) + model.origin[:2]
+    system = model.crs or "coordinates of its own, without a reference system"
+    digits = 6 if max(abs(east), abs(north)) <= 360 else 0
+    box = " ".join(f"{side:.{digits}f}" for side in (west, south, east, north))
+    return f"The city's buildings lie in {box}, in {system}."
 
 
 def require_same_heights(model: CityModel, crs: str) -> None:

@@ -20,7 +20,7 @@ from lodbench.storage import digest_of
 # heights are off.
 FURTHEST_M, _DEEPEST_M = 2000.0, 50.0
 _TILE_HINT = "Is it the right tile, and its reference system right? lodbench city info says where it is."
-_HEIGHT_HINT = (
+HEIGHT_HINT = (
     "Its height counts from another zero than the city's: --takeoff METRES or --heights says from which."
 )
 
@@ -64,6 +64,16 @@ def distance_outside_m(pose: Pose, scene: Scene) -> float:
     return float(np.hypot(beside[0], beside[1]))
 
 
+def height_above_m(pose: Pose, scene: Scene) -> float:
+    """Returns how far above the city's lowest point a camera is, metres; negative below.
+
+    Args:
+        pose: In the city's own coordinates.
+        scene: The city.
+    """
+    return float(pose.center[2] - scene.extent_m[0][2] - scene.origin[2])
+
+
 def far_words(poses: Sequence[Pose], scene: Scene) -> tuple[str, str] | None:
     """Returns how far from a city cameras are that see none of it, and what to do; None for others.
 
@@ -74,8 +84,8 @@ def far_words(poses: Sequence[Pose], scene: Scene) -> tuple[str, str] | None:
     away = float(np.median([distance_outside_m(pose, scene) for pose in poses]))
     if away > FURTHEST_M:
         return f"{away / 1000:.1f} km outside the city model", _TILE_HINT
-    below = float(scene.extent_m[0][2] + scene.origin[2] - np.median([pose.center[2] for pose in poses]))
-    return (f"{below:.0f} m below the city model", _HEIGHT_HINT) if below > _DEEPEST_M else None
+    below = -float(np.median([height_above_m(pose, scene) for pose in poses]))
+    return (f"{below:.0f} m below the city model", HEIGHT_HINT) if below > _DEEPEST_M else None
 
 
 def require_near_city(what: str, poses: Sequence[Pose], scene: Scene) -> None:

@@ -24,13 +24,17 @@ Probability = NDArray[np.float32]
 Photo = NDArray[Any]
 
 
-def nothing_fits(what: str) -> QueryFault:
+class NothingFits(QueryFault):
+    """No hypothesis about a query fits it at all."""
+
+
+def nothing_fits(what: str) -> NothingFits:
     """Returns the fault of a query none of whose hypotheses fits, and what to look at.
 
     Args:
         what: What none of them does.
     """
-    return QueryFault(
+    return NothingFits(
         f"{what}: the prior may be far from the city, or look past it",
         "lodbench city info FILE says where the city is, and in which reference system; a gimbal's pitch is "
         "0 at the horizon and -90 straight down.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,10 @@ def test_what_is_not_there(row: CityModel) -> None:
         choose_buildings(row, ids=["b9"])
     with pytest.raises(CityModelError, match="No building fulfils"):
         choose_buildings(row, where=[("function", "mill")])
+    with pytest.raises(CityModelError, match="No building fulfils") as fault:
+        choose_buildings(row, bbox=(5.87, 51.02, 5.88, 51.03))
+    # Whoever gave degrees sees what is wanted.
+    assert re.search(r"lie in 5000\d\d 56000\d\d 5000\d\d 56000\d\d, in EPSG:25832\+7837", fault.value.hint)
     with pytest.raises(CityModelError, match="No building has an attribute 'use'"):
         choose_buildings(row, where=[("use", "mill")])
 

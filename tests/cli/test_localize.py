@@ -13,7 +13,7 @@ import pytest
 from lodbench.citymodel import open_scene
 from lodbench.cli import main as cli
 from lodbench.cli.localize import main
-from lodbench.errors import DatasetError
+from lodbench.errors import DatasetError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Camera, EulerAngles, Pose
 from tests.cli.photo_case import (
@@ -236,6 +236,26 @@ def test_a_height_above_another_zero_is_told(capsys, tmp_path, shared_data):
     ) as fault:
         main([*words, "--height-offset", "-1500"])
     assert "--takeoff METRES" in fault.value.hint
+
+
+def test_a_height_that_is_little_too_low_is_told_where_nothing_fits(capsys, tmp_path, shared_data):
+    case = make_case(tmp_path, shared_data, "nrw")
+    words = [
+        str(case.photo),
+        "--city",
+        str(case.city),
+        "--out",
+        str(tmp_path / "o"),
+        "--mask",
+        str(case.mask),
+    ]
+    with pytest.raises(QueryFault, match=r"its rough place is \d\d m below the city's lowest point") as fault:
+        main([*words, "--height", "5"])
+    assert "--takeoff METRES" in fault.value.hint
+    # Above ground it is something else.
+    with pytest.raises(QueryFault) as fault:
+        main([*words, "--heading", "0", "--pitch", "60"])
+    assert "below" not in fault.value.message
 
 
 def test_a_photo_that_a_program_turned_is_told_and_found_by_its_roll(capsys, tmp_path, shared_data):

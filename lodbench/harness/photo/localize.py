@@ -21,6 +21,7 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.photo.by_mask import more_probable
+from lodbench.harness.photo.depth import telling_of_depth
 from lodbench.harness.photo.outputs import PhotoView, photo_features, write_photo_overlay
 from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo, undistorted_photo
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
@@ -54,7 +55,8 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
     prior = photo.prior(place.scene, place.frame)
     with TemporaryDirectory() as folder:
         image = undistorted_photo(view, Path(folder)) if Input.IMAGE in requires else None
-        with told_as_fault(f"method {method.name}", request.out, request.photo.name):
+        told = told_as_fault(f"method {method.name}", request.out, request.photo.name)
+        with telling_of_depth(prior, place.scene), told:
             estimate = localize(
                 place.scene,
                 photo.pinhole,
