@@ -79,6 +79,11 @@ def describe(done: Track) -> str:
     for first, last in done.lost():
         reason = f": {plain_text(first.reason)}" if first.reason else ": nothing near fits its mask"
         lines.append(f"lost from {plain_text(first.name)} to {plain_text(last.name)}{reason}")
+    if not tracked and not done.frames[0].reason:
+        lines.append(
+            "the first frame is not found from its rough pose: are city, place, height (--takeoff, "
+            "--heights), --heading and --pitch right?"
+        )
     each = 1000.0 / max(count - 1, 1)
     seconds = done.seconds
     lines += [

@@ -33,14 +33,19 @@ def place_notes(
     """
     photos, options = list(photos), options or HeightOptions()
     datum = None if frame is None else datum_note(frame)
-    is_unused = options.geoid_m is not None and any(
-        options.source_for(photo) == "sea_level" for photo in photos
+    return tuple(filter(None, (datum, _geoid_note(photos, options), *height_notes(photos, options))))
+
+
+def _geoid_note(photos: Sequence[PhotoMetadata], options: HeightOptions) -> str | None:
+    """Returns a sentence if the geoid was given and heights of some photos are not taken as above it."""
+    unused = sum(options.source_for(photo) == "sea_level" for photo in photos)
+    if options.geoid_m is None or unused == 0:
+        return None
+    of_some = "" if unused == len(photos) else f" for {unused} of {len(photos)} photos"
+    return (
+        f"--geoid was not used{of_some}: heights are taken as above sea level without RTK; "
+        "--heights ellipsoid uses it"
     )
-    geoid = (
-        "--geoid was not used: heights are taken as above sea level without RTK; --heights ellipsoid uses it"
-    )
-    heights = height_notes(photos, options)
-    return tuple(filter(None, (datum, geoid if is_unused else None, *heights)))
 
 
 def height_notes(photos: Sequence[PhotoMetadata], options: HeightOptions) -> tuple[str, ...]:

@@ -296,3 +296,16 @@ def test_what_was_tracked_until_it_was_stopped_is_written(capsys, caplog, footag
     del done[1:]
     assert main(words) == 130
     assert len(rows(tmp_path)) == 3
+
+
+def test_a_track_that_is_lost_has_the_same_columns_and_says_what_to_look_at(capsys, footage, tmp_path):
+    words = ("--masks", footage.folder / "masks", "--fps", 4, "--out")
+    assert main(footage.words("photos", *words, tmp_path / "found")) == 0
+    assert "rough pose" not in capsys.readouterr().out
+    wrong = [*footage.words("photos", *words, tmp_path / "lost")]
+    wrong[wrong.index("--center") + 3] = "900"
+    assert main(wrong) == 1
+    assert "the first frame is not found from its rough pose" in capsys.readouterr().out
+    found, lost = rows(tmp_path / "found"), rows(tmp_path / "lost")
+    assert list(found[0]) == list(lost[0])
+    assert lost[0]["east"] == lost[0]["probability"] == ""

@@ -136,7 +136,10 @@ class TestHeights:
         assert self.height(HeightOptions(geoid_m=46.2), has_rtk=True) == pytest.approx(157.2)
         assert self.height(HeightOptions(geoid_m=46.2)) == pytest.approx(203.4)
         (note,) = place_notes(NRW, [PHOTO], HeightOptions(geoid_m=46.2))
+        assert note.startswith("--geoid was not used: ")
         assert "--heights ellipsoid uses it" in note
+        mixed = place_notes(NRW, [PHOTO, replace(PHOTO, has_rtk=True)], HeightOptions(geoid_m=46.2))
+        assert mixed[0].startswith("--geoid was not used for 1 of 2 photos: ")
         assert place_notes(NRW, [replace(PHOTO, has_rtk=True)], HeightOptions(geoid_m=46.2)) == ()
         assert place_notes(NRW, [PHOTO], HeightOptions()) == ()
 

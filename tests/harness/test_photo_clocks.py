@@ -18,7 +18,10 @@ from tests.datasets.dji_photo import exif_of, write_photo
         (["19.00", "19.00", "20.00", "20.00"], [0, 0.5, 1.0, 1.5], "whole seconds"),
         (["19", "19", "19"], None, "no clock"),
         (["20", "19", "21"], None, "no clock"),
-        (["19", "", "21"], None, "no clock"),
+        (["19", "", "21"], [0, 1, 2], "without a clock, 1,"),
+        (["", "19", "", "", "22", ""], [0, 1, 2, 3, 4, 5], "without a clock, 4,"),
+        (["19", "", ""], None, "no clock"),
+        (["", "", ""], None, "no clock"),
         (["19"], None, None),
     ],
 )

@@ -13,6 +13,12 @@ from lodbench.storage import hide_formula
 TABLE_FILE, MAP_FILE, POSES_FILE = "track.csv", "track.geojson", "poses.txt"
 # Frames of all videos have the same names: only this tells whose they are.
 SOURCE_COLUMN = "source"
+# The same whatever was found.
+TABLE_COLUMNS = (
+    "frame", "time_s", "state", "score", "reason", SOURCE_COLUMN, "sigma_m", "sigma_deg", "probability",
+    "latitude_deg", "longitude_deg", "height_m", "heading_deg", "pitch_deg", "roll_deg", "crs",
+    "east", "north", "up",
+)  # fmt: skip
 
 
 def source_word(source: Path) -> str:

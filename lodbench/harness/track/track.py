@@ -34,6 +34,7 @@ from lodbench.harness.track.folder import (
     MAP_FILE,
     POSES_FILE,
     SOURCE_COLUMN,
+    TABLE_COLUMNS,
     TABLE_FILE,
     require_no_other,
     source_word,
@@ -264,7 +265,7 @@ def _table(frames: Sequence[TrackedFrame], frame: MapFrame | None, source: Path)
 
     rows = []
     for each in frames:
-        row: dict[str, Any] = {
+        row: dict[str, Any] = dict.fromkeys(TABLE_COLUMNS) | {
             "frame": hide_formula(each.name), "time_s": each.time_s, "state": each.state,
             "score": each.score, "reason": hide_formula(each.reason), SOURCE_COLUMN: source_word(source),
         }  # fmt: skip
@@ -272,7 +273,7 @@ def _table(frames: Sequence[TrackedFrame], frame: MapFrame | None, source: Path)
             row |= dict(zip(("sigma_m", "sigma_deg"), each.sigmas, strict=True))
             row["probability"] = each.probability
         if each.pose is not None:
-            row |= {} if frame is None else frame.place_of(each.pose)._asdict()
+            row |= {} if frame is None else {**frame.place_of(each.pose)._asdict(), "crs": frame.crs}
             row |= dict(zip(("east", "north", "up"), map(float, each.pose.center), strict=True))
         rows.append(row)
-    return str(pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"))
+    return str(pd.DataFrame(rows, columns=list(TABLE_COLUMNS)).to_csv(index=False, lineterminator="\n"))
