@@ -66,13 +66,16 @@ def rough_settings(asked: argparse.Namespace) -> dict[str, Any]:
     """Returns what a ``RoughRequest`` takes of ``add_rough_pose_options``.
 
     Raises:
-        ConfigError: The camera is none, or the place or its height is given twice.
+        ConfigError: The camera is none, or the place or its height is given twice, or half of it.
     """
     own = {"--lat": asked.lat, "--lon": asked.lon, "--height": asked.height}
     unused = [name for name, value in own.items() if value is not None] + height_flags(asked)
     if asked.center is not None and unused:
         hint = f"--center has the height too: leave {unused[0]} or --center out."
         raise ConfigError(f"{unused[0]} is not used with --center.", hint)
+    if (asked.lat is None) != (asked.lon is None):
+        one, other = ("--lat", "--lon") if asked.lon is None else ("--lon", "--lat")
+        raise ConfigError(f"{one} is half a place.", f"Give {other} too, or leave {one} out.")
     unused = [flag for flag in height_flags(asked) if flag != "--height-offset"]
     if asked.height is not None and unused:
         hint = f"--height is in the city's heights already: leave {unused[0]} or --height out."

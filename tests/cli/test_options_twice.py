@@ -38,6 +38,8 @@ CASES = [
     (f"{LOCALIZE} --height 100 --geoid 46", "--geoid is not used with --height", "or --height out"),
     (f"{LOCALIZE} --height 100 --heights ellipsoid", "--heights is not used with --height", "--height out"),
     (f"{TRACK} --height 100 --takeoff 60", "--takeoff is not used with --height", "leave --takeoff"),
+    (f"{LOCALIZE} --lat 51", "--lat is half a place", "Give --lon too"),
+    (f"{TRACK} --lon 6", "--lon is half a place", "Give --lat too"),
     (f"{LOCALIZE} --center 1 2 3 --heights sea_level", "--heights is not used with --center", "--center has"),
     (
         f"{PLACED} --start {{photo}} --masks {{masks}} --takeoff 60",
