@@ -15,6 +15,7 @@ from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo, require_stated
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera
+from lodbench.storage import file_digest
 
 LeftOut = list[tuple[str, str]]
 
@@ -41,6 +42,7 @@ def images_from_photos(
     """
     images: list[OwnImage] = []
     left_out: LeftOut = []
+    first_of: dict[str, Path] = {}
     last = LodbenchError("")
     photos = find_photos(folder, masks)
     require_photos(photos, folder)
@@ -48,6 +50,11 @@ def images_from_photos(
         name = path.name
         try:
             photo = read_photo_metadata(path)
+            # A flight would count it twice, and be the surer.
+            original = first_of.setdefault(file_digest(path), path)
+            if original != path:
+                left_out.append((name, f"it is a copy of {original}"))
+                continue
             require_stated(photo, heights, knows_camera=camera is not None)
             found = PhotoCamera(camera, "given") if camera else camera_from_photo(photo)
             prior = pose_from_photo(photo, frame, heights)

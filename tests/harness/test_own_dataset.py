@@ -176,7 +176,7 @@ class TestFromPhotos:
             for number in (1, 2):
                 copy = tmp_path / "flights" / folder / f"DJI_{folder}{number}.JPG"
                 copy.parent.mkdir(parents=True, exist_ok=True)
-                copy.write_bytes(photo.replace(b"2023:10:18 11", clock))
+                copy.write_bytes(photo.replace(b"2023:10:18 11", clock) + bytes(number))
         words = ["--images", tmp_path / "flights", "--city", case.city]
         code, _, err = run(capsys, "dataset init", tmp_path / "town", *words)
         assert code == 0, err
@@ -223,11 +223,27 @@ class TestFromPhotos:
     def test_two_photos_of_one_name(self, capsys, tmp_path, case):
         for folder in ("a", "b"):
             shutil.copytree(case.photo.parent, tmp_path / "flights" / folder)
+        other = tmp_path / "flights" / "b" / case.photo.name
+        other.write_bytes(other.read_bytes() + b"\0")
         code, _, err = run(
             capsys, "dataset init", tmp_path / "town", "--images", tmp_path / "flights", "--city", case.city
         )
         assert code == 2
         assert "2 images are called DJI_0001.JPG" in err
+
+    def test_a_copy_is_no_photo_of_its_own(self, capsys, tmp_path, case):
+        """Methods for flights took two of one photo for two that agree."""
+        for name in ("DJI_0001.JPG", "copies/DJI_0001.JPG", "DJI_0001 (1).JPG"):
+            copy = tmp_path / "flight" / name
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(case.photo, copy)
+        words = ["--images", tmp_path / "flight", "--city", case.city]
+        code, out, err = run(capsys, "dataset init", tmp_path / "town", *words)
+        assert code == 0, err
+        assert "1 image, 1 with a prior" in out
+        assert out.count("it is a copy of") == 2
+        entries = open_folder(FolderParams(str(tmp_path / "town"), str(case.city))).entries
+        assert len(entries) == 1
 
 
 class TestFromColmap:
