@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 # Meaning of a seed.
-SEED = "of all that is drawn by chance"
+SEED = "random seed"
 
 
 def option(default: Any, meaning: str, flag: str = "", parse: Callable[[str], Any] | None = None) -> Any:

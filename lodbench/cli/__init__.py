@@ -9,76 +9,85 @@ from importlib import import_module
 
 # Command -> (module with `main(argv) -> int`, one line of help).
 COMMANDS = {
-    "run": ("lodbench.cli.run", "find the poses of a dataset with one method; print recalls"),
-    "basin": ("lodbench.cli.basin", "recall over the error of the prior; the cost around the truth"),
-    "localize": ("lodbench.cli.localize", "find where photos were taken: table, overlays, map, how sure"),
-    "track": ("lodbench.cli.track", "find where each frame of a video, or of photos in turn, was taken"),
+    "localize": (
+        "lodbench.cli.localize",
+        "find where photos were taken: pose, overlay, map, how far to trust it",
+    ),
+    "track": ("lodbench.cli.track", "find where each frame of a video, or of a folder of frames, was taken"),
     "georeference": (
         "lodbench.cli.georeference",
-        "place a COLMAP model in a city by its buildings: no ground control points",
+        "place a COLMAP model on the map by its buildings, without ground control points",
     ),
-    "compare": ("lodbench.cli.compare", "put finished runs side by side, and test whether they differ"),
-    "evaluate": ("lodbench.cli.evaluate", "score poses made elsewhere: lines, c2w, COLMAP, TUM"),
-    "verify": ("lodbench.cli.verify", "score a run again from its stored poses; fail if its numbers differ"),
-    "status": ("lodbench.cli.status", "how far runs are"),
-    "report": ("lodbench.cli.report", "write one HTML page of a run: tables, figures, pictures, every query"),
+    "mask": ("lodbench.cli.mask", "make or correct a photo's building mask by hand; LabelMe, COCO, QGIS"),
+    "run": ("lodbench.cli.run", "localise the photos of a dataset with one method, and score the poses"),
+    "basin": ("lodbench.cli.basin", "measure how far off the prior may be"),
+    "evaluate": ("lodbench.cli.evaluate", "score poses made by another program: COLMAP, TUM, ..."),
+    "compare": ("lodbench.cli.compare", "put runs into one table, and test whether they differ"),
+    "report": ("lodbench.cli.report", "write an HTML page of a run: tables, figures, every photo"),
     "export": (
         "lodbench.cli.export",
-        "write a run's poses as COLMAP, kapture, TUM, nerfstudio, GeoJSON, ...",
+        "write a run's poses for other programs: COLMAP, Metashape, GeoJSON, ...",
     ),
+    "status": ("lodbench.cli.status", "show how far runs have come"),
+    "verify": ("lodbench.cli.verify", "recompute a run's numbers from its stored poses; fail if they differ"),
     "leaderboard": ("lodbench.cli.leaderboard", "add a verified run; build tables and pages"),
+    "bench": ("lodbench.cli.bench", "measure speed and accuracy, beside other programs"),
+    "city": ("lodbench.cli.city", "inspect, check or convert a city model"),
+    "dataset": (
+        "lodbench.cli.dataset",
+        "list, check, download or import datasets; make one of your photos (init)",
+    ),
     "render": (
         "lodbench.cli.render",
         "draw a city from given poses: silhouette, depth, label, colour, overlay",
     ),
     "generate-training-data": (
         "lodbench.cli.generate_training_data",
-        "picture a city from many places, with masks and poses, to train on",
+        "render images, masks and poses of a city",
     ),
-    "train": ("lodbench.cli.train", "train a segmentation network on such pictures"),
-    "mask": (
-        "lodbench.cli.mask",
-        "correct a photo's building mask on a page; polygons for LabelMe, COCO, QGIS",
-    ),
-    "city": ("lodbench.cli.city", "look into a city model: info, check; write it in another format: convert"),
-    "dataset": (
-        "lodbench.cli.dataset",
-        "list, check, download, describe datasets; make one of your own: init, import; priors; make-demo",
-    ),
-    "bench": (
-        "lodbench.cli.bench",
-        "measure speed and accuracy beside other programs: silhouettes, accuracy, city",
-    ),
-    "check-method": ("lodbench.cli.check_method", "does a method, yours perhaps, keep to the protocol?"),
+    "train": ("lodbench.cli.train", "train a segmentation network, or a method, on such images"),
+    "doctor": ("lodbench.cli.doctor", "say what works on this machine, and what to install for the rest"),
+    "check-method": ("lodbench.cli.check_method", "check that a method keeps to the protocol"),
     "check-plugin": (
         "lodbench.cli.check_plugin",
-        "does any other plug-in? See docs/plugins.md",
+        "check any other plug-in likewise: see docs/plugins.md",
     ),
-    "doctor": ("lodbench.cli.doctor", "say what works on this machine, and what to install for the rest"),
-    "completion": ("lodbench.cli.completion", "print what makes bash or zsh complete these words"),
+    "completion": ("lodbench.cli.completion", "print a script that completes commands in bash or zsh"),
+}
+
+# The first command of each group -> what stands above the group in the help.
+_HEADINGS = {
+    "localize": "Your photos",
+    "run": "Methods and their results",
+    "city": "City models and datasets",
+    "generate-training-data": "Training",
+    "doctor": "This machine, and plug-ins",
 }
 
 _USAGE = """\
-lodbench: where was the camera? City models, silhouettes, and a benchmark for aerial localisation.
+lodbench finds where aerial photos were taken, by a 3D city model, and measures how well methods do so.
 
-Usage: lodbench COMMAND [...]        lodbench COMMAND --help
-
-{commands}
+Usage: lodbench COMMAND [...]
+       lodbench COMMAND --help
 
 Start here:
-  lodbench run method=region dataset=demo
-  lodbench localize PHOTO ... --city FILE # where were they taken?
-  lodbench run dataset=folder dataset.root=DIR city=FILE
-  lodbench city info FILE                 # is it read as it should be?
+  lodbench run method=region dataset=demo          # try it: 40 photos of a built-in town
+  lodbench city info FILE                          # is your city model read as it should be?
+  lodbench localize PHOTO ... --city FILE          # where were your photos taken?
+  lodbench run dataset=folder dataset.root=DIR city=FILE   # a method over a dataset of your own
+{commands}
 """
 
 
 def usage() -> str:
     """Returns the help of `lodbench --help`."""
     width = max(map(len, COMMANDS))
-    return _USAGE.format(
-        commands="\n".join(f"  {name.ljust(width)}  {help_}" for name, (_, help_) in COMMANDS.items())
-    )
+    lines: list[str] = []
+    for name, (_, help_) in COMMANDS.items():
+        if name in _HEADINGS:
+            lines += ["", f"{_HEADINGS[name]}:"]
+        lines.append(f"  {name.ljust(width)}  {help_}")
+    return _USAGE.format(commands="\n".join(lines))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

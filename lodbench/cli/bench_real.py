@@ -52,7 +52,7 @@ def add_real(actions: Any) -> argparse.ArgumentParser:
     add("--prior-yaw", type=float, default=7.5, metavar="DEG", help="+- (7.5)")
     add("--prior-tilt", type=float, default=1.0, metavar="DEG", help="+- pitch and roll (1)")
     add("--pictures", type=Path, metavar="DIR", help="folder for a picture of the basins")
-    add("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
+    add("--seed", type=int, default=0, help="random seed (default: 0)")
     return parser
 
 

@@ -28,7 +28,7 @@ examples:
   lodbench city convert big.gml tiles/town.city.json --tiles 500      tiles/town_691000_5335000.city.json ...
   lodbench city convert tiles/ town.scene --lod 2 --workers 4         goes on where it was stopped
 
-options, as --option KEY=VALUE (their meaning: lodbench.citymodel.ReadOptions):
+how to read a file, each as --option KEY=VALUE (explained under lodbench.citymodel.ReadOptions):
   axis_order=east_first|north_first  is_strict=false  origin=[E,N,UP]  up_axis=y|z  layer=NAME
   height_column=NAME  storeys_column=NAME  storey_height_m=3  default_height_m=9
   ground_column=NAME  ground_m=0  terrain=FILE  base=as_given|ground|sunk  sunk_m=3
@@ -36,15 +36,15 @@ options, as --option KEY=VALUE (their meaning: lodbench.citymodel.ReadOptions):
 
 
 _ACTIONS = {
-    "info": "format, place, levels of detail, counts, areas, findings",
-    "check": "every defect with its building, and where the area went; exit code 1 if data was lost",
-    "convert": "write it as CityJSON (.json, .jsonl), CityGML (.gml), .glb, .ply, .obj or lodbench's .scene",
+    "info": "show format, reference system, place, levels of detail, numbers of buildings, areas, findings",
+    "check": "list every defect with its building, and how much area was lost; exit code 1 if data was lost",
+    "convert": "write it, or a part, as CityJSON (.json, .jsonl), CityGML (.gml), .glb, .ply, .obj or .scene",
 }
 
 
 def city_parser() -> argparse.ArgumentParser:
     """Returns the parser of `lodbench city`."""
-    parser = Parser("lodbench city", description="Look into a city model.", epilog=_EXAMPLES)
+    parser = Parser("lodbench city", description="Inspect, check or convert a city model.", epilog=_EXAMPLES)
     actions = parser.add_subparsers(dest="action", required=True, metavar="info|check|convert")
     for name, about in _ACTIONS.items():
         action = actions.add_parser(name, help=about, description=about, epilog=_EXAMPLES)
@@ -57,38 +57,38 @@ def city_parser() -> argparse.ArgumentParser:
             points = "write the findings as points, for QGIS"
             action.add_argument("--geojson", type=Path, metavar="OUT", help=points)
         _add_reading(action.add_argument)
-        action.add_argument("--json", action="store_true", help="for machines")
+        action.add_argument("--json", action="store_true", help="print JSON, for scripts")
     return parser
 
 
 def _add_convert(add: Any) -> None:
     """Adds what is written, and how."""
-    files = "city models, read as one; without -o the last one is OUT"
+    files = "city models, read as one; without -o the last name is OUT"
     add("files", nargs="+", type=Path, metavar="FILE", help=files)
-    add("-o", "--out", type=Path, metavar="OUT", help="its ending names the format")
-    add("--tiles", type=float, metavar="M", help="write squares of this side, and their index")
-    where = "where the tiles of a .scene are read (process)"
+    add("-o", "--out", type=Path, metavar="OUT", help="file to write; its ending chooses the format")
+    add("--tiles", type=float, metavar="M", help="write tiles of M metres, and an index of them")
+    where = "what reads the tiles of a .scene (default: process)"
     add("--executor", choices=("serial", "process", "dask"), help=where)
-    pictures = "keep the pictures of surfaces (.gml, .json, .jsonl, .glb, .obj)"
+    pictures = "keep the textures of surfaces (.gml, .json, .jsonl, .glb, .obj)"
     add("--textures", action="store_true", help=pictures)
-    add("--workers", type=int, help="how many processes (one per core)")
+    add("--workers", type=int, help="how many processes (default: one per core)")
     add("--address", help="of Dask's scheduler")
-    one = "the one level to write, or finest: each building's own (meshes: lowest; CityJSON: all)"
+    one = "level to write; finest: each building's best (default: all for CityJSON, the lowest for meshes)"
     add("--lod", help=one)
-    add("--citygml", choices=("2.0", "3.0"), help="version of a .gml (2.0)")
-    add("--to-crs", metavar="CRS", help="project to another system in metres")
+    add("--citygml", choices=("2.0", "3.0"), help="version of a .gml (default: 2.0)")
+    add("--to-crs", metavar="CRS", help="project to another reference system in metres")
     add("--id", action="append", default=[], help="only the building of this id; may be repeated")
-    inside = "only buildings whose middle lies inside, in the system written"
+    inside = "only buildings whose middle lies inside, in the reference system written"
     add("--bbox", nargs=4, type=float, metavar=("W", "S", "E", "N"), help=inside)
     having = "only buildings with this attribute, or with a part that has it; may be repeated"
     add("--where", action="append", default=[], metavar="ATTRIBUTE=VALUE", help=having)
-    add("--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave")
+    add("--roof-height", metavar="RULE", help="derive LoD1 where there is none: median, max, p70 or eave")
 
 
 def _add_reading(add: Any) -> None:
     """Adds how the files are read."""
-    add("--crs", help="CRS of the coordinates, where the file says none or a wrong one")
-    add("--source", default="folder", metavar="PROFILE", help="publisher, as in run source=PROFILE")
+    add("--crs", help="reference system of the coordinates, if the file names none or a wrong one")
+    add("--source", default="folder", metavar="PROFILE", help="publisher's profile, as in run source=PROFILE")
     add("--option", action="append", default=[], metavar="KEY=VALUE", help="see below; may be repeated")
-    also = f"also: {', '.join(LAYERS)}"
+    also = f"objects besides buildings: {', '.join(LAYERS)}"
     add("--layers", type=lambda text: tuple(text.split(",")), default=(), metavar="NAME,...", help=also)

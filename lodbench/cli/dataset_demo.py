@@ -15,7 +15,7 @@ def main(argv: Sequence[str]) -> int:
     parser = Parser("lodbench dataset make-demo", description="Write the demo dataset.")
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder to write it into")
     parser.add_argument("--num-queries", type=int, default=40, help="over both splits (40)")
-    parser.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
+    parser.add_argument("--seed", type=int, default=0, help="random seed (default: 0)")
     parser.add_argument(
         "--look", default="test", help="test (default) or train: other streets, roofs, colours"
     )

@@ -110,7 +110,7 @@ def _add_common_options(parser: argparse.ArgumentParser) -> None:
         help="added to positions: what was taken off the city's coordinates",
     )
     add_height_options(parser)
-    parser.add_argument("--json", action="store_true", help="for machines")
+    parser.add_argument("--json", action="store_true", help="print JSON, for scripts")
 
 
 def _init(asked: argparse.Namespace) -> int:

@@ -43,7 +43,7 @@ def main(argv: Sequence[str]) -> int:
         help=f"where they come from: {', '.join(plugin_names('priors'))}",
     )
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting")
-    parser.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
+    parser.add_argument("--seed", type=int, default=0, help="random seed (default: 0)")
     parser.add_argument("--out", type=Path, metavar="FILE", required=True, help="the file to write")
     options = parser.parse_args(argv[1:])
     if options.out.is_dir():

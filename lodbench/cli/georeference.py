@@ -147,7 +147,7 @@ def _parser() -> argparse.ArgumentParser:
     add_height_options(parser)
     add("--method", default="flight", metavar="NAME", help="solves flights (flight)")
     add("--sidecars", action="store_true", help="write PHOTO.xmp beside each of --images, if trusted")
-    add("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
+    add("--seed", type=int, default=0, help="random seed (default: 0)")
     add("--out", type=Path, default=Path("georeferenced"), metavar="DIR", help="(georeferenced)")
-    add("--json", action="store_true", help="for machines")
+    add("--json", action="store_true", help="print JSON, for scripts")
     return parser

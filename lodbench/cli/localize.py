@@ -37,22 +37,29 @@ _LOGGER = logging.getLogger(__name__)
 NOT_TRUSTED = 3
 # The methods of one photo, by what there is of it.
 _BY_MASK, _BY_PIXELS = "contour_alignment", "region"
+# Of the help.
+_OPTION = "a setting of it, as in lodbench run --help; may be repeated"
+
+_ABOUT = """\
+Find where photos were taken. Writes for each photo its pose, an overlay to check it by, and a map; says how
+probable it is that the pose is right.
+"""
 
 _EXAMPLES = """\
-The rough pose comes from the photo (EXIF and DJI's XMP); what is given here goes before it. One photo without
-a mask or a segmenter is aligned with the map by its own pixels (--method region); where they do not tell,
-the mask of a network is asked as well, and the more probable pose is the answer. Both look 10 m around
-the rough pose, 30 m up and down and 7.5 degrees to either side: --prior-range, --prior-height and --prior-yaw
-say where it may be farther off.
+One photo: the rough pose comes from the photo's metadata (EXIF and DJI's XMP); options given here take
+precedence. Without a mask the photo's own pixels are aligned with the map (--method region); where they leave
+the pose open, a network makes a mask, and the more probable of the two poses is taken. The search covers 10 m
+around the rough pose, 30 m up and down and 7.5 degrees to either side; --prior-range, --prior-height and
+--prior-yaw widen it.
 
-Several photos, or a folder, are flights: told apart by camera and by the clock in EXIF, and each solved as a
-whole (--method flight). Masks come from --masks, else from a folder named masks in it, else from a network
-(efficient_unet); with --method-option single=region from their own pixels, without any network.
-flights.json says what the drone and the map are wrong about, map_findings.geojson which buildings;
-localized.csv and localized.geojson have all photos. --each-alone takes each photo by itself.
+Several photos, or a folder, are taken as flights, told apart by camera and by the clock in EXIF, and each is
+solved as a whole (--method flight). Masks come from --masks, else from a folder named masks in it, else from
+a network (efficient_unet), or with --method-option single=region from the photos' own pixels, without a
+network. localized.csv and localized.geojson list all photos; flights.json holds the errors found of drone and
+map, map_findings.geojson the buildings concerned. --each-alone localises each photo by itself.
 
-Exit code 3: there is a pose that is more likely wrong than right, or a photo without one; 1: of many photos
-none could be localised.
+Exit code: 3 if a pose is more likely wrong than right, or a photo has none; 1 if none of many photos could be
+localised; 2 for wrong options or data; else 0.
 
 examples:
   lodbench localize DJI_0001.JPG --city LoD2_32_280_5657_1_NW.gml
@@ -232,33 +239,48 @@ def _json(values: Any) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser("lodbench localize", "Find where a photo, or each of many, was taken.", _EXAMPLES)
+    parser = Parser("lodbench localize", _ABOUT, _EXAMPLES)
     add = parser.add_argument
     add(
         "photos",
         type=Path,
         nargs="+",
         metavar="PHOTO|DIR",
-        help="JPEG, PNG or TIFF, as the drone stored them",
+        help="JPEG, PNG or TIFF as the drone stored them, or folders of these",
     )
     add_map_options(parser)
-    add("--mask", type=Path, metavar="FILE", help="the photo's buildings in white")
-    add("--masks", type=Path, metavar="DIR", help="masks of many photos, named as these")
-    add("--segmenter", metavar="NAME", help=f"makes the mask, for methods that want one ({FOR_PHOTOS})")
-    add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated")
-    add_rough_pose_options(parser, "rough pose, before what the photo says")
+    add("--mask", type=Path, metavar="FILE", help="mask of one photo: buildings white, all else black")
+    add("--masks", type=Path, metavar="DIR", help="masks of many photos, named like the photos")
+    add("--segmenter", metavar="NAME", help=f"what makes a mask where needed (default: {FOR_PHOTOS})")
+    add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help=_OPTION)
+    add_rough_pose_options(parser, "rough pose (takes precedence over the photo's metadata)")
     add_prior_options(parser)
     add_height_options(parser)
     add(
         "--method",
         metavar="NAME",
-        help="flight; of one photo region, with --mask or --segmenter contour_alignment",
+        help="default: flight; for one photo region, or with --mask or --segmenter contour_alignment",
     )
-    add("--method-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated")
-    add("--each-alone", action="store_true", help="solve each photo of many by itself")
-    add("--reconstruction", type=Path, metavar="COLMAP_MODEL", help="of a flight: ties its photos together")
-    add("--sidecars", action="store_true", help="write PHOTO.xmp beside each photo that is to be trusted")
-    add("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
-    add("--out", type=Path, default=Path("localized"), metavar="DIR", help="(localized)")
-    add("--json", action="store_true", help="for machines")
+    add("--method-option", action="append", default=[], metavar="KEY=VALUE", help=_OPTION)
+    add("--each-alone", action="store_true", help="localise each of several photos by itself")
+    add(
+        "--reconstruction",
+        type=Path,
+        metavar="COLMAP_MODEL",
+        help="of a flight, in any frame: ties its photos together",
+    )
+    add(
+        "--sidecars",
+        action="store_true",
+        help="write PHOTO.xmp beside each photo whose pose is to be trusted",
+    )
+    add("--seed", type=int, default=0, help="random seed (default: 0)")
+    add(
+        "--out",
+        type=Path,
+        default=Path("localized"),
+        metavar="DIR",
+        help="folder of the results (default: localized)",
+    )
+    add("--json", action="store_true", help="print JSON, for scripts")
     return parser

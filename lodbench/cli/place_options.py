@@ -18,24 +18,37 @@ if TYPE_CHECKING:
     from lodbench.methods.registry import ConfiguredMethod
 
 
+_LOD = "level of detail; finest: each building's best (default: the lowest with walls)"
+
+
 def add_city_options(parser: argparse.ArgumentParser) -> None:
     """Adds the options that say how to read a city."""
-    parser.add_argument("--lod", help="level of detail, or finest: each building's own (lowest with walls)")
-    parser.add_argument("--crs", help="CRS of the city, where its file says none or a wrong one")
+    parser.add_argument("--lod", help=_LOD)
+    parser.add_argument("--crs", help="the city's reference system, if its file names none or a wrong one")
     parser.add_argument(
-        "--source", default="folder", metavar="PROFILE", help="publisher, as in run source=PROFILE"
+        "--source", default="folder", metavar="PROFILE", help="publisher's profile, as in run source=PROFILE"
     )
     parser.add_argument(
-        "--option", action="append", default=[], metavar="KEY=VALUE", help="as in city info: layers=bridges"
+        "--option",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="how to read the city (see lodbench city info --help); may be repeated",
     )
 
 
 def add_map_options(parser: argparse.ArgumentParser) -> None:
     """Adds the city model, which must be named, and how to read it."""
-    parser.add_argument("--city", type=Path, required=True, metavar="FILE", help="city model")
+    parser.add_argument(
+        "--city",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="city model: file, archive, folder of tiles or scene",
+    )
     add_city_options(parser)
     parser.add_argument(
-        "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
+        "--roof-height", metavar="RULE", help="derive LoD1 where there is none: median, max, p70 or eave"
     )
 
 
@@ -89,26 +102,37 @@ def rough_settings(asked: argparse.Namespace) -> dict[str, Any]:
 
 def add_rough_pose_options(parser: argparse.ArgumentParser, title: str) -> None:
     """Adds the options that say where a photo was taken, roughly, and with which camera."""
-    camera_help = "as COLMAP has it, in pixels: SIMPLE_PINHOLE W H f cx cy"
+    camera_help = "COLMAP's camera model and parameters in pixels: SIMPLE_PINHOLE W H f cx cy"
     parser.add_argument("--camera", metavar="'MODEL W H ...'", help=camera_help)
     place = parser.add_argument_group(title)
     add = place.add_argument
     add("--lat", type=float, metavar="DEG", help="latitude, WGS 84")
     add("--lon", type=float, metavar="DEG", help="longitude, WGS 84")
-    add("--height", type=float, metavar="M", help="in the city's heights; not with the options below")
+    add(
+        "--height",
+        type=float,
+        metavar="M",
+        help="in the city's height system; without the height options below",
+    )
     add("--heading", type=float, metavar="DEG", help="clockwise from true north")
     add("--pitch", type=float, metavar="DEG", help="0 at the horizon, -90 straight down")
     add("--roll", type=float, metavar="DEG", help="about the optical axis")
-    add("--center", type=float, nargs=3, metavar=("E", "N", "UP"), help="in the city's own coordinates")
+    add(
+        "--center",
+        type=float,
+        nargs=3,
+        metavar=("E", "N", "UP"),
+        help="position in the city's own coordinates",
+    )
 
 
 def add_prior_options(parser: argparse.ArgumentParser) -> None:
     """Adds the options that say how far off the rough pose may be."""
-    group = parser.add_argument_group("how far the rough pose may be off: the wider, the longer it takes")
+    group = parser.add_argument_group("how far off the rough pose may be (wider takes longer)")
     add = group.add_argument
-    add("--prior-range", type=float, metavar="M", help="+- east and north (10)")
-    add("--prior-height", type=float, metavar="M", help="+- up (30)")
-    add("--prior-yaw", type=float, metavar="DEG", help="+- heading (7.5; 180: not known)")
+    add("--prior-range", type=float, metavar="M", help="+- east and north (default: 10)")
+    add("--prior-height", type=float, metavar="M", help="+- up (default: 30)")
+    add("--prior-yaw", type=float, metavar="DEG", help="+- heading (default: 7.5; 180: not known)")
 
 
 def with_prior_width(method: ConfiguredMethod, asked: argparse.Namespace) -> ConfiguredMethod:
@@ -145,17 +169,20 @@ def _told_prior(asked: argparse.Namespace) -> UniformPrior | None:
 
 def add_height_options(parser: argparse.ArgumentParser) -> None:
     """Adds the options that say how a drone's heights become the city's."""
-    group = parser.add_argument_group("heights: from the drone's to the city's")
+    group = parser.add_argument_group("heights: how the drone's become the city's")
     group.add_argument(
         "--heights",
         choices=get_args(HeightSource),
         default="auto",
-        help="what the altitude is above; auto: takeoff with --takeoff, ellipsoid with RTK, else sea_level",
+        help="what the photo's altitude is above; auto (default): takeoff with --takeoff, "
+        "ellipsoid with RTK, else sea_level",
     )
-    group.add_argument("--takeoff", type=float, metavar="M", help="height of the take-off point in the city")
+    group.add_argument(
+        "--takeoff", type=float, metavar="M", help="height of the take-off point, in the city's heights"
+    )
     group.add_argument("--geoid", type=float, metavar="M", help="height of the geoid above the ellipsoid")
     group.add_argument(
-        "--height-offset", type=float, default=0.0, metavar="M", help="added in the end, to --height too"
+        "--height-offset", type=float, default=0.0, metavar="M", help="added at the end, to --height too"
     )
 
 

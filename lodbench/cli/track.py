@@ -130,5 +130,5 @@ def _parser() -> argparse.ArgumentParser:
     add_rough_pose_options(parser, "rough pose of the first frame, before what it says")
     add_height_options(parser)
     add("--out", type=Path, default=Path("tracked"), metavar="DIR", help="(tracked)")
-    add("--json", action="store_true", help="for machines")
+    add("--json", action="store_true", help="print JSON, for scripts")
     return parser

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lodbench.cli import COMMANDS, main
+from lodbench.cli import COMMANDS, main, usage
 from lodbench.cli.completion import CONFIGURED
 from lodbench.cli.configs import config_files
 from lodbench.cli.parser import Parser, seen
@@ -44,6 +44,13 @@ def test_the_help_shows_them(capsys):
     # As it is to be typed: the other name goes.
     assert any(line.startswith("  city=???") for line in lines)
     assert not any("dataset.city_model" in line for line in lines)
+
+
+def test_commands_stand_in_groups_of_the_help():
+    blocks = [block.splitlines() for block in usage().split("\n\n")]
+    groups = [[line.split()[0] for line in lines[1:]] for lines in blocks if lines[0].endswith(":")][1:]
+    assert [name for names in groups for name in names] == list(COMMANDS)
+    assert len(groups) > 3
 
 
 def test_no_example_of_train_sets_the_weights_that_it_refuses(lodbench):
