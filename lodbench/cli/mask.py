@@ -63,7 +63,7 @@ def main(argv: Sequence[str]) -> int:
         return saved(session.mask, asked.photo, out, formats)
 
     if asked.page:
-        _serve(session, asked.photo.name, save, asked.port)
+        _serve(session, asked, out, save)
     else:
         for path in save():
             sys.stdout.write(f"written: {path}\n")
@@ -110,19 +110,41 @@ def _keep_hint(out: Path) -> str:
     return f"Keep it, and save elsewhere: --out OTHER.png; replace it: --out {shlex.quote(str(out))}"
 
 
-def _serve(session: MaskSession, name: str, save: Callable[[], tuple[Path, ...]], port: int) -> None:
-    """Serves the page until it is closed, or Ctrl+C."""
+def _serve(
+    session: MaskSession, asked: argparse.Namespace, out: Path, save: Callable[[], tuple[Path, ...]]
+) -> None:
+    """Serves the page until it is closed, or Ctrl+C, which keeps strokes that were not saved beside the mask.
+
+    Raises:
+        ConfigError: Nobody may listen at the port, or somebody else does.
+    """
+    from lodbench.harness.mask.files import saved
     from lodbench.harness.mask.server import MaskServer
 
     def saved_words() -> str:
         return "saved: " + ", ".join(path.name for path in save())
 
-    with MaskServer(session, name, saved_words, port) as server:
+    try:
+        server = MaskServer(session, asked.photo.name, saved_words, asked.port)
+    except OSError as error:
+        raise ConfigError(
+            f"--port {asked.port} cannot be listened at: {error.strerror}.", "Leave it out, or name another."
+        ) from error
+    with server:
         sys.stdout.write(
             f"open: {server.address}\nCtrl+C, or Close on the page, ends it; Save keeps the mask.\n"
         )
         sys.stdout.flush()
-        server.serve_forever()
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            if session.is_changed:
+                # No picture by its name: a folder of photos would have one more.
+                aside = out.with_name(f"{out.name}.unsaved")
+                saved(session.mask, asked.photo, aside, ())
+                again = shlex.join(["--mask", str(aside), "--out", str(out)])
+                sys.stdout.write(f"\nnot saved: strokes since the last Save. Go on with them: {again}\n")
+            raise
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,6 +1,7 @@
 """`lodbench mask`: strokes, the page as a browser asks for it, files in and out."""
 
 import json
+import socket
 from contextlib import closing
 from dataclasses import dataclass
 from http.client import HTTPConnection
@@ -12,6 +13,7 @@ import pytest
 from PIL import Image
 
 from lodbench.cli import main
+from lodbench.datasets.photo_files import find_photos
 from lodbench.harness.mask.server import MaskServer
 from lodbench.harness.mask.session import MaskSession
 
@@ -159,6 +161,32 @@ class TestPage:
         assert server.kept == [1]
         assert self.ask(server, "POST", "stop", "{}")[0] == 200
 
+    def test_strokes_that_were_not_saved_keep_the_page_open_until_somebody_is_sure(self, server):
+        stroke = {"points": [[10, 10], [14, 12]], "radius": 3, "building": True, "exact": True}
+        assert self.ask(server, "POST", "stroke", json.dumps(stroke))[0] == 200
+        # A page that was loaded again knows of no strokes.
+        told = json.loads(self.ask(server, "POST", "stop", "{}")[1])
+        assert told["closes"] is False
+        assert "NOT closed" in told["told"]
+        assert self.ask(server, "GET", "mask.png")[0] == 200
+        assert json.loads(self.ask(server, "POST", "stop", '{"sure": true}')[1])["closes"] is True
+
+    def test_what_was_saved_closes_unasked(self, server):
+        stroke = {"points": [[10, 10]], "radius": 3, "building": True}
+        self.ask(server, "POST", "stroke", json.dumps(stroke))
+        self.ask(server, "POST", "save", "{}")
+        assert json.loads(self.ask(server, "POST", "stop", "{}")[1])["closes"] is True
+
+    def test_a_host_without_a_port_is_this_machine(self, server):
+        assert self.ask(server, "GET", "mask.png", host="127.0.0.1")[0] == 200
+
+    def test_a_browser_that_leaves_is_no_fault(self, server, capsys):
+        try:
+            raise BrokenPipeError
+        except BrokenPipeError:
+            server.handle_error(None, ("127.0.0.1", 1))
+        assert capsys.readouterr().err == ""
+
     def test_a_save_that_fails_is_told_on_the_page_and_the_mask_stays(self, server, capsys):
         def full():
             raise OSError(28, "No space left on device", "mask.png")
@@ -179,11 +207,15 @@ class TestPage:
 
     @pytest.mark.parametrize(
         "body", ["{", "[]", "{}", '{"points": [["a", 1]], "radius": 1, "building": true}',
-                 '{"points": [[1, 1]], "radius": 1e9, "building": true}']
+                 '{"points": [[1, 1]], "radius": 1e9, "building": true}',
+                 '{"points": [[1, 1]], "radius": 1' + "0" * 400 + ', "building": true}']
     )  # fmt: skip
     def test_broken_strokes_are_refused(self, server, body):
         assert self.ask(server, "POST", "stroke", body)[0] == 400
         assert not server.session.undo()
+
+    def test_what_is_no_object_closes_nothing(self, server):
+        assert self.ask(server, "POST", "stop", "[]")[0] == 400
 
 
 class TestCommand:
@@ -282,6 +314,31 @@ class TestCommand:
         assert main(["mask", str(photo), "--segmenter", "sam2_unet", "--no-page"]) == 2
         assert "comes without weights" in capsys.readouterr().err
         assert not (photo.parent / "photo_mask.png").exists()
+
+    def test_a_port_that_is_taken_is_told(self, photo, capsys):
+        with closing(socket.socket()) as taken:
+            taken.bind(("127.0.0.1", 0))
+            taken.listen()
+            port = str(taken.getsockname()[1])
+            given = ["mask", str(photo), "--mask", str(photo.parent / "traced.png"), "--port", port]
+            assert main(given) == 2
+        told = capsys.readouterr().err
+        assert f"--port {port} cannot be listened at: Address already in use." in told
+
+    def test_strokes_that_ctrl_c_would_lose_are_kept_aside(self, photo, capsys, monkeypatch):
+        def drawn_and_stopped(server):
+            server.session.stroke(np.array([[10.0, 10.0]]), 3.0, True, True)
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(MaskServer, "serve_forever", drawn_and_stopped)
+        folder = photo.parent
+        assert main(["mask", str(photo), "--mask", str(folder / "traced.png")]) == 130
+        aside = folder / "photo_mask.png.unsaved"
+        assert f"--mask {aside} --out {folder / 'photo_mask.png'}" in capsys.readouterr().out
+        assert find_photos(folder) == [photo, folder / "traced.png"]
+        again = ["--mask", str(aside), "--out", str(folder / "photo_mask.png"), "--no-page"]
+        assert main(["mask", str(photo), *again]) == 0
+        assert cv2.imread(str(folder / "photo_mask.png"), cv2.IMREAD_GRAYSCALE)[10, 10] == 255
 
     def test_what_does_not_fit_is_told(self, photo, capsys):
         cv2.imwrite(str(photo.parent / "small.png"), np.zeros((16, 24), np.uint8))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import secrets
+import sys
 from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -43,6 +44,11 @@ class MaskServer(ThreadingHTTPServer):
         self.token = secrets.token_urlsafe(16)
         self.lock = Lock()
 
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Says nothing of a browser that left before its answer, as one does that is closed or reloaded."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)
+
     @property
     def address(self) -> str:
         """Returns the page's address."""
@@ -74,16 +80,18 @@ class _Handler(BaseHTTPRequestHandler):
             if not 0 <= length <= _MOST_BYTES:
                 raise ValueError
             content = parse_json(self.rfile.read(length) or b"{}")
+            if not isinstance(content, dict):
+                raise ValueError
             with self.server.lock:
                 told = self._done(asked, content)
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, OverflowError):
             self.send_error(HTTPStatus.BAD_REQUEST)
             return
         if told is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
         self._send(json.dumps(told).encode(), "application/json")
-        if asked == "stop":
+        if told.get("closes"):
             Thread(target=self.server.shutdown).start()
 
     def _done(self, asked: str | None, content: dict[str, Any]) -> dict[str, Any] | None:
@@ -105,20 +113,28 @@ class _Handler(BaseHTTPRequestHandler):
             case "save":
                 return self._saved()
             case "stop":
-                return {"told": "Closed. This page may be left."}
+                # The session knows; a page that was loaded again knows of no strokes.
+                if session.is_changed and content.get("sure") is not True:
+                    return {
+                        "told": "NOT closed: what was drawn since the last Save is lost.",
+                        "closes": False,
+                    }
+                return {"told": "Closed. This page may be left.", "closes": True}
         return None
 
     def _saved(self) -> dict[str, Any]:
         """Returns what was saved, or why nothing was: the page stays, and what was drawn with it."""
         try:
-            return {"told": self.server.save(), "saved": True}
+            told = self.server.save()
+            self.server.session.is_changed = False
+            return {"told": told, "saved": True}
         except OSError as error:
             reason = f"{final_name(error.filename) or 'a file'}: {error.strerror or error}"
             return {"told": f"NOT saved: {reason}", "saved": False}
 
     def _asked(self) -> str | None:
         """Returns what is asked for below the token; None for what is not meant for this page."""
-        host = self.headers.get("Host", "").rpartition(":")[0]
+        host = self.headers.get("Host", "").partition(":")[0]  # without a port where it is 80
         start = f"/{self.server.token}/"
         if host not in ("127.0.0.1", "localhost") or not self.path.startswith(start):
             return None

@@ -35,6 +35,7 @@ class MaskSession:
 
     def __init__(self, photo: NDArray[np.uint8], mask: Mask) -> None:
         self.photo = photo
+        self.is_changed = False  # since it began, or since whoever kept the mask said so
         self._state = _State(mask.copy(), np.zeros(mask.shape, np.int8))
         # Windows that strokes changed, as they were before: whole photos would take gigabytes.
         self._before: list[tuple[tuple[slice, slice], _State]] = []
@@ -72,7 +73,7 @@ class MaskSession:
         mask[under] = is_building
         if not is_exact:
             mask[window] = _followed(self.photo[window], mask[window], strokes[window])
-        self._state = _State(mask, strokes)
+        self._state, self.is_changed = _State(mask, strokes), True
 
     def undo(self) -> bool:
         """Takes the last stroke back; tells whether there was one."""
@@ -81,7 +82,7 @@ class MaskSession:
         window, before = self._before.pop()
         state = _State(self._state.mask.copy(), self._state.strokes.copy())
         state.mask[window], state.strokes[window] = before
-        self._state = state
+        self._state, self.is_changed = state, True
         return True
 
 
