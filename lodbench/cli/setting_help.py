@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
 from lodbench.cli.configs import config_files
-from lodbench.cli.setting_words import present_name
+from lodbench.cli.setting_words import is_read, present_name
 from lodbench.plugins import config_folders
 
 _LINE = re.compile(r"(?P<indent> *)(?P<key>[\w.-]+):(?: +(?P<value>[^#\s][^#]*?))? *(?:# *(?P<meaning>.*))?$")
@@ -53,6 +53,7 @@ def help_text(command: str, config_name: str, words: Sequence[str]) -> str:
         settings = [
             setting._replace(key=present_name(command, setting.key))
             for setting in settings_of_group(group.key, group.folder, name)
+            if is_read(command, setting.key)
         ]
         parts.append("\n".join(filter(None, [head, f"  {about}" if about else "", _table(settings)])))
     return "\n\n".join([*parts, footer]).rstrip() + "\n"

@@ -76,6 +76,11 @@ def present_name(command: str, key: str) -> str:
     return "city" if command in _OF_DATASETS and key == _SHORT["city"] else key
 
 
+def is_read(command: str, key: str) -> bool:
+    """Tells whether a command reads a setting of a group that it shares with others."""
+    return (command, key) != ("generate-training-data", "executor.share")
+
+
 def tell_old_names(command: str, words: Sequence[str]) -> None:
     """Says of a command's words that were renamed what they are called now."""
     if command in _OF_DATASETS and any(word.startswith(f"{_SHORT['city']}=") for word in words):

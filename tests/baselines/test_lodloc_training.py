@@ -143,6 +143,16 @@ def test_the_file_is_the_network_to_three_digits_and_half_as_large(tmp_path):
         assert np.abs(mine - other[0].numpy()).max() < 5e-3 * float(other.abs().max())
 
 
+@pytest.mark.parametrize("steps", [1, 34, 40, 65])
+def test_the_rate_never_passes_the_highest(steps):
+    pytest.importorskip("torch")
+    from lodbench.baselines.lodloc.nets.loop import learning_rate
+    from lodbench.baselines.lodloc.training_params import LodLocTraining
+
+    settings = LodLocTraining(data="d", out="o", epochs=1, lr=0.5)
+    assert max(learning_rate(settings, step, steps) for step in range(steps)) <= 0.5
+
+
 def test_the_share_of_the_truth_by_hand():
     from lodbench.baselines.lodloc.nets.losses import selection_loss
 

@@ -53,6 +53,16 @@ def test_commands_stand_in_groups_of_the_help():
     assert len(groups) > 3
 
 
+def test_the_help_shows_no_setting_that_the_command_refuses(capsys):
+    for executor in ("process", "dask"):
+        assert main(["generate-training-data", f"executor={executor}", "--help"]) == 0
+        told = capsys.readouterr().out
+        assert "executor.patience_s=" in told
+        assert "executor.share=" not in told
+    assert main(["run", "executor=process", "--help"]) == 0
+    assert "executor.share=queries" in capsys.readouterr().out
+
+
 def test_no_example_of_train_sets_the_weights_that_it_refuses(lodbench):
     told = lodbench("train", "--help").stdout.splitlines()
     examples = [line for line in told if line.startswith("  lodbench train")]

@@ -51,6 +51,14 @@ def test_the_learning_rate_rises_and_falls_along_a_cosine():
     assert max(rates) <= 1.0
 
 
+@pytest.mark.parametrize("steps", [1, 3, 30, 51, 99])
+def test_a_short_warm_up_never_passes_the_highest_rate(steps):
+    from lodbench.training.nets.loop import learning_rate
+
+    params = TrainParams("d", lr=0.5, lr_end=0.0, warmup=0.02)
+    assert max(learning_rate(params, step, steps) for step in range(steps)) <= 0.5
+
+
 @pytest.mark.parametrize("wrong", [{"weighting": "fair"}, {"batch": 0}, {"lr": math.nan}, {"size": 0}])
 def test_settings_out_of_range_are_named(wrong):
     with pytest.raises(ConfigError, match=next(iter(wrong))):

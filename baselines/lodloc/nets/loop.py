@@ -101,7 +101,7 @@ def learning_rate(settings: LodLocTraining, step: int, steps_per_epoch: int) -> 
     total = settings.epochs * steps_per_epoch
     rise = max(1.0, 0.03 * total)
     if step < rise:
-        return settings.lr * (step + 1) / rise
+        return settings.lr * min(1.0, (step + 1) / rise)  # a rise may end between two steps
     share = (step - rise) / max(1.0, total - rise)
     return settings.lr * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * share)))
 
