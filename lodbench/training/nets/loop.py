@@ -66,7 +66,7 @@ def learning_rate(params: TrainParams, step: int, steps: int) -> float:
     if step < rise:
         return params.lr * min(
             1.0, (step + 1) / rise
-        )  # a rise may end between two steps, or before the first
+        )  # a rise may end before a step does
     share = (step - rise) / max(1.0, steps - rise)
     return params.lr_end + 0.5 * (params.lr - params.lr_end) * (1 + math.cos(math.pi * share))
 
