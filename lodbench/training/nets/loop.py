@@ -64,9 +64,7 @@ def learning_rate(params: TrainParams, step: int, steps: int) -> float:
     """Returns the rate of a step of so many: a straight rise, then half a cosine down to ``lr_end``."""
     rise = params.warmup * steps
     if step < rise:
-        return params.lr * min(
-            1.0, (step + 1) / rise
-        )  # a rise may end before a step does
+        return params.lr * min(1.0, (step + 1) / rise)  # a rise may end before a step does
     share = (step - rise) / max(1.0, steps - rise)
     return params.lr_end + 0.5 * (params.lr - params.lr_end) * (1 + math.cos(math.pi * share))
 
