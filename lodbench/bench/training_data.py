@@ -16,7 +16,7 @@ from lodbench.bench.scene_opening import resident_mb
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pictures import encoded_mask
-from lodbench.errors import ConfigError, LodbenchError
+from lodbench.errors import ConfigError, LodbenchError, require_within
 from lodbench.execution.fan_out import fan_out
 from lodbench.geometry import Camera
 from lodbench.rendering import open_renderer
@@ -39,6 +39,7 @@ class TrainingDataOptions:
     def __post_init__(self) -> None:
         if self.views < 2:
             raise ConfigError(f"views={self.views} is too few to measure.", "24 is usual.")
+        require_within("workers", self.workers, 1, 1024)
 
 
 def measure_training_data(

@@ -22,6 +22,7 @@ from lodbench.bench.workers import WorkerOptions, measure_workers
 from lodbench.cli import bench_flight_uses, bench_flights, bench_real, bench_segmentation, bench_views
 from lodbench.cli.bench_views import add_city, city_file
 from lodbench.cli.parser import Parser
+from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.storage import make_folder
 
@@ -52,6 +53,10 @@ def _of_city(measure: Callable[..., Report], kind: type) -> Measure:
 
 def _training_data(given: argparse.Namespace, steps: ProgressCallback) -> Report:
     city, asked = city_file(given), options_of(given, TrainingDataOptions)
+    if given.city is None and asked.props is not None:
+        raise ConfigError(
+            "--props is not used with the demo town, which has a look of its own.", "Add --city FILE."
+        )
     if given.city is None:
         asked = replace(asked, props=city.parent / "props.npz")  # the demo town's own look
     return measure_training_data(city, asked, steps)

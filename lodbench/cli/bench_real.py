@@ -41,7 +41,7 @@ def add_real(actions: Any) -> argparse.ArgumentParser:
         "--photos", type=Path, metavar="DIR", help="photos and traced masks, which make the map"
     )
     add("--city", type=Path, metavar="FILE", help="city model; needed with --query")
-    add("--map-error", type=float, default=0.5, metavar="M", help="of maps made of traced masks (0.5)")
+    add("--map-error", type=float, metavar="M", help="of maps made of traced masks (0.5)")
     add("--lod", help="level of detail to localise against (the lowest)")
     add("--crs", help="of the city model, where its file says none")
     add("--method", default="region", help="methods, comma-separated (region)")
@@ -85,7 +85,17 @@ def _photos_and_map(options: argparse.Namespace) -> tuple[Dataset, Scene]:
     if options.photos is not None:
         if options.city is not None:
             raise ConfigError("--photos makes its own map.", "Leave out --city, or write --query DIR.")
-        return open_traced_photos(options.photos, TracedOptions(options.map_error, options.seed))
+        for name in ("lod", "crs"):
+            if getattr(options, name) is not None:
+                raise ConfigError(
+                    f"--{name} is of a --city, and --photos makes its own map.", f"Leave --{name} out."
+                )
+        error_m = 0.5 if options.map_error is None else options.map_error
+        return open_traced_photos(options.photos, TracedOptions(error_m, options.seed))
+    if options.map_error is not None:
+        raise ConfigError(
+            "--map-error is of maps that --photos makes, not of --city.", "Leave --map-error out."
+        )
     if options.city is None or not options.city.exists():
         what = "--query needs a city model." if options.city is None else f"{options.city} does not exist."
         raise ConfigError(what, "Write --city FILE.")

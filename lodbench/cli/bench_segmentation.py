@@ -23,7 +23,7 @@ from lodbench.segmentation.map_guided import MapGuided
 from lodbench.segmentation.photo_segmenter import require_photo_segmenter
 from lodbench.synthesis.views_dataset import ViewsParams
 
-_VIEWS_OF_TOWN, _VIEWS_OF_CITY = 80, 50
+_VIEWS_OF_TOWN, _VIEWS_OF_CITY, _DRAWS = 80, 50, 4
 _MORE = """\
   lodbench bench segmentation                                the shipped network on the town it has never seen
   lodbench bench segmentation --segmenter-option weights=compact.onnx --pictures DIR
@@ -61,15 +61,15 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
         action="store_true",
         help="also simplified to blocks, a tenth of the buildings gone or added",
     )
-    add("--draws", type=int, default=4, help="silhouettes of each photo (4)")
+    add("--draws", type=int, help="of --guided-by: silhouettes of each photo (4)")
     add("--grabcut", action="store_true", help="measure OpenCV's GrabCut beside it")
     add("--instances", action="store_true", help="of --data: how well single buildings are told apart")
     add("--visible", type=Path, metavar="SET", help="the same with occluders_in_mask=true")
-    add("--town", default="test", help="test or train: views made on first use (test)")
+    add("--town", help="test or train: views made on first use (test)")
     add("--city", type=Path, help="measure recall over the IoU of masks on views of it")
-    add("--method", default="lodlocv2", help="methods of --city, comma-separated (lodlocv2)")
+    add("--method", help="methods of --city, comma-separated (lodlocv2)")
     add("--views", type=int, help="of the town (80), or of the city (50)")
-    add("--seed", type=int, default=0, help="of the city's views")
+    add("--seed", type=int, help="of the views of --city, or the silhouettes of --guided-by (0)")
     add("--pictures", type=Path, metavar="DIR", help="folder for a picture")
     return parser
 
@@ -91,6 +91,7 @@ def measure_segmentation(options: argparse.Namespace, steps: ProgressCallback) -
     if options.instances:
         if options.data is None:
             raise ConfigError("--instances needs views with labels.", "Name their set: --data SET.")
+        _require_read(options, "--instances", "data")
         segmenter = segmenter_of(options.segmenter or "compact_instances", options.segmenter_option)
         return measure_instances(segmenter, options.data, steps)
     if options.city is not None:
@@ -100,7 +101,19 @@ def measure_segmentation(options: argparse.Namespace, steps: ProgressCallback) -
     return _masks(options, steps)
 
 
+def _require_read(options: argparse.Namespace, asked_for: str, *read: str) -> None:
+    """Makes sure that no option is given that what is asked for does not read.
+
+    Raises:
+        ConfigError: One is: a figure would be taken for what it is not.
+    """
+    for name in ("city", "data", "visible", "views", "draws", "town", "method", "seed"):
+        if name not in read and getattr(options, name) is not None:
+            raise ConfigError(f"--{name} is not used with {asked_for}.", f"Leave --{name} out.")
+
+
 def _photos(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    _require_read(options, "--photos")
     report = measure_photo_masks(_segmenter(options, FOR_PHOTOS), options.photos, steps)
     if options.pictures is not None:
         report.write_pictures(options.pictures)
@@ -116,6 +129,7 @@ def _guided(options: argparse.Namespace, steps: ProgressCallback) -> Report:
         raise ConfigError(
             "--guided-by moves the traced masks of real photos.", "Name their folder: --photos DIR."
         )
+    _require_read(options, "--guided-by", "draws", "seed")
     name = options.segmenter or "map_guided"
     segmenter = segmenter_of(name, options.segmenter_option)
     if not isinstance(segmenter, MapGuided):
@@ -123,7 +137,8 @@ def _guided(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     disturbances = list(options.guided_by)
     if options.blocks:
         disturbances += [given._replace(is_blocks=True) for given in options.guided_by]
-    asked = GuidedOptions(tuple(dict.fromkeys(disturbances)), options.draws, options.seed, options.grabcut)
+    draws = _DRAWS if options.draws is None else options.draws
+    asked = GuidedOptions(tuple(dict.fromkeys(disturbances)), draws, options.seed or 0, options.grabcut)
     found = measure_guided_masks(segmenter, options.photos, asked, steps, options.pictures)
     return Report(found.to_text(), found.figures())
 
@@ -145,9 +160,11 @@ def _curve(options: argparse.Namespace, steps: ProgressCallback) -> Report:
             "--city draws masks of its own.",
             "Leave out --data, --visible, --segmenter and --segmenter-option, or --city.",
         )
+    _require_read(options, "--city", "city", "method", "views", "seed")
     count = _VIEWS_OF_CITY if options.views is None else options.views
-    views = ViewsParams(str(options.city), count, views_seed=options.seed)
-    return measure_iou_recall(views, [make_method(name) for name in options.method.split(",")], steps)
+    views = ViewsParams(str(options.city), count, views_seed=options.seed or 0)
+    methods = [make_method(name) for name in (options.method or "lodlocv2").split(",")]
+    return measure_iou_recall(views, methods, steps)
 
 
 def _masks(options: argparse.Namespace, steps: ProgressCallback) -> Report:
@@ -155,8 +172,12 @@ def _masks(options: argparse.Namespace, steps: ProgressCallback) -> Report:
 
     segmenter = _segmenter(options, "compact")
     data, visible = options.data, options.visible
-    if data is None:
-        data, visible = town_sets(options.town, _VIEWS_OF_TOWN if options.views is None else options.views)
-    elif options.views is not None:
+    if data is not None and options.views is not None:
         raise ConfigError("--views is for a town or a city.", "All views of --data count.")
+    if data is None:
+        _require_read(options, "a town", "town", "views")
+        views = _VIEWS_OF_TOWN if options.views is None else options.views
+        data, visible = town_sets(options.town or "test", views)
+    else:
+        _require_read(options, "--data", "data", "visible")
     return measure_masks(segmenter, MaskQualityOptions(data, visible), steps)
