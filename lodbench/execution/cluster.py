@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from itertools import islice
-from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, TypeVar
 from uuid import uuid4
 
 from lodbench.errors import ConfigError, WorkersGone
+from lodbench.execution.ctrl_c import ctrl_c_for_this_thread
 from lodbench.execution.fan_out import KEEP_DYING, KEEP_DYING_HINT, begin
 from lodbench.extras import require
 
@@ -153,7 +152,7 @@ def dask_workers(
 
 def _own_cluster(distributed: Any, workers: int) -> Any:
     """Returns a cluster of processes of one thread (the engine has threads itself) on this machine."""
-    with _ctrl_c_for_this_thread():
+    with ctrl_c_for_this_thread():
         return distributed.LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
@@ -162,22 +161,6 @@ def _own_cluster(distributed: Any, workers: int) -> Any:
             # Workers that die are told in lines of ours; a stopped run would print dozens.
             silence_logs=logging.ERROR,
         )
-
-
-@contextmanager
-def _ctrl_c_for_this_thread() -> Iterator[None]:
-    """Keeps Ctrl-C, which reaches every process of a terminal, from workers started here.
-
-    Threads and processes inherit what is blocked, so workers that are started again later do not see it
-    either. One that is pressed meanwhile is answered at the end, by this thread.
-    """
-    # Started later, by a thread that starts a worker, it would unblock it there.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

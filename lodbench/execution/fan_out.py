@@ -18,6 +18,7 @@ from multiprocessing.connection import wait as wait_for
 from typing import Any, TypeVar
 
 from lodbench.errors import ConfigError, LodbenchError, WorkersGone
+from lodbench.execution.ctrl_c import ctrl_c_for_this_thread
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -41,7 +42,9 @@ def expect_workers(modules: tuple[str, ...]) -> None:
     """
     if _START == "forkserver":
         multiprocessing.set_forkserver_preload(list(modules))
-        forkserver.ensure_running()
+        # While it imports it would answer Ctrl-C with a traceback of its own.
+        with ctrl_c_for_this_thread():
+            forkserver.ensure_running()
 
 
 def fan_out(
@@ -134,7 +137,9 @@ class Processes:
                     if not again:
                         break
                     # In `again` until it is handed out: a pool that is broken takes nothing.
-                    future = pool.submit(_do, work, again[-1])
+                    # It starts workers; one that is half started would meet a parent that is gone.
+                    with ctrl_c_for_this_thread():
+                        future = pool.submit(_do, work, again[-1])
                     at_work[future] = again.pop()
                 if not at_work:
                     return

@@ -1,0 +1,39 @@
+"""Workers that processes fork from leave Ctrl-C to the process that was asked."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+# The server imports a module that tells whether Ctrl-C would reach it.
+_MODULE = (
+    "import signal, sys; sys.stderr.write(f'blocked: {signal.SIGINT in signal.pthread_sigmask(0, ())}\\n')"
+)
+_SCRIPT = """
+import multiprocessing, time
+from lodbench.execution.fan_out import expect_workers
+if __name__ == "__main__":
+    expect_workers(("told",))
+    process = multiprocessing.get_context("forkserver").Process(target=time.sleep, args=(0,))
+    process.start()
+    process.join()
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers fork from a server on Linux alone")
+def test_ctrl_c_while_the_server_imports_is_this_process_to_answer(tmp_path):
+    (tmp_path / "told.py").write_text(_MODULE)
+    (tmp_path / "script.py").write_text(_SCRIPT)
+    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    run = subprocess.run(
+        [sys.executable, str(tmp_path / "script.py")],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=True,
+        env=os.environ | {"PYTHONPATH": path},
+    )
+    assert "blocked: True" in run.stderr
