@@ -13,8 +13,12 @@ def ctrl_c_for_this_thread() -> Iterator[None]:
     """Keeps Ctrl-C, which reaches every process of a terminal, from workers started here.
 
     Threads and processes inherit what is blocked, so workers that are started again later do not see it
-    either. One that is pressed meanwhile is answered at the end, by this thread.
+    either. One that is pressed meanwhile is answered at the end, by this thread. Windows blocks no signals:
+    there nothing is kept.
     """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
     # Started later, by a thread that starts a worker, it would unblock it there.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 
 import pytest
+
+from lodbench.execution.ctrl_c import ctrl_c_for_this_thread
 
 # The server imports a module that tells whether Ctrl-C would reach it.
 _MODULE = (
@@ -37,3 +40,9 @@ def test_ctrl_c_while_the_server_imports_is_this_process_to_answer(tmp_path):
         env=os.environ | {"PYTHONPATH": path},
     )
     assert "blocked: True" in run.stderr
+
+
+def test_where_no_signal_can_be_blocked_workers_start_all_the_same(monkeypatch):
+    monkeypatch.delattr(signal, "pthread_sigmask")
+    with ctrl_c_for_this_thread():
+        pass
