@@ -26,7 +26,7 @@ from lodbench.errors import LodbenchError
 from lodbench.execution.one_blas_thread import on_one_blas_thread
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.remote.drawn import drawn_bytes
-from lodbench.harness.remote.wire import FAULTS, packed, unpacked
+from lodbench.harness.remote.wire import FAULTS, fault_told, packed, unpacked
 from lodbench.harness.runs.code_digest import code_digest, words_in
 from lodbench.methods.measured_calls import weight_files
 from lodbench.methods.protocol import Estimate, Method, SupportsFlights, SupportsPrepare, SupportsTrial
@@ -213,7 +213,7 @@ def main() -> None:
         try:
             pipe.send({"done": offered[name](*values)})
         except LodbenchError as fault:
-            pipe.send({"fault": fault.message, "hint": fault.hint, "kind": type(fault).__name__})
+            pipe.send(fault_told(fault))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import Any
 
 from lodbench.errors import ConfigError, LodbenchError, WorkersGone
-from lodbench.harness.remote.wire import MalformedMessage, packed, unpacked
+from lodbench.harness.remote.wire import MalformedMessage, fault_told, packed, unpacked
 
 # Of what the child wrote to standard error, at most this much is told.
 _TAIL_BYTES = 4000
@@ -88,7 +88,7 @@ class Child:
                     self.close()
                     raise
                 except LodbenchError as fault:
-                    told = {"fault": fault.message, "hint": fault.hint, "kind": type(fault).__name__}
+                    told = fault_told(fault)
                 except Exception as error:  # it may ask with arguments of any kind
                     told = {"fault": f"{type(error).__name__}: {error}", "hint": "", "kind": "RenderingError"}
                 self._write(packed(told), deadline)

@@ -41,6 +41,15 @@ class MalformedMessage(LodbenchError):
     """What came over a pipe is no message."""
 
 
+def fault_told(fault: LodbenchError) -> dict[str, str]:
+    """Returns what is sent of a fault: its words, its hint, and the class of ``FAULTS`` that it is of.
+
+    A method's own fault of a query is one here, too: as another it would end the run.
+    """
+    kind = next((kind.__name__ for kind in type(fault).mro() if FAULTS.get(kind.__name__) is kind), "")
+    return {"fault": fault.message, "hint": fault.hint, "kind": kind}
+
+
 def packed(message: Any) -> bytes:
     """Returns a message as bytes: plain values, tuples, arrays, paths, and objects of ``CLASSES``.
 

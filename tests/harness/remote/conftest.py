@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import pytest
 
+import lodbench
 from lodbench.methods.conformance.trial import make_trial
 from lodbench.methods.registry import make_method
 
@@ -14,6 +16,7 @@ SHAKE = """
 from dataclasses import dataclass
 import numpy as np
 from lodbench.errors import QueryFault
+from lodbench.methods.fits import nothing_fits
 from lodbench.methods import Estimate
 from lodbench.rendering import IouFit
 from lodbench.segmentation import binary_mask
@@ -48,6 +51,8 @@ class Shake:
         print("what is printed is no message")
         if self.params.mood == "dies" and query.name.endswith("0.png"):
             raise RuntimeError("no more")
+        if self.params.mood == "lost":
+            raise nothing_fits("no view fits")
         if not binary_mask(query.mask, 64, 48).any():
             raise QueryFault("the mask holds no building")
         camera = query.camera.scaled(64, 48)
@@ -73,7 +78,8 @@ def elsewhere(tmp_path_factory) -> str:
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: shake\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[lodbench.methods]\nshake = shake_method:Shake\n")
     python = folder / "python"
-    python.write_text(f'#!/bin/sh\nPYTHONPATH="{folder}" exec "{sys.executable}" "$@"\n')
+    own = Path(lodbench.__file__).parents[1]  # this lodbench, wherever another one is installed
+    python.write_text(f'#!/bin/sh\nPYTHONPATH="{folder}:{own}" exec "{sys.executable}" "$@"\n')
     python.chmod(0o755)
     return str(python)
 

@@ -68,6 +68,14 @@ def test_a_method_that_only_the_other_python_has_draws_here(elsewhere, trial):
         method.localize(nowhere, trial.city_map, streams_of(query))
 
 
+def test_a_query_that_nothing_fits_is_a_fault_of_that_query_alone(elsewhere, trial):
+    """A class of its own came back as a fault of anything, which ended the run."""
+    query = trial.queries[1]
+    with pytest.raises(QueryFault, match="no view fits") as fault:
+        remote(elsewhere, mood="lost").localize(query, trial.city_map, streams_of(query))
+    assert "lodbench city info" in fault.value.hint
+
+
 def test_linear_algebra_has_one_thread_there_too(elsewhere, trial, tmp_path):
     method, query = remote(elsewhere), trial.queries[0]
     method.prepare(trial.city_map, (), Workspace(tmp_path))
