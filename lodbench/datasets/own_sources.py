@@ -10,12 +10,12 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import OwnImage, find_mask, find_photo
 from lodbench.datasets.photo_camera import PhotoCamera, camera_from_photo
+from lodbench.datasets.photo_copies import copies_among
 from lodbench.datasets.photo_files import find_photos, require_photos
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo, require_stated
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera
-from lodbench.storage import file_digest
 
 LeftOut = list[tuple[str, str]]
 
@@ -42,23 +42,21 @@ def images_from_photos(
     """
     images: list[OwnImage] = []
     left_out: LeftOut = []
-    first_of: dict[str, Path] = {}
     last = LodbenchError("")
     photos = find_photos(folder, masks)
     require_photos(photos, folder)
-    for path in photos:
+    found_masks = [find_mask(masks, path.name, path) for path in photos]
+    copies, _ = copies_among(photos, found_masks)
+    for row, (path, mask) in enumerate(zip(photos, found_masks, strict=True)):
         name = path.name
+        if row in copies:
+            left_out.append((name, copies[row]))
+            continue
         try:
             photo = read_photo_metadata(path)
-            # A flight would count it twice, and be the surer.
-            original = first_of.setdefault(file_digest(path), path)
-            if original != path:
-                left_out.append((name, f"it is a copy of {original}"))
-                continue
             require_stated(photo, heights, knows_camera=camera is not None)
             found = PhotoCamera(camera, "given") if camera else camera_from_photo(photo)
             prior = pose_from_photo(photo, frame, heights)
-            mask = find_mask(masks, name, path)
             own = OwnImage(name, found.camera, prior, photo=path, mask=mask, stated=photo)
             images.append(replace(own, lens_percent=found.lens_percent))
         except LodbenchError as fault:

@@ -86,3 +86,24 @@ def test_undistorted_copies_are_as_wide_as_features_are_looked_for_in(tmp_path):
     photo = SimpleNamespace(camera=camera, pinhole=pinhole_of(camera), request=request)
     copy = picture_file(photo, tmp_path, 1)
     assert cv2.imread(str(copy)).shape[1] == width_looked_at(10) == 2048
+
+
+@pytest.mark.parametrize("has_masks", [True, False])
+def test_the_original_of_a_numbered_copy_is_the_photo_that_masks_are_named_by(tmp_path, has_masks):
+    """The copy comes first in a folder: it was kept, without a mask, and the photo was left out."""
+    photos = [tmp_path / "DJI_0001 (1).JPG", tmp_path / "DJI_0001.JPG"]
+    for photo in photos:
+        photo.write_bytes(b"one")
+    (tmp_path / "masks").mkdir()
+    (tmp_path / "masks" / "DJI_0001.png").touch()
+    _, reasons = masks_of(photos, tmp_path / "masks" if has_masks else None)
+    assert reasons == {0: f"it is a copy of {photos[1]}"}
+
+
+def test_a_copy_that_has_the_mask_is_kept(tmp_path):
+    photos = [tmp_path / "a.JPG", tmp_path / "mapped_a.JPG"]
+    for photo in photos:
+        photo.write_bytes(b"one")
+    (tmp_path / "masks").mkdir()
+    (tmp_path / "masks" / "mapped_a.png").touch()
+    assert masks_of(photos, tmp_path / "masks")[1] == {0: f"it is a copy of {photos[1]}"}

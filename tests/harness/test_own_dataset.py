@@ -237,11 +237,14 @@ class TestFromPhotos:
             copy = tmp_path / "flight" / name
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(case.photo, copy)
-        words = ["--images", tmp_path / "flight", "--city", case.city]
+        words = ["--images", tmp_path / "flight", "--city", case.city, "--masks", case.mask.parent]
         code, out, err = run(capsys, "dataset init", tmp_path / "town", *words)
         assert code == 0, err
         assert "1 image, 1 with a prior" in out
         assert out.count("it is a copy of") == 2
+        # It comes first in the folder, and has no mask.
+        assert "DJI_0001 (1).JPG: it is a copy of" in out
+        assert "no mask" not in out
         entries = open_folder(FolderParams(str(tmp_path / "town"), str(case.city))).entries
         assert len(entries) == 1
 

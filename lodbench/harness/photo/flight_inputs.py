@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lodbench.datasets.exchange.colmap import read_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.own import find_mask
+from lodbench.datasets.photo_copies import copies_among
 from lodbench.datasets.photo_files import PHOTO_SUFFIXES
 from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.undistort import undistorted
@@ -21,7 +22,7 @@ from lodbench.geometry import Pose
 from lodbench.harness.photo.prepare import PreparedPhoto
 from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS
 from lodbench.segmentation import no_wider
-from lodbench.storage import file_digest, write_bytes
+from lodbench.storage import write_bytes
 
 # Masks of a flight are held at this width, pixels: half as much again as methods look at.
 _MASK_WIDTH = 900
@@ -48,7 +49,7 @@ def masks_of(photos: Sequence[Path], masks: Path | None) -> tuple[list[Path | No
     A mask that may be of two photos is of neither; a photo that is another's copy says nothing new.
     """
     found = [find_mask(masks, f"{photo.parent.name}/{photo.name}", photo) for photo in photos]
-    copies, unreadable = _copies_and_unreadable(photos)
+    copies, unreadable = copies_among(photos, found)
     reasons = copies | unreadable
     users: dict[Path | None, list[int]] = defaultdict(list)
     for row, mask in enumerate(found):
@@ -64,22 +65,6 @@ def masks_of(photos: Sequence[Path], masks: Path | None) -> tuple[list[Path | No
             own = Path(photo.parent.name) / f"{photo.stem}.png"
             reasons[row] = f"the mask {mask} may be of {others} as well: name it {own}"
     return found, reasons
-
-
-def _copies_and_unreadable(photos: Sequence[Path]) -> tuple[dict[int, str], dict[int, str]]:
-    """Returns by row which photo another is a copy of, and why others cannot be read, in words."""
-    copies: dict[int, str] = {}
-    unreadable: dict[int, str] = {}
-    first_of: dict[str, Path] = {}
-    for row, photo in enumerate(photos):
-        try:
-            original = first_of.setdefault(file_digest(photo), photo)
-        except OSError as error:
-            unreadable[row] = f"it cannot be read: {error.strerror}"
-            continue
-        if original != photo:
-            copies[row] = f"it is a copy of {original}"
-    return copies, unreadable
 
 
 def poses_in_model(model: Path | None, photos: Sequence[Path]) -> dict[Path, Pose]:
