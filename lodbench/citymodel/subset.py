@@ -77,6 +77,7 @@ def choose_buildings(
         CityModelError: An id is not there, or no building is left.
     """
     is_kept = np.ones(len(model.building_ids), np.bool_)
+    hint = "See what there is: lodbench city info FILE."
     if ids:
         number = {name: n for n, name in enumerate(model.building_ids)}
         for name in ids:
@@ -88,20 +89,23 @@ def choose_buildings(
     if bbox is not None:
         low, high = footprint_boxes(model)
         middle = 0.5 * (low + high) + model.origin[:2]
-        is_kept &= np.all((middle >= bbox[:2]) & (middle <= bbox[2:]), axis=1)
+        is_inside = np.all((middle >= bbox[:2]) & (middle <= bbox[2:]), axis=1)
+        is_kept &= is_inside
+        if not is_inside.any():
+            hint = _where_it_is(model) or hint
     for key, value in where:
         is_kept &= _having(model, key, value)
     if not is_kept.any():
-        raise CityModelError("No building fulfils the conditions.", _where_it_is(model, bbox))
+        raise CityModelError("No building fulfils the conditions.", hint)
     return model if is_kept.all() else keep_buildings(model, is_kept)
 
 
-def _where_it_is(model: CityModel, bbox: tuple[float, ...] | None) -> str:
-    """Returns a hint: the city's own rectangle, if another was asked for."""
+def _where_it_is(model: CityModel) -> str:
+    """Returns the rectangle that a city's buildings lie in, in words; none without an outline."""
     low, high = footprint_boxes(model)
     is_there = np.isfinite(low).all(axis=1)
-    if bbox is None or not is_there.any():
-        return "See what there is: lodbench city info FILE."
+    if not is_there.any():
+        return ""
     west, south = low[is_there].min(axis=0) + model.origin[:2]
     east, north = high[is_there].max(axis=0) + model.origin[:2]
     system = model.crs or "coordinates of its own, without a reference system"

@@ -23,9 +23,10 @@ def traced_photos(folder: Path) -> list[tuple[Path, Path]]:
     root = folder / "labelled" if (folder / "labelled").is_dir() else folder
     photos = sorted(path for path in root.glob("*/photos/*") if path.suffix.lower() in _ENDINGS)
     if not photos:
-        raise DatasetError(
-            f"{folder} holds no photos.", "Put them in PLACE/photos, and their masks in PLACE/masks."
-        )
+        hint = "Put them in PLACE/photos, and their masks in PLACE/masks."
+        if (root / "photos").is_dir():
+            hint = f"It is one place: name the folder that holds it, {root.parent}."
+        raise DatasetError(f"{folder} holds no photos.", hint)
     masks = Counter(map(traced_mask, photos))
     for photo in photos:
         if masks[traced_mask(photo)] > 1:

@@ -74,7 +74,7 @@ def test_what_is_refused(folder, capsys):
     (folder / "town" / "masks" / "1.png").unlink()
     for wrong, words in (
         ([str(folder)], "has no mask"),
-        ([str(folder / "town")], "holds no photos"),
+        ([str(folder / "town")], f"name the folder that holds it, {folder}."),
         ([str(folder), "--views", "3"], "by themselves"),
         ([str(folder), "--instances"], "by themselves"),
         ([str(folder), "--segmenter", "masks"], "looks at no photo alone"),

@@ -54,6 +54,10 @@ def test_what_is_not_there(row: CityModel) -> None:
         choose_buildings(row, bbox=(5.87, 51.02, 5.88, 51.03))
     # Whoever gave degrees sees what is wanted.
     assert re.search(r"lie in 5000\d\d 56000\d\d 5000\d\d 56000\d\d, in EPSG:25832\+7837", fault.value.hint)
+    # The rectangle is not at fault where buildings lie in it.
+    with pytest.raises(CityModelError, match="No building fulfils") as fault:
+        choose_buildings(row, where=[("function", "mill")], bbox=(499000.0, 5600000.0, 501000.0, 5601000.0))
+    assert fault.value.hint == "See what there is: lodbench city info FILE."
     with pytest.raises(CityModelError, match="No building has an attribute 'use'"):
         choose_buildings(row, where=[("use", "mill")])
 
