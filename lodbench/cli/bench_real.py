@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -90,8 +91,10 @@ def _photos_and_map(options: argparse.Namespace) -> tuple[Dataset, Scene]:
                 raise ConfigError(
                     f"--{name} is of a --city, and --photos makes its own map.", f"Leave --{name} out."
                 )
-        error_m = 0.5 if options.map_error is None else options.map_error
-        return open_traced_photos(options.photos, TracedOptions(error_m, options.seed))
+        asked = TracedOptions(seed=options.seed)
+        if options.map_error is not None:
+            asked = replace(asked, map_error_m=options.map_error)
+        return open_traced_photos(options.photos, asked)
     if options.map_error is not None:
         raise ConfigError(
             "--map-error is of maps that --photos makes, not of --city.", "Leave --map-error out."
