@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import errno
+import faulthandler
 import io
 import os
 import re
@@ -100,14 +101,22 @@ def quietly(words: Sequence[str]) -> tuple[int, str]:
     return code, err.getvalue()
 
 
-# A fork has none of its parent's threads, and would wait for those of OpenCV.
-cv2.setNumThreads(1)
+# A fork has none of its parent's threads, and may wait for what they held: there are to be none, of OpenBLAS,
+# of OpenMP, of Arrow's allocator, and of OpenCV.
+NO_THREADS = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "JE_ARROW_MALLOC_CONF": "background_thread:false",
+}
+# A fork that waits for ever all the same ends, and says where.
+_PATIENCE_S = 300
 
 
 def apart(work: Callable[[], int]) -> int:
     """Returns the exit code of work done in a fork of this process, which has no threads."""
     child = os.fork()
     if child == 0:
+        faulthandler.dump_traceback_later(_PATIENCE_S, exit=True, file=2)
         code = 99
         try:
             code = work()
@@ -127,6 +136,7 @@ class Stage:
     """
 
     def __init__(self, command: Command, scratch: Path, inputs: Path) -> None:
+        cv2.setNumThreads(1)
         self.command, self.folder = command, scratch / "work"
         self._inputs = scratch / "inputs"
         os.environ["LODBENCH_CACHE"] = str(self.folder / "cache")
@@ -291,7 +301,9 @@ def try_all_in_parallel(step: int, count: int) -> int:
     def share(first: int) -> str:
         names = [command.name for command in COMMANDS[first::count]]
         words = [sys.executable, "-m", "tests.faults", str(step), *names]
-        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        with subprocess.Popen(
+            words, stdout=subprocess.PIPE, text=True, env=os.environ | NO_THREADS
+        ) as process:
             lines = [
                 line for line in process.stdout or () if sys.stdout.write(line) and not sys.stdout.flush()
             ]
@@ -307,4 +319,7 @@ def try_all_in_parallel(step: int, count: int) -> int:
 if __name__ == "__main__":
     STEP = int(sys.argv[1]) if len(sys.argv) > 1 and sys.argv[1].isdigit() else 1
     NAMES = [word for word in sys.argv[1:] if not word.isdigit()]
+    if NAMES and not NO_THREADS.items() <= os.environ.items():
+        again = [sys.executable, "-m", "tests.faults", *sys.argv[1:]]
+        sys.exit(subprocess.run(again, env=os.environ | NO_THREADS).returncode)
     sys.exit(min(1, try_all(NAMES, STEP) if NAMES else try_all_in_parallel(STEP, os.cpu_count() or 1)))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
 import pytest
+
+from tests.faults import NO_THREADS
 
 SLICE = """
 import sys, tempfile
@@ -22,7 +25,7 @@ with tempfile.TemporaryDirectory() as scratch:
 def faults_survived(name: str, first: int, step: int) -> int:
     # A process of its own: forks of one that has threads may hang.
     command = [sys.executable, "-c", SLICE, name, str(first), str(step)]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | NO_THREADS)
     assert done.returncode == 0, done.stderr[-2000:]
     return int(done.stdout)
 

@@ -10,6 +10,7 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from itertools import islice
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, TypeVar
 from uuid import uuid4
@@ -152,6 +153,7 @@ def dask_workers(
 
 def _own_cluster(distributed: Any, workers: int) -> Any:
     """Returns a cluster of processes of one thread (the engine has threads itself) on this machine."""
+    resource_tracker.ensure_running()
     with ctrl_c_for_this_thread():
         return distributed.LocalCluster(
             n_workers=workers,

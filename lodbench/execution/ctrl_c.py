@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing import resource_tracker
 
 
 @contextmanager
@@ -15,12 +14,13 @@ def ctrl_c_for_this_thread() -> Iterator[None]:
     Threads and processes inherit what is blocked, so workers that are started again later do not see it
     either. One that is pressed meanwhile is answered at the end, by this thread. Windows blocks no signals:
     there nothing is kept.
+
+    What starts the first worker of a process calls ``multiprocessing.resource_tracker.ensure_running``
+    before: the tracker, started by it, would unblock Ctrl-C.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    # Started later, by a thread that starts a worker, it would unblock it there.
-    resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -13,7 +13,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from itertools import islice
-from multiprocessing import forkserver
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait as wait_for
 from typing import Any, TypeVar
 
@@ -42,6 +42,7 @@ def expect_workers(modules: tuple[str, ...]) -> None:
     """
     if _START == "forkserver":
         multiprocessing.set_forkserver_preload(list(modules))
+        resource_tracker.ensure_running()
         # While it imports it would answer Ctrl-C with a traceback of its own.
         with ctrl_c_for_this_thread():
             forkserver.ensure_running()
