@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
@@ -30,6 +31,9 @@ _AHEAD = 2
 _RETRIES = 3
 # A scheduler that does not answer for so long is not there, seconds.
 _CONNECT_S = 30
+# A cluster of our own gives up workers that do not come back for so long after they died, seconds: Dask's 15
+# are fewer than a start takes on a busy machine. So often it is asked to put others in their place.
+_LOST_S, _REPLACE_S = 120, 30
 
 
 class DaskWorkers:
@@ -42,6 +46,7 @@ class DaskWorkers:
         prepare_with: Its arguments.
         workers: How many are asked for, where none has come yet.
         patience_s: Seconds without any result after which the workers count as hung.
+        own: The cluster, where it is one of this process: workers that are lost are replaced.
     """
 
     def __init__(
@@ -52,10 +57,13 @@ class DaskWorkers:
         prepare_with: tuple[Any, ...],
         workers: int,
         patience_s: float,
+        own: Any = None,
     ) -> None:
-        self._client, self._address, self._patience_s = client, address, patience_s
+        self._client, self._address, self._patience_s, self._own = client, address, patience_s, own
         threads = client.nthreads().values()
         self.count = len(threads) or max(1, workers)
+        if not threads:
+            _LOGGER.warning("%s has no worker yet: `dask worker %s --nthreads 1` starts one", address, address)
         if max(threads, default=1) > 1:
             _LOGGER.warning("Dask's workers have several threads, of which one works: --nthreads 1 is better")
         # One name for all that is prepared alike: a worker does it once, a new one does it again.
@@ -78,7 +86,6 @@ class DaskWorkers:
 
     def _results(self, work: Callable[[Item], Result], waiting: Iterator[Item]) -> Iterator[Result]:
         """Yields results as they come; items are handed out as others come back."""
-        distributed: Any = import_module("distributed")
 
         def submit(count: int) -> set[Any]:
             return {
@@ -89,7 +96,7 @@ class DaskWorkers:
         running, hung = submit(_AHEAD * self.count), 0
         while running:
             try:
-                done, running = distributed.wait(running, self._patience_s, "FIRST_COMPLETED")
+                done, running = self._wait(running)
             except TimeoutError as error:
                 hung += 1
                 if hung > _RETRIES:
@@ -102,6 +109,25 @@ class DaskWorkers:
                 yield future.result()
                 hung = 0
             running |= submit(len(done))
+
+    def _wait(self, running: set[Any]) -> Any:
+        """Returns futures that are done, and those that are not.
+
+        Raises:
+            TimeoutError: None was done for as long as workers are waited for.
+        """
+        wait: Any = import_module("distributed").wait
+        until = time.monotonic() + self._patience_s
+        while True:
+            try:
+                left_s = max(0.0, until - time.monotonic())
+                return wait(running, min(left_s, _REPLACE_S), "FIRST_COMPLETED")
+            except TimeoutError:
+                if time.monotonic() >= until:
+                    raise
+            if self._own is not None:
+                # As many as it was made with: those that are gone are started again.
+                self._own.scale(len(self._own.worker_spec))
 
 
 @contextmanager
@@ -145,7 +171,8 @@ def dask_workers(
         with client:
             _LOGGER.warning("Dask's dashboard: %s", client.dashboard_link)
             name = address or "on this machine"
-            yield DaskWorkers(client, name, prepare, prepare_with, workers, patience_s)
+            with import_module("dask.config").set({"distributed.deploy.lost-worker-timeout": f"{_LOST_S}s"}):
+                yield DaskWorkers(client, name, prepare, prepare_with, workers, patience_s, own)
     finally:
         if own is not None:
             own.close()

@@ -63,6 +63,14 @@ def nothing(*_: Any) -> None:
     pass
 
 
+def test_a_cluster_without_workers_says_how_they_start(caplog) -> None:
+    pytest.importorskip("distributed.protocol.pickle")
+    client = OneWorker()
+    client.nthreads = dict
+    DaskWorkers(client, "tcp://10.0.0.1:8786", nothing, (), 2, 1.0)
+    assert "`dask worker tcp://10.0.0.1:8786 --nthreads 1` starts one" in caplog.text
+
+
 def folder_of(_: int) -> str:
     return str(Path.cwd())
 

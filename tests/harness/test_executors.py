@@ -237,6 +237,18 @@ def test_what_a_hung_worker_was_at_is_done_again(tmp_path: Path, name: str) -> N
 
 
 @pytest.mark.slow
+def test_a_worker_that_dask_gives_up_is_replaced(tmp_path: Path, monkeypatch) -> None:
+    """On a busy machine one that had died started too slowly; then nobody was left, and nobody told."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("lodbench.execution.cluster._LOST_S", 0.01)
+    monkeypatch.setattr("lodbench.execution.cluster._REPLACE_S", 1)
+    (tmp_path / "5").touch()
+    executor = ExecutorParams("dask", workers=1)
+    results = sorted(spread(executor, square_or_die, range(8), prepare, (Deadly(tmp_path),)))
+    assert results == [item * item for item in range(8)]
+
+
+@pytest.mark.slow
 def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
