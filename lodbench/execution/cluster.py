@@ -63,7 +63,9 @@ class DaskWorkers:
         threads = client.nthreads().values()
         self.count = len(threads) or max(1, workers)
         if not threads:
-            _LOGGER.warning("%s has no worker yet: `dask worker %s --nthreads 1` starts one", address, address)
+            _LOGGER.warning(
+                "%s has no worker yet: `dask worker %s --nthreads 1` starts one", address, address
+            )
         if max(threads, default=1) > 1:
             _LOGGER.warning("Dask's workers have several threads, of which one works: --nthreads 1 is better")
         # One name for all that is prepared alike: a worker does it once, a new one does it again.
