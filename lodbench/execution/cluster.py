@@ -125,7 +125,10 @@ class DaskWorkers:
                 left_s = max(0.0, until - time.monotonic())
                 return wait(running, min(left_s, _REPLACE_S), "FIRST_COMPLETED")
             except TimeoutError:
-                if time.monotonic() >= until:
+                if self._own is None and not self._client.nthreads():
+                    # Nobody is at work who could hang: workers may wait in a queue of their own, for days.
+                    until = time.monotonic() + self._patience_s
+                elif time.monotonic() >= until:
                     raise
             if self._own is not None:
                 # As many as it was made with: those that are gone are started again.

@@ -71,6 +71,26 @@ def test_a_cluster_without_workers_says_how_they_start(caplog) -> None:
     assert "`dask worker tcp://10.0.0.1:8786 --nthreads 1` starts one" in caplog.text
 
 
+def test_workers_that_come_late_are_waited_for(monkeypatch) -> None:
+    """A queue gives them when it has some; nobody who is not there hangs."""
+    distributed = pytest.importorskip("distributed")
+    client, asked = OneWorker(), []
+    client.nthreads = lambda: {"late": 1} if len(asked) > 3 else {}
+
+    def wait(running: set[Any], *_: Any) -> Any:
+        asked.append(running)
+        if len(asked) < 6:
+            raise TimeoutError
+        return running, set()
+
+    monkeypatch.setattr(distributed, "wait", wait)
+    workers = DaskWorkers(client, "there", nothing, (), 1, 0.0)
+    with pytest.raises(TimeoutError):  # by the one that has come
+        workers._wait({"work"})
+    assert len(asked) == 4
+    assert DaskWorkers(client, "there", nothing, (), 1, 100.0)._wait({"work"}) == ({"work"}, set())
+
+
 def folder_of(_: int) -> str:
     return str(Path.cwd())
 
