@@ -73,7 +73,7 @@ quick: $(VENV)/.test
 	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow"
 
 test-slow: $(VENV)/.test
-	$(BIN)/python -m pytest -n auto --dist loadfile -m slow
+	$(BIN)/python -m pytest -n auto --dist loadfile --durations=15 -m slow
 
 # 100,000 mutated files, half of them cities, over all cores: half an hour of two; `make test` tries a slice. SEED= tries those of a seed again.
 COUNT ?= 100000
