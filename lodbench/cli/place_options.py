@@ -175,7 +175,7 @@ def add_height_options(parser: argparse.ArgumentParser) -> None:
         choices=get_args(HeightSource),
         default="auto",
         help="what the photo's altitude is above; auto (default): takeoff with --takeoff, "
-        "ellipsoid with RTK, else sea_level",
+        "ellipsoid with RTK or where the photo says so, else sea_level",
     )
     group.add_argument(
         "--takeoff", type=float, metavar="M", help="height of the take-off point, in the city's heights"

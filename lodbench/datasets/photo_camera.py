@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from lodbench.datasets.photo_metadata import PhotoMetadata
-from lodbench.datasets.photo_tags import Dewarp
+from lodbench.datasets.photo_xmp import Dewarp
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera
 

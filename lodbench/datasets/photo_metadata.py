@@ -1,15 +1,17 @@
-"""What a drone photo says of itself: EXIF of any camera, XMP of DJI's, read without decoding a pixel.
+"""What a drone photo says of itself: EXIF of any camera, XMP of some makers, read without decoding a pixel.
 
 Nothing here is converted: degrees, metres and pixels are as the file states them. What they mean for
-a pose is in ``photo_pose``, for a camera in ``photo_camera``.
+a height is in ``photo_heights``, for a pose in ``photo_pose``, for a camera in ``photo_camera``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
-from lodbench.datasets.photo_tags import Dewarp, exif_values, read_header, xmp_values
+from lodbench.datasets.photo_tags import exif_values, read_header
+from lodbench.datasets.photo_xmp import Dewarp, xmp_values
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,14 +28,16 @@ class PhotoMetadata:
         size_when_taken: Width and height that EXIF states; scaling a photo often leaves them.
         taken_at: Local time as written, ``2023:10:18 11:46:19``.
         taken_fraction_s: Of the second of ``taken_at``.
-        latitude_deg: WGS 84; DJI's own value, which has more digits, before EXIF's.
+        latitude_deg: WGS 84; XMP's value, which has more digits, before EXIF's.
         longitude_deg: Likewise.
         altitude_m: Absolute altitude, metres, above what the drone takes for sea level, or above the
-            ellipsoid with RTK.
+            ellipsoid (``photo_heights``).
         relative_altitude_m: Height above the take-off point, metres.
         gimbal_yaw_deg: Clockwise from true north.
         gimbal_pitch_deg: 0 at the horizon, -90 straight down.
         gimbal_roll_deg: About the optical axis.
+        unread_angles: Angles in XMP, with their names, that makers mean differently; "" where the gimbal's
+            are known.
         focal_mm: Focal length, millimetres.
         focal_35mm: Focal length of a 36 x 24 mm camera with the same diagonal field of view.
         pixel_mm: Width and height of a sensor's pixel, millimetres (EXIF's focal plane resolution).
@@ -45,6 +49,8 @@ class PhotoMetadata:
         is_dewarped: The drone has undistorted the picture already.
         has_rtk: The height is that of an RTK receiver, above the ellipsoid.
         is_single_point: An RTK receiver had no corrections, and nothing says whether the height is its own.
+        vertical_reference: What XMP says that the altitude is above (``VertCS``).
+        is_exif3_height: The altitude is EXIF's, above the ellipsoid by version 3.0, above sea level before.
     """
 
     name: str
@@ -63,6 +69,7 @@ class PhotoMetadata:
     gimbal_yaw_deg: float | None = None
     gimbal_pitch_deg: float | None = None
     gimbal_roll_deg: float | None = None
+    unread_angles: str = ""
     focal_mm: float | None = None
     focal_35mm: float | None = None
     pixel_mm: tuple[float, float] | None = None
@@ -74,6 +81,8 @@ class PhotoMetadata:
     is_dewarped: bool = False
     has_rtk: bool = False
     is_single_point: bool = False
+    vertical_reference: str = ""
+    is_exif3_height: bool = False
 
     @property
     def has_position(self) -> bool:
@@ -100,7 +109,7 @@ def read_photo_metadata(path: str | Path) -> PhotoMetadata:
     size, exif, xmp = read_header(path)
     stated = exif_values(exif)
     if xmp:
-        stated |= xmp_values(path, xmp)
+        stated = _with_xmp(stated, xmp_values(path, xmp))
     known = {field.name for field in fields(PhotoMetadata)}
     return PhotoMetadata(
         name=path.name,
@@ -108,3 +117,16 @@ def read_photo_metadata(path: str | Path) -> PhotoMetadata:
         height=size[1],
         **{name: value for name, value in stated.items() if name in known and value is not None},
     )
+
+
+def _with_xmp(exif: dict[str, Any], xmp: dict[str, Any]) -> dict[str, Any]:
+    """Returns what both state, XMP first; what EXIF says of an altitude goes with its own."""
+    stated = exif | xmp
+    if "altitude_m" in xmp:
+        stated["is_exif3_height"] = False
+    angles = stated.get("gimbal_yaw_deg"), stated.get("gimbal_pitch_deg")
+    # Autel's drones write two zeros where they do not know.
+    if angles == (0, 0) and stated["make"].upper().startswith("AUTEL"):
+        for name in ("gimbal_yaw_deg", "gimbal_pitch_deg", "gimbal_roll_deg"):
+            stated.pop(name, None)
+    return stated

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.photo_heights import height_doubt
 from lodbench.datasets.photo_metadata import PhotoMetadata
 from lodbench.datasets.photo_pose import HeightOptions
 
@@ -50,7 +51,7 @@ def _geoid_note(photos: Sequence[PhotoMetadata], options: HeightOptions) -> str 
 
 def height_notes(photos: Sequence[PhotoMetadata], options: HeightOptions) -> tuple[str, ...]:
     """Returns what a reader should know of what photos' heights are taken as above, a sentence each."""
-    return tuple(filter(None, (_mixed_note(photos, options), _single_point_note(photos, options))))
+    return tuple(filter(None, (_mixed_note(photos, options), _doubt_note(photos, options))))
 
 
 def _mixed_note(photos: Sequence[PhotoMetadata], options: HeightOptions) -> str | None:
@@ -59,18 +60,19 @@ def _mixed_note(photos: Sequence[PhotoMetadata], options: HeightOptions) -> str 
     if above_sea in (0, len(photos)):
         return None
     return (
-        f"{above_sea} of {len(photos)} photos have no RTK solution: their heights are taken as above "
-        "sea level, those of the others as above the ellipsoid; --heights says what all are"
+        f"{above_sea} of {len(photos)} photos have no RTK solution, nor say that heights are above the "
+        "ellipsoid: theirs are taken as above sea level, those of the others as above the ellipsoid; "
+        "--heights says what all are"
     )
 
 
-def _single_point_note(photos: Sequence[PhotoMetadata], options: HeightOptions) -> str | None:
-    """Returns a sentence if a height may be above the ellipsoid though there is no RTK solution."""
+def _doubt_note(photos: Sequence[PhotoMetadata], options: HeightOptions) -> str | None:
+    """Returns a sentence if heights may be above the ellipsoid though they are not taken so."""
     is_told = options.source != "auto" or options.takeoff_m is not None
-    count = sum(photo.is_single_point for photo in photos)
-    if count == 0 or is_told:
+    doubts = [doubt for doubt in map(height_doubt, photos) if doubt]
+    if not doubts or is_told:
         return None
     return (
-        f"an RTK receiver without corrections (RtkFlag 16) placed {count} of {len(photos)} photos: their "
-        "heights are taken as above sea level, and may be above the ellipsoid; --heights says which"
+        f"heights of {len(doubts)} of {len(photos)} photos are taken as above sea level, and may be above "
+        f"the ellipsoid ({'; '.join(dict.fromkeys(doubts))}); --heights says which"
     )

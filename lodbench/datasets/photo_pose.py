@@ -14,6 +14,7 @@ from typing import Literal, cast, get_args
 
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.photo_camera import camera_flag, states_focal_length
+from lodbench.datasets.photo_heights import is_above_ellipsoid
 from lodbench.datasets.photo_metadata import PhotoMetadata
 from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
 from lodbench.geometry import Pose
@@ -30,7 +31,7 @@ class HeightOptions:
         source: ``sea_level``: the absolute altitude is taken as it stands, as that of a drone without RTK
             is meant. ``ellipsoid``: it is above the WGS 84 ellipsoid, as with RTK. ``takeoff``: the
             relative altitude above ``takeoff_m``. ``auto``: takeoff where ``takeoff_m`` is given, else
-            ellipsoid for RTK solutions, else sea_level.
+            ellipsoid where ``photo_heights`` says so, else sea_level.
         takeoff_m: Height of the take-off point, in the city's heights.
         geoid_m: Height of the city's zero above the ellipsoid there; None asks PROJ.
         offset_m: Added in the end, whatever the height came from.
@@ -77,7 +78,7 @@ class HeightOptions:
             return self.source
         if self.takeoff_m is not None:
             return "takeoff"
-        return "ellipsoid" if photo.has_rtk else "sea_level"
+        return "ellipsoid" if is_above_ellipsoid(photo) else "sea_level"
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +148,7 @@ def require_stated(
         _first(given.pitch_deg, photo.gimbal_pitch_deg) is None
     ):
         looks = "--heading and --pitch (0 at the horizon, -90 straight down)"
-        lacking.append(("where its camera looked (DJI's gimbal angles)", looks))
+        lacking.append((f"where its camera looked ({_why_unknown(photo)})", looks))
     if not knows_camera and not states_focal_length(photo):
         lacking.append(("its camera's focal length", camera_flag(photo.width, photo.height)))
     if lacking:
@@ -158,6 +159,12 @@ def require_stated(
 
 def _listed(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+def _why_unknown(photo: PhotoMetadata) -> str:
+    if not photo.unread_angles:
+        return "gimbal angles of DJI, Autel, Parrot or Skydio"
+    return f"its XMP states {photo.unread_angles}, which makers mean differently"
 
 
 def _stated_height(photo: PhotoMetadata, source: str) -> float | None:

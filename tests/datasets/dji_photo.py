@@ -33,6 +33,11 @@ def xmp_packet(properties: dict[str, str], as_elements: bool = False) -> bytes:
     else:
         listed = " ".join(f'drone-dji:{k}="{v}"' for k, v in properties.items())
         body = f'<rdf:Description rdf:about="DJI Meta Data" xmlns:drone-dji="{namespace}" {listed}/>'
+    return packet_around(body)
+
+
+def packet_around(body: str) -> bytes:
+    """Returns an XMP packet of one or several ``rdf:Description``."""
     return (
         '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>\n<x:xmpmeta xmlns:x="adobe:ns:meta/">\n'
         f'<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">{body}</rdf:RDF>\n</x:xmpmeta>\n'
@@ -45,6 +50,7 @@ def exif_of(
     longitude: float | None = None,
     altitude: float | None = None,
     *,
+    make: str = "DJI",
     model: str = "FC6310R",
     focal_mm: float | None = 8.8,
     focal_35mm: int | None = 24,
@@ -53,11 +59,15 @@ def exif_of(
     zoom: float | None = None,
     taken_at: str = "2023:10:18 11:46:19",
     fraction: str = "",
+    altitude_ref: int | None = None,
+    version: str = "",
 ) -> bytes:
     """Returns EXIF with the tags DJI writes."""
     exif = Image.Exif()
-    exif[0x010F], exif[0x0110], exif[0x0112] = "DJI", model, orientation
+    exif[0x010F], exif[0x0110], exif[0x0112] = make, model, orientation
     details: dict[int, Any] = {0x9003: taken_at}
+    if version:
+        details[0x9000] = version.encode()
     if fraction:
         details[0x9291] = fraction
     if focal_mm is not None:
@@ -74,8 +84,9 @@ def exif_of(
         position |= {1: "S" if latitude < 0 else "N", 2: _sexagesimal(latitude)}
         position |= {3: "W" if longitude < 0 else "E", 4: _sexagesimal(longitude)}
     if altitude is not None:
+        reference = int(altitude < 0) if altitude_ref is None else altitude_ref
         position |= {
-            5: b"\x01" if altitude < 0 else b"\x00",
+            5: bytes([reference]),
             6: IFDRational(round(abs(altitude) * 1000), 1000),
         }
     exif._ifds[0x8825] = position

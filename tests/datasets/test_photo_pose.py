@@ -21,7 +21,7 @@ from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import PhotoMetadata
 from lodbench.datasets.photo_notes import datum_note, place_notes
 from lodbench.datasets.photo_pose import HeightOptions, RoughPlace, pose_from_photo
-from lodbench.datasets.photo_tags import Dewarp
+from lodbench.datasets.photo_xmp import Dewarp
 from lodbench.errors import ConfigError, DatasetError
 
 # A drone over western Germany, far from its zone's meridian: the grid is turned by more than 2 degrees.

@@ -10,7 +10,7 @@ from lodbench.datasets.exchange.xmp_sidecar import write_sidecar
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.photo_pose import pose_from_photo
-from lodbench.datasets.photo_tags import xmp_values
+from lodbench.datasets.photo_xmp import xmp_values
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.angles import dji_from_rotation, rotation_from_dji

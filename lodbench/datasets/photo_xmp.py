@@ -1,0 +1,217 @@
+"""What XMP states of a photo: the makers' properties, read by the one XML module; damaged ones are absent.
+
+Makers are read whose angles are documented to be as those of DJI's gimbals: yaw clockwise from true north,
+pitch 0 at the horizon and -90 straight down, roll about the optical axis, in that order, in a north-east-down
+frame.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from lodbench.citymodel.xml import Element, XmlMembers, local_name, namespace_of
+from lodbench.datasets.photo_tags import number_of, place_of
+from lodbench.errors import CityModelError, DatasetError
+from lodbench.findings import Findings
+
+# A JPEG segment holds at most 64 kB; other formats could carry anything.
+_MAX_XMP_BYTES = 1 << 20
+_DJI = "drone-dji"
+# By a part of a namespace's URI: what its properties are called, by the names of ``PhotoMetadata``; a field
+# of a structure follows its name and a slash. The first namespace that states something counts.
+_PROPERTIES: dict[str, dict[str, tuple[str, ...]]] = {
+    # Autel's newer drones write the same, by another prefix.
+    _DJI: {
+        "latitude_deg": ("GpsLatitude",),
+        # Older firmware, and Autel's, misspells the longitude.
+        "longitude_deg": ("GpsLongitude", "GpsLongtitude"),
+        "altitude_m": ("AbsoluteAltitude",),
+        "relative_altitude_m": ("RelativeAltitude",),
+        "gimbal_yaw_deg": ("GimbalYawDegree",),
+        "gimbal_pitch_deg": ("GimbalPitchDegree",),
+        "gimbal_roll_deg": ("GimbalRollDegree",),
+        "calibrated_focal_px": ("CalibratedFocalLength",),
+        "optical_center_x_px": ("CalibratedOpticalCenterX",),
+        "optical_center_y_px": ("CalibratedOpticalCenterY",),
+    },
+    # Place and height are in Parrot's EXIF.
+    "drone-parrot": {
+        "gimbal_yaw_deg": ("CameraYawDegree",),
+        "gimbal_pitch_deg": ("CameraPitchDegree",),
+        "gimbal_roll_deg": ("CameraRollDegree",),
+    },
+    "drone-skydio": {
+        "latitude_deg": ("Latitude",),
+        "longitude_deg": ("Longitude",),
+        "altitude_m": ("AbsoluteAltitude",),
+        "gimbal_yaw_deg": ("CameraOrientationNED/Yaw",),
+        "gimbal_pitch_deg": ("CameraOrientationNED/Pitch",),
+        "gimbal_roll_deg": ("CameraOrientationNED/Roll",),
+    },
+}
+_ANGLES = ("gimbal_yaw_deg", "gimbal_pitch_deg", "gimbal_roll_deg")
+_FIELD_LIMITS = {"latitude_deg": 90.0, "longitude_deg": 180.0, **dict.fromkeys(_ANGLES, 360.0)}
+# Angles of other makers. Pitch in Pix4D's Camera: is 0 straight down by its definition and in some makers'
+# photos, 0 at the horizon or relative to the aircraft in others'; roll has either sign. Others are of the
+# aircraft.
+_OTHER_ANGLE = re.compile(
+    r"(camera|gimbal|mav|platform|flight|drone)?(yaw|pitch|roll)(degree)?", re.IGNORECASE
+)
+_WRITTEN_NUMBER = re.compile(r"[-+]?[\d./]{1,16}")
+# Of a light sensor on the roof.
+_LIGHT_SENSOR = "/dls/"
+# DJI's RtkFlag: 32 to 49 are float solutions, 50 is a fixed one, 16 a single point without corrections.
+_RTK_FLOAT, _RTK_FIXED, _SINGLE_POINT = 32, 50, 16
+# What a height is said to be by (AltitudeType) if the RTK receiver has measured it; drones without one write
+# it too.
+_BY_RTK = "RtkAlt"
+# What Pix4D and Skydio call the reference of heights.
+_VERTICAL_REFERENCE = "VertCS"
+# Elements that hold properties, and are none themselves.
+_FRAMES = ("http://www.w3.org/1999/02/22-rdf-syntax-ns#", "adobe:ns:meta/")
+
+
+@dataclass(frozen=True, slots=True)
+class Dewarp:
+    """DJI's calibration of one camera (``DewarpData``), of the full-size picture.
+
+    Attributes:
+        date: When it was made, as written.
+        fx: Focal length along x, pixels.
+        fy: Along y.
+        cx: Offset of the principal point from the picture's centre, pixels.
+        cy: Likewise.
+        distortion: (k1, k2, p1, p2, k3) of OpenCV's formula.
+    """
+
+    date: str
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float]
+
+
+class _Property(NamedTuple):
+    namespace: str
+    prefix: str
+    name: str
+    value: str
+
+
+def xmp_values(path: Path, packet: bytes) -> dict[str, Any]:
+    """Returns what an XMP packet states, by the names of ``PhotoMetadata``; nothing for what it does not.
+
+    Raises:
+        DatasetError: It is no well-formed XML, holds a DOCTYPE, or is too large.
+    """
+    properties = _properties(path, packet)
+    values: dict[str, Any] = {}
+    for part in _PROPERTIES:
+        stated = _numbers(properties, part)
+        if not values.keys().isdisjoint(_ANGLES):  # those of two makers are never mixed
+            stated = {name: number for name, number in stated.items() if name not in _ANGLES}
+        values = stated | values
+    dji = _of(properties, _DJI)
+    values["dewarp"] = _dewarp(dji.get("DewarpData"))
+    values["is_dewarped"] = dji.get("DewarpFlag", "0").strip() == "1"
+    values |= _rtk(dji)
+    references = [each.value.strip() for each in properties if each.name == _VERTICAL_REFERENCE]
+    values["vertical_reference"] = references[0] if references else ""
+    is_known = "gimbal_yaw_deg" in values and "gimbal_pitch_deg" in values
+    values["unread_angles"] = "" if is_known else _unread_angles(properties)
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _of(properties: list[_Property], part: str) -> dict[str, str]:
+    """Returns the properties of the namespaces whose URI has a part; the first of a name."""
+    return {each.name: each.value for each in reversed(properties) if part in each.namespace}
+
+
+def _numbers(properties: list[_Property], part: str) -> dict[str, float]:
+    """Returns the numbers of a maker's namespace by the names of ``PhotoMetadata``."""
+    own = _of(properties, part)
+    numbers: dict[str, float] = {}
+    for name, keys in _PROPERTIES[part].items():
+        number = next((n for key in keys if (n := number_of(own.get(key))) is not None), None)
+        if number is not None and abs(number) <= _FIELD_LIMITS.get(name, math.inf):
+            numbers[name] = number
+    return numbers | place_of(numbers.pop("latitude_deg", None), numbers.pop("longitude_deg", None))
+
+
+def _unread_angles(properties: list[_Property]) -> str:
+    """Returns the angles of namespaces that are not read, as ``Camera:Pitch 1.2, ...``."""
+    found: dict[str, str] = {}
+    for each in properties:
+        is_read = any(part in each.namespace for part in _PROPERTIES)
+        is_angle = _OTHER_ANGLE.fullmatch(each.name.rpartition("/")[2])
+        if is_angle and not is_read and _LIGHT_SENSOR not in each.namespace.lower():
+            number = _WRITTEN_NUMBER.fullmatch(each.value.strip())
+            name = f"{each.prefix[:20]}:{each.name[:40]}" if each.prefix else each.name[:40]
+            found.setdefault(name, f"{name} {number[0]}" if number else name)
+    return ", ".join([*found.values()][:6])
+
+
+def _rtk(properties: Mapping[str, str]) -> dict[str, bool]:
+    """Returns whether a height is an RTK receiver's, and whether nobody says if it is."""
+    flag = number_of(properties.get("RtkFlag")) or 0.0
+    is_single = flag == _SINGLE_POINT
+    is_told = is_single and properties.get("AltitudeType", "").strip() == _BY_RTK
+    return {
+        "has_rtk": is_told or _RTK_FLOAT <= flag <= _RTK_FIXED,
+        "is_single_point": is_single and not is_told,
+    }
+
+
+def _properties(path: Path, packet: bytes) -> list[_Property]:
+    """Returns all properties of a packet with a namespace, written as attributes or as elements."""
+    if len(packet) > _MAX_XMP_BYTES:
+        raise DatasetError(f"{path}: its XMP is larger than {_MAX_XMP_BYTES >> 20} MiB.")
+    # The packet may be padded with white space, and some writers end it with zeros.
+    stream = io.BytesIO(packet.strip(b"\0 \r\n\t"))
+    members = XmlMembers(stream, f"{path}, XMP", ("RDF", "Description"), Findings())
+    try:
+        return [each for member in members for each in _stated_in(member)]
+    except CityModelError as error:
+        raise DatasetError(
+            error.message, "Remove the XMP, or copy the photo from the drone again."
+        ) from error
+
+
+def _stated_in(member: Element) -> Iterator[_Property]:
+    """Yields the properties that elements and their attributes are; a structure's fields after its name."""
+    owners: dict[Element | None, str] = {}
+    prefixes: dict[str, str] = {}
+    for element in member.iter():
+        above = owners.get(element.getparent(), "")
+        is_frame = namespace_of(element.tag) in _FRAMES
+        owners[element] = above if is_frame else local_name(element.tag)
+        pairs = [(owners[element], name, value) for name, value in element.items()]
+        for owner, tag, value in [*pairs, (above, element.tag, element.text)]:
+            namespace, name = namespace_of(str(tag)), local_name(str(tag))
+            if isinstance(value, str) and namespace and namespace not in _FRAMES:
+                if namespace not in prefixes:
+                    prefixes[namespace] = _prefix(element, namespace)
+                full = f"{owner}/{name}" if owner else name
+                yield _Property(namespace, prefixes[namespace], full, value)
+
+
+def _prefix(element: Element, namespace: str) -> str:
+    return next((prefix for prefix, uri in element.nsmap.items() if prefix and uri == namespace), "")
+
+
+def _dewarp(text: str | None) -> Dewarp | None:
+    """Returns ``date;fx,fy,cx,cy,k1,k2,p1,p2,k3`` taken apart, or None where it is anything else."""
+    date, _, listed = (text or "").rpartition(";")
+    numbers = [number_of(word) for word in listed.split(",")]
+    values = [number for number in numbers if number is not None]
+    if len(values) != 9 or len(numbers) != 9 or values[0] <= 0 or values[1] <= 0:
+        return None
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = values
+    return Dewarp(date, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
