@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from lodbench.harness.photo.own_dataset import OwnDataset
 
 _INIT_EPILOG = """\
-Photos state where they were taken (EXIF, DJI's XMP): that becomes the rough pose. With --colmap the model's
+Photos state where they were taken (EXIF, XMP): that becomes the rough pose. With --colmap the model's
 poses become the truth; it must be in the city's coordinates, less an --offset. Lens distortion is undone.
 
 examples:

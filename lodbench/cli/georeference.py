@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _EPILOG = """\
 The model is a similarity away from the city. It starts where the photos say they were taken (--images, EXIF
-and DJI's XMP), or where --start says: rough poses in the city's coordinates in any known format, or
+and XMP), or where --start says: rough poses in the city's coordinates in any known format, or
 similarity.json of an earlier run. From there the outlines of buildings in all masks place it (--method
 flight).
 

@@ -46,11 +46,11 @@ probable it is that the pose is right.
 """
 
 _EXAMPLES = """\
-One photo: the rough pose comes from the photo's metadata (EXIF and DJI's XMP); options given here take
-precedence. Without a mask the photo's own pixels are aligned with the map (--method region); where they leave
-the pose open, a network makes a mask, and the more probable of the two poses is taken. The search covers 10 m
-around the rough pose, 30 m up and down and 7.5 degrees to either side; --prior-range, --prior-height and
---prior-yaw widen it.
+One photo: the rough pose comes from the photo's metadata (EXIF, and XMP of DJI, Autel, Parrot or Skydio);
+options given here take precedence. Without a mask the photo's own pixels are aligned with the map (--method
+region); where they leave the pose open, a network makes a mask, and the more probable of the two poses is
+taken. The search covers 10 m around the rough pose, 30 m up and down and 7.5 degrees to either side;
+--prior-range, --prior-height and --prior-yaw widen it.
 
 Several photos, or a folder, are taken as flights, told apart by camera and by the clock in EXIF, and each is
 solved as a whole (--method flight). Masks come from --masks, else from a folder named masks in it, else from

@@ -36,8 +36,7 @@ class PhotoMetadata:
         gimbal_yaw_deg: Clockwise from true north.
         gimbal_pitch_deg: 0 at the horizon, -90 straight down.
         gimbal_roll_deg: About the optical axis.
-        unread_angles: Angles in XMP, with their names, that makers mean differently; "" where the gimbal's
-            are known.
+        why_no_angles: What XMP states instead of the gimbal's angles, as a clause; "" for nothing.
         focal_mm: Focal length, millimetres.
         focal_35mm: Focal length of a 36 x 24 mm camera with the same diagonal field of view.
         pixel_mm: Width and height of a sensor's pixel, millimetres (EXIF's focal plane resolution).
@@ -69,7 +68,7 @@ class PhotoMetadata:
     gimbal_yaw_deg: float | None = None
     gimbal_pitch_deg: float | None = None
     gimbal_roll_deg: float | None = None
-    unread_angles: str = ""
+    why_no_angles: str = ""
     focal_mm: float | None = None
     focal_35mm: float | None = None
     pixel_mm: tuple[float, float] | None = None
@@ -124,9 +123,4 @@ def _with_xmp(exif: dict[str, Any], xmp: dict[str, Any]) -> dict[str, Any]:
     stated = exif | xmp
     if "altitude_m" in xmp:
         stated["is_exif3_height"] = False
-    angles = stated.get("gimbal_yaw_deg"), stated.get("gimbal_pitch_deg")
-    # Autel's drones write two zeros where they do not know.
-    if angles == (0, 0) and stated["make"].upper().startswith("AUTEL"):
-        for name in ("gimbal_yaw_deg", "gimbal_pitch_deg", "gimbal_roll_deg"):
-            stated.pop(name, None)
     return stated

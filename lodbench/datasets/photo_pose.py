@@ -162,9 +162,7 @@ def _listed(words: Sequence[str]) -> str:
 
 
 def _why_unknown(photo: PhotoMetadata) -> str:
-    if not photo.unread_angles:
-        return "gimbal angles of DJI, Autel, Parrot or Skydio"
-    return f"its XMP states {photo.unread_angles}, which makers mean differently"
+    return photo.why_no_angles or "gimbal angles of DJI, Autel, Parrot or Skydio"
 
 
 def _stated_height(photo: PhotoMetadata, source: str) -> float | None:

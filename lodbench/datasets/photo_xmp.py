@@ -63,6 +63,7 @@ _FIELD_LIMITS = {"latitude_deg": 90.0, "longitude_deg": 180.0, **dict.fromkeys(_
 _OTHER_ANGLE = re.compile(
     r"(camera|gimbal|mav|platform|flight|drone)?(yaw|pitch|roll)(degree)?", re.IGNORECASE
 )
+_ZEROS = "its XMP states zeros for all angles, as drones do that do not know them"
 _WRITTEN_NUMBER = re.compile(r"[-+]?[\d./]{1,16}")
 # Of a light sensor on the roof.
 _LIGHT_SENSOR = "/dls/"
@@ -116,16 +117,19 @@ def xmp_values(path: Path, packet: bytes) -> dict[str, Any]:
     for part in _PROPERTIES:
         stated = _numbers(properties, part)
         if not values.keys().isdisjoint(_ANGLES):  # those of two makers are never mixed
-            stated = {name: number for name, number in stated.items() if name not in _ANGLES}
+            stated = _without_angles(stated)
         values = stated | values
+    # Some drones of DJI (Mini 2, some P1) and of Autel write zeros wherever they look.
+    if all(values.get(name) == 0 for name in _ANGLES):
+        values = _without_angles(values) | {"why_no_angles": _ZEROS}
+    elif not {"gimbal_yaw_deg", "gimbal_pitch_deg"} <= values.keys():
+        values["why_no_angles"] = _other_angles(properties)
     dji = _of(properties, _DJI)
     values["dewarp"] = _dewarp(dji.get("DewarpData"))
     values["is_dewarped"] = dji.get("DewarpFlag", "0").strip() == "1"
     values |= _rtk(dji)
     references = [each.value.strip() for each in properties if each.name == _VERTICAL_REFERENCE]
     values["vertical_reference"] = references[0] if references else ""
-    is_known = "gimbal_yaw_deg" in values and "gimbal_pitch_deg" in values
-    values["unread_angles"] = "" if is_known else _unread_angles(properties)
     return {name: value for name, value in values.items() if value is not None}
 
 
@@ -145,8 +149,12 @@ def _numbers(properties: list[_Property], part: str) -> dict[str, float]:
     return numbers | place_of(numbers.pop("latitude_deg", None), numbers.pop("longitude_deg", None))
 
 
-def _unread_angles(properties: list[_Property]) -> str:
-    """Returns the angles of namespaces that are not read, as ``Camera:Pitch 1.2, ...``."""
+def _without_angles(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if name not in _ANGLES}
+
+
+def _other_angles(properties: list[_Property]) -> str:
+    """Returns a clause that quotes the angles of namespaces that are not read; "" where there are none."""
     found: dict[str, str] = {}
     for each in properties:
         is_read = any(part in each.namespace for part in _PROPERTIES)
@@ -155,7 +163,8 @@ def _unread_angles(properties: list[_Property]) -> str:
             number = _WRITTEN_NUMBER.fullmatch(each.value.strip())
             name = f"{each.prefix[:20]}:{each.name[:40]}" if each.prefix else each.name[:40]
             found.setdefault(name, f"{name} {number[0]}" if number else name)
-    return ", ".join([*found.values()][:6])
+    listed = ", ".join([*found.values()][:6])
+    return f"its XMP states {listed}, which makers mean differently" if listed else ""
 
 
 def _rtk(properties: Mapping[str, str]) -> dict[str, bool]:

@@ -51,7 +51,7 @@ def test_parrot_s_own_angles_are_those_of_gimbals_and_its_place_is_in_exif(tmp_p
     assert angles == (146.848038, -51.988888, -0.052789)
     assert photo.latitude_deg == pytest.approx(51.0479, abs=3e-8)
     assert photo.altitude_m == 203.4
-    assert photo.unread_angles == ""
+    assert photo.why_no_angles == ""
     pose = pose_from_photo(photo, NRW)
     east, north = pose.center[:2]
     looks = pose.rotation[2]
@@ -81,12 +81,16 @@ def test_autel_s_newer_photos_have_dji_s_properties_by_another_prefix(tmp_path):
     assert (photo.longitude_deg, photo.gimbal_yaw_deg, photo.gimbal_pitch_deg) == (5.25, -43.6, -45.3)
 
 
-def test_autel_s_two_zeros_are_no_direction(tmp_path):
-    packet = xmp_packet({**PROPERTIES, "GimbalYawDegree": "0.0", "GimbalPitchDegree": "0.00"})
-    for make, expected in (("Autel Robotics", None), ("DJI", 0.0)):
-        path = write_photo(tmp_path / "a.jpg", exif=exif_of(make=make), xmp=packet)
-        photo = read_photo_metadata(path)
-        assert (photo.gimbal_yaw_deg, photo.gimbal_pitch_deg) == (expected, expected)
+@pytest.mark.parametrize(("roll", "expected"), [("+0.00", None), ("-0.10", 0.0)])
+def test_three_zeros_are_no_direction(tmp_path, roll, expected):
+    level = {"GimbalYawDegree": "+0.00", "GimbalPitchDegree": "+0.00", "GimbalRollDegree": roll}
+    path = write_photo(tmp_path / "a.jpg", exif=exif_of(), xmp=xmp_packet({**PROPERTIES, **level}))
+    photo = read_photo_metadata(path)
+    assert (photo.gimbal_yaw_deg, photo.gimbal_pitch_deg) == (expected, expected)
+    if expected is None:
+        with pytest.raises(DatasetError, match="states zeros for all angles") as fault:
+            pose_from_photo(photo, NRW)
+        assert "--heading and --pitch" in fault.value.hint
 
 
 def test_angles_of_two_makers_are_not_mixed(tmp_path):
@@ -128,13 +132,13 @@ def test_angles_that_makers_mean_differently_are_told_and_not_guessed(tmp_path, 
 
 def test_a_light_sensor_s_angles_are_none_of_the_camera(tmp_path):
     body = '<rdf:Description xmlns:DLS="http://micasense.com/DLS/1.0/" DLS:Yaw="1.2" DLS:Pitch="0.1"/>'
-    assert photo_of(tmp_path, body).unread_angles == ""
+    assert photo_of(tmp_path, body).why_no_angles == ""
 
 
 def test_frames_within_frames_take_no_time(tmp_path):
     deep = "<rdf:Description>" * 1500 + '<rdf:li xmlns:q="urn:q" q:Yaw="1"/>' * 20000
     body = f"{deep}{'</rdf:Description>' * 1500}"
-    assert photo_of_long(tmp_path, body).unread_angles == "q:Yaw 1"
+    assert "states q:Yaw 1, which" in photo_of_long(tmp_path, body).why_no_angles
 
 
 def photo_of_long(folder, body: str) -> PhotoMetadata:
