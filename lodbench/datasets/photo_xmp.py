@@ -1,8 +1,8 @@
 """What XMP states of a photo: the makers' properties, read by the one XML module; damaged ones are absent.
 
-Makers are read whose angles are documented to be as those of DJI's gimbals: yaw clockwise from true north,
-pitch 0 at the horizon and -90 straight down, roll about the optical axis, in that order, in a north-east-down
-frame.
+Makers are read whose angles are, by documentation or name, those of DJI's gimbals: yaw clockwise from true
+north, pitch 0 at the horizon and -90 straight down, roll about the optical axis, in that order, in a
+north-east-down frame.
 """
 
 from __future__ import annotations
