@@ -28,6 +28,9 @@ _EXPORT = (
 )
 # What YOLO networks see beside a photo that is not square.
 _GREY = 114
+# Boxes are pixels, coefficients and prototypes of a few tens.
+_MOST_ANSWER = 1e6
+_ROUNDING = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,9 +166,24 @@ class FastSam(PhotoSegmenter):
                 f"{self._path} answers {shapes}, not the rows and the prototypes of a segmentation network.",
                 _EXPORT.format(size=self.params.size),
             )
+        _require_sound(rows[4 : len(rows) - len(prototypes)], [rows, prototypes], self._path)
         return np.asarray(rows, np.float32), np.asarray(prototypes, np.float32)
 
     @cached_property
     def _net(self) -> Any:
         """Returns OpenCV's network; read on first use."""
         return read_onnx(self._path, _EXPORT.format(size=self.params.size), digest=self.weights_digest)
+
+
+def _require_sound(scores: Floats, outputs: list[Floats], path: Path) -> None:
+    """Makes sure that a network's answers are numbers, and its scores probabilities.
+
+    Raises:
+        ConfigError: They are not: no instance, or any, would be found.
+    """
+    hint = "Export it anew, as published: yolo export ... format=onnx."
+    if any(not np.abs(output).max() < _MOST_ANSWER for output in outputs):
+        raise ConfigError(f"{path} answers NaN, or values beyond {_MOST_ANSWER:g}: it is damaged.", hint)
+    low, high = float(scores.min()), float(scores.max())
+    if low < -_ROUNDING or high > 1 + _ROUNDING:
+        raise ConfigError(f"{path} answers scores of {low:g} to {high:g}, which are no probabilities.", hint)

@@ -24,6 +24,9 @@ from lodbench.storage import file_digest
 # What a file calls the answer of a network, by what that has learnt: networks may be alike in all else.
 _ANSWERS = {"masks": "logits", "interiors": "interiors"}
 
+# Logits of networks that have learnt something stay below a few hundred.
+_MOST_LOGIT = 1e6
+
 
 class PackagedNetwork(PhotoSegmenter):
     """Segments photos with a network whose weights come with the package, or from a training of one's own.
@@ -133,12 +136,8 @@ class PackagedNetwork(PhotoSegmenter):
                 f"{self._path} answers {found.shape} to a photo of {tile.shape[:2]}.",
                 hint,
             )
-        # Logits that are all within 0 and 1 would call the whole photo building.
-        if self.params.weights and 0 <= found.min() < found.max() <= 1:
-            raise ConfigError(
-                f"{self._path} answers values within 0 and 1: probabilities, where logits are wanted.",
-                "Export it without the sigmoid at its end.",
-            )
+        if self.params.weights:
+            _require_logits(found, self._path, hint)
         return np.asarray(found[0, 0])
 
     def build(self, init: str | None) -> Any:
@@ -171,6 +170,24 @@ class PackagedNetwork(PhotoSegmenter):
         path = folder / f"{self.weights_name}.onnx"
         write_onnx(net, path, self.stride, self.stores_half, _ANSWERS[self.learns])
         return path
+
+
+def _require_logits(found: NDArray[np.float32], path: Path, hint: str) -> None:
+    """Makes sure that a network answers logits: of anything else the whole photo would be building.
+
+    Raises:
+        ConfigError: Its answers are no numbers, too large for any that has learnt something, or without one
+            below 0, as of probabilities, of classes and of masks.
+    """
+    # OpenCV makes the largest of all numbers of NaN.
+    if not np.abs(found).max() < _MOST_LOGIT:
+        raise ConfigError(f"{path} answers NaN, or values beyond {_MOST_LOGIT:g}: it is damaged.", hint)
+    if 0 <= found.min() and (found.max() <= 1 or found.min() == 0):
+        within = f"{abs(found.min()):g} to {abs(found.max()):g}"  # no negative zeros
+        raise ConfigError(
+            f"{path} answers values of {within}, as probabilities and classes are, where logits are wanted.",
+            "Export it without the sigmoid, or whatever else is at its end.",
+        )
 
 
 def packaged_file(name: str) -> Path:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.errors import ConfigError, nearest_names, require_within
+from lodbench.segmentation.own_safetensors import require_own_safetensors
 from lodbench.segmentation.probability import check_normalise
 from lodbench.segmentation.torch_segmenter import TorchSegmenter, hub_folder, is_hub_id
 from lodbench.storage import digest_of, file_digest
@@ -103,21 +104,26 @@ class Semantic(TorchSegmenter):
         """Returns the checkpoint's network, every weight of it from the checkpoint.
 
         Raises:
-            ConfigError: There is no such checkpoint, or weights are missing.
+            ConfigError: There is no such checkpoint, it asks for code of its own or for files elsewhere, or
+                weights are missing, of another shape or no numbers.
         """
-        from safetensors import SafetensorError
         from transformers import AutoModelForSemanticSegmentation
         from transformers.utils import logging
 
+        from lodbench.segmentation.nets.weights import require_finite
+
+        require_own_safetensors(self._folder)
         logging.disable_progress_bar()
         logging.set_verbosity_error()  # what is missing is told below
         try:
+            # A checkpoint that brings code is refused: otherwise whoever sits there is asked to let it run.
             model, found = AutoModelForSemanticSegmentation.from_pretrained(
-                str(self._folder), local_files_only=True, use_safetensors=True, output_loading_info=True
-            )
-        except (OSError, ValueError, KeyError, RuntimeError, SafetensorError) as error:
+                str(self._folder), local_files_only=True, use_safetensors=True, output_loading_info=True,
+                trust_remote_code=False,
+            )  # fmt: skip
+        except Exception as error:  # of what kind is up to transformers and to what stands in config.json
             raise ConfigError(
-                f"{self._folder} holds no semantic segmentation network: {str(error).splitlines()[0][:100]}",
+                f"{self._folder} holds no semantic segmentation network: {_first_line(error)}",
                 "A folder with config.json and safetensors is wanted.",
             ) from error
         missing = sorted(name for name in found["missing_keys"] if not name.endswith("num_batches_tracked"))
@@ -126,7 +132,19 @@ class Semantic(TorchSegmenter):
                 f"{self._folder} lacks {len(missing)} weights of the network: {', '.join(missing[:3])}, ...",
                 "They would be random. Was only the backbone trained?",
             )
+        require_finite(model.state_dict(), str(self._folder))
         return model
+
+
+def _first_line(error: Exception) -> str:
+    """Returns the first line of what an error says, or its kind where it says nothing."""
+    told = str(error)
+    # Both name settings that nobody can reach from here.
+    if "ignore_mismatched_sizes" in told:
+        return "its weights are of other shapes than its config.json says"
+    if "trust_remote_code" in told:
+        return "it holds code of its own, which is never run"
+    return (told.strip().splitlines() or [type(error).__name__])[0][:100]
 
 
 def _normalisation(folder: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:

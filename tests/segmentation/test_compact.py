@@ -93,8 +93,36 @@ def test_a_network_that_answers_probabilities_is_refused(net, tmp_path):
             return (self.net(photos)[0].sigmoid(),)
 
     write_onnx(Sure(), tmp_path / "sure.onnx", 32)
-    with pytest.raises(ConfigError, match="probabilities, where logits are wanted"):
+    with pytest.raises(ConfigError, match=r"probabilities .*where logits are wanted"):
         Compact(CompactParams(weights=str(tmp_path / "sure.onnx"), size=64)).logits(photo_of(64, 64))
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "said"),
+    [
+        (lambda logits: logits * float("nan"), "answers NaN"),
+        (lambda logits: logits + float("inf"), "answers NaN, or values beyond"),
+        (lambda logits: torch.relu(logits), "where logits are wanted"),
+        (lambda logits: 255 * (logits > 0).float(), "where logits are wanted"),
+        (lambda logits: 0 * logits, "answers values of 0 to 0"),
+    ],
+)
+def test_answers_that_would_make_the_whole_photo_building_are_refused(tmp_path, spoilt, said):
+    from lodbench.segmentation.nets.onnx_export import write_onnx
+
+    class Spoilt(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.conv = torch.nn.Conv2d(3, 1, 1)
+
+        def forward(self, photos):
+            return (spoilt(self.conv(photos)),)
+
+    torch.manual_seed(0)
+    write_onnx(Spoilt(), tmp_path / "spoilt.onnx", 32)
+    with pytest.raises(ConfigError, match=said) as told:
+        Compact(CompactParams(weights=str(tmp_path / "spoilt.onnx"), size=64)).logits(photo_of(64, 64))
+    assert told.value.hint
 
 
 def test_the_weights_fit_the_package(weights):

@@ -184,3 +184,26 @@ class TestAdapter:
         with pytest.raises(ConfigError, match=r"answers \[\(1, 300, 38\), .*not the rows") as told:
             segmenter.probability(self.photo())
         assert "without nms" in told.value.hint
+
+    @pytest.mark.parametrize(
+        ("row", "value", "said"),
+        [(4, np.nan, "NaN"), (0, np.inf, "NaN, or values beyond"), (7, np.nan, "NaN"), (4, 5.0, "scores of")],
+    )
+    def test_answers_that_are_no_instances_are_told_and_no_empty_mask(self, weights, row, value, said):
+        rows = np.zeros((1, 8, 84), np.float32)
+        rows[0, row] = value
+
+        class Damaged:
+            def setInput(self, blob): ...
+
+            def getUnconnectedOutLayersNames(self):
+                return ()
+
+            def forward(self, names):
+                return rows, np.zeros((1, 2, 16, 16), np.float32)
+
+        segmenter = self.segmenter(weights)
+        segmenter._net = Damaged()
+        with pytest.raises(ConfigError, match=said) as told:
+            segmenter.probability(self.photo())
+        assert "yolo export" in told.value.hint

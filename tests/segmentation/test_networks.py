@@ -15,7 +15,7 @@ pytest.importorskip("transformers", reason="transformers is not installed (extra
 
 from lodbench.segmentation.nets import hiera, sam2_unet  # noqa: E402
 from lodbench.segmentation.nets.sam1_adapter import Sam1Adapter, fill_sam, high_frequencies  # noqa: E402
-from lodbench.segmentation.nets.weights import read_weights, save_weights  # noqa: E402
+from lodbench.segmentation.nets.weights import fill, read_weights, save_weights  # noqa: E402
 from lodbench.segmentation.sam2_unet import Sam2UNetParams, Sam2UNetSegmenter  # noqa: E402
 
 
@@ -133,6 +133,21 @@ def test_wrong_weights_get_a_report_of_shapes(small, tmp_path):
     params = Sam2UNetParams(encoder="tiny", size=64, weights=str(tmp_path / "toy.safetensors"))
     with pytest.raises(ConfigError, match=r"missing: .* shape: encoder\.pos_embed is \[1, 16, 7, 7\]"):
         Sam2UNetSegmenter(params).logits(photo_of(64, 64))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda w: w.to(torch.int8), "of whole numbers: "),
+        (lambda w: w * float("nan"), "holds NaN or infinity"),
+    ],
+)
+def test_quantised_and_damaged_weights_are_no_weights(change, said):
+    net = torch.nn.Linear(2, 1)
+    before = net.weight.clone()
+    with pytest.raises(ConfigError, match=said):
+        fill(net, {name: change(value.detach()) for name, value in net.state_dict().items()}, "w.pt")
+    assert torch.equal(net.weight, before)
 
 
 @pytest.mark.filterwarnings("error")

@@ -147,3 +147,64 @@ def test_a_gated_repository_without_its_weights_is_told(tmp_path, monkeypatch):
         Semantic(SemanticParams("facebook/sam3"))
     for words in ("https://huggingface.co/facebook/sam3", "accept", "hf auth login", "hf download"):
         assert words in told.value.hint
+
+
+def copied(checkpoint, folder, **config):
+    shutil.copytree(checkpoint, folder, dirs_exist_ok=True)
+    stored = json.loads((folder / "config.json").read_text())
+    (folder / "config.json").write_text(json.dumps(stored | config))
+    return folder
+
+
+def refusal(folder):
+    with pytest.raises(ConfigError) as told:
+        probability(folder, "building")
+    assert told.value.hint
+    return told.value.message
+
+
+def test_code_of_a_stranger_is_neither_run_nor_asked_about(checkpoint, tmp_path, monkeypatch):
+    ran = tmp_path / "ran"
+    named = {"AutoConfig": "evil.C", "AutoModelForSemanticSegmentation": "evil.M"}
+    folder = copied(checkpoint, tmp_path / "code", model_type="evil", auto_map=named)
+    (folder / "evil.py").write_text(f"open({str(ran)!r}, 'w')\n")
+    monkeypatch.setattr("builtins.input", lambda *_: "y")
+    assert "holds code of its own" in refusal(folder)
+    assert not ran.exists()
+
+
+@pytest.mark.parametrize("named", ["../model.safetensors", "weights.bin", "/etc/passwd"])
+def test_an_index_names_safetensors_of_its_folder_alone(checkpoint, tmp_path, named):
+    folder = copied(checkpoint, tmp_path / "index")
+    (folder / "model.safetensors.index.json").write_text(json.dumps({"weight_map": {"a": named}}))
+    assert named in refusal(folder)
+    (folder / "model.safetensors.index.json").write_text("[]")
+    assert "is no index of weights" in refusal(folder)
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        ({"depths": "x"}, "no semantic segmentation network"),
+        ({"id2label": ["building"]}, "no semantic segmentation network"),
+        ({"num_channels": 4}, "its weights are of other shapes than its config.json says"),
+    ],
+)
+def test_a_configuration_that_cannot_be_is_told_in_a_line(checkpoint, tmp_path, config, said):
+    assert said in refusal(copied(checkpoint, tmp_path / "net", **config))
+
+
+def test_quantised_and_damaged_weights_are_refused(checkpoint, tmp_path):
+    from safetensors.torch import load_file, save_file
+
+    folder = copied(checkpoint, tmp_path / "net")
+    file = folder / "model.safetensors"
+    stored = load_file(file)
+    for change, said in (
+        (lambda value: value.to(torch.int8), "weights of whole numbers"),
+        (lambda value: value * float("nan"), "holds NaN or infinity"),
+    ):
+        save_file({name: change(value) for name, value in stored.items()}, file, metadata={"format": "pt"})
+        assert said in refusal(folder)
+    file.write_bytes(b"\xff" * 100)
+    assert "no semantic segmentation network" in refusal(folder)

@@ -88,7 +88,10 @@ def _stored(path: Path) -> Iterator[tuple[str, list[Tensor]]]:
             if node.op_type == "Cast" and node.input[0] in tensors:
                 tensors[node.output[0]] = tensors[node.input[0]].float()
     except Exception as error:
-        raise ConfigError(f"{path} cannot be read as ONNX ({type(error).__name__}).") from error
+        raise ConfigError(
+            f"{path} cannot be read as ONNX ({type(error).__name__}).",
+            "One file with all of its weights is wanted, as lodbench train writes it.",
+        ) from error
     for node in graph.node:
         if node.op_type in ("Conv", "BatchNormalization"):
             yield node.op_type, [tensors[name] for name in node.input[1:] if name in tensors]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -70,7 +71,8 @@ def fill(net: nn.Module, weights: Weights, source: str) -> None:
     """Puts weights into a network.
 
     Raises:
-        ConfigError: Names or shapes differ; the message counts them and shows the first of each.
+        ConfigError: Names, shapes or kinds of numbers differ, and the message counts them and shows the
+            first of each; or some are NaN or infinite.
     """
     wanted = net.state_dict()
     missing = [name for name in wanted if name not in weights and not name.endswith("num_batches_tracked")]
@@ -80,17 +82,42 @@ def fill(net: nn.Module, weights: Weights, source: str) -> None:
         for name, value in wanted.items()
         if name in weights and weights[name].shape != value.shape
     ]
-    if missing or unknown or misshapen:
+    whole = [name for name, value in wanted.items() if _is_whole(weights.get(name), value)]
+    if missing or unknown or misshapen or whole:
         faults = [
             f"{len(names)} {kind}: {', '.join(names[:_SHOWN])}{', ...' if len(names) > _SHOWN else ''}"
-            for kind, names in (("missing", missing), ("unknown", unknown), ("of another shape", misshapen))
+            for kind, names in (
+                ("missing", missing),
+                ("unknown", unknown),
+                ("of another shape", misshapen),
+                ("of whole numbers", whole),
+            )
             if names
         ]
         raise ConfigError(
             f"{source} does not fit the network: {'; '.join(faults)}.",
             "Weights of another network or another size of it?",
         )
+    require_finite(weights, source)
     net.load_state_dict(weights, strict=False)
+
+
+def _is_whole(given: Tensor | None, wanted: Tensor) -> bool:
+    """Tells whether weights are whole numbers where others are wanted: quantised, without their scale."""
+    return given is not None and wanted.is_floating_point() and not given.is_floating_point()
+
+
+def require_finite(weights: Mapping[str, Tensor], source: str) -> None:
+    """Makes sure that weights are numbers: what a network answers with others would blame the photos.
+
+    Raises:
+        ConfigError: Some are NaN or infinite.
+    """
+    for name, value in weights.items():
+        if value.is_floating_point() and not torch.isfinite(value).all():
+            raise ConfigError(
+                f"{source} is damaged: {name} holds NaN or infinity.", "Fetch or train it anew."
+            )
 
 
 def save_weights(net: nn.Module, path: Path) -> None:
