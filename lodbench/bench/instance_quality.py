@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.bench.figures import Figure, Progress, Report, no_progress
+from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.instance_labels import read_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, DatasetError
@@ -33,8 +34,13 @@ def measure_instances(segmenter: Segmenter, data: Path, progress: Progress = no_
     Raises:
         LodbenchError: The segmenter tells no buildings apart, or a set is missing or has no labels.
     """
-    if not isinstance(segmenter, InstanceSegmenter):
-        raise ConfigError(f"segmenter {segmenter.name} tells no buildings apart by the photo alone.")
+    if not isinstance(segmenter, InstanceSegmenter) or declared_inputs(segmenter, "requires") != {
+        Input.IMAGE
+    }:
+        raise ConfigError(
+            f"segmenter {segmenter.name} tells no buildings apart by the photo alone.",
+            "--segmenter compact_instances does, and any other that requires the image alone.",
+        )
     samples = [sample for split in _SPLITS for sample in find_samples(data, split, INTERIORS)]
     if not samples:
         raise DatasetError(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.pose_text import read_poses
 from lodbench.datasets.priors import UniformPrior
-from lodbench.errors import DatasetError
+from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler
 from lodbench.storage import random_stream
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from lodbench.synthesis.training_data.params import GenerateParams
 
 Floats = NDArray[np.float64]
+# Views of one path, before any is judged: each takes half a kilobyte, and a millisecond or more to judge.
+MOST_VIEWS = 2_000_000
 Pair = tuple[float, float]
 
 
@@ -44,11 +46,28 @@ def _on_grid(params: GenerateParams, place: Place) -> Iterator[Pose]:
     yaws = params.yaw if params.yaw is not None else range(0, 360, 45)
     for height in params.height:
         spacing = params.spacing_m or max(1.0, height // 2)
+        _require_laid_out(low, high, spacing, len(yaws) * len(params.pitch))
         axes = [_steps(low[k], high[k], spacing) for k in (0, 1)]
         spots = np.stack([axis.ravel() for axis in np.meshgrid(*axes)], axis=1)
         centers = np.column_stack([spots, place.ground.at(spots) + height])
         for pitch, center, yaw in product(params.pitches_from_nadir(), centers, yaws):
             yield Pose.from_euler(EulerAngles(pitch, 0.0, float(yaw)), center)
+
+
+def _require_laid_out(low: Floats, high: Floats, spacing: float, views_per_place: int) -> None:
+    """Makes sure that the views of a grid can be held, before they are laid out.
+
+    Raises:
+        ConfigError: They are too many; the hint has a spacing that makes fewer.
+    """
+    places = math.prod(max(1.0, float(side) / spacing) for side in high - low)
+    if places * views_per_place > MOST_VIEWS:
+        least = spacing * math.sqrt(places * views_per_place / MOST_VIEWS)
+        raise ConfigError(
+            f"A grid every {spacing:g} m over {high[0] - low[0]:.0f} x {high[1] - low[1]:.0f} m has "
+            f"{places * views_per_place:.2g} views, more than {MOST_VIEWS}.",
+            f"spacing_m={math.ceil(least)} makes fewer; so does sampling=random.",
+        )
 
 
 def _steps(low: float, high: float, spacing: float) -> Floats:

@@ -27,6 +27,8 @@ Photo = NDArray[np.uint8]
 MASKS, INTERIORS = "masks", "interiors"
 _FOLDERS = {MASKS: "masks", INTERIORS: "labels"}
 _HELD_OUT = 20
+# Of these, some that OpenCV decodes have headers that Pillow cannot read.
+_UNTOLD = (".tif", ".tiff")
 # Of views to validate on those with fewer buildings say little: one wrong shed halves their IoU.
 LEAST_SHARE = 0.05
 
@@ -99,8 +101,8 @@ def find_samples(folder: Path, split: str, learns: str = MASKS) -> list[Sample]:
         learns: ``masks``, or ``interiors`` of the labels of single buildings.
 
     Raises:
-        DatasetError: The folder is missing, or a picture has no mask, or no labels, or a mask of another
-            aspect, or shares it with another picture.
+        DatasetError: The folder is missing, or a picture cannot be read, has no mask, or no labels, or a mask
+            of another aspect, or shares it with another picture.
     """
     if not folder.is_dir():
         raise DatasetError(f"There is no folder {folder}.", "lodbench generate-training-data makes one.")
@@ -137,6 +139,10 @@ def _require_fitting(samples: list[Sample]) -> None:
         if other != sample.photo:
             raise DatasetError(f"{other} and {sample.photo.name} share a name: their masks would be one.")
         size = picture_size(sample.photo)
+        if size is None and sample.photo.suffix.lower() not in _UNTOLD:
+            raise DatasetError(
+                f"The photo {sample.photo} cannot be read.", "Make it anew, or remove it and its mask."
+            )
         fault = mask_fault(sample.mask, size) if size is not None else ""
         if fault:
             raise DatasetError(f"{sample.photo}: {fault}.", "Is it this picture's?")
@@ -167,6 +173,11 @@ def split_samples(
             val, train = train[::_HELD_OUT], [s for k, s in enumerate(train) if k % _HELD_OUT]
             source = f"every {_HELD_OUT}th training view, held out: of the same regions"
     if not train or not val:
+        if len(val) == 1 and val_data is None:
+            raise DatasetError(
+                "One view is too few: some are trained on, others validate.",
+                "lodbench generate-training-data makes more, or val_data=SET names others to validate on.",
+            )
         kind = "train on" if not train else "validate on"
         raise DatasetError(f"There are no views to {kind}.", "lodbench generate-training-data makes some.")
     return train, val, source

@@ -10,14 +10,17 @@ import pytest
 
 from lodbench.bench.instance_quality import measure_instances
 from lodbench.cli import main
+from lodbench.datasets.inputs import Input
 from lodbench.errors import ConfigError
 from lodbench.segmentation.compact import Compact, CompactParams
+from lodbench.segmentation.map_instances import MapInstances, MapInstancesParams
 
 
 class Halves:
     """Takes the whole photo for building, and its halves for two."""
 
     name = "halves"
+    requires = frozenset({Input.IMAGE})
 
     def segment(self, entry):
         return np.ones((20, 40), np.float32)
@@ -53,8 +56,11 @@ def test_quality_is_that_counted_by_hand(labelled):
 
 
 def test_what_tells_no_buildings_apart_is_refused(labelled, capsys):
-    with pytest.raises(ConfigError, match="tells no buildings apart"):
-        measure_instances(Compact(CompactParams()), labelled)
+    # The second tells them apart, but by a map.
+    for segmenter in (Compact(CompactParams()), MapInstances(MapInstancesParams())):
+        with pytest.raises(ConfigError, match="tells no buildings apart") as told:
+            measure_instances(segmenter, labelled)
+        assert "--segmenter compact_instances" in told.value.hint
     assert main(["bench", "segmentation", "--instances"]) == 2
     assert "--data SET" in capsys.readouterr().err
 

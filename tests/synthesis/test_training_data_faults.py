@@ -176,6 +176,23 @@ def test_another_folder_is_never_written_into(box_file, tmp_path):
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "thesis.txt").write_text("all of it")
     params = GenerateParams(str(box_file), str(tmp_path / "data"), **SMALL, **WHOLE)
-    with pytest.raises(DatasetError, match="or no training set at all"):
+    with pytest.raises(DatasetError, match="something else than a training set"):
         generate_training_data(params)
     assert [path.name for path in (tmp_path / "data").iterdir()] == ["thesis.txt"]
+
+
+def test_more_views_than_can_be_held_are_refused_before_they_are_laid_out(box_file, tmp_path):
+    params = GenerateParams(city=str(box_file), out=str(tmp_path), sampling="grid", spacing_m=0.1)
+    with pytest.raises(ConfigError, match=r"A grid every 0\.1 m over .* has .* views, more than") as told:
+        generate_training_data(replace(params, yaw=[float(yaw) for yaw in range(360)]))
+    assert "spacing_m=" in told.value.hint
+    with pytest.raises(ConfigError, match="is not within 1 to"):
+        GenerateParams(city="x", out="x", sampling="random", count=3_000_000)
+
+
+def test_draws_around_too_many_poses_are_refused(box_file, tmp_path, monkeypatch):
+    monkeypatch.setattr("lodbench.synthesis.training_data.plan_views.MOST_VIEWS", 5)
+    params = GenerateParams(city=str(box_file), out=str(tmp_path / "a"), sampling="random", count=6)
+    with pytest.raises(ConfigError, match="more than 5 views to choose from") as told:
+        generate_training_data(params)
+    assert "count=" in told.value.hint

@@ -132,3 +132,22 @@ def test_a_share_of_pictures_loses_its_colours():
         assert band.std() > 0.1
         # Noise, where it is drawn, differs by channel.
         assert np.median(np.ptp(band, axis=2)) < 0.1 < np.median(np.ptp(colours, axis=2))
+
+
+def test_a_photo_that_cannot_be_read_is_told_before_anything_is_learnt(tmp_path):
+    for kind, name in (("images", "0.jpg"), ("masks", "0.png"), ("images", "1.jpg"), ("masks", "1.png")):
+        (tmp_path / "train" / kind).mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(tmp_path / "train" / kind / name), np.zeros((8, 8), np.uint8))
+    (tmp_path / "train" / "images" / "1.jpg").write_bytes(b"")
+    with pytest.raises(DatasetError, match=r"The photo .*1\.jpg cannot be read") as told:
+        find_samples(tmp_path, "train")
+    assert told.value.hint
+
+
+def test_one_view_alone_is_too_few(tmp_path):
+    for kind, name in (("images", "0.jpg"), ("masks", "0.png")):
+        (tmp_path / "train" / kind).mkdir(parents=True)
+        cv2.imwrite(str(tmp_path / "train" / kind / name), np.zeros((8, 8), np.uint8))
+    with pytest.raises(DatasetError, match="One view is too few") as told:
+        split_samples(find_samples(tmp_path, "train"), [], None)
+    assert "val_data=SET" in told.value.hint

@@ -55,6 +55,10 @@ def begin_manifest(
     remove_leftovers(out)
     if out.exists() and any(out.iterdir()):
         found = _read(path)
+        if not isinstance(found.get("settings"), dict):
+            raise DatasetError(
+                f"{out} holds something else than a training set.", "Name a new or empty folder with out=."
+            )
         if found.get("digest") != manifest["digest"]:
             changed = _difference(found, manifest)
             raise DatasetError(
@@ -130,9 +134,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _difference(found: dict[str, Any], wanted: dict[str, Any]) -> str:
     """Returns the first setting that differs, or what else does, for a message."""
-    old = found.get("settings")
-    if not isinstance(old, dict):
-        return ", or no training set at all"
+    old = found["settings"]
     for key, value in json.loads(json.dumps(wanted["settings"])).items():
         if key not in _PATHS and old.get(key) != value:
             return f" ({key} is {old.get(key)} there)"

@@ -8,7 +8,7 @@ from typing import Any
 
 from lodbench.errors import ConfigError, require_choice, require_within
 from lodbench.geometry import Camera
-from lodbench.synthesis.camera_paths import CAMERA_PATHS
+from lodbench.synthesis.camera_paths import CAMERA_PATHS, MOST_VIEWS
 from lodbench.synthesis.photo import LookRanges
 
 # Camera paths that stand at heights; that point cameras at pitches; laid out evenly; drawn by chance.
@@ -56,7 +56,7 @@ class GenerateParams:
     height: list[float] = _setting([100.0, 150.0], (1.0, 5000.0), paths=_HIGH)  # noqa: RUF009
     yaw: list[float] | None = _setting(None, (-360.0, 360.0), paths=_EVEN)  # noqa: RUF009
     spacing_m: float | None = _setting(None, (0.1, 1e5), paths=_EVEN)
-    count: int = _setting(1000, _MANY, paths=_DRAWN)
+    count: int = _setting(1000, (1, MOST_VIEWS), paths=_DRAWN)
     poses: str | None = _setting(None, paths=("trajectory", "priors"))
     prior_m: tuple[float, float, float] = _setting((10.0, 10.0, 30.0), (0.0, 1e4), paths=_AROUND)
     prior_deg: tuple[float, float, float] = _setting((7.5, 1.0, 1.0), (0.0, 180.0), paths=_AROUND)

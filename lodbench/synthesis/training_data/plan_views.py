@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -12,11 +13,11 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
-from lodbench.errors import DatasetError
+from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Pose
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import random_stream
-from lodbench.synthesis.camera_paths import CAMERA_PATHS, Place
+from lodbench.synthesis.camera_paths import CAMERA_PATHS, MOST_VIEWS, Place
 from lodbench.synthesis.surroundings.ground import Ground
 from lodbench.synthesis.training_data.params import GenerateParams
 
@@ -70,11 +71,17 @@ def plan_views(
     """Returns the views to write; with a limit, a random choice of them.
 
     Raises:
+        ConfigError: There are too many views to choose from.
         DatasetError: No view is left, or the file of poses cannot be read or is empty.
     """
     view_filter = _ViewFilter(params, scene, ground)
     place = Place(view_filter.boxes.bases, ground, scene.origin)
-    poses = list(CAMERA_PATHS[params.sampling](params, place))
+    poses = list(islice(CAMERA_PATHS[params.sampling](params, place), MOST_VIEWS + 1))
+    if len(poses) > MOST_VIEWS:
+        raise ConfigError(
+            f"There are more than {MOST_VIEWS} views to choose from.",
+            "A smaller count=, a larger spacing_m=, or fewer heights, pitches and poses make fewer.",
+        )
     order = np.arange(len(poses))
     if params.limit is not None:
         order = random_stream(params.seed, "training", "choice").permutation(len(poses))
