@@ -57,8 +57,10 @@ class PackagedNetwork(PhotoSegmenter):
         given = params.weights
         self._path = Path(given).expanduser() if given else self.packaged_weights()
         if given and not self._path.is_file():
+            is_folder = self._path.is_dir()
             raise ConfigError(
-                f"There are no weights {self._path}.", "Leave segmenter.weights out for those of the package."
+                f"{self._path} is a folder." if is_folder else f"There are no weights {self._path}.",
+                "segmenter.weights=FILE takes an ONNX file; without it those of the package are taken.",
             )
 
     @cached_property
