@@ -118,6 +118,7 @@ def _serve(
     Raises:
         ConfigError: Nobody may listen at the port, or somebody else does.
     """
+    from lodbench.harness.last_write import last_write
     from lodbench.harness.mask.files import saved
     from lodbench.harness.mask.server import MaskServer
 
@@ -141,9 +142,11 @@ def _serve(
             if session.is_changed:
                 # No picture by its name: a folder of photos would have one more.
                 aside = out.with_name(f"{out.name}.unsaved")
-                saved(session.mask, asked.photo, aside, ())
-                again = shlex.join(["--mask", str(aside), "--out", str(out)])
-                sys.stdout.write(f"\nnot saved: strokes since the last Save. Go on with them: {again}\n")
+                with last_write(aside):
+                    saved(session.mask, asked.photo, aside, ())
+                    again = shlex.join(["--mask", str(aside), "--out", str(out)])
+                    told = f"\nnot saved: strokes since the last Save. Go on with them: {again}\n"
+                    sys.stdout.write(told)
             raise
 
 

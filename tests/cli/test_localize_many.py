@@ -8,6 +8,7 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -384,3 +385,10 @@ def test_what_was_found_until_it_was_stopped_is_written(caplog, case, flight, tm
     assert main(words) == 130
     assert (out / "localized.csv").read_bytes() == whole
     assert not (out / "localized_2.csv").exists()
+    # A disk that is full by then is told, and hides nothing.
+    begun.clear()
+    full = OSError(28, "No space left on device", str(tmp_path / "full" / "localized.csv"))
+    monkeypatch.setattr(many, "write_answers", Mock(side_effect=full))
+    assert main([*words[:-2], str(tmp_path / "full"), words[-1]]) == 130
+    assert "could not be kept" in caplog.text
+    assert "localized.csv: No space left on device" in caplog.text

@@ -340,6 +340,16 @@ class TestCommand:
         assert main(["mask", str(photo), *again]) == 0
         assert cv2.imread(str(folder / "photo_mask.png"), cv2.IMREAD_GRAYSCALE)[10, 10] == 255
 
+    def test_strokes_that_cannot_be_kept_aside_do_not_hide_ctrl_c(self, photo, caplog, monkeypatch):
+        def drawn_and_stopped(server):
+            server.session.stroke(np.array([[10.0, 10.0]]), 3.0, True, True)
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(MaskServer, "serve_forever", drawn_and_stopped)
+        (photo.parent / "photo_mask.png.unsaved").mkdir()
+        assert main(["mask", str(photo), "--mask", str(photo.parent / "traced.png")]) == 130
+        assert "photo_mask.png.unsaved: Is a directory" in caplog.text
+
     def test_what_does_not_fit_is_told(self, photo, capsys):
         cv2.imwrite(str(photo.parent / "small.png"), np.zeros((16, 24), np.uint8))
         for words, told in (

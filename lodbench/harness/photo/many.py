@@ -16,6 +16,7 @@ from lodbench.datasets.own import find_mask
 from lodbench.datasets.photo_files import find_photos, require_photos
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.execution import Progress
+from lodbench.harness.last_write import last_write
 from lodbench.harness.photo.flight_answer import FlightAnswer
 from lodbench.harness.photo.localize import localize_photo
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
@@ -156,8 +157,9 @@ def _keeping(out: Path, answers: Sequence[PhotoAnswer], photos: Sequence[Path]) 
     except KeyboardInterrupt:
         if any(answer.found is not None for answer in answers) and not (out / TABLE_FILE).exists():
             left = [PhotoAnswer(photo, None, "stopped before its turn") for photo in photos[len(answers) :]]
-            write_answers(out, [*answers, *left])
-            _LOG.warning("%d of %d photos were done until then: %s", len(answers), len(photos), out)
+            with last_write(out):
+                write_answers(out, [*answers, *left])
+                _LOG.warning("%d of %d photos were done until then: %s", len(answers), len(photos), out)
         raise
 
 

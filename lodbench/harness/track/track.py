@@ -29,6 +29,7 @@ from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city, require_near_city
+from lodbench.harness.last_write import last_write
 from lodbench.harness.requests import RoughRequest
 from lodbench.harness.track.folder import (
     MAP_FILE,
@@ -160,8 +161,9 @@ def _keeping(frames: Sequence[TrackedFrame], request: TrackRequest, frame: MapFr
         yield
     except (KeyboardInterrupt, LodbenchError):
         if any(each.pose is not None for each in frames) and not (request.out / TABLE_FILE).exists():
-            _write(frames, request, frame)
-            _LOG.warning("%d frames were tracked until then: %s", len(frames), request.out)
+            with last_write(request.out):
+                _write(frames, request, frame)
+                _LOG.warning("%d frames were tracked until then: %s", len(frames), request.out)
         raise
 
 
