@@ -34,7 +34,13 @@ def main(argv: Sequence[str]) -> int:
     asked = _parser().parse_args(argv)
     from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
     from lodbench.datasets.photo_files import mask_name
-    from lodbench.harness.mask.files import opened_session, require_untouched, require_unturned, saved
+    from lodbench.harness.mask.files import (
+        Untouched,
+        opened_session,
+        require_untouched,
+        require_unturned,
+        saved,
+    )
 
     if asked.photo.is_dir():
         raise ConfigError(f"{asked.photo} is a folder.", "Name a photo: lodbench mask PHOTO")
@@ -43,8 +49,9 @@ def main(argv: Sequence[str]) -> int:
     require_within("--port", asked.port, 0, 65535)
     out = asked.out or asked.photo.with_name(mask_name(asked.photo.stem))
     _check_out(out, asked.photo)
-    mask = _start(asked, polygons, out)
     formats = tuple(dict.fromkeys(asked.export))
+    untouched = Untouched(out, formats)  # before anything of them is read
+    mask = _start(asked, polygons, out)
     if asked.out is None:
         require_untouched(out, asked.photo, formats, polygons)
     segmenter = None
@@ -60,7 +67,11 @@ def main(argv: Sequence[str]) -> int:
         raise ConfigError(f"{polygons.name} shows no building, and {out} would be replaced.", _keep_hint(out))
 
     def save() -> tuple[Path, ...]:
-        return saved(session.mask, asked.photo, out, formats)
+        untouched.require()
+        try:
+            return saved(session.mask, asked.photo, out, formats)
+        finally:
+            untouched.remember()  # of a save that failed half way too: what is there is its own
 
     if asked.page:
         _serve(session, asked, out, save)

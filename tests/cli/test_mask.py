@@ -14,6 +14,7 @@ from PIL import Image
 
 from lodbench.cli import main
 from lodbench.datasets.photo_files import find_photos
+from lodbench.errors import DatasetError
 from lodbench.harness.mask.server import MaskServer
 from lodbench.harness.mask.session import MaskSession
 
@@ -198,6 +199,15 @@ class TestPage:
         assert np.array_equal(server.session.mask, before)
         assert "Traceback" not in capsys.readouterr().err
 
+    def test_a_save_that_is_refused_says_why_on_the_page(self, server):
+        def refused():
+            raise DatasetError("mask.png was written by another program.", "Keep a copy.")
+
+        server.save = refused
+        told = json.loads(self.ask(server, "POST", "save", "{}")[1])
+        words = "NOT saved: mask.png was written by another program. Keep a copy."
+        assert told == {"told": words, "saved": False}
+
     def test_others_are_kept_out(self, server):
         for options in ({"token": "guess"}, {"token": ""}, {"host": "evil.example:80"}):
             assert self.ask(server, "GET", "mask.png", **options)[0] == 404
@@ -339,6 +349,32 @@ class TestCommand:
         again = ["--mask", str(aside), "--out", str(folder / "photo_mask.png"), "--no-page"]
         assert main(["mask", str(photo), *again]) == 0
         assert cv2.imread(str(folder / "photo_mask.png"), cv2.IMREAD_GRAYSCALE)[10, 10] == 255
+
+    @pytest.mark.parametrize("name", ["photo_mask.png", "photo_mask.labelme.json"])
+    def test_what_another_program_wrote_while_the_page_was_open_is_not_replaced_unasked(
+        self, photo, monkeypatch, name
+    ):
+        told = []
+
+        def save(server):
+            try:
+                told.append(server.save())
+            except DatasetError as fault:
+                told.append(fault.message)
+
+        def used(server):
+            save(server)
+            (photo.parent / name).write_bytes(b"by hand")
+            save(server)
+            assert (photo.parent / name).read_bytes() == b"by hand"
+            save(server)
+
+        monkeypatch.setattr(MaskServer, "serve_forever", used)
+        given = ["mask", str(photo), "--mask", str(photo.parent / "traced.png"), "--export", "labelme"]
+        assert main(given) == 0
+        assert told[0] == told[2] == "saved: photo_mask.png, photo_mask.labelme.json"
+        assert told[1] == f"{name} was written by another program since it was read or saved here."
+        assert (photo.parent / name).read_bytes() != b"by hand"
 
     def test_strokes_that_cannot_be_kept_aside_do_not_hide_ctrl_c(self, photo, caplog, monkeypatch):
         def drawn_and_stopped(server):

@@ -24,7 +24,7 @@ def test_a_write_that_fails_on_the_way_out_does_not_hide_why_the_work_ended(faul
             raise KeyboardInterrupt
         except KeyboardInterrupt:
             with last_write(Path("out")):
-                raise fault
+                raise fault from None
             raise
 
     with pytest.raises(KeyboardInterrupt):

@@ -108,6 +108,47 @@ def require_untouched(out: Path, photo: Path, formats: tuple[str, ...], polygons
             )
 
 
+class Untouched:
+    """Files that a page will replace: as they were when it began, or when it last saved.
+
+    Another program, or another page of the same photo, may write them while the page is open.
+
+    Args:
+        out: The mask.
+        formats: Of the polygons beside it.
+    """
+
+    def __init__(self, out: Path, formats: tuple[str, ...]) -> None:
+        self._files = (out, *(polygon_file(out, name) for name in formats))
+        self.remember()
+
+    def remember(self) -> None:
+        """Takes the files as they are now."""
+        self._contents = [_content(file) for file in self._files]
+
+    def require(self) -> None:
+        """Makes sure that nobody else has written a file since; asked again, they may be replaced.
+
+        Raises:
+            DatasetError: Somebody has.
+        """
+        before = self._contents
+        self.remember()
+        for file, old, new in zip(self._files, before, self._contents, strict=True):
+            if new is not None and new != old:
+                raise DatasetError(
+                    f"{file.name} was written by another program since it was read or saved here.",
+                    "Keep a copy of it if it is needed; saving once more replaces it.",
+                )
+
+
+def _content(file: Path) -> bytes | None:
+    try:
+        return file.read_bytes()
+    except OSError:
+        return None  # not there, or nothing that could be replaced: writing tells
+
+
 def saved(mask: Mask, photo: Path, out: Path, formats: tuple[str, ...]) -> tuple[Path, ...]:
     """Writes a mask as PNG, and as polygons beside it; returns the files."""
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from lodbench.errors import LodbenchError
 from lodbench.harness.mask.session import MaskSession
 from lodbench.storage.atomic import final_name
 from lodbench.storage.json_text import parse_json
@@ -131,6 +132,8 @@ class _Handler(BaseHTTPRequestHandler):
         except OSError as error:
             reason = f"{final_name(error.filename) or 'a file'}: {error.strerror or error}"
             return {"told": f"NOT saved: {reason}", "saved": False}
+        except LodbenchError as fault:
+            return {"told": f"NOT saved: {fault.message} {fault.hint}".rstrip(), "saved": False}
 
     def _asked(self) -> str | None:
         """Returns what is asked for below the token; None for what is not meant for this page."""
