@@ -40,7 +40,7 @@ def measure_wide_priors(
         for search, method in methods.items()
     ]
     pairs = pairs_of(sweep(jobs, progress, threads))
-    city = f"{Path(views.city_model).name}, {count_of(len(pairs), 'views')} with tilt=prior"
+    city = f"{Path(views.city_model).name}, {count_of(len(pairs), 'views')}"
     return report_pairs(pairs, f"{city}, {protocol_of(views, seeds)}.")
 
 
@@ -78,13 +78,16 @@ def report_pairs(pairs: pd.DataFrame, title: str) -> Report:
     """Returns the report of pairs: a line a view, and one that counts them."""
     grid, basins = (float(pairs[f"hypotheses {search}"].mean()) for search in SEARCHES)
     same = int(pairs["is_same"].sum())
+    # Views of several seeds have the same names.
+    is_seeded = pairs["seed"].nunique() > 1
     rows = [["", "grid", "basins", "ratio", "grid m", "basins m", "apart m", "apart deg", "same"]]
     for _, p in pairs.iterrows():
         counts = [int(p[f"hypotheses {search}"]) for search in SEARCHES]
         errors = [f"{p[f'error_m {search}']:.2f}" for search in SEARCHES]
         apart = [f"{p['apart_m']:.3f}", f"{p['apart_deg']:.3f}", "yes" if p["is_same"] else "no"]
         ratio = f"{counts[0] / max(1, counts[1]):.1f}"
-        rows.append([p["view"], *map(str, counts), ratio, *errors, *apart])
+        name = f"seed {p['seed']}, {p['view']}" if is_seeded else p["view"]
+        rows.append([name, *map(str, counts), ratio, *errors, *apart])
     figures = [
         Figure("views whose searches end in one optimum", float(same), ""),
         Figure("views", float(len(pairs)), ""),

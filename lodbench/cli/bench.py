@@ -48,15 +48,20 @@ def _plain(measure: Callable[..., Report], kind: type) -> Measure:
 
 
 def _of_city(measure: Callable[..., Report], kind: type) -> Measure:
-    return lambda given, steps: measure(city_file(given), options_of(given, kind), steps)
+    def of_city(given: argparse.Namespace, steps: ProgressCallback) -> Report:
+        asked = options_of(given, kind)  # before the demo town is made, which takes minutes
+        return measure(city_file(given), asked, steps)
+
+    return of_city
 
 
 def _training_data(given: argparse.Namespace, steps: ProgressCallback) -> Report:
-    city, asked = city_file(given), options_of(given, TrainingDataOptions)
+    asked = options_of(given, TrainingDataOptions)
     if given.city is None and asked.props is not None:
         raise ConfigError(
             "--props is not used with the demo town, which has a look of its own.", "Add --city FILE."
         )
+    city = city_file(given)
     if given.city is None:
         asked = replace(asked, props=city.parent / "props.npz")  # the demo town's own look
     return measure_training_data(city, asked, steps)

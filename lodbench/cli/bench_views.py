@@ -133,13 +133,13 @@ def accuracy(given: argparse.Namespace, steps: ProgressCallback) -> Report:
         raise ConfigError(f"{blind[0]} looks at photos, and no photos are drawn.", "Add --look hard.")
     if given.look is not None:
         look_ranges(given.look)  # not known: told before any city is read
-    drawn = [replace(_views(given, city), look=given.look) for city in dict.fromkeys(given.city or [None])]
-    seeded = _seeds(given)
     if given.limit and (not given.causes or given.limit < _FEWEST_MASKS):
         raise ConfigError(
             f"--limit {given.limit} is a column of --causes, of {_FEWEST_MASKS} masks a view or more.",
             "Write --causes --limit 200.",
         )
+    drawn = [replace(_views(given, city), look=given.look) for city in dict.fromkeys(given.city or [None])]
+    seeded = _seeds(given)
     if given.causes:
         return measure_causes(drawn, seeded, methods, steps, limit_draws=given.limit)
     if len(drawn) == 1:
@@ -164,15 +164,16 @@ def _views(given: argparse.Namespace, city: Path | None) -> ViewsParams:
         LodbenchError: The city is not there, or an option is out of range.
     """
     try:
-        return _params(given, city)
+        asked = _params(given)  # before the demo town is made, which takes minutes
     except ConfigError as fault:
         said = re.sub(r"dataset\.(\w+)", lambda name: _OPTIONS.get(name[1], name[0]), fault.message)
         raise ConfigError(said, fault.hint) from fault
+    return replace(asked, city_model=str(_or_demo(city)))
 
 
-def _params(given: argparse.Namespace, city: Path | None) -> ViewsParams:
+def _params(given: argparse.Namespace) -> ViewsParams:
     return ViewsParams(
-        city_model=str(_or_demo(city)),
+        city_model="",
         num_views=given.views,
         mask_iou=given.mask_iou,
         tilt_deg=given.tilt_width,

@@ -42,6 +42,14 @@ def test_ends_are_compared_pose_by_pose(pairs):
     assert "1 of 3 end within 0.1 m" in report_pairs(pairs, "boxes").text
 
 
+def test_views_of_several_seeds_are_told_apart(pairs):
+    both = pd.concat([pairs, pairs.assign(seed=1)])
+    text = report_pairs(both, "boxes").text
+    assert "seed 0, near" in text
+    assert "seed 1, near" in text
+    assert "seed" not in report_pairs(pairs, "boxes").text
+
+
 def test_figures_are_json(pairs):
     figures = {f.figure: f for f in report_pairs(pairs, "boxes").figures}
     json.dumps([f.to_json() for f in figures.values()], allow_nan=False)

@@ -34,3 +34,24 @@ def test_props_are_not_those_of_the_demo_town(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("lodbench.cli.bench.city_file", lambda given: tmp_path / "town.gml")
     assert main(["bench", "training-data", "--props", "props.npz"]) == 2
     assert "--props is not used with the demo town" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("wide-priors --views 0", "--views=0 is not a number of views."),
+        ("wide-priors --building-share 0.9,0.1", "--building-share=0.1 is not within 0.9 to 1."),
+        ("budget --mask-iou 2", "--mask-iou=2 is not in (0, 1]."),
+        ("accuracy --views 0", "--views=0 is not a number of views."),
+        ("accuracy --limit 3", "--limit 3 is a column of --causes"),
+        ("accuracy --world focl=1", "--world focl=1: focl is not a setting."),
+        ("silhouettes --views 0", "num_views, hypotheses"),
+        ("city --tiles -1", "tiles at least 0"),
+        ("training-data --views 1", "views=1 is too few to measure."),
+        ("training-data --props props.npz", "--props is not used with the demo town"),
+    ],
+)
+def test_no_demo_town_is_made_for_options_that_are_refused(words, told, monkeypatch, capsys):
+    monkeypatch.setattr("lodbench.synthesis.demo.open_demo", lambda _: pytest.fail("the town was made"))
+    assert main(["bench", *words.split()]) == 2
+    assert told in capsys.readouterr().err
