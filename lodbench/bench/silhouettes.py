@@ -64,9 +64,9 @@ class SilhouetteOptions:
 
     def __post_init__(self) -> None:
         if min(self.num_views, self.hypotheses, self.peer_hypotheses, self.repeats) < 1:
-            raise ConfigError("num_views, hypotheses, peer_hypotheses and repeats are at least 1.")
+            raise ConfigError("views, hypotheses, peer_hypotheses and repeats are at least 1.")
         if self.num_horizon < 0:
-            raise ConfigError(f"num_horizon={self.num_horizon} is not a number of views.")
+            raise ConfigError(f"horizon-views={self.num_horizon} is not a number of views.")
         if not self.sizes or min((side for size in self.sizes for side in size), default=0) < 1:
             raise ConfigError(f"sizes are widths and heights in pixels, not {self.sizes}.")
         if any(count < 1 for count in self.threads):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SlopeOptions:
-    """How far each axis goes: by tens from the least, workers by doubling."""
+    """How far each axis goes: by tens from the least, workers by doubling; no size is beyond what is told."""
 
     hypotheses: int = option(100_000, "most of a query, from 100")
     buildings: int = option(100_000, "most of a city, from 1,000; a million takes 1.7 GB of the cache")
@@ -37,11 +37,13 @@ class SlopeOptions:
     seed: int = option(0, SEED)
 
     def __post_init__(self) -> None:
-        tiles = self.buildings // TILE_BUILDINGS, self.tiled // 1000
-        if min(self.hypotheses // 100, *tiles, self.queries // 10, self.workers) < 1:
-            raise ConfigError(
-                "An axis goes to 100 hypotheses, 1000 buildings, 10 queries, 1 worker at least."
-            )
+        least = {"hypotheses": 100, "buildings": TILE_BUILDINGS, "tiled": 1000, "queries": 10, "workers": 1}
+        for name, first in least.items():
+            if getattr(self, name) < first:
+                raise ConfigError(
+                    f"{name}={getattr(self, name)} is below where the axis begins.",
+                    f"Write --{name} {first}, or more.",
+                )
 
 
 def measure_slopes(options: SlopeOptions | None = None, progress: Progress = no_progress) -> Report:
@@ -105,7 +107,8 @@ def _picture(data: pd.DataFrame, slopes: dict[str, float]) -> dict[str, bytes]:
             axes.set_title(f"{axis}\nslope {finite_text(slopes[str(axis)], '.2f')}", fontsize=8)
             axes.set_ylabel("CPU s", color=SERIES[0])
             beside = axes.twinx()
-            beside.loglog(mine["size"], mine["peak_mb"], "s--", color=SERIES[1])
+            # Hollow: where a single size is measured both points lie in the middle.
+            beside.loglog(mine["size"], mine["peak_mb"], "s--", color=SERIES[1], markerfacecolor="none", ms=9)
             beside.set_ylabel("peak MB", color=SERIES[1])
             axes.set_xticks(mine["size"])
             for panel, column in ((axes, "cpu_s"), (beside, "peak_mb")):
