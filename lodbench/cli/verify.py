@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -139,6 +140,7 @@ def _opened(folder: Path, config: dict[str, Any], root: str | None, city: str | 
 
 # A run's configuration has some kilobytes.
 _MAX_CONFIG = 1_000_000
+_CONFIG_FILE = "config.yaml"
 
 
 def read_config(folder: Path) -> dict[str, Any]:
@@ -147,7 +149,9 @@ def read_config(folder: Path) -> dict[str, Any]:
     Raises:
         DatasetError: There is none, it is not one of a run, or the run is not finished.
     """
-    path = folder / "config.yaml"
+    path = folder / _CONFIG_FILE
+    if not path.is_file():
+        raise _no_run(folder)
     # The one is there from a run's start, the other from its end.
     if (folder / PLAN_FILE).is_file() and not (folder / "summary.json").exists():
         raise DatasetError(
@@ -163,6 +167,19 @@ def read_config(folder: Path) -> dict[str, Any]:
     if not isinstance(config, dict) or not {"dataset", "method", "tilt"} <= set(config):
         raise DatasetError(f"{path} is not the configuration of a run.")
     return cast(dict[str, Any], config)
+
+
+def _no_run(folder: Path) -> DatasetError:
+    """Returns the fault of a folder that holds no run itself; its hint names one below it."""
+    if not folder.exists():
+        return DatasetError(f"{folder} does not exist.", "Name a run folder.")
+    if not folder.is_dir():
+        return DatasetError(f"{folder} is no folder.", "Name a run folder.")
+    # runs/<dataset>/<method>/<digest>, from any of them; whole disks are not looked through.
+    below = (path for depth in (1, 2, 3) for path in folder.glob(f"{'*/' * depth}{_CONFIG_FILE}"))
+    run = next((each.parent for each in below if (each.parent / "summary.json").is_file()), None)
+    hint = "Name a run folder." if run is None else f"Name a run folder, as {shlex.quote(str(run))}"
+    return DatasetError(f"{folder} is no run folder: it holds no {_CONFIG_FILE}.", hint)
 
 
 def describe(verdict: Verdict) -> str:

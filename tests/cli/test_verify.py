@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from lodbench.cli import main
 from lodbench.evaluation import metrics
 from lodbench.harness.runs.named_paths import named_by, without_paths
 from lodbench.harness.runs.predict import open_predictions
@@ -407,3 +408,19 @@ def test_a_place_that_is_not_there_or_of_no_use_is_refused(lodbench, run, words,
     done = lodbench(*(str(run) if word == "RUN" else word for word in words))
     assert done.returncode == 2, done.stdout
     assert said in done.stderr
+
+
+@pytest.mark.parametrize("command", ["report", "compare", "verify"])
+def test_a_folder_that_is_no_run_is_told_with_one_below_it(command, tmp_path, capsys):
+    run = tmp_path / "my runs" / "demo" / "region" / "0123"
+    run.mkdir(parents=True)
+    for name in ("config.yaml", "summary.json"):
+        (run / name).write_text("{}")
+    assert main([command, str(tmp_path / "my runs")]) == 2
+    told = capsys.readouterr().err
+    assert f"{tmp_path / 'my runs'} is no run folder: it holds no config.yaml." in told
+    assert f"hint: Name a run folder, as '{run}'" in told
+    assert main([command, str(tmp_path / "gone")]) == 2
+    assert f"{tmp_path / 'gone'} does not exist." in capsys.readouterr().err
+    assert main([command, str(run / "summary.json")]) == 2
+    assert "summary.json is no folder." in capsys.readouterr().err
