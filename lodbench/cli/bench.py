@@ -49,7 +49,7 @@ def _plain(measure: Callable[..., Report], kind: type) -> Measure:
 
 def _of_city(measure: Callable[..., Report], kind: type) -> Measure:
     def of_city(given: argparse.Namespace, steps: ProgressCallback) -> Report:
-        asked = options_of(given, kind)  # before the demo town is made, which takes minutes
+        asked: Any = options_of(given, kind)  # before the demo town is made, which takes minutes
         return measure(city_file(given), asked, steps)
 
     return of_city
