@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from types import UnionType
@@ -10,6 +11,12 @@ from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hin
 from lodbench.errors import ConfigError, nearest_names
 
 T = TypeVar("T")
+# What OmegaConf says of a value, and what a reader is told instead: kinds and examples of them.
+_NOT_CONVERTED = re.compile(
+    r"Value '(?P<value>.*)' (?:of type '\w+' could not be converted to|is not a valid) "
+    r"(?P<kind>Integer|Float|bool)\b.*"
+)
+_KINDS = {"Integer": ("a whole number", "2"), "Float": ("a number", "2.5"), "bool": ("true or false", "true")}
 
 
 def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T:
@@ -40,8 +47,7 @@ def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T
         name = _dotted(prefix, str(error.full_key))
         raise ConfigError(f"{name} is not set.", f"Add {name}=VALUE.") from error
     except OmegaConfBaseException as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigError(f"{_dotted(prefix, str(error.full_key))}: {reason}") from error
+        raise _not_of_its_kind(_dotted(prefix, str(error.full_key)), str(error).splitlines()[0]) from error
 
 
 def read_settings(text: str) -> dict[str, Any]:
@@ -49,6 +55,17 @@ def read_settings(text: str) -> dict[str, Any]:
     from omegaconf import OmegaConf
 
     return cast(dict[str, Any], OmegaConf.to_container(OmegaConf.create(text)))
+
+
+def _not_of_its_kind(name: str, reason: str) -> ConfigError:
+    """Returns the fault of a setting whose value OmegaConf does not take for the reason that it gives."""
+    found = _NOT_CONVERTED.fullmatch(reason)
+    if found is None:
+        return ConfigError(f"{name}: {reason}")
+    kind, example = _KINDS[found["kind"]]
+    base, index, _ = name.partition("[")
+    written = f"[{example}]" if index else example
+    return ConfigError(f"{name} is {found['value']}, not {kind}.", f"Write {base}={written}, for instance.")
 
 
 def _as_typed(values: Mapping[str, Any], params_type: type, prefix: str) -> dict[str, Any]:

@@ -153,3 +153,31 @@ def test_status_finds_the_runs_below_a_folder(lodbench, tmp_path):
     assert done.returncode == 0
     assert done.stdout.count("1 of 1 query, finished") == 2
     assert lodbench("status", str(root)).returncode == 2
+
+
+@dataclass(frozen=True)
+class OfKinds:
+    steps: int = 1
+    width_m: float = 1.0
+    maps: bool = True
+    ranges: list[float] = field(default_factory=list)
+
+
+@pytest.mark.parametrize(
+    ("given", "told", "hint"),
+    [
+        ({"steps": "a"}, "method.steps is a, not a whole number.", "Write method.steps=2, for instance."),
+        ({"steps": 1.5}, "method.steps is 1.5, not a whole number.", "Write method.steps=2, for instance."),
+        ({"width_m": "a"}, "method.width_m is a, not a number.", "Write method.width_m=2.5, for instance."),
+        ({"maps": "a"}, "method.maps is a, not true or false.", "Write method.maps=true, for instance."),
+        (
+            {"ranges": [5, "a"]},
+            "method.ranges[1] is a, not a number.",
+            "Write method.ranges=[2.5], for instance.",
+        ),
+    ],
+)
+def test_a_value_of_another_kind_says_which_is_wanted(given, told, hint):
+    with pytest.raises(ConfigError) as fault:
+        to_params(given, OfKinds, "method")
+    assert (fault.value.message, fault.value.hint) == (told, hint)
