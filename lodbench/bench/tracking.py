@@ -88,8 +88,8 @@ def measure_tracking(
         Figure("frames within 2 m and 2 deg", 100.0 * near / len(metres), "%"),
         Figure("mean probability of being within", 100.0 * float(np.mean(probabilities)), "%"),
         Figure("frames lost", lost, "", f"of {len(metres)}"),
-        Figure("median error", float(np.median(metres)), "m"),
-        Figure("median error", float(np.median(degrees)), "deg"),
+        Figure("median translation", float(np.median(metres)), "m"),
+        Figure("median rotation", float(np.median(degrees)), "deg"),
         Figure("median sigma of a place", sigma_m, "m"),
     ]  # fmt: skip
     size = f"{options.size[0]} x {options.size[1]}"
