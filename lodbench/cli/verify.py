@@ -150,13 +150,13 @@ def read_config(folder: Path) -> dict[str, Any]:
         DatasetError: There is none, it is not one of a run, or the run is not finished.
     """
     path = folder / _CONFIG_FILE
-    if not path.is_file():
-        raise _no_run(folder)
     # The one is there from a run's start, the other from its end.
     if (folder / PLAN_FILE).is_file() and not (folder / "summary.json").exists():
         raise DatasetError(
             f"The run {folder} is not finished.", "The same `lodbench run` command as before goes on with it."
         )
+    if not path.is_file():
+        raise _no_run(folder)
     try:
         text = path.read_text(encoding="utf-8")
         if len(text) > _MAX_CONFIG or any(isinstance(token, AliasToken) for token in scan(text)):
