@@ -11,13 +11,12 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from itertools import islice
-from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, TypeVar
 from uuid import uuid4
 
 from lodbench.errors import ConfigError, WorkersGone
-from lodbench.execution.ctrl_c import ctrl_c_for_this_thread
+from lodbench.execution.ctrl_c import ctrl_c_for_this_thread, start_tracker
 from lodbench.execution.fan_out import KEEP_DYING, KEEP_DYING_HINT, begin
 from lodbench.extras import require
 
@@ -62,10 +61,9 @@ class DaskWorkers:
         self._client, self._address, self._patience_s, self._own = client, address, patience_s, own
         threads = client.nthreads().values()
         self.count = len(threads) or max(1, workers)
-        if not threads:
-            _LOGGER.warning(
-                "%s has no worker yet: `dask worker %s --nthreads 1` starts one", address, address
-            )
+        self._has_told = False
+        if own is None and not threads:
+            self._tell_no_worker()
         if max(threads, default=1) > 1:
             _LOGGER.warning("Dask's workers have several threads, of which one works: --nthreads 1 is better")
         # One name for all that is prepared alike: a worker does it once, a new one does it again.
@@ -112,6 +110,24 @@ class DaskWorkers:
                 hung = 0
             running |= submit(len(done))
 
+    def _tell_no_worker(self) -> None:
+        if not self._has_told:
+            told = "%s has no worker: `dask worker %s --nthreads 1` starts one"
+            _LOGGER.warning(told, self._address, self._address)
+        self._has_told = True
+
+    def _has_workers(self) -> bool:
+        """Tells whether somebody is at work; a scheduler that does not answer is not said to have nobody."""
+        try:
+            is_there = bool(self._client.nthreads())
+        except OSError:  # if it is gone, waiting for results tells
+            return True
+        if is_there:
+            self._has_told = False
+        else:
+            self._tell_no_worker()
+        return is_there
+
     def _wait(self, running: set[Any]) -> Any:
         """Returns futures that are done, and those that are not.
 
@@ -125,7 +141,7 @@ class DaskWorkers:
                 left_s = max(0.0, until - time.monotonic())
                 return wait(running, min(left_s, _REPLACE_S), "FIRST_COMPLETED")
             except TimeoutError:
-                if self._own is None and not self._client.nthreads():
+                if self._own is None and not self._has_workers():
                     # Nobody is at work who could hang: workers may wait in a queue of their own, for days.
                     until = time.monotonic() + self._patience_s
                 elif time.monotonic() >= until:
@@ -185,7 +201,7 @@ def dask_workers(
 
 def _own_cluster(distributed: Any, workers: int) -> Any:
     """Returns a cluster of processes of one thread (the engine has threads itself) on this machine."""
-    resource_tracker.ensure_running()
+    start_tracker()
     with ctrl_c_for_this_thread():
         return distributed.LocalCluster(
             n_workers=workers,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 
 
 @contextmanager
@@ -15,8 +16,7 @@ def ctrl_c_for_this_thread() -> Iterator[None]:
     either. One that is pressed meanwhile is answered at the end, by this thread. Windows blocks no signals:
     there nothing is kept.
 
-    What starts the first worker of a process calls ``multiprocessing.resource_tracker.ensure_running``
-    before: the tracker, started by it, would unblock Ctrl-C.
+    What starts the first worker of a process calls ``start_tracker`` before.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -26,3 +26,12 @@ def ctrl_c_for_this_thread() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def start_tracker() -> None:
+    """Starts what multiprocessing starts with the first worker: then, it would unblock Ctrl-C.
+
+    Windows has none.
+    """
+    if hasattr(signal, "pthread_sigmask"):
+        resource_tracker.ensure_running()

@@ -13,12 +13,12 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from itertools import islice
-from multiprocessing import forkserver, resource_tracker
+from multiprocessing import forkserver
 from multiprocessing.connection import wait as wait_for
 from typing import Any, TypeVar
 
 from lodbench.errors import ConfigError, LodbenchError, WorkersGone
-from lodbench.execution.ctrl_c import ctrl_c_for_this_thread
+from lodbench.execution.ctrl_c import ctrl_c_for_this_thread, start_tracker
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -40,9 +40,9 @@ def expect_workers(modules: tuple[str, ...]) -> None:
     Args:
         modules: Of the work; the first call in a process counts.
     """
+    start_tracker()
     if _START == "forkserver":
         multiprocessing.set_forkserver_preload(list(modules))
-        resource_tracker.ensure_running()
         # While it imports it would answer Ctrl-C with a traceback of its own.
         with ctrl_c_for_this_thread():
             forkserver.ensure_running()

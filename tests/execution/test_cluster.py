@@ -69,6 +69,34 @@ def test_a_cluster_without_workers_says_how_they_start(caplog) -> None:
     client.nthreads = dict
     DaskWorkers(client, "tcp://10.0.0.1:8786", nothing, (), 2, 1.0)
     assert "`dask worker tcp://10.0.0.1:8786 --nthreads 1` starts one" in caplog.text
+    caplog.clear()
+    DaskWorkers(client, "on this machine", nothing, (), 2, 1.0, own=object())
+    assert caplog.text == ""
+
+
+def test_workers_that_go_are_told_once_and_a_scheduler_that_does_not_answer_is_none(
+    monkeypatch, caplog
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    client, answers = OneWorker(), [{}, {}, {"back": 1}, {}, OSError("Timed out trying to connect")]
+    workers = DaskWorkers(client, "tcp://10.0.0.1:8786", nothing, (), 1, 0.0)
+
+    def nthreads() -> Any:
+        answer = answers.pop(0)
+        if isinstance(answer, OSError):
+            raise answer
+        return answer
+
+    def wait(*_: Any) -> Any:
+        raise TimeoutError
+
+    client.nthreads = nthreads
+    monkeypatch.setattr(distributed, "wait", wait)
+    for left in (2, 0):  # by the one that is back, and by what is not known
+        with pytest.raises(TimeoutError):
+            workers._wait({"work"})
+        assert len(answers) == left
+    assert caplog.text.count("has no worker: `dask worker") == 2
 
 
 def test_workers_that_come_late_are_waited_for(monkeypatch) -> None:

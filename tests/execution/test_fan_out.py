@@ -9,7 +9,8 @@ import sys
 
 import pytest
 
-from lodbench.execution.ctrl_c import ctrl_c_for_this_thread
+from lodbench.execution import ctrl_c, fan_out
+from lodbench.execution.ctrl_c import ctrl_c_for_this_thread, start_tracker
 
 # The server imports a module that tells whether Ctrl-C would reach it.
 _MODULE = (
@@ -44,5 +45,16 @@ def test_ctrl_c_while_the_server_imports_is_this_process_to_answer(tmp_path):
 
 def test_where_no_signal_can_be_blocked_workers_start_all_the_same(monkeypatch):
     monkeypatch.delattr(signal, "pthread_sigmask")
+    monkeypatch.setattr(ctrl_c.resource_tracker, "ensure_running", lambda: pytest.fail("Windows has none"))
+    start_tracker()
     with ctrl_c_for_this_thread():
         pass
+
+
+def test_the_tracker_runs_before_workers_where_there_is_no_server_too(monkeypatch):
+    """As on macOS: the first worker would start it, and Ctrl-C would come through."""
+    begun = []
+    monkeypatch.setattr(fan_out, "_START", "spawn")
+    monkeypatch.setattr(ctrl_c.resource_tracker, "ensure_running", lambda: begun.append(True))
+    fan_out.expect_workers(("told",))
+    assert begun
