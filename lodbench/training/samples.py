@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lodbench.datasets.instance_labels import read_labels
 from lodbench.datasets.photo_files import PHOTO_SUFFIXES
 from lodbench.datasets.picture_faults import aspect_fault, mask_fault
-from lodbench.datasets.pictures import picture_size
+from lodbench.datasets.pictures import picture_size, read_picture
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.segmentation.compact_instances import interiors
 from lodbench.segmentation.masks import read_mask
@@ -27,8 +27,6 @@ Photo = NDArray[np.uint8]
 MASKS, INTERIORS = "masks", "interiors"
 _FOLDERS = {MASKS: "masks", INTERIORS: "labels"}
 _HELD_OUT = 20
-# Of these, some that OpenCV decodes have headers that Pillow cannot read.
-_UNTOLD = (".tif", ".tiff")
 # Of views to validate on those with fewer buildings say little: one wrong shed halves their IoU.
 LEAST_SHARE = 0.05
 
@@ -139,7 +137,8 @@ def _require_fitting(samples: list[Sample]) -> None:
         if other != sample.photo:
             raise DatasetError(f"{other} and {sample.photo.name} share a name: their masks would be one.")
         size = picture_size(sample.photo)
-        if size is None and sample.photo.suffix.lower() not in _UNTOLD:
+        # OpenCV decodes some whose headers Pillow cannot read, as PNGs with a damaged comment.
+        if size is None and read_picture(sample.photo) is None:
             raise DatasetError(
                 f"The photo {sample.photo} cannot be read.", "Make it anew, or remove it and its mask."
             )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lodbench.cli import main
+from lodbench.datasets.pictures import picture_size
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.segmentation.compact import Compact, CompactParams
 from lodbench.segmentation.compact_instances import CompactInstances, CompactInstancesParams
@@ -142,6 +143,20 @@ def test_a_photo_that_cannot_be_read_is_told_before_anything_is_learnt(tmp_path)
     with pytest.raises(DatasetError, match=r"The photo .*1\.jpg cannot be read") as told:
         find_samples(tmp_path, "train")
     assert told.value.hint
+
+
+def test_a_photo_whose_comment_is_damaged_is_a_photo(tmp_path):
+    for kind in ("images", "masks"):
+        (tmp_path / "train" / kind).mkdir(parents=True)
+        cv2.imwrite(str(tmp_path / "train" / kind / "0.png"), np.zeros((8, 8), np.uint8))
+    photo = tmp_path / "train" / "images" / "0.png"
+    whole, comment = photo.read_bytes(), b"tEXtComment\0by hand"
+    # With a wrong checksum: Pillow refuses the file.
+    chunk = (len(comment) - 4).to_bytes(4) + comment + bytes(4)
+    photo.write_bytes(whole[:33] + chunk + whole[33:])
+    assert picture_size(photo) is None
+    (sample,) = find_samples(tmp_path, "train")
+    assert sample.read(0, square=False)[0].shape == (8, 8, 3)
 
 
 def test_one_view_alone_is_too_few(tmp_path):
