@@ -150,6 +150,25 @@ def test_quantised_and_damaged_weights_are_no_weights(change, said):
     assert torch.equal(net.weight, before)
 
 
+def test_weights_of_few_bits_are_weights():
+    net = torch.nn.Linear(2, 1)
+    stored = {
+        name: torch.ones_like(value).to(torch.float8_e4m3fn) for name, value in net.state_dict().items()
+    }
+    fill(net, stored, "w.pt")
+    assert torch.equal(net.weight, torch.ones(1, 2))
+    stored["bias"] = torch.full((1,), float("nan")).to(torch.float8_e4m3fn)
+    with pytest.raises(ConfigError, match="holds NaN or infinity"):
+        fill(net, stored, "w.pt")
+
+
+@pytest.mark.parametrize("lacking", [torch.zeros(1, 2).to_sparse(), torch.empty(1, 2, device="meta")])
+def test_tensors_without_all_of_their_numbers_are_no_weights(lacking, tmp_path):
+    torch.save({"weight": lacking}, tmp_path / "w.pt")
+    with pytest.raises(ConfigError, match="holds no weights by name"):
+        read_weights(tmp_path / "w.pt")
+
+
 @pytest.mark.filterwarnings("error")
 def test_a_pickle_is_refused_without_a_word_of_torch(tmp_path):
     (tmp_path / "w.pt").write_bytes(pickle.dumps({"a": [1]}, protocol=4))

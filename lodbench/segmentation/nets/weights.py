@@ -50,9 +50,14 @@ def read_weights(path: Path) -> Weights:
     for wrapper in ("net", "model", "state_dict"):
         if isinstance(stored, dict) and isinstance(stored.get(wrapper), dict):
             stored = stored[wrapper]
-    if not isinstance(stored, dict) or not all(isinstance(v, Tensor) for v in stored.values()):
+    if not isinstance(stored, dict) or not all(_is_complete(value) for value in stored.values()):
         raise ConfigError(f"{path} holds no weights by name.", "A torch file of a state_dict is wanted.")
     return {str(name).removeprefix("module."): value for name, value in stored.items()}
+
+
+def _is_complete(value: Any) -> bool:
+    """Tells whether something is a tensor of numbers, each written down: neither sparse nor without any."""
+    return isinstance(value, Tensor) and value.layout is torch.strided and not value.is_meta
 
 
 def read_torch_file(path: Path) -> Any:
@@ -114,7 +119,9 @@ def require_finite(weights: Mapping[str, Tensor], source: str) -> None:
         ConfigError: Some are NaN or infinite.
     """
     for name, value in weights.items():
-        if value.is_floating_point() and not torch.isfinite(value).all():
+        # Of the smallest of numbers torch itself does not say.
+        number = value.float() if value.is_floating_point() and value.itemsize == 1 else value
+        if value.is_floating_point() and not torch.isfinite(number).all():
             raise ConfigError(
                 f"{source} is damaged: {name} holds NaN or infinity.", "Fetch or train it anew."
             )
