@@ -7,8 +7,9 @@ from pathlib import Path
 from lodbench.errors import ConfigError
 from lodbench.storage.json_text import parse_json
 
-# Where a checkpoint in parts says which file holds what.
-_INDEX = "model.safetensors.index.json"
+_CONFIG = "config.json"
+# The weights, and where a checkpoint in parts says which file holds what.
+_FILE, _INDEX = "model.safetensors", "model.safetensors.index.json"
 _FRACTIONS = frozenset({"F64", "F32", "F16", "BF16"})
 # Other names are those of tables of positions and counts of batches, which are whole.
 _WEIGHTS = (".weight", ".bias")
@@ -18,22 +19,34 @@ def require_own_safetensors(folder: Path) -> None:
     """Makes sure that the weights of a folder are safetensors within it, and not quantised.
 
     Raises:
-        ConfigError: The index names another file, or weights are whole numbers: without the scale that they
-            were quantised by they mean nothing.
+        ConfigError: The index or config.json names another file, or weights are whole numbers or of 8 bits:
+            without the scale that they were quantised by they mean nothing.
     """
-    for name in _parts(folder / _INDEX):
-        if Path(name).name != name or not name.endswith(".safetensors"):
-            raise ConfigError(
-                f"{folder / _INDEX} names {ascii(name)[1:-1][:80]}, no safetensors file beside it.",
-                "Fetch the checkpoint again, from somebody you trust.",
-            )
-    for path in sorted(folder.glob("*.safetensors")):
-        whole = _whole_numbers(path)
+    named, parts = _named(folder / _CONFIG), _parts(folder / _INDEX)
+    for source, names in ((_CONFIG, named), (_INDEX, parts)):
+        for name in names:
+            if Path(name).name != name or not name.endswith(".safetensors"):
+                raise ConfigError(
+                    f"{folder / source} names {ascii(name)[1:-1][:80]}, no safetensors file beside it.",
+                    "Fetch the checkpoint again, from somebody you trust.",
+                )
+    whole_file = [_FILE] if (folder / _FILE).is_file() else []
+    for name in named or whole_file or parts:  # as transformers chooses; others may lie beside them
+        whole = _whole_numbers(folder / name)
         if whole:
             raise ConfigError(
-                f"{path} has {len(whole)} weights of whole numbers, the first is {whole[0]}.",
+                f"{folder / name} has {len(whole)} weights of whole numbers or 8 bits: {whole[0]}, ...",
                 "Quantised checkpoints are not read: fetch the one in 16 or 32 bits.",
             )
+
+
+def _named(config: Path) -> list[str]:
+    """Returns the file of weights that a configuration names itself, as a list; none where it does not."""
+    try:
+        named = parse_json(config.read_text(encoding="utf-8")).get("transformers_weights")
+    except (OSError, ValueError, AttributeError):
+        return []  # whoever loads it says what is wrong
+    return [] if named is None else [str(named)]
 
 
 def _parts(index: Path) -> list[str]:
@@ -52,7 +65,7 @@ def _parts(index: Path) -> list[str]:
 
 
 def _whole_numbers(path: Path) -> list[str]:
-    """Returns the names of a safetensors file's weights that are whole numbers; of no such file, none."""
+    """Returns a safetensors file's weights that are whole numbers or of 8 bits; of no such file, none."""
     from safetensors import SafetensorError, safe_open
 
     try:

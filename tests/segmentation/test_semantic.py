@@ -183,6 +183,18 @@ def test_an_index_names_safetensors_of_its_folder_alone(checkpoint, tmp_path, na
 
 
 @pytest.mark.parametrize(
+    "named", ["own.safetensors.index.json", "../net/model.safetensors", "part/a.safetensors"]
+)
+def test_a_configuration_names_safetensors_of_its_folder_alone(checkpoint, tmp_path, named):
+    """Through an index of another name any file was opened, and was not part of the digest."""
+    copied(checkpoint, tmp_path / "net")
+    folder = copied(checkpoint, tmp_path / "led", transformers_weights=named)
+    (folder / "model.safetensors").unlink()
+    (folder / "own.safetensors.index.json").write_text(json.dumps({"weight_map": {"a": "../net/w.bin"}}))
+    assert named in refusal(folder)
+
+
+@pytest.mark.parametrize(
     ("config", "said"),
     [
         ({"depths": "x"}, "no semantic segmentation network"),
@@ -208,3 +220,17 @@ def test_quantised_and_damaged_weights_are_refused(checkpoint, tmp_path):
         assert said in refusal(folder)
     file.write_bytes(b"\xff" * 100)
     assert "no semantic segmentation network" in refusal(folder)
+
+
+def test_quantised_weights_beside_those_that_are_read_do_not_matter(checkpoint, tmp_path):
+    from safetensors.torch import load_file, save_file
+
+    folder = copied(checkpoint, tmp_path / "net")
+    stored = load_file(folder / "model.safetensors")
+    whole = {name: value.to(torch.int8) for name, value in stored.items()}
+    save_file(whole, folder / "model_int8.safetensors", metadata={"format": "pt"})
+    assert np.array_equal(probability(folder, "building"), probability(checkpoint, "building"))
+    stored_config = json.loads((folder / "config.json").read_text())
+    stored_config["transformers_weights"] = "model_int8.safetensors"
+    (folder / "config.json").write_text(json.dumps(stored_config))
+    assert "weights of whole numbers" in refusal(folder)
