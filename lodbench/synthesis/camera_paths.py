@@ -7,7 +7,7 @@ they are flown, more than are wanted, for what shows too few buildings, or stand
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise, product
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 # Views of one path, before any is judged: each takes half a kilobyte, and a millisecond or more to judge.
 MOST_VIEWS = 2_000_000
+# Spacings to advise.
+_STEPS_M = range(1, 100_000)
 Pair = tuple[float, float]
 
 
@@ -44,9 +46,9 @@ def _on_grid(params: GenerateParams, place: Place) -> Iterator[Pose]:
     """Yields the poses of a grid over the buildings, its spacing half the height, as UAVD4L has it."""
     low, high = place.bases[:, :2].min(axis=0), place.bases[:, :2].max(axis=0)
     yaws = params.yaw if params.yaw is not None else range(0, 360, 45)
-    for height in params.height:
-        spacing = params.spacing_m or max(1.0, height // 2)
-        _require_laid_out(low, high, spacing, len(yaws) * len(params.pitch))
+    spacings = [params.spacing_m or max(1.0, height // 2) for height in params.height]
+    _require_laid_out(low, high, spacings, len(yaws) * len(params.pitch))
+    for height, spacing in zip(params.height, spacings, strict=True):
         axes = [_steps(low[k], high[k], spacing) for k in (0, 1)]
         spots = np.stack([axis.ravel() for axis in np.meshgrid(*axes)], axis=1)
         centers = np.column_stack([spots, place.ground.at(spots) + height])
@@ -54,25 +56,36 @@ def _on_grid(params: GenerateParams, place: Place) -> Iterator[Pose]:
             yield Pose.from_euler(EulerAngles(pitch, 0.0, float(yaw)), center)
 
 
-def _require_laid_out(low: Floats, high: Floats, spacing: float, views_per_place: int) -> None:
-    """Makes sure that the views of a grid can be held, before they are laid out.
+def _require_laid_out(low: Floats, high: Floats, spacings: Sequence[float], views_per_place: int) -> None:
+    """Makes sure that the views of a grid at each height can be held, before any are laid out.
 
     Raises:
         ConfigError: They are too many; the hint has a spacing that makes fewer.
     """
-    places = math.prod(max(1.0, float(side) / spacing) for side in high - low)
-    if places * views_per_place > MOST_VIEWS:
-        least = spacing * math.sqrt(places * views_per_place / MOST_VIEWS)
+
+    def views(spacings: Iterable[float]) -> int:
+        sides = ([_number(low[k], high[k], spacing) for k in (0, 1)] for spacing in spacings)
+        return views_per_place * sum(map(math.prod, sides))
+
+    count = views(spacings)
+    if count > MOST_VIEWS:
+        few = next((m for m in _STEPS_M if views([m] * len(spacings)) <= MOST_VIEWS), None)
         raise ConfigError(
-            f"A grid every {spacing:g} m over {high[0] - low[0]:.0f} x {high[1] - low[1]:.0f} m has "
-            f"{places * views_per_place:.2g} views, more than {MOST_VIEWS}.",
-            f"spacing_m={math.ceil(least)} makes fewer; so does sampling=random.",
+            f"A grid every {min(spacings):g} m over {high[0] - low[0]:.0f} x {high[1] - low[1]:.0f} m has "
+            f"{count:.2g} views, more than {MOST_VIEWS}.",
+            f"spacing_m={few} makes fewer; so does sampling=random."
+            if few
+            else "Take fewer yaws and pitches.",
         )
+
+
+def _number(low: float, high: float, spacing: float) -> int:
+    return max(1, round((high - low) / spacing))
 
 
 def _steps(low: float, high: float, spacing: float) -> Floats:
     """Returns places from end to end, about a spacing apart; the middle if there is room for one."""
-    number = max(1, round((high - low) / spacing))
+    number = _number(low, high, spacing)
     return np.linspace(low, high, number) if number > 1 else np.array([0.5 * (low + high)])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import cv2
@@ -11,9 +12,10 @@ import pytest
 
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.datasets.pose_text import format_pose, lines_to_text, read_poses
+from lodbench.errors import ConfigError
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.synthesis.camera_paths import CAMERA_PATHS, Place
-from lodbench.synthesis.surroundings.ground import ground_from_bases
+from lodbench.synthesis.camera_paths import CAMERA_PATHS, MOST_VIEWS, Place
+from lodbench.synthesis.surroundings.ground import Ground, ground_from_bases
 from lodbench.synthesis.surroundings.land_cover import look_down
 from lodbench.synthesis.training_data.generate import generate_training_data
 from lodbench.synthesis.training_data.params import GenerateParams
@@ -178,3 +180,15 @@ def test_occluders_are_cut_out_of_masks_only_when_asked(box_file, tmp_path):
     for whole, cut in zip(shown[False], shown[True], strict=True):
         assert not (cut & ~whole).any()
     assert sum(mask.sum() for mask in shown[True]) < sum(mask.sum() for mask in shown[False])
+
+
+def test_the_spacing_that_is_advised_is_enough_for_all_heights():
+    bases = np.array([[0.0, 0.0, 0.0], [20_000.0, 15_000.0, 0.0]])
+    place = Place(bases, Ground(0.0, 0.0, 1000.0, np.zeros((16, 21))), np.zeros(3))
+    asked = params(sampling="grid", height=[100.0, 120.0, 150.0], spacing_m=5.0)
+    with pytest.raises(ConfigError) as told:
+        next(CAMERA_PATHS["grid"](asked, place))
+    advised = float(re.search(r"spacing_m=(\d+)", told.value.hint)[1])
+    next(CAMERA_PATHS["grid"](replace(asked, spacing_m=advised), place))
+    views_per_height = 8 * 2 * round(20_000 / advised) * round(15_000 / advised)
+    assert 0.9 * MOST_VIEWS < 3 * views_per_height <= MOST_VIEWS
