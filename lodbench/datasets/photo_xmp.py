@@ -134,8 +134,12 @@ def xmp_values(path: Path, packet: bytes) -> dict[str, Any]:
 
 
 def _of(properties: list[_Property], part: str) -> dict[str, str]:
-    """Returns the properties of the namespaces whose URI has a part; the first of a name."""
-    return {each.name: each.value for each in reversed(properties) if part in each.namespace}
+    """Returns the properties of the namespaces whose URI has a part; the first of a name.
+
+    DJI's count wherever they stand: it writes no structures, but programs may put all into one.
+    """
+    own = [each for each in reversed(properties) if part in each.namespace]
+    return {each.name.rpartition("/")[2] if part == _DJI else each.name: each.value for each in own}
 
 
 def _numbers(properties: list[_Property], part: str) -> dict[str, float]:

@@ -130,6 +130,20 @@ def test_angles_that_makers_mean_differently_are_told_and_not_guessed(tmp_path, 
     assert "\n" not in str(fault.value)
 
 
+@pytest.mark.parametrize(
+    "around",
+    [
+        "<d:Photo {} {}/>",
+        "<rdf:Description {}><d:Shot><rdf:Description {}/></d:Shot></rdf:Description>",
+        "<rdf:Description {}><d:Shots><rdf:Bag><rdf:li {}/></rdf:Bag></d:Shots></rdf:Description>",
+    ],
+)
+def test_dji_s_properties_count_within_other_elements_too(tmp_path, around):
+    written = " ".join(f'd:{key}="{value}"' for key, value in {**PROPERTIES, "RtkFlag": "50"}.items())
+    photo = photo_of(tmp_path, around.format('xmlns:d="http://www.dji.com/drone-dji/1.0/"', written))
+    assert (photo.gimbal_yaw_deg, photo.gimbal_pitch_deg, photo.has_rtk) == (-43.6, -45.3, True)
+
+
 def test_a_light_sensor_s_angles_are_none_of_the_camera(tmp_path):
     body = '<rdf:Description xmlns:DLS="http://micasense.com/DLS/1.0/" DLS:Yaw="1.2" DLS:Pitch="0.1"/>'
     assert photo_of(tmp_path, body).why_no_angles == ""
