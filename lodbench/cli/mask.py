@@ -67,7 +67,8 @@ def main(argv: Sequence[str]) -> int:
         raise ConfigError(f"{polygons.name} shows no building, and {out} would be replaced.", _keep_hint(out))
 
     def save() -> tuple[Path, ...]:
-        untouched.require()
+        once_more = "Keep a copy of it if it is needed; saving once more replaces it."
+        untouched.require(once_more if asked.page else _keep_hint(out))
         try:
             return saved(session.mask, asked.photo, out, formats)
         finally:

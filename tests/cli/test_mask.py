@@ -376,6 +376,21 @@ class TestCommand:
         assert told[1] == f"{name} was written by another program since it was read or saved here."
         assert (photo.parent / name).read_bytes() != b"by hand"
 
+    def test_what_another_program_wrote_meanwhile_is_not_replaced_without_a_page(
+        self, photo, monkeypatch, capsys
+    ):
+        def opened(*given):
+            (photo.parent / "photo_mask.png").write_bytes(b"by hand")
+            return MaskSession(*given)
+
+        monkeypatch.setattr("lodbench.harness.mask.files.MaskSession", opened)
+        assert main(["mask", str(photo), "--mask", str(photo.parent / "traced.png"), "--no-page"]) == 2
+        told = capsys.readouterr().err
+        assert "photo_mask.png was written by another program" in told
+        assert "--out OTHER.png" in told
+        assert "saving once more" not in told
+        assert (photo.parent / "photo_mask.png").read_bytes() == b"by hand"
+
     def test_strokes_that_cannot_be_kept_aside_do_not_hide_ctrl_c(self, photo, caplog, monkeypatch):
         def drawn_and_stopped(server):
             server.session.stroke(np.array([[10.0, 10.0]]), 3.0, True, True)

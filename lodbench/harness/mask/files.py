@@ -126,8 +126,11 @@ class Untouched:
         """Takes the files as they are now."""
         self._contents = [_content(file) for file in self._files]
 
-    def require(self) -> None:
+    def require(self, hint: str) -> None:
         """Makes sure that nobody else has written a file since; asked again, they may be replaced.
+
+        Args:
+            hint: What to do about it.
 
         Raises:
             DatasetError: Somebody has.
@@ -138,7 +141,7 @@ class Untouched:
             if new is not None and new != old:
                 raise DatasetError(
                     f"{file.name} was written by another program since it was read or saved here.",
-                    "Keep a copy of it if it is needed; saving once more replaces it.",
+                    hint,
                 )
 
 
