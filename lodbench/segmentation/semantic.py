@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -117,10 +119,11 @@ class Semantic(TorchSegmenter):
         logging.set_verbosity_error()  # what is missing is told below
         try:
             # A checkpoint that brings code is refused: otherwise whoever sits there is asked to let it run.
-            model, found = AutoModelForSemanticSegmentation.from_pretrained(
-                str(self._folder), local_files_only=True, use_safetensors=True, output_loading_info=True,
-                trust_remote_code=False,
-            )  # fmt: skip
+            with _offline():
+                model, found = AutoModelForSemanticSegmentation.from_pretrained(
+                    str(self._folder), local_files_only=True, use_safetensors=True, output_loading_info=True,
+                    trust_remote_code=False,
+                )  # fmt: skip
         except Exception as error:  # of what kind is up to transformers and to what stands in config.json
             raise ConfigError(
                 f"{self._folder} holds no semantic segmentation network: {_first_line(error)}",
@@ -134,6 +137,18 @@ class Semantic(TorchSegmenter):
             )
         require_finite(model.state_dict(), str(self._folder))
         return model
+
+
+@contextmanager
+def _offline() -> Iterator[None]:
+    """Keeps what is called within from the hub: a configuration may name a backbone that lies there."""
+    from huggingface_hub import constants
+
+    before, constants.HF_HUB_OFFLINE = constants.HF_HUB_OFFLINE, True
+    try:
+        yield
+    finally:
+        constants.HF_HUB_OFFLINE = before
 
 
 def _first_line(error: Exception) -> str:

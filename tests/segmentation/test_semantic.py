@@ -234,3 +234,17 @@ def test_quantised_weights_beside_those_that_are_read_do_not_matter(checkpoint, 
     stored_config["transformers_weights"] = "model_int8.safetensors"
     (folder / "config.json").write_text(json.dumps(stored_config))
     assert "weights of whole numbers" in refusal(folder)
+
+
+def test_a_backbone_that_a_configuration_names_is_not_fetched(tmp_path, monkeypatch):
+    from transformers import ConvNextConfig, UperNetConfig, UperNetForSemanticSegmentation
+
+    stages = [f"stage{number}" for number in (1, 2, 3, 4)]
+    backbone = ConvNextConfig(hidden_sizes=[8] * 4, depths=[1] * 4, out_features=stages)
+    net = UperNetConfig(backbone_config=backbone, hidden_size=8, auxiliary_in_channels=8)
+    UperNetForSemanticSegmentation(net).save_pretrained(tmp_path / "net")
+    asked = []
+    monkeypatch.setattr("socket.getaddrinfo", lambda host, *_, **__: asked.append(host))
+    named = {"backbone": "somebody/anything", "use_pretrained_backbone": True, "backbone_config": None}
+    assert "no semantic segmentation network" in refusal(copied(tmp_path / "net", tmp_path / "led", **named))
+    assert asked == []
