@@ -65,7 +65,8 @@ def _not_of_its_kind(name: str, reason: str) -> ConfigError:
     kind, example = _KINDS[found["kind"]]
     base, index, _ = name.partition("[")
     written = f"[{example}]" if index else example
-    return ConfigError(f"{name} is {found['value']}, not {kind}.", f"Write {base}={written}, for instance.")
+    value = found["value"] or "empty"
+    return ConfigError(f"{name} is {value}, not {kind}.", f"Write {base}={written}, for instance.")
 
 
 def _as_typed(values: Mapping[str, Any], params_type: type, prefix: str) -> dict[str, Any]:

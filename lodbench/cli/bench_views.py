@@ -96,7 +96,8 @@ def _world(text: str) -> World:
     try:
         return World.parse(text)
     except ConfigError as fault:
-        raise ConfigError(f"--world {text}: {fault.message.replace('world.', '')}", fault.hint) from fault
+        said, hint = (words.replace("world.", "") for words in (fault.message, fault.hint))
+        raise ConfigError(f"--world {text}: {said}", hint) from fault
 
 
 def add_city(parser: argparse.ArgumentParser) -> None:

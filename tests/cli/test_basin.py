@@ -75,7 +75,7 @@ def test_a_row_is_the_run_with_the_same_settings(lodbench, tmp_path, data):
         (["ranges=[-5]"], "ranges=-5 is not in"),
         (["ranges=[30,50]", "limits=[1,2,3]"], "3 limits"),
         (["limits=[0]", "ranges=[30]"], "not a number of queries"),
-        (["ranges=wide"], "lodbench: ranges[0]: "),
+        (["ranges=wide"], "lodbench: ranges[0] is wide, not a number."),
     ],
 )
 def test_bad_settings_are_one_line_before_any_work(lodbench, tmp_path, data, words, said):

@@ -21,7 +21,7 @@ def test_settings_go_before_defaults():
         ({"name": "lodlok"}, "There is no method 'lodlok'"),
         ({}, "There is no method ''"),
         ({"name": "lodlocv2", "stepps": 3}, "method.stepps is not a setting"),
-        ({"name": "lodlocv2", "steps": "many"}, "method.steps: "),
+        ({"name": "lodlocv2", "steps": "many"}, "method.steps is many, not a whole number."),
         ({"name": "lodlocv2", "steps": 0}, "at least 1"),
     ],
 )
