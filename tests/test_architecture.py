@@ -29,6 +29,7 @@ LAYERS = [
     "segmentation",
     "training",
     "matching",
+    "estimation",
     "methods",
     "evaluation",
     "reporting",

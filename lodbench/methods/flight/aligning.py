@@ -13,6 +13,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymap.corrected_map import corrected_map
 from lodbench.datasets.query import Query
 from lodbench.methods.contour_alignment.alignment import Aligner
+from lodbench.methods.flight.edge_terms import EdgePhoto, edge_photo, edge_terms
 from lodbench.methods.flight.joint import Solution, solve
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import PhotoTerms, flight_terms
@@ -42,19 +43,17 @@ class Aligned:
 
 def align(queries: Sequence[Query], state: State, city_map: CityMap, params: Params) -> Aligned:
     """Returns where a flight ends from a state, which steps move: robust kernels that narrow, then none."""
-    photo = params.photo()
-    aligners = [Aligner(query, city_map, photo) for query in queries]
+    evidence = _Evidence.of(queries, city_map, params)
     steps = params.steps
     reaches: list[float | None] = [*map(float, np.geomspace(*_REACHES_PX, steps)), *([None] * steps)]
     # As the map has them: of roofs that earlier steps drew higher, none is drawn so here.
     state.roofs.drawn_m = np.zeros_like(state.roofs.drawn_m)
     with side_by_side(city_map.threads) as threads:
-        asked = photo, params.trust(), threads
         for number, reach_px in enumerate(reaches):
             if number in (steps // 2, steps):
                 drawn, state.roofs.drawn_m = corrected_map(city_map, state.roofs.building_heights())
-                aligners = [aligner.over(drawn) for aligner in aligners]
-            terms = flight_terms(aligners, state.vectors, state.lens, state.roofs, reach_px, *asked)
+                evidence = evidence.over(drawn)
+            terms = evidence.terms(state, reach_px, params, threads)
             if number >= steps:
                 _leave_out_lost(state, terms, params)
             solution = solve(state, terms, params)
@@ -64,6 +63,39 @@ def align(queries: Sequence[Query], state: State, city_map: CityMap, params: Par
             if params.narrows and steps <= number < len(reaches) - 1:
                 state.scales = solution.scales()
     return Aligned(state, terms, solution, as_told)
+
+
+@dataclass(frozen=True, slots=True)
+class _Evidence:
+    """What a flight's photos are compared by: outlines of masks, or edges.
+
+    Attributes:
+        masks: Aligners of all photos; none where edges say the poses.
+        photos: Their edges; none where masks do.
+    """
+
+    masks: Sequence[Aligner] = ()
+    photos: Sequence[EdgePhoto | None] = ()
+
+    @classmethod
+    def of(cls, queries: Sequence[Query], city_map: CityMap, params: Params) -> _Evidence:
+        if params.single == "region":
+            return cls(photos=[edge_photo(query, city_map) for query in queries])
+        return cls(masks=[Aligner(query, city_map, params.photo()) for query in queries])
+
+    def over(self, city_map: CityMap) -> _Evidence:
+        """Returns the same over another map."""
+        photos = [None if photo is None else photo._replace(city_map=city_map) for photo in self.photos]
+        return _Evidence([aligner.over(city_map) for aligner in self.masks], photos)
+
+    def terms(
+        self, state: State, reach_px: float | None, params: Params, threads: Executor | None
+    ) -> list[PhotoTerms | None]:
+        """Returns what photos say where a state has them; see ``flight_terms``."""
+        here = state.vectors, state.lens, state.roofs, reach_px
+        if self.photos:
+            return edge_terms(self.photos, *here, params.trust(), threads)
+        return flight_terms(self.masks, *here, params.photo(), params.trust(), threads)
 
 
 def _leave_out_lost(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> None:

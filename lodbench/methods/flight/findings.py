@@ -35,6 +35,8 @@ _NAMES = (
     ("yaw", "deg"),
     ("focal length", "share"),
     ("radial distortion k1", ""),
+    ("principal point to the right", "share"),
+    ("principal point down", "share"),
     ("masks too large by", "px"),
     ("roofs higher than the map", "m"),
     ("feet of walls higher than the map", "m"),
@@ -52,7 +54,7 @@ def findings_of(
     params: Params,
     of_ends: Floats,
 ) -> dict[str, Any]:
-    """Returns what a flight says, beside the poses; ``of_ends`` is what constants err by besides, (11, 11).
+    """Returns what a flight says, beside the poses; ``of_ends`` is what constants err by besides, (13, 13).
 
     ``constants``: by name the ``value`` to be added to what the sensors or the map say, ``sigma``, ``unit``
     and whether the photos ``told`` it; ``buildings``: id, metres ``higher_m`` against the map and all other

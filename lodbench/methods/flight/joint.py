@@ -1,8 +1,8 @@
 """The joint problem: poses of all photos, what they share, and the heights of the roofs they show.
 
 Its unknowns, in this order: six numbers of each photo (metres, degrees); the flight's error of x, y, z
-(metres), pitch, roll, yaw (degrees); the focal length (share), radial distortion, and by how much masks are
-too large (pixels); what all roofs, and where all walls end, are wrong about alike (metres); each building's
+(metres), pitch, roll, yaw (degrees); the focal length (share), radial distortion, principal point (shares of
+the width), and by how much masks are too large (pixels); what all roofs, and where all walls end, are wrong about alike (metres); each building's
 height against the map, and each part's of its roof or foot (metres); the similarity that places a
 reconstruction. A photo's pose is its prior, the flight's error and an error of its own; a part's height is
 its building's and an error of its own, a building's that of all roofs and its own. All is one sparse system.
@@ -45,6 +45,8 @@ class Solution:
         factorised: The curvature of photos, then what they share.
         groups: Of errors that have a scale of their own, in the order of ``State.scales``.
         members: How many errors of each have nothing to do with each other.
+        pulls: (S, 2 N) curvature between all unknowns and where the buildings stand, east and north of each:
+            what photos do not solve for, as more photos say nothing of it.
     """
 
     photo_steps: Floats
@@ -53,6 +55,11 @@ class Solution:
     factorised: SuperLU
     groups: Sequence[ErrorGroup]
     members: Sequence[int]
+    pulls: Floats
+
+    def moved_by_places(self) -> Floats:
+        """Returns (S, 2 N) how all unknowns move per metre that each building stands east and north of the map."""
+        return np.asarray(-self.factorised.solve(self.pulls)) if self.pulls.size else self.pulls
 
     def scales(self) -> Floats:
         """Returns (6,) the scales that this calls for; see ``State.scales``."""
@@ -84,12 +91,21 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> S
     own = np.diag(params.own_sigmas() ** -2.0)
     gaps = differences(state.vectors, state.priors) - state.offset
     apart = np.hstack([np.eye(6), -np.eye(6)])
+    pulls = np.zeros((size, 2 * len(buildings)))
     for k, term in enumerate(terms):
         pose = np.arange(6 * k, 6 * k + 6)
         equations.add_residuals(np.concatenate([pose, shared + np.arange(6)]), apart, gaps[k], own)
         if term is not None and state.weights[k] > 0:
             unknowns = np.concatenate([pose, shared + np.arange(6, 6 + LENS), parts + term.parts])
-            equations.add(unknowns, state.weights[k] * term.information, state.weights[k] * term.gradient)
+            own_size, weight = len(unknowns), state.weights[k]
+            equations.add(
+                unknowns,
+                weight * term.information[:own_size, :own_size],
+                weight * term.gradient[:own_size],
+            )
+            at = 2 * np.searchsorted(buildings, term.buildings)
+            columns = np.stack([at, at + 1], axis=1).ravel()
+            pulls[np.ix_(unknowns, columns)] += weight * term.information[:own_size, own_size:]
     derivatives = [rotation_derivatives(vector) for vector in state.vectors]
     _add_ties(of_ties, state, derivatives, shared + FOCAL)
     _add_reconstruction((of_centres, of_turns), state, derivatives, similarity, params)
@@ -99,7 +115,7 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> S
     # What one building errs by goes together; what photos err by in a reconstruction does not.
     walls = len(np.unique(state.roofs.building[state.roofs.building < 0]))
     members = len(buildings), len(buildings), walls, of_centres.count, of_turns.count, of_ties.count
-    return Solution(steps / longest[:, None], step[shared:], buildings, factorised, groups, members)
+    return Solution(steps / longest[:, None], step[shared:], buildings, factorised, groups, members, pulls)
 
 
 def _add_ties(group: ErrorGroup, state: State, derivatives: Sequence[Floats], focal: int) -> None:

@@ -15,14 +15,14 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment.uncertainty import probability_within
+from lodbench.methods.flight.bundle import block_of
 from lodbench.methods.flight.aligning import Aligned, align, mean_iou, side_by_side
 from lodbench.methods.flight.consensus import flight_error
 from lodbench.methods.flight.findings import cannot_tell_focal, findings_of
-from lodbench.methods.flight.footprints import footprint_covariance
 from lodbench.methods.flight.joint import photo_covariance, solve
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import LENS
-from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS, placed
+from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS, Reconstruction, placed
 from lodbench.methods.flight.restarts import STARTS_M, Ends, ends_of, restarted
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.shared_looks import agreed_places, with_masks_by_looks
@@ -94,7 +94,7 @@ class FlightMethod:
         self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
     ) -> FlightEstimate:
         """Returns what ``localize_flight`` does, given what ``localize_alone`` found."""
-        joint = self._solve_by_looks if self.params.single == "region" else self.solve_jointly
+        joint = self._solve_by_edges if self.params.single == "region" else self.solve_jointly
         return joint(queries, alone, city_map)
 
     def solve_jointly(
@@ -115,7 +115,7 @@ class FlightMethod:
         faults = [found for found in alone if isinstance(found, QueryFault)]
         if len(faults) == len(alone):
             return FlightEstimate(faults)
-        start = self._start(queries, city_map) if start is None else start
+        start = self._start(queries, city_map, alone) if start is None else start
         offsets = np.array(
             [
                 differences(vector_from_pose(found.pose)[None], vector[None])[0]
@@ -133,20 +133,21 @@ class FlightMethod:
         found.findings["notes"] = [_SAME_SCALE]
         return found
 
-    def _solve_by_looks(
+    def _solve_by_edges(
         self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
     ) -> FlightEstimate:
-        """Returns the same of photos without masks, which are made by what all photos show, twice."""
+        """Returns the same of photos without masks, which are compared by their edges."""
         if all(isinstance(found, QueryFault) for found in alone):
             return FlightEstimate(alone)
-        start, found = self._start(queries, city_map), FlightEstimate(alone)
-        believing = replace(self.params, narrows=False)
-        for method in (FlightMethod(replace(believing, restarts=0)), FlightMethod(believing)):
-            places = agreed_places(start.vectors, found.estimates, self.params)
-            masked = with_masks_by_looks(queries, *places, city_map)
-            found = method.solve_jointly(masked, found.estimates, city_map, start)
-        found.findings["notes"] = [*found.findings.get("notes", ()), _MASKS_BY_MAP]
-        return found
+        start = self._start(queries, city_map, alone)
+        params = self.params.for_edges()
+        if start.reconstruction is not None:
+            gaps = differences(start.vectors, start.priors)
+            params = params.with_scatter(gaps[start.reconstruction.photos])
+        aligned = align(queries, start, city_map, params)
+        # Masks are made for what stands in the map or on the ground only: poses do not rest on them.
+        masked = with_masks_by_looks(queries, aligned.state.vectors, aligned.state.weights, city_map)
+        return FlightMethod(params)._finished(masked, start, aligned, city_map)
 
     def _require_reconstruction(self, queries: Sequence[Query]) -> None:
         known = sum(query.reconstructed is not None for query in queries)
@@ -163,14 +164,15 @@ class FlightMethod:
         ends = self._ends(queries, start, aligned, city_map)
         state = aligned.state
         state.shift(*ends.middle)
-        of_pose, of_constants = (
-            of_ends + footprint_covariance(aligned.terms, state.roofs, self.params.footprint_m, len(of_ends))
-            for of_ends in ends.covariances
-        )
+        of_pose, of_constants = ends.covariances
+        # What footprints of the map are wrong about no photo tells: cameras go aside with a building.
+        moved = self.params.footprint_m * aligned.solution.moved_by_places()
+        shared = moved[6 * len(queries) :][: len(of_constants)]
+        of_constants = of_constants + shared @ shared.T
         # Each takes the longer the more photos there are: of hundreds, all of them take as long as the steps.
         with side_by_side(city_map.threads) as threads:
             spread = map if threads is None else threads.map
-            estimates = list(spread(lambda row: self._estimate(aligned, row, of_pose), range(len(queries))))
+            estimates = list(spread(lambda row: self._estimate(aligned, row, of_pose, moved[6 * row : 6 * row + 6]), range(len(queries))))
         found = findings_of(aligned, queries, city_map, self.params, of_constants)
         return FlightEstimate(estimates, found)
 
@@ -192,7 +194,9 @@ class FlightMethod:
             found.append((again.state.vectors, again.state.constants, mean_iou(again.terms)))
         return ends_of(found)
 
-    def _start(self, queries: Sequence[Query], city_map: CityMap) -> State:
+    def _start(
+        self, queries: Sequence[Query], city_map: CityMap, alone: Sequence[Estimate | QueryFault]
+    ) -> State:
         """Returns where photos are by what sensors say, and by what ties them to each other."""
         priors = np.array([vector_from_pose(query.prior) for query in queries])
         state = State(
@@ -204,14 +208,31 @@ class FlightMethod:
         )
         kind = self.params.relative_poses
         known = {k: query.reconstructed for k, query in enumerate(queries) if query.reconstructed is not None}
+        information = self.params.reconstruction_information()
         if kind in ("auto", "reconstruction"):
-            state.reconstruction = placed(known, priors, self.params.reconstruction_information())
+            state.reconstruction = placed(known, priors, information)
         if kind in ("auto", "tracks"):
-            state.ties = relative_poses(queries, priors)
+            state.ties, shared = relative_poses(queries, priors)
         if state.ties or state.reconstruction is not None:
-            for _ in range(_TIE_STEPS):
-                state.step(solve(state, [None] * len(queries), self.params))
+            self._settle(state)
+        if kind in ("auto", "tracks") and state.reconstruction is None:
+            block = block_of(shared, state.vectors, self._loose_sigmas(), queries[0].camera.fx)
+            places = _places(state.vectors, alone)
+            state.reconstruction = placed(block, places, information)
+            if state.reconstruction is not None:
+                state.vectors = _in_block(state.reconstruction, places)
+                # Its photos are tied by all that they share at once.
+                state.ties = [t for t in state.ties if not {t.first, t.second} <= block.keys()]
         return state
+
+    def _settle(self, state: State) -> None:
+        """Moves photos to their places among each other."""
+        for _ in range(_TIE_STEPS):
+            state.step(solve(state, [None] * len(state.vectors), self.params))
+
+    def _loose_sigmas(self) -> Floats:
+        """Returns (6,) how far a photo may be from where sensors have it, whatever they share."""
+        return np.asarray(np.hypot(self.params.own_sigmas(), self.params.shared_sigmas()))
 
     def _misfit(self, state: State) -> float:
         """Returns by how much less all is known where photos agree on what masks and map can hardly be.
@@ -224,9 +245,10 @@ class FlightMethod:
         )
         return max(1.0, float((beyond**2).max()))
 
-    def _estimate(self, aligned: Aligned, row: int, of_ends: Floats) -> Estimate:
+    def _estimate(self, aligned: Aligned, row: int, of_ends: Floats, moved: Floats) -> Estimate:
         vector = aligned.state.vectors[row]
         spread = photo_covariance(aligned.solution, row) * self._misfit(aligned.state) + of_ends
+        spread = spread + moved @ moved.T
         term = aligned.terms[row]
         return Estimate(
             pose=pose_from_vector(vector),
@@ -234,6 +256,23 @@ class FlightMethod:
             covariance=spread,
             probability=probability_within(spread, vector),
         )
+
+
+def _places(vectors: Floats, alone: Sequence[Estimate | QueryFault]) -> Floats:
+    """Returns (P, 6) where photos found themselves, or else where sensors and ties have them."""
+    found = [
+        vector if isinstance(each, QueryFault) else vector_from_pose(each.pose)
+        for vector, each in zip(vectors, alone, strict=True)
+    ]
+    return np.array(found)
+
+
+def _in_block(block: Reconstruction, vectors: Floats) -> Floats:
+    """Returns (P, 6) poses of photos as a block has them, or as given of those that are not in it."""
+    found = vectors.copy()
+    for photo, pose in block.poses.items():
+        found[photo] = vector_from_pose(pose)
+    return found
 
 
 def _alone(

@@ -33,6 +33,12 @@ class NormalEquations:
         self._values.append(curvature[rows, columns])
         np.add.at(self._gradient, unknowns, slope)
 
+    def add_sparse(self, curvature: coo_matrix) -> None:
+        """Adds curvature of all unknowns, symmetric."""
+        self._rows.append(curvature.row)
+        self._columns.append(curvature.col)
+        self._values.append(curvature.data)
+
     def add_residuals(self, unknowns: Rows, jacobian: Floats, residuals: Floats, information: Floats) -> None:
         """Adds squares of (M,) residuals with an (M, N) Jacobian in N unknowns and (M, M) information."""
         weighted = jacobian.T @ information

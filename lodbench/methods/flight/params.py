@@ -18,6 +18,10 @@ Floats = NDArray[np.float64]
 SINGLE_METHODS = ("contour_alignment", "region")
 RELATIVE_POSES = ("auto", "reconstruction", "tracks", "none")
 _AS_TOLD: Floats = np.ones(6)
+# Standard deviations of heights beside edges, metres: of all roofs alike, each roof, and parts of one.
+_EDGES_ROOFS_M, _EDGES_ROOF_M, _EDGES_PART_M = 0.5, 0.7, 0.5
+# Of a Gaussian: its deviation per median absolute one; fewer photos say nothing of how they scatter.
+_MAD, _FEWEST_TO_SCATTER = 1.4826, 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,7 @@ class Params:
         own_yaw_deg: The same of each photo.
         focal: Standard deviation of the focal length, as a share of it.
         distortion: Standard deviation of the lens's radial distortion k1, of normalised coordinates.
+        center: Standard deviation of the principal point to the right and down, shares of the width.
         mask_px: Standard deviation of how much masks are grown or shrunk, pixels of the fine size.
         roofs_m: Standard deviation of what all roofs of the map are wrong about alike, metres.
         roof_m: Standard deviation of each building's height in the map, metres.
@@ -76,6 +81,7 @@ class Params:
     own_yaw_deg: float = 2.5
     focal: float = 0.01
     distortion: float = 0.01
+    center: float = 0.0035
     mask_px: float = 0.5
     roofs_m: float = 1.5
     roof_m: float = 2.0
@@ -98,7 +104,7 @@ class Params:
     lost_sigmas: float = 6.0
 
     def __post_init__(self) -> None:
-        require_numbers(self, "method", self.__slots__[1:20], 0)
+        require_numbers(self, "method", self.__slots__[1:21], 0)
         reconstruction = ("reconstruction_m", "reconstruction_deg", "reconstruction_mount_deg")
         positive = ("part_width_m", "heat", *reconstruction, "lost_sigmas")
         require_numbers(self, "method", positive, 0, ends="(]")
@@ -121,14 +127,28 @@ class Params:
         widths = (self.own_m, self.own_m, self.own_m)
         return _sigmas(*widths, self.own_tilt_deg, self.own_tilt_deg, self.own_yaw_deg)
 
+    def with_scatter(self, gaps: Floats) -> Params:
+        """Returns the parameters where photos' own errors are as large as they are found to be, or as declared.
+
+        Args:
+            gaps: (P, 6) where a block of photos has each, less what sensors say: metres and degrees.
+        """
+        if len(gaps) < _FEWEST_TO_SCATTER:
+            return self
+        scatter = _MAD * np.median(np.abs(gaps - np.median(gaps, axis=0)), axis=0)
+        groups = scatter[:3].max(), scatter[3:5].max(), scatter[5]
+        names = ("own_m", "own_tilt_deg", "own_yaw_deg")
+        widths = (max(getattr(self, n), math.sqrt(3.0) * s) for n, s in zip(names, groups, strict=True))
+        return replace(self, **dict(zip(names, map(float, widths), strict=True)))
+
     def constant_sigmas(self, scales: Floats = _AS_TOLD) -> Floats:
-        """Returns (11,) standard deviations beforehand of what photos share, in the order of ``joint``.
+        """Returns (13,) standard deviations beforehand of what photos share, in the order of ``joint``.
 
         Args:
             scales: The shares of what is told that roofs and feet of walls err by, and more.
         """
         map_m = scales[0] * self.roofs_m, scales[2] * self.feet_m
-        lens = (self.focal, self.distortion, self.mask_px)
+        lens = (self.focal, self.distortion, self.center, self.center, self.mask_px)
         return np.concatenate([self.shared_sigmas(), np.maximum([*lens, *map_m], 1e-7)])
 
     def reconstruction_information(self) -> Floats:
@@ -143,6 +163,18 @@ class Params:
     def trust(self) -> tuple[float, float]:
         """Returns ``view_roof_m`` and ``heat``: how far one view's outlines are believed."""
         return self.view_roof_m, self.heat
+
+    def for_edges(self) -> Params:
+        """Returns the parameters where edges of photos say the poses: they lie on roofs, no mask's stairs do.
+
+        Heights of roofs err as ``region`` has it; those of single roofs may still be wrong by much (Student's t).
+        """
+        return replace(
+            self,
+            roofs_m=min(self.roofs_m, _EDGES_ROOFS_M),
+            roof_m=min(self.roof_m, _EDGES_ROOF_M),
+            part_m=min(self.part_m, _EDGES_PART_M),
+        )
 
     def photo(self) -> PhotoParams:
         """Returns the parameters by which each photo is aligned alone, over all that is left open."""

@@ -27,42 +27,44 @@ _NOISE_PX, _FAR_PX, _AGREES = (0.5, 6.0), 20.0, 0.3
 # Steps of expectation maximisation.
 _MIXTURE_STEPS = 12
 _OWN_SHARE, _LEAST_WEIGHT = 0.3, 1e-8
-# Numbers of a camera: the focal length's change as a share, radial distortion, and by how much masks are too
-# large, pixels.
-LENS = 3
+# Numbers of a camera: the focal length's change as a share, radial distortion, how far right and down the
+# principal point is, shares of the width, and by how much masks are too large, pixels.
+LENS = 5
 # Columns of slopes: the roof's height, the foot's, and the lens's numbers.
-_TOP, _FOOT, _LENS = 7, 8, slice(9, 9 + LENS)
+TOP, FOOT, _LENS = 7, 8, slice(9, 9 + LENS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhotoTerms:
-    """A quadratic in a photo's pose (6), the lens (3) and the heights of the N parts it shows.
+    """A quadratic in a photo's pose (6), the lens (5), the heights of N parts and the places of M buildings.
 
     Attributes:
-        information: (6 + 3 + N, 6 + 3 + N) its curvature.
-        gradient: (6 + 3 + N,) its slope.
-        parts: (N,) numbers of the parts.
-        iou: Of silhouette and mask.
-        noise_px: Standard deviation of the mask's outline.
+        information: (6 + 5 + N + 2 M, the same) its curvature; places are east, then north, of each building.
+        gradient: (6 + 5 + N + 2 M,) its slope.
+        parts: (N,) numbers of the parts it shows.
+        buildings: (M,) rows of the scene's buildings it shows, ascending.
+        iou: Of silhouette and mask; of edges the share of the model's lines that show one.
+        noise_px: Standard deviation of the mask's outline, or of edges.
         count: Points it rests on.
     """
 
     information: Floats
     gradient: Floats
     parts: NDArray[np.int64]
+    buildings: NDArray[np.int64]
     iou: float
     noise_px: float
     count: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """Outline points through a lens: where they are looked up, and how far they are from the mask's outline.
+class Residuals:
+    """Points through a lens: where they are looked up, and how far they are from the mask's outline, or edges.
 
     Attributes:
         pixels: (N, 2) of the working size.
         distances: (N,) positive inside the mask.
-        slopes: (N, 12) their change per unit of ``OutlinePoints.moves`` and of the lens's numbers.
+        slopes: (N, 14) their change per unit of ``OutlinePoints.moves`` and of the lens's numbers.
         agreement: (N,) 1 where the mask's outline runs as the silhouette's does.
         buildings: (N,) rows of the edges' buildings.
         places: (N, 2) east and north, scene metres.
@@ -91,7 +93,7 @@ def flight_terms(
     Args:
         aligners: Of the photos.
         vectors: (P, 6) their poses: metres and degrees.
-        lens: (3,) change of the focal length as a share, radial distortion k1, pixels masks are too large by.
+        lens: (5,) as of ``State.lens``.
         roofs: By how much parts of roofs are higher than in the map; parts that are met are added.
         reach_px: Scale of the robust kernel; None for what the outline's noise calls for.
         params: Of the alignment of photos.
@@ -119,7 +121,7 @@ def flight_terms(
 
 def _look(
     aligner: Aligner, vector: Floats, lens: Floats, params: PhotoParams
-) -> tuple[_Seen | None, float, NDArray[np.int64]]:
+) -> tuple[Residuals | None, float, NDArray[np.int64]]:
     """Returns a photo's outline points, the IoU, and the scene's buildings they are of."""
     # The lens bends points afterwards: what is rendered has the focal length as told.
     points, iou = aligner.outline(np.append(vector, 0.0), params.fine_size)
@@ -130,7 +132,7 @@ def _look(
 
 
 def _terms(
-    seen: _Seen,
+    seen: Residuals,
     iou: float,
     rows: NDArray[np.int64],
     numbers: tuple[NDArray[np.int64], NDArray[np.int64]],
@@ -142,78 +144,125 @@ def _terms(
     """Returns what outline points say, given the numbers of the parts of roofs and feet that they are of."""
     tops, feet = numbers
     # The silhouette stands where roofs are drawn: the heights found move it from there, to first order.
-    lifted = seen.slopes[:, _TOP] * (roofs.heights_m[tops] - roofs.drawn_m[rows])
-    lifted = lifted + seen.slopes[:, _FOOT] * roofs.heights_m[feet]
+    lifted = seen.slopes[:, TOP] * (roofs.heights_m[tops] - roofs.drawn_m[rows])
+    lifted = lifted + seen.slopes[:, FOOT] * roofs.heights_m[feet]
     seen = replace(seen, distances=seen.distances + lifted)
     noise_px, weights = _outline_noise(seen, reach_px)
-    parts, column = np.unique(np.stack([tops, feet]), return_inverse=True)
-    column = column.reshape(2, -1)
-    size = 6 + LENS + len(parts)
+    lengths_px = params.outline_px, params.roof_part_px
+    subsets = _MOST_SUBSETS if reach_px is None else 1
+    return summed_up(seen, rows, numbers, iou, (noise_px, weights), lengths_px, subsets, trust)
+
+
+def summed_up(
+    seen: Residuals,
+    rows: NDArray[np.int64],
+    numbers: tuple[NDArray[np.int64], NDArray[np.int64]],
+    iou: float,
+    noise: tuple[float, Floats],
+    lengths_px: tuple[float, float],
+    most_subsets: int,
+    trust: tuple[float, float],
+    view_place_m: float = 0.0,
+) -> PhotoTerms:
+    """Returns the quadratic that residuals make under errors that go together.
+
+    Args:
+        seen: The residuals, where the heights found have moved the points.
+        rows: (N,) of the scene's buildings that they are of.
+        numbers: (N,) of the parts of roofs, and (N,) of feet, that they are of.
+        iou: How well the photo fits.
+        noise: Standard deviation of the residuals, pixels, and (N,) how far each counts.
+        lengths_px: Over which they go together, and a roof's errors do, pixels.
+        most_subsets: Of points, each under a matrix of its own; the others are left out.
+        trust: As of ``flight_terms``.
+        view_place_m: Standard deviation of where each building stands as one view shows it, east and north,
+            metres: a large one does not outweigh all others.
+    """
+    parts, column = np.unique(np.stack(numbers), return_inverse=True)
+    buildings, place = np.unique(rows, return_inverse=True)
+    first = 6 + LENS + len(parts)
+    # Columns of each point: its roof's part, its foot's part, and its building's east and north.
+    columns = np.vstack([6 + LENS + column.reshape(2, -1), first + 2 * place, first + 2 * place + 1])
+    size = first + 2 * len(buildings)
     products = np.zeros((size + 1, size + 1))
-    subsets = -(-len(rows) // _MOST_POINTS)
-    used = min(subsets, _MOST_SUBSETS if reach_px is None else 1)
+    count = len(seen.distances)
+    subsets = -(-count // _MOST_POINTS)
+    used = min(subsets, most_subsets)
     for k in range(used):
         chosen = slice(k * subsets // used, None, subsets)
-        # Only of the parts that these points are of: in a dense city that is few of those the photo shows.
-        here, local = np.unique(column[:, chosen], return_inverse=True)
-        local = local.reshape(2, -1)
-        where = np.concatenate([np.arange(6 + LENS), 6 + LENS + here, [size]])
-        jacobian = np.zeros((local.shape[1], len(where)))
-        jacobian[:, :6] = seen.slopes[chosen, :6]
-        jacobian[:, 6 : 6 + LENS] = seen.slopes[chosen, _LENS]
+        # Only of what these points are of: in a dense city that is little of what the photo shows.
+        here, local = np.unique(columns[:, chosen], return_inverse=True)
+        local = 6 + LENS + local.reshape(4, -1)
+        where = np.concatenate([np.arange(6 + LENS), here, [size]])
+        slopes = seen.slopes[chosen]
+        jacobian = np.zeros((len(slopes), len(where)))
+        jacobian[:, :6], jacobian[:, 6 : 6 + LENS] = slopes[:, :6], slopes[:, _LENS]
         lines = np.arange(len(jacobian))
-        jacobian[lines, 6 + LENS + local[0]] += seen.slopes[chosen, _TOP]
-        jacobian[lines, 6 + LENS + local[1]] += seen.slopes[chosen, _FOOT]
+        # A building that stands elsewhere moves as the camera does, the other way.
+        by_map = slopes[:, TOP], slopes[:, FOOT], -slopes[:, 0], -slopes[:, 1]
+        for numbers_of_column, slope in zip(local, by_map, strict=True):
+            jacobian[lines, numbers_of_column] += slope
         jacobian[:, -1] = seen.distances[chosen]
-        whiten(_covariance(seen, chosen, noise_px, weights[chosen], params, trust[0]), jacobian)
+        whiten(_covariance(seen, chosen, noise, lengths_px, trust[0], view_place_m), jacobian)
         told = np.zeros((len(where), len(where)))
         add_products(jacobian, 1.0 / (used * trust[1]), told)
         products[np.ix_(where, where)] += told
     products += np.triu(products, 1).T
-    return PhotoTerms(products[:-1, :-1], products[:-1, -1], parts, iou, noise_px, len(rows))
+    return PhotoTerms(products[:-1, :-1], products[:-1, -1], parts, buildings, iou, noise[0], count)
 
 
 def _covariance(
-    seen: _Seen, chosen: slice, noise_px: float, weights: Floats, params: PhotoParams, view_roof_m: float
+    seen: Residuals,
+    chosen: slice,
+    noise: tuple[float, Floats],
+    lengths_px: tuple[float, float],
+    view_roof_m: float,
+    view_place_m: float,
 ) -> Floats:
     """Returns the lower half of the covariance of some points' distances; see ``contour_alignment``."""
+    noise_px, weights = noise[0], noise[1][chosen]
     matrix: Floats = error_covariance(
         seen.pixels[chosen],
-        np.ascontiguousarray(seen.slopes[chosen, _TOP]),
-        np.ascontiguousarray(seen.slopes[chosen, _FOOT]),
+        np.ascontiguousarray(seen.slopes[chosen, TOP]),
+        np.ascontiguousarray(seen.slopes[chosen, FOOT]),
         seen.buildings[chosen],
         ((1.0 - _OWN_SHARE) * noise_px**2, _OWN_SHARE * noise_px**2),
-        (params.outline_px, params.roof_part_px),
+        lengths_px,
         (0.0, view_roof_m**2, 0.0),
     )
+    if view_place_m > 0.0:
+        moves, building = view_place_m * seen.slopes[chosen, :2], seen.buildings[chosen]
+        matrix += np.tril(moves @ moves.T) * (building[:, None] == building)
     # Outliers have an error of their own beside the shared one.
     matrix[np.diag_indices(len(matrix))] += noise_px**2 * (1.0 / weights - 1.0)
     return matrix
 
 
-def _through_lens(aligner: Aligner, points: OutlinePoints, lens: Floats, size: tuple[int, int]) -> _Seen:
+def _through_lens(aligner: Aligner, points: OutlinePoints, lens: Floats, size: tuple[int, int]) -> Residuals:
     """Returns outline points as a lens of another focal length and with distortion shows them."""
     level = aligner.level(size)
     camera = level.camera
     away = points.pixels - np.array([camera.cx, camera.cy])
     square = ((away / np.array([camera.fx, camera.fy])) ** 2).sum(axis=1)[:, None]
     stretch = (1.0 + lens[0]) * (1.0 + lens[1] * square)
-    pixels = np.array([camera.cx, camera.cy]) + away * stretch
+    pixels = np.array([camera.cx, camera.cy]) + camera.width * lens[2:4] + away * stretch
     limit = np.array([camera.width, camera.height]) - _BORDER_PX
     inside = ((pixels > _BORDER_PX) & (pixels < limit)).all(axis=1)
+    by_center = np.broadcast_to(camera.width * np.eye(2), (len(away), 2, 2))
     by_lens = np.stack([away * (1.0 + lens[1] * square), away * (1.0 + lens[0]) * square], axis=1)
+    by_lens = np.concatenate([by_lens, by_center], axis=1)
     moves = np.concatenate([points.moves * stretch[:, None], by_lens], axis=1)[inside]
     count = int(inside.sum())
-    distances, slopes, agreement = np.empty(count), np.empty((count, 11)), np.empty(count)
+    distances, slopes, agreement = np.empty(count), np.empty((count, 13)), np.empty(count)
     pixels = np.ascontiguousarray(pixels[inside])
     normals, moves = np.ascontiguousarray(points.normals[inside]), np.ascontiguousarray(moves)
     measure_distances(pixels, normals, moves, level.distance, distances, slopes, agreement)
     slopes = np.column_stack([slopes, -np.ones(count)])
-    distances = distances - lens[2]
-    return _Seen(pixels, distances, slopes, agreement, points.buildings[inside], points.places[inside])
+    distances = distances - lens[4]
+    return Residuals(pixels, distances, slopes, agreement, points.buildings[inside], points.places[inside])
 
 
-def _outline_noise(seen: _Seen, reach_px: float | None) -> tuple[float, Floats]:
+def _outline_noise(seen: Residuals, reach_px: float | None) -> tuple[float, Floats]:
     """Returns the standard deviation of the mask's outline in pixels, and (N,) how far points count.
 
     Points are on the outline, or on none: trees and holes cut into a mask, yards and neighbours add to it.

@@ -45,7 +45,7 @@ class Ends:
 
     Attributes:
         shifts: (N, 6) by how much photos end elsewhere in the mean, metres and degrees; the first is none.
-        constants: (N, 11) what photos share there, see ``joint``.
+        constants: (N, 13) what photos share there, see ``joint``.
     """
 
     shifts: Floats
@@ -58,7 +58,7 @@ class Ends:
 
     @property
     def covariances(self) -> tuple[Floats, Floats]:
-        """Returns the covariance of an end, (6, 6), and of the constants, (11, 11); zero for one end."""
+        """Returns the covariance of an end, (6, 6), and of the constants, (13, 13); zero for one end."""
         if len(self.shifts) == 1:
             return np.zeros((6, 6)), np.zeros((self.constants.shape[1],) * 2)
         return np.cov(self.shifts, rowvar=False), np.cov(self.constants, rowvar=False)
@@ -68,7 +68,7 @@ def ends_of(found: Sequence[tuple[Floats, Floats, float]]) -> Ends:
     """Returns where starts end, but for those that fit worse.
 
     Args:
-        found: Of each end (P, 6) poses of the same photos, (11,) what they share, and the mean IoU; the first
+        found: Of each end (P, 6) poses of the same photos, (13,) what they share, and the mean IoU; the first
             is the one that the others are compared with.
     """
     best = max(iou for _, _, iou in found)

@@ -32,7 +32,7 @@ class State:
     Attributes:
         vectors: (P, 6) poses of the photos, metres and degrees.
         priors: (P, 6) what the sensors said of them.
-        constants: (11,) the shared numbers before the buildings', see ``joint``.
+        constants: (13,) the shared numbers before the buildings', see ``joint``.
         roofs: Heights of parts of roofs.
         buildings_m: (B,) metres by which each building of the scene is higher than in the map.
         weights: (P,) how far each photo's own words count; 0 for one that is lost.
@@ -56,7 +56,8 @@ class State:
 
     @property
     def lens(self) -> Floats:
-        """Returns (3,) the focal length's change as a share, k1, and pixels that masks are too large by."""
+        """Returns (5,) the focal length's change as a share, k1, how far right and down the principal point is as
+        shares of the width, and pixels that masks are too large by."""
         return self.constants[_LENS]
 
     @property
@@ -85,7 +86,7 @@ class State:
         )
 
     def shift(self, poses: Floats, constants: Floats) -> None:
-        """Moves all poses by (6,) and what photos share by (11,); heights go with all roofs' and feet's."""
+        """Moves all poses by (6,) and what photos share by (13,); heights go with all roofs' and feet's."""
         self.vectors = self.vectors + poses
         self.constants = self.constants + constants
         is_roof = self.roofs.building >= 0

@@ -18,6 +18,7 @@ from lodbench.matching.mutual_nn import MutualNn, MutualNnParams
 from lodbench.matching.protocol import Features, Matches
 from lodbench.matching.sift import Sift, SiftParams
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
+from lodbench.methods.flight.bundle import PairMatches
 from lodbench.methods.flight.relative_poses import RelativePose, tangents
 
 Floats = NDArray[np.float64]
@@ -38,8 +39,10 @@ _FURTHEST_DEG = 15.0
 _FOCAL_STEP = 0.005
 
 
-def relative_poses(queries: Sequence[Query], vectors: Floats) -> list[RelativePose]:
-    """Returns what features say of pairs of photos; none where there are no photos.
+def relative_poses(
+    queries: Sequence[Query], vectors: Floats
+) -> tuple[list[RelativePose], list[PairMatches]]:
+    """Returns what features say of pairs of photos, and those that agree; none where there are no photos.
 
     Args:
         queries: The flight's.
@@ -48,7 +51,8 @@ def relative_poses(queries: Sequence[Query], vectors: Floats) -> list[RelativePo
     width = width_looked_at(len(queries))
     sift = Sift(SiftParams(max_features=round(_FEATURES * (width / _WIDTH) ** 1.5)))
     matcher = MutualNn(MutualNnParams(ratio=0.8))
-    pairs, found, ties = _pairs(vectors), {}, []
+    pairs, found = _pairs(vectors), dict[int, tuple[Features, Camera] | None]()
+    ties, shared = list[RelativePose](), list[PairMatches]()
     last = {photo: number for number, pair in enumerate(pairs) for photo in pair}
     for number, (first, second) in enumerate(pairs):
         for photo in (first, second):
@@ -66,8 +70,11 @@ def relative_poses(queries: Sequence[Query], vectors: Floats) -> list[RelativePo
         guess = pose_from_vector(vectors[second]).rotation @ pose_from_vector(vectors[first]).rotation.T
         tie = two_view(rays[0], rays[1], here[1].fx, guess)
         if tie is not None:
-            ties.append(RelativePose(first, second, *tie))
-    return ties
+            *relative, agrees = tie
+            ties.append(RelativePose(first, second, *relative))
+            pixels = np.stack([matches.first[is_scene], matches.second[is_scene]])[:, agrees]
+            shared.append(PairMatches(first, second, pixels, np.stack(rays)[:, agrees]))
+    return ties, shared
 
 
 def width_looked_at(photos: int) -> int:
@@ -77,7 +84,7 @@ def width_looked_at(photos: int) -> int:
 
 def two_view(
     first: Floats, second: Floats, focal_px: float, guess: Floats
-) -> tuple[Floats, Floats, Floats, Floats] | None:
+) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.bool_]] | None:
     """Returns the relative pose of two photos from points seen in both; None if they say none.
 
     Args:
@@ -87,8 +94,8 @@ def two_view(
         guess: (3, 3) about how the second photo is turned against the first.
 
     Returns:
-        Rotation (3, 3), direction (3,), information (5, 5) and change per share of the focal length (5,);
-        see ``RelativePose``.
+        Rotation (3, 3), direction (3,), information (5, 5) and change per share of the focal length (5,),
+        see ``RelativePose``; and (N,) which points agree with it.
     """
     if len(first) < _FEWEST:
         return None
@@ -115,7 +122,7 @@ def two_view(
     turned = np.concatenate(
         [cv2.Rodrigues(longer[0] @ rotation.T)[0].ravel(), tangents(direction) @ longer[1]]
     )
-    return rotation, direction, information, turned / _FOCAL_STEP
+    return rotation, direction, information, turned / _FOCAL_STEP, inside
 
 
 def _refined(

@@ -1,0 +1,111 @@
+"""Edges of a photo along lines of a model: where across each point of a line the photo changes most.
+
+Nothing here depends on where a search began: the photo is looked at across the line to either side, and all
+edges that run parallel to it are candidates (as in the moving-edges tracker of Bouthemy, 1989, with several
+hypotheses for each point: Vacchetti, Lepetit and Fua, 2004).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.rendering.mean_around import mean_around
+
+Floats = NDArray[np.float64]
+
+# The part of the width that the mean strength is taken over, and the least of it, of CIE Lab's 0 to 100.
+_AROUND_SHARE, _LEAST_MEAN = 12.0, 0.05
+# Distance of samples across a line, pixels.
+_STEP_PX = 0.5
+# An edge is stronger than this, mean strengths around it, and no stronger one counts for more; most of its
+# change goes across the line: within 26 degrees of it.
+_WEAKEST, _STRONGEST, _PARALLEL = 0.8, 4.0, 0.8
+# What a point of a line weighs that shows no edge: an edge of middling strength two deviations off.
+_NO_EDGE = float(np.exp(-2.0))
+
+
+class Candidates(NamedTuple):
+    """Edges of the photo that points of lines may show.
+
+    Attributes:
+        points: (M,) numbers of the points.
+        distances: (M,) from the point along its normal, pixels.
+        strengths: (M,) mean strengths of the photo around, at most 4.
+    """
+
+    points: NDArray[np.int64]
+    distances: Floats
+    strengths: Floats
+
+    def nearest(self, count: int) -> Floats:
+        """Returns (count,) the distance of the nearest candidate of each point, pixels; inf without one."""
+        found = np.full(count, np.inf)
+        np.minimum.at(found, self.points, np.abs(self.distances))
+        return found
+
+    def expected(self, count: int, sigma_px: float) -> tuple[Floats, Floats]:
+        """Returns (count,) distances that are to be expected, and (count,) probabilities that there is an edge.
+
+        Args:
+            count: Of points.
+            sigma_px: Standard deviation of how far the photo's edge is from the line.
+        """
+        likely = self.strengths * np.exp(-0.5 * (self.distances / sigma_px) ** 2)
+        sums = np.bincount(self.points, likely, count)
+        means = np.bincount(self.points, likely * self.distances, count) / np.maximum(sums, 1e-12)
+        return means, sums / (sums + _NO_EDGE)
+
+
+class PhotoEdges:
+    """How strongly a photo changes along any direction at any place of it.
+
+    Args:
+        photo: (H, W) or (H, W, 3) BGR, 8 bits.
+        size: Width and height to work at, pixels.
+        blur_px: Standard deviation of the blur before, pixels of that size.
+
+    Attributes:
+        size: As given.
+    """
+
+    def __init__(self, photo: NDArray[Any], size: tuple[int, int], blur_px: float = 1.0) -> None:
+        self.size = size
+        small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+        if small.ndim == 2:
+            small = np.repeat(small[..., None], 3, axis=2)
+        lab = cv2.GaussianBlur(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), (0, 0), blur_px)
+        across, down = (cv2.Sobel(lab, cv2.CV_32F, *axis, scale=0.125) for axis in ((1, 0), (0, 1)))
+        pairs = ((across, across), (across, down), (down, down))
+        xx, xy, yy = ((one * other).sum(axis=2) for one, other in pairs)
+        around = mean_around(np.sqrt(xx + yy), size[0] / _AROUND_SHARE) + np.float32(_LEAST_MEAN)
+        # The strength along a direction is a quadratic form of it: three numbers say all.
+        self._forms = np.stack([xx, xy, yy], axis=2) / (around**2)[..., None]
+
+    def across(self, pixels: Floats, normals: Floats, reach_px: float) -> Candidates:
+        """Returns the edges across lines, to a fraction of a pixel.
+
+        Args:
+            pixels: (N, 2) points of lines, pixels of the size; pixel centres at +0.5.
+            normals: (N, 2) unit, across the lines.
+            reach_px: How far to look to either side.
+        """
+        steps = int(np.ceil(reach_px / _STEP_PX)) + 1
+        offsets = _STEP_PX * np.arange(-steps, steps + 1)
+        places = (pixels[:, None] + offsets[:, None] * normals[:, None] - 0.5).astype(np.float32)
+        forms = cv2.remap(self._forms, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        x, y = normals[:, None, 0], normals[:, None, 1]
+        squares = forms[..., 0] * x**2 + 2.0 * forms[..., 1] * x * y + forms[..., 2] * y**2
+        is_parallel = squares > _PARALLEL * (forms[..., 0] + forms[..., 2])
+        strengths = np.sqrt(np.maximum(squares, 0.0))
+        before, here, after = strengths[:, :-2], strengths[:, 1:-1], strengths[:, 2:]
+        is_peak = (here >= before) & (here > after) & (here > _WEAKEST) & is_parallel[:, 1:-1]
+        points, columns = np.nonzero(is_peak)
+        one, middle, other = (part[points, columns] for part in (before, here, after))
+        # The top of the parabola through three samples.
+        shift = 0.5 * (one - other) / np.minimum(one - 2.0 * middle + other, -1e-12)
+        distances = offsets[columns + 1] + _STEP_PX * np.clip(shift, -0.5, 0.5)
+        return Candidates(points, distances, np.minimum(middle, _STRONGEST))
