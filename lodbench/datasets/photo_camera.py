@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from lodbench.datasets.photo_metadata import PhotoMetadata
 from lodbench.datasets.photo_xmp import Dewarp
 from lodbench.errors import DatasetError
-from lodbench.geometry import Camera
+from lodbench.geometry import Camera, CameraSigmas
+from lodbench.geometry.camera_sigmas import CALIBRATED, MAKER, UNKNOWN
 
 # Sensors, millimetres: widths as published by DJI with the drones, heights by the shape of whole photos.
 _SMALL, _ONE_INCH, _FOUR_THIRDS, _FULL = (6.17, 4.6275), (13.2, 8.8), (17.3, 12.975), (35.9, 35.9 * 2 / 3)
@@ -52,12 +53,20 @@ class PhotoCamera:
         camera: Of the picture as stored, lens distortion included where it is known.
         source: ``dewarp``, ``calibrated``, ``focal_plane``, ``sensor`` or ``35mm``; or ``given`` by a person.
         lens_percent: Standard deviation of a focal length that is the lens's nominal one, percent, rounding
-            included; None for a calibrated one.
+            included, or as a person states it; None for a calibrated one.
+        camera_sigmas: Standard deviations of all of its numbers.
     """
 
     camera: Camera
     source: str
     lens_percent: float | None = None
+    camera_sigmas: CameraSigmas = CALIBRATED
+
+
+def camera_given(camera: Camera, sigmas: CameraSigmas | None) -> PhotoCamera:
+    """Returns a camera that a person gave, with what they state of it."""
+    known = sigmas or CALIBRATED
+    return PhotoCamera(camera, "given", known.stated_focal_percent, known)
 
 
 def camera_flag(width: int, height: int) -> str:
@@ -115,15 +124,15 @@ def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
         )
     if photo.dewarp is not None:
         _require_own_pixels(photo, photo.dewarp.fx, width, height)
-        return PhotoCamera(_checked(photo, _dewarped(photo, photo.dewarp, width, height)), "dewarp")
+        camera = _checked(photo, _dewarped(photo, photo.dewarp, width, height))
+        return PhotoCamera(camera, "dewarp", camera_sigmas=_sigmas("dewarp", None))
     fx, fy, source = _focal_px(photo, width, height)
     cx = width / 2 if photo.optical_center_x_px is None else photo.optical_center_x_px
     cy = height / 2 if photo.optical_center_y_px is None else photo.optical_center_y_px
     if not (0 < cx < width and 0 < cy < height):
         cx, cy = width / 2, height / 2
-    return PhotoCamera(
-        _checked(photo, Camera(width, height, fx, fy, cx, cy)), source, _lens_percent(photo, source)
-    )
+    camera, percent = _checked(photo, Camera(width, height, fx, fy, cx, cy)), _lens_percent(photo, source)
+    return PhotoCamera(camera, source, percent, _sigmas(source, percent))
 
 
 def _size_when_taken(photo: PhotoMetadata) -> tuple[int, int]:
@@ -189,6 +198,13 @@ def _lens_percent(photo: PhotoMetadata, source: str) -> float | None:
     if source != "35mm" or photo.focal_35mm is None:
         return _NOMINAL_PERCENT
     return math.hypot(_NOMINAL_PERCENT, 100.0 * _ROUNDED_MM / photo.focal_35mm)
+
+
+def _sigmas(source: str, lens_percent: float | None) -> CameraSigmas:
+    if lens_percent is None:
+        return replace(MAKER, source=source)
+    focal_percent = max(UNKNOWN.focal_percent, round(lens_percent, 2))
+    return replace(UNKNOWN, focal_percent=focal_percent, source=source)
 
 
 def _equivalent_px(photo: PhotoMetadata, width: int, height: int) -> float | None:

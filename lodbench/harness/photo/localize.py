@@ -66,6 +66,7 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
                 method=method,
                 seed=request.seed,
                 lens_percent=photo.lens_percent,
+                camera_sigmas=photo.camera_sigmas,
             )
     answered, estimate = more_probable(photo, place.scene, prior, estimate)
     return write_answer(answered, view if answered is photo else answered.view(), place, prior, estimate)
@@ -151,6 +152,7 @@ def write_answer(
         camera=photo.pinhole,
         camera_source=photo.camera_source,
         lens_percent=photo.lens_percent,
+        camera_sigmas=photo.camera_sigmas,
         overlay=overlay,
         geojson=geojson,
         notes=_notes(photo, place, view, estimate),

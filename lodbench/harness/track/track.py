@@ -19,7 +19,12 @@ from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import require_some_mask
-from lodbench.datasets.photo_camera import PhotoCamera, camera_from_photo, require_photo_size
+from lodbench.datasets.photo_camera import (
+    PhotoCamera,
+    camera_from_photo,
+    camera_given,
+    require_photo_size,
+)
 from lodbench.datasets.photo_files import in_pose_lines
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_notes import place_notes
@@ -223,7 +228,8 @@ def _start(
         stated = read_photo_metadata(first)
     if request.camera is not None:
         require_photo_size(request.camera, stated.name, stated.width, stated.height)
-    camera = PhotoCamera(request.camera, "given") if request.camera else camera_from_photo(stated)
+    given = request.camera
+    camera = camera_given(given, request.camera_sigmas) if given else camera_from_photo(stated)
     if request.center is not None:
         east, north, _ = request.center
         convergence = 0.0 if frame is None else frame.convergence_deg(east, north)
