@@ -234,6 +234,26 @@ class TestFromPhotos:
         assert (exact.camera_sigmas, exact.lens_percent) == (None, None)
         assert (stated.camera_sigmas, stated.lens_percent) == (CameraSigmas(3.0, 1.0, 0.0, "stated"), 3.0)
 
+    def test_a_panorama_beside_the_photos_is_left_out(self, capsys, tmp_path, case):
+        flight = tmp_path / "flight"
+        shutil.copytree(case.photo.parent, flight)
+        sphere = xmp_packet(PROPERTIES).replace(
+            b"drone-dji:Gimbal",
+            b'xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" '
+            b'GPano:ProjectionType="equirectangular" drone-dji:Gimbal',
+            1,
+        )
+        write_photo(flight / "DJI_0002_PANO.JPG", np.zeros((32, 64), np.uint8), exif_of(), sphere)
+        words = ["--images", flight, "--city", case.city]
+        code, out, err = run(capsys, "dataset init", tmp_path / "town", *words)
+        assert code == 0, err
+        assert "town: 1 image" in out
+        assert "left out: DJI_0002_PANO.JPG: DJI_0002_PANO.JPG is a panorama (equirectangular)" in out
+        sphere_alone = [flight / "DJI_0002_PANO.JPG", "--city", case.city, "--out", tmp_path / "o"]
+        code, _, err = run(capsys, "localize", *sphere_alone)
+        assert code == 2
+        assert "is a panorama" in err
+
     def test_nothing_is_written_over(self, capsys, tmp_path, case):
         (tmp_path / "town").mkdir()
         (tmp_path / "town" / "mine.txt").write_text("mine")

@@ -24,7 +24,7 @@ from lodbench.datasets.own import (
 )
 from lodbench.datasets.own_sources import LeftOut, images_from_photos, images_from_poses
 from lodbench.datasets.photo_files import PHOTO_SUFFIXES
-from lodbench.datasets.photo_notes import place_notes
+from lodbench.datasets.photo_notes import place_notes, xmp_note
 from lodbench.datasets.photo_pose import HeightOptions
 from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.pose_files import read_pose_file
@@ -118,7 +118,7 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
 def _prior_notes(images: Sequence[OwnImage], frame: MapFrame | None, heights: HeightOptions) -> list[str]:
     """Returns what the reader should know of rough poses from photos: how sure they are, and which lack."""
     stated = [image.stated for image in images if image.stated is not None]
-    notes = [*place_notes(frame, stated, heights)] if stated else []
+    notes = [*place_notes(frame, stated, heights), *filter(None, [xmp_note(stated)])] if stated else []
     lacking = [image for image in images if image.no_prior]
     if lacking:
         first = lacking[0]
