@@ -30,6 +30,7 @@ from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_notes import place_notes
 from lodbench.datasets.photo_pose import pose_at, pose_from_photo
 from lodbench.datasets.undistort import pinhole_of
+from lodbench.datasets.video_subtitles import find_subtitles, stated_at_start
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
@@ -224,6 +225,10 @@ def _start(
             )
         size = size or (request.camera.width, request.camera.height)
         stated = PhotoMetadata(request.footage.source.name, *size)
+        subtitles = find_subtitles(request.footage.source)
+        if subtitles is not None and (beside := stated_at_start(subtitles, stated)) != stated:
+            stated = beside
+            request.footage.notes.append(f"what {subtitles.name} states of the start was used")
     else:
         stated = read_photo_metadata(first)
     if request.camera is not None:
