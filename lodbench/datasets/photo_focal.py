@@ -128,7 +128,7 @@ def equivalents_px(photo: PhotoMetadata, width: int, height: int) -> tuple[float
         return ()
     longer, shorter = max(width, height), min(width, height)
     shown = (width, height)
-    if photo.make.upper() == "DJI" and longer > _WIDE * shorter:
+    if _is_dji(photo) and longer > _WIDE * shorter:
         shown = (longer, round(longer * _WHOLE_HEIGHT))
     focal = photo.focal_35mm / _DIAGONAL_35MM * math.hypot(*shown)
     return tuple(focal * zoom for zoom in _zooms(photo, *shown))
@@ -141,7 +141,7 @@ def _zooms(photo: PhotoMetadata, width: int, height: int) -> tuple[float, ...]:
     and a sensor that drones have, that is meant; otherwise nobody knows.
     """
     zoom = photo.digital_zoom
-    if zoom == 1.0 or photo.make.upper() != "DJI":
+    if zoom == 1.0 or not _is_dji(photo):
         return (1.0,)
     if photo.focal_mm is None or photo.focal_35mm is None:
         return (1.0, zoom)
@@ -179,6 +179,11 @@ def _pixel_mm(photo: PhotoMetadata, width: int, height: int) -> tuple[float, flo
         if any(all(_is_near(side, known_mm, 0.01) for side in pixel) for known_mm in _THERMAL_PIXELS_MM):
             return pixel
     return None
+
+
+def _is_dji(photo: PhotoMetadata) -> bool:
+    """Tells whether a photo is of a drone of DJI, of whose cameras some are Hasselblad's."""
+    return photo.make.upper() == "DJI" or photo.model.upper() in ("L1D-20C", "L2D-20C")
 
 
 def _is_near(one: float, other: float, share: float) -> bool:

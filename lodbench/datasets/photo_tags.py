@@ -145,8 +145,9 @@ def tags_in_xmp(stated: Mapping[str, str]) -> dict[int, Any]:
     below = stated.get("GPSAltitudeRef", "").strip().lower()
     gps: dict[int, Any] = {_ALT: stated.get("GPSAltitude"), _ALT_REF: int(below.startswith(("1", "below")))}
     for name, tag, reference in (("GPSLatitude", _LAT, _LAT_REF), ("GPSLongitude", _LON, _LON_REF)):
-        text = stated.get(name, "").strip()
-        gps[tag], gps[reference] = [*text[:-1].split(","), "0"][:3], text[-1:]  # 48,21.1367N or 48,21,8N
+        text = stated.get(name, "").strip()  # 48,21.1367N or 48,21,8N; some write -48.352278
+        body = text.rstrip("NSEWnsew")
+        gps[tag], gps[reference] = [*body.split(","), "0", "0"][:3], text[len(body) :]
     top = {tag: stated[name] for name, tag in (("Make", _MAKE), ("Model", _MODEL)) if name in stated}
     return {**top, _ORIENTATION: stated.get("Orientation"), _EXIF_IFD: exif, _GPS_IFD: gps}
 

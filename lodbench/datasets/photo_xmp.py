@@ -174,7 +174,7 @@ def _field_of_view(properties: list[_Property]) -> dict[str, float]:
     found: dict[str, float] = {}
     for each in properties:
         match = _FIELD_OF_VIEW.fullmatch(each.name.rpartition("/")[2])
-        number = number_of(each.value.strip().rstrip("\N{DEGREE SIGN}")) if match else None
+        number = number_of(each.value.rstrip(" \N{DEGREE SIGN}degrs")) if match else None
         if match and number is not None and 0 < number < 180:
             axis = (match[1] or match[2]).lower()
             found.setdefault("field_across_deg" if axis == "h" else "field_down_deg", number)

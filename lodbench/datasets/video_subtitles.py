@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.photo_metadata import PhotoMetadata
-from lodbench.datasets.photo_tags import place_of
+from lodbench.datasets.photo_tags import number_of, place_of
 
 # The first second: what a drone does not know of its first frame, it knows soon.
 _FIRST_CUES, _MOST_BYTES = 30, 1 << 16
@@ -65,8 +65,8 @@ def _cues(text: str) -> Iterator[str]:
 
 
 def _stated(cue: str) -> dict[str, float]:
-    named = ((_NAMES.get(name.lower()), float(number)) for name, number in _NAMED.findall(cue))
-    found = {name: number for name, number in named if name is not None}
+    named = ((_NAMES.get(name.lower()), number_of(number)) for name, number in _NAMED.findall(cue))
+    found = {name: number for name, number in named if name is not None and number is not None}
     if match := _GPS.search(cue):
         found |= {"longitude_deg": float(match[1]), "latitude_deg": float(match[2])}
     if match := _GIMBAL.search(cue):

@@ -203,6 +203,10 @@ class TestXmp:
         assert found.camera.fx == pytest.approx(320 / math.tan(math.radians(30)))
         assert found.camera.fy == pytest.approx(found.camera.fx, rel=1e-3)
         assert found.camera_sigmas.focal_percent == 1.5
+        words = body.replace("60.0", "60.0 deg")
+        assert (
+            camera_from_photo(photo(tmp_path, (640, 480), tags, description("http://any/", words))) == found
+        )
         wrong = body.replace("46.8", "80.8")
         with pytest.raises(DatasetError, match="focal length"):
             camera_from_photo(photo(tmp_path, (640, 480), tags, description("http://any/", wrong)))
@@ -233,6 +237,8 @@ class TestXmp:
             pytest.approx(-(11 / 60 + 34 / 3600)),
         )
         assert (stated.altitude_m, stated.model) == (600.1, "FC6310R")
+        decimal = photo(tmp_path, (60, 40), b"", packet.replace(b"0,11,34W", b"-0.1927778"))
+        assert (decimal.longitude_deg, decimal.latitude_deg) == (-0.1927778, pytest.approx(48.1393))
         assert camera_from_photo(stated).source == ("sensor" if name == "FocalLength" else "35mm")
         # EXIF goes first.
         tags = exif_of(51.0, 5.0, 100.0, focal_35mm=35, model="X", focal_mm=None)

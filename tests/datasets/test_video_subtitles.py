@@ -54,7 +54,16 @@ def test_zeros_are_no_direction(tmp_path):
     assert stated(tmp_path, zeros).gimbal_yaw_deg is None
 
 
-@pytest.mark.parametrize("content", [b"", b"\xff\xfe\0", b"no times", b"1\n-->\n[latitude: ] [abs_alt: x]"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\xff\xfe\0",
+        b"no times",
+        b"1\n-->\n[latitude: ] [abs_alt: x]",
+        b"-->\n[abs_alt: " + b"9" * 400 + b"]",
+    ],
+)
 def test_what_states_nothing(tmp_path, content):
     (tmp_path / "v.srt").write_bytes(content)
     assert stated_at_start(tmp_path / "v.srt", VIDEO) == VIDEO
