@@ -12,6 +12,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.execution.one_blas_thread import on_one_blas_thread
+from lodbench.methods.assessment import assessed
 from lodbench.methods.protocol import (
     Estimate,
     FlightEstimate,
@@ -38,8 +39,9 @@ def localize_query(method: Method, query: Query, city_map: CityMap, streams: Str
     city_map.usage.take()
     started = time.perf_counter()
     estimate = method.localize(query, city_map, streams)
-    seconds = time.perf_counter() - started
-    return _measured(estimate, sum(city_map.usage.take().values()), seconds)
+    drawn = sum(city_map.usage.take().values())
+    estimate = _assessed(estimate, query, city_map, method)
+    return _measured(estimate, drawn, time.perf_counter() - started)
 
 
 @on_one_blas_thread
@@ -54,10 +56,11 @@ def localize_queries(
     city_map.usage.take()
     started = time.perf_counter()
     answers = list(method.localize_batch(queries, city_map, streams))
-    seconds = (time.perf_counter() - started) / max(1, len(queries))
     drawn = sum(city_map.usage.take().values()) // max(1, len(queries))
     if len(answers) != len(queries):
         raise TypeError(f"localize_batch returned {len(answers)} answers to {len(queries)} queries")
+    answers = [_assessed(*pair, city_map, method) for pair in zip(answers, queries, strict=True)]
+    seconds = (time.perf_counter() - started) / max(1, len(queries))
     return [found if isinstance(found, QueryFault) else _measured(found, drawn, seconds) for found in answers]
 
 
@@ -73,7 +76,6 @@ def localize_flight(
     city_map.usage.take()
     started = time.perf_counter()
     found = method.localize_flight(queries, city_map, streams)
-    seconds = (time.perf_counter() - started) / max(1, len(queries))
     drawn = sum(city_map.usage.take().values()) // max(1, len(queries))
     if not isinstance(found, FlightEstimate) or len(found.estimates) != len(queries):
         raise TypeError(f"localize_flight returned no FlightEstimate of {len(queries)} photos")
@@ -81,9 +83,9 @@ def localize_flight(
         json.dumps(found.findings, sort_keys=True)
     except (TypeError, ValueError, RecursionError) as error:
         raise TypeError(f"findings of a flight are no JSON values: {error}") from error
-    answers = [
-        each if isinstance(each, QueryFault) else _measured(each, drawn, seconds) for each in found.estimates
-    ]
+    answers = [_assessed(*pair, city_map, method) for pair in zip(found.estimates, queries, strict=True)]
+    seconds = (time.perf_counter() - started) / max(1, len(queries))
+    answers = [each if isinstance(each, QueryFault) else _measured(each, drawn, seconds) for each in answers]
     return FlightEstimate(answers, found.findings)
 
 
@@ -101,6 +103,18 @@ def weight_files(method: Method) -> tuple[Path, ...]:
         if not file.is_file():
             raise ConfigError(f"method={method.name} has no weights {file}.", "Set method.weights=FILE.")
     return files
+
+
+def _assessed(
+    estimate: Estimate | QueryFault, query: Query, city_map: CityMap, method: object
+) -> Estimate | QueryFault:
+    """Returns an answer with a probability that holds; what is no answer as it is."""
+    if not isinstance(estimate, Estimate):
+        return estimate
+    # A flight solves for its camera: what is left of it stands in the covariance already.
+    if isinstance(method, SupportsFlights):
+        query = replace(query, camera_sigmas=None)
+    return assessed(estimate, query, city_map, getattr(method, "params", None))
 
 
 def _measured(estimate: object, hypotheses: int, seconds: float) -> Estimate:

@@ -1,0 +1,179 @@
+"""How far to trust an answer, whatever method gave it: covariance, camera, the photo's edges, the search's bounds.
+
+A stated probability is never more than the covariance allows, what is not known of the camera included, and an
+answer that the photo's own edges contradict is in doubt (docs/adr/0069).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymap import CityMap
+from lodbench.datasets.pictures import read_picture
+from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.query import Query
+from lodbench.estimation.model_lines import LensErrors, ModelLines, Projected, lines_in_view, project_lines
+from lodbench.estimation.photo_edges import PhotoEdges
+from lodbench.geometry import Camera
+from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.methods.contour_alignment.uncertainty import probability_within
+from lodbench.methods.protocol import Estimate
+
+Floats = NDArray[np.float64]
+
+# Edges are looked at in photos so wide, pixels; points of lines are so far apart.
+_WIDTH, _SPACING_PX, _FEWEST_POINTS, _LOWEST_RISE = 1200, 4.0, 30, 0.2
+# What outlines are off by where they are weighed against the prior, and over which length alike, pixels.
+_NOISE_PX, _TOGETHER_PX = 2.0, 40.0
+# On 150 real answers covariances of single photos allow for more than errors are: this share of them caps
+# probabilities best (docs/adr/0069).
+_COVARIANCE_SHARE = 0.7
+# A line lies on an edge that is nearer than this; lines laid so far aside say how many do by chance, pixels.
+_ON_PX, _ASIDE_PX = 2.5, (-25.0, -17.0, 17.0, 25.0)
+# Where no more lines than by chance and this share lie on edges, the photo contradicts the answer.
+_LEAST_EXCESS = 0.05
+# Of a contradicted answer, or one at a bound of the search: less than what is trusted.
+_DOUBTFUL = 0.45
+_BOUND = 0.98
+# An error of the camera that moves the answer by as much is worth a note, metres.
+_NEWS_M = 1.0
+
+
+def assessed(estimate: Estimate, query: Query, city_map: CityMap, params: Any = None) -> Estimate:
+    """Returns an answer with what the camera leaves open in its covariance, and a probability that holds.
+
+    Args:
+        estimate: A method's answer, scene frame.
+        query: What it answers.
+        city_map: The map.
+        params: The method's, for the ranges of its search; of one without ``range_..`` those of the papers'
+            priors are taken.
+    """
+    if estimate.probability is None:
+        return estimate
+    vector = vector_from_pose(estimate.pose)
+    camera = _small(query.camera)
+    lines = lines_in_view(city_map, camera, estimate.pose, _SPACING_PX)
+    lines = lines.of(lines.rises > _LOWEST_RISE)
+    laid = project_lines(lines.points, lines.along, camera, vector, LensErrors())
+    notes = list(estimate.notes)
+    covariance, probability = estimate.covariance, float(estimate.probability)
+    if covariance is not None:
+        by_camera = camera_columns(laid, lines, _prior_sigmas(params)) * _camera_sigmas(query)
+        notes += _camera_notes(by_camera, query)
+        covariance = covariance + by_camera @ by_camera.T
+        probability = min(probability, probability_within(_COVARIANCE_SHARE * covariance, vector))
+    for doubt in (*_bounds(query, vector, params), *_edge_doubts(query, laid, lines, camera)):
+        notes.append(doubt)
+        probability = min(probability, _DOUBTFUL)
+    return replace(estimate, covariance=covariance, probability=probability, notes=tuple(notes))
+
+
+def camera_columns(laid: Projected, lines: ModelLines, prior_sigmas: Floats) -> Floats:
+    """Returns (6, 4) how far an answer moves per unit that the camera is not as declared.
+
+    The pose makes up for the camera as far as outlines weigh more than the prior: least squares, linearised.
+
+    Args:
+        laid: The model's lines at the answer.
+        lines: The same.
+        prior_sigmas: (6,) of the prior: metres and degrees.
+    """
+    weights = lines.lengths_px / (_TOGETHER_PX * _NOISE_PX**2)
+    by_pose, by_lens = laid.by_camera[:, :6], laid.by_camera[:, 6:]
+    information = (by_pose * weights[:, None]).T @ by_pose + np.diag(prior_sigmas**-2.0)
+    return np.asarray(-np.linalg.solve(information, (by_pose * weights[:, None]).T @ by_lens))
+
+
+def edge_excess(edges: PhotoEdges, laid: Projected) -> float | None:
+    """Returns which share of lines lies on edges of the photo, less the share that does by chance; None if few.
+
+    Args:
+        edges: The photo's.
+        laid: Points of lines.
+    """
+    count = len(laid.pixels)
+    if count < _FEWEST_POINTS:
+        return None
+    found = edges.across(laid.pixels, laid.normals, max(_ASIDE_PX) + _ON_PX)
+
+    def share(aside_px: float) -> float:
+        near = np.zeros(count, dtype=bool)
+        near[found.points[np.abs(found.distances - aside_px) < _ON_PX]] = True
+        return float(near.mean())
+
+    return share(0.0) - float(np.mean([share(aside) for aside in _ASIDE_PX]))
+
+
+def _small(camera: Camera) -> Camera:
+    width = min(_WIDTH, camera.width)
+    return camera.scaled(width, max(1, round(width * camera.height / camera.width)))
+
+
+def _edge_doubts(query: Query, laid: Projected, lines: ModelLines, camera: Camera) -> Iterator[str]:
+    picture = None if query.image is None else read_picture(query.image)
+    if picture is None or len(lines) < _FEWEST_POINTS:
+        return
+    inside = ((laid.pixels > 0) & (laid.pixels < (camera.width, camera.height))).all(axis=1)
+    shown = replace(
+        laid,
+        pixels=laid.pixels[inside],
+        normals=laid.normals[inside],
+        by_camera=laid.by_camera[inside],
+        by_place=laid.by_place[inside],
+    )
+    excess = edge_excess(PhotoEdges(picture, (camera.width, camera.height)), shown)
+    if excess is not None and excess < _LEAST_EXCESS:
+        yield "the photo contradicts this pose: the map's roof edges lie on its edges no more often than by chance"
+
+
+def _prior_sigmas(params: Any) -> Floats:
+    """Returns (6,) standard deviations of the prior that a method searches, uniform in its ranges."""
+    usual = UniformPrior()
+    half = np.array(
+        [usual.x_m, usual.y_m, usual.z_m, usual.pitch_deg, usual.roll_deg, usual.yaw_deg], dtype=np.float64
+    )
+    names = ("range_x_m", "range_y_m", "range_z_m", "range_tilt_deg", "range_tilt_deg", "range_yaw_deg")
+    widths = [getattr(params, name, None) for name in names]
+    half = np.array([h if w is None else 0.5 * float(w) for h, w in zip(half, widths, strict=True)])
+    return np.maximum(half, 1e-3) / np.sqrt(3.0)
+
+
+def _camera_sigmas(query: Query) -> Floats:
+    """Returns (4,) deviations in the order of ``LensErrors``, less what the method knows of the focal length."""
+    sigmas = query.camera_sigmas
+    if sigmas is None:
+        return np.zeros(4)
+    known = query.lens_percent or 0.0
+    focal = np.sqrt(max(sigmas.focal_percent**2 - known**2, 0.0)) / 100.0
+    return np.array([focal, sigmas.k1, sigmas.center_percent / 100.0, sigmas.center_percent / 100.0])
+
+
+def _camera_notes(by_camera: Floats, query: Query) -> Iterator[str]:
+    """Yields a sentence on the number of the camera that leaves most open, if that is much."""
+    moved_m = np.linalg.norm(by_camera[:3], axis=0)
+    worst = int(np.argmax(moved_m))
+    sigmas = query.camera_sigmas
+    if sigmas is None or moved_m[worst] < _NEWS_M:
+        return
+    known = (
+        f"focal length known to {sigmas.focal_percent:.2g} %",
+        f"radial distortion known to {sigmas.k1:.2g}",
+        *[f"principal point known to {sigmas.center_percent:.2g} % of the width"] * 2,
+    )
+    yield f"{known[worst]} is {moved_m[worst]:.1f} m here"
+
+
+def _bounds(query: Query, vector: Floats, params: Any) -> Iterator[str]:
+    """Yields a sentence for a height at the bound of what was searched."""
+    width_m = getattr(params, "range_z_m", None)
+    if not width_m:
+        return
+    away_m = float(vector[2] - query.prior.center[2])
+    if abs(away_m) > _BOUND * 0.5 * float(width_m):
+        yield f"the height lies at the bound of the search, {away_m:+.1f} m from the prior"
