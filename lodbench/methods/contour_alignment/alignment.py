@@ -145,7 +145,7 @@ class Aligner:
         return vector
 
     def pixels_per_m(self) -> float:
-        """Returns the scale of the nearest quarter of the buildings in view, pixels of the fine size per metre.
+        """Returns the scale of the nearest quarter of the buildings in view, fine pixels per metre.
 
         It is that of a camera as much nearer than the prior as its height may be off.
         """

@@ -35,7 +35,7 @@ _POSITIVE = (
 _PROBABILITIES = ("lens_doubt", "tilt_doubt")
 # Between a lens as told and one in doubt.
 _START_LENS_PERCENT = 0.5
-# Starts lie this close in the picture, pixels of the fine size, however near the buildings are: little more than
+# Starts lie this close in the picture, pixels of the fine size, however near buildings are: little more than
 # alignment reaches. They are never closer than half of what they are over far ones.
 _STRIDE_PX, _CLOSEST = 60.0, 0.5
 # Grids of more poses than this are left for basins: four times those of the published priors' grid.
@@ -198,9 +198,9 @@ class Params:
         return _falling(self.basin_reach_px, self.reach_px, self.basin_steps)
 
     def over(self, pixels_per_m: float) -> Params:
-        """Returns these parameters for buildings of such a scale at the fine size: near ones need closer starts.
+        """Returns these parameters for buildings of such a scale, pixels of the fine size per metre.
 
-        A metre is more pixels there; a degree is not, so that its stride grows as the others fall.
+        Near buildings need closer starts. A degree is as many pixels over all: its stride grows instead.
         """
         share = max(_CLOSEST, _STRIDE_PX / max(_STRIDE_PX, pixels_per_m * self.stride_m))
         return replace(
