@@ -134,7 +134,9 @@ class Projected:
     by_place: Floats
 
 
-def project_lines(points: Floats, along: Floats, camera: Camera, vector: Floats, lens: LensErrors) -> Projected:
+def project_lines(
+    points: Floats, along: Floats, camera: Camera, vector: Floats, lens: LensErrors
+) -> Projected:
     """Returns points of lines as a lens shows them, with their slopes.
 
     Args:

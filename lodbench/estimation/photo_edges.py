@@ -48,7 +48,7 @@ class Candidates(NamedTuple):
         return found
 
     def expected(self, count: int, sigma_px: float) -> tuple[Floats, Floats]:
-        """Returns (count,) distances that are to be expected, and (count,) probabilities that there is an edge.
+        """Returns (count,) expected distances, and (count,) probabilities that there is an edge.
 
         Args:
             count: Of points.
@@ -96,16 +96,17 @@ class PhotoEdges:
         steps = int(np.ceil(reach_px / _STEP_PX)) + 1
         offsets = _STEP_PX * np.arange(-steps, steps + 1)
         places = (pixels[:, None] + offsets[:, None] * normals[:, None] - 0.5).astype(np.float32)
-        forms = cv2.remap(self._forms, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        columns, rows = (np.ascontiguousarray(places[..., axis]) for axis in (0, 1))
+        forms = cv2.remap(self._forms, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         x, y = normals[:, None, 0], normals[:, None, 1]
         squares = forms[..., 0] * x**2 + 2.0 * forms[..., 1] * x * y + forms[..., 2] * y**2
         is_parallel = squares > _PARALLEL * (forms[..., 0] + forms[..., 2])
         strengths = np.sqrt(np.maximum(squares, 0.0))
         before, here, after = strengths[:, :-2], strengths[:, 1:-1], strengths[:, 2:]
         is_peak = (here >= before) & (here > after) & (here > _WEAKEST) & is_parallel[:, 1:-1]
-        points, columns = np.nonzero(is_peak)
-        one, middle, other = (part[points, columns] for part in (before, here, after))
+        points, peaks = np.nonzero(is_peak)
+        one, middle, other = (part[points, peaks] for part in (before, here, after))
         # The top of the parabola through three samples.
         shift = 0.5 * (one - other) / np.minimum(one - 2.0 * middle + other, -1e-12)
-        distances = offsets[columns + 1] + _STEP_PX * np.clip(shift, -0.5, 0.5)
+        distances = offsets[peaks + 1] + _STEP_PX * np.clip(shift, -0.5, 0.5)
         return Candidates(points, distances, np.minimum(middle, _STRONGEST))

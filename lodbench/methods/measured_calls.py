@@ -40,8 +40,8 @@ def localize_query(method: Method, query: Query, city_map: CityMap, streams: Str
     started = time.perf_counter()
     estimate = method.localize(query, city_map, streams)
     drawn = sum(city_map.usage.take().values())
-    estimate = _assessed(estimate, query, city_map, method)
-    return _measured(estimate, drawn, time.perf_counter() - started)
+    assessed_estimate = _assessed(estimate, query, city_map, method)
+    return _measured(assessed_estimate, drawn, time.perf_counter() - started)
 
 
 @on_one_blas_thread

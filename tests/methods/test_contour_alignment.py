@@ -18,12 +18,12 @@ from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
-from lodbench.methods.contour_alignment import ContourAlignment, Params
-from lodbench.methods.contour_alignment.alignment import Aligner, _distance, signed_distance
-from lodbench.methods.contour_alignment.pose_vector import (
+from lodbench.geometry.pose_vector import (
     pose_from_vector,
     vector_from_pose,
 )
+from lodbench.methods.contour_alignment import ContourAlignment, Params
+from lodbench.methods.contour_alignment.alignment import Aligner, _distance, signed_distance
 from lodbench.methods.contour_alignment.world_errors import TRACKS
 from lodbench.methods.measured_calls import localize_query
 from lodbench.storage import random_stream

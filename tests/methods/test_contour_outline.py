@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lodbench.evaluation import pose_error
-from lodbench.methods.contour_alignment.alignment import shortened, signed_distance
-from lodbench.methods.contour_alignment.outline import edges_in_reach, sample_outline
-from lodbench.methods.contour_alignment.pose_vector import (
+from lodbench.geometry.pose_vector import (
     pose_from_vector,
     rotation_derivatives,
     turn_per_angle,
     vector_from_pose,
 )
+from lodbench.methods.contour_alignment.alignment import shortened, signed_distance
+from lodbench.methods.contour_alignment.outline import edges_in_reach, sample_outline
 from tests.town import CAMERA
 
 vectors = st.tuples(

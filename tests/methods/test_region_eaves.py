@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from shapely import Polygon
 
 from lodbench.citymodel.scene import SceneBuilder
-from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
+from lodbench.geometry.pose_vector import vector_from_pose
 from lodbench.methods.region.eaves import outward_moves
 from lodbench.rendering.edge_faces import edge_faces
 from tests.methods.test_region_lines import line_fit

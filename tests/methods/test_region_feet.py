@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymap import CityMap
-from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
+from lodbench.geometry.pose_vector import vector_from_pose
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs
 from lodbench.synthesis.views_dataset import World
 from tests.methods.test_region_lines import line_fit

@@ -11,8 +11,8 @@ import pytest
 
 from lodbench.datasets.query import Query
 from lodbench.evaluation import pose_error
+from lodbench.geometry.pose_vector import vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment
-from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.evidence import Evidence, PhotoFit, views_of
 from lodbench.rendering import IouFit

@@ -12,7 +12,7 @@ import pytest
 
 from lodbench.datasets.priors import UniformPrior
 from lodbench.evaluation import pose_error
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
+from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.methods.region import Params, Region, line_search
 from lodbench.methods.region.evidence import Evidence
 from lodbench.methods.region.photo import Photo

@@ -12,8 +12,8 @@ import pytest
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.evaluation import pose_error
+from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment.outline import edges_in_reach
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.aligned import Alignment
 from lodbench.methods.region.lines import LineFit, points_on_lines

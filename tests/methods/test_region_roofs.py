@@ -13,7 +13,7 @@ import pytest
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.evaluation import pose_error
-from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
+from lodbench.geometry.pose_vector import vector_from_pose
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, RoofEvidence, step_of

@@ -19,6 +19,11 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera
+from lodbench.geometry.pose_vector import (
+    pose_from_vector,
+    rotation_derivatives,
+    vector_from_pose,
+)
 from lodbench.methods.contour_alignment.outline import (
     EdgeArrays,
     OutlinePoints,
@@ -27,11 +32,6 @@ from lodbench.methods.contour_alignment.outline import (
 )
 from lodbench.methods.contour_alignment.outline_kernel import building_sums, measure_distances
 from lodbench.methods.contour_alignment.params import Params
-from lodbench.methods.contour_alignment.pose_vector import (
-    pose_from_vector,
-    rotation_derivatives,
-    vector_from_pose,
-)
 from lodbench.rendering.projection import view_planes, visible_buildings
 from lodbench.segmentation import binary_mask
 

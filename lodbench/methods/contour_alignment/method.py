@@ -13,10 +13,10 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
+from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.alignment import Aligner
 from lodbench.methods.contour_alignment.expected_map import expected_map
 from lodbench.methods.contour_alignment.params import Params
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.refinement import refine
 from lodbench.methods.contour_alignment.starts import find_starts
 from lodbench.methods.contour_alignment.uncertainty import among_rivals, answer_of, beyond_range

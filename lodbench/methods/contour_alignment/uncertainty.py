@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.geometry import Pose
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, turn_per_angle
+from lodbench.geometry.pose_vector import pose_from_vector, turn_per_angle
 from lodbench.methods.contour_alignment.refinement import Refined
 from lodbench.storage import random_stream
 

@@ -1,13 +1,14 @@
 """Bundle adjustment: photos that share features become one rigid block, right up to a similarity.
 
-A pair of photos leaves the direction between them open to a degree where the ground is flat; points that three
-and more photos show do not. Each point is eliminated (Schur complement), so that only poses are solved for
-(Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6.1).
+A pair of photos leaves the direction between them open to a degree where the ground is flat; points that
+three and more photos show do not. Each point is eliminated (Schur complement), so that only poses are solved
+for (Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6.1).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -85,9 +86,7 @@ def observations_of(pairs: Sequence[PairMatches]) -> Observations:
     keys = np.column_stack([photos, pixels])
     _, where, feature = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     starts = np.cumsum([0, *(2 * pair.pixels.shape[1] for pair in pairs)])
-    links = np.concatenate(
-        [feature[a:b].reshape(2, -1) for a, b in zip(starts[:-1], starts[1:], strict=True)], axis=1
-    )
+    links = np.concatenate([feature[a:b].reshape(2, -1) for a, b in pairwise(starts)], axis=1)
     size = len(where)
     graph = coo_matrix((np.ones(links.shape[1]), (links[0], links[1])), (size, size))
     _, points = connected_components(graph, directed=False)

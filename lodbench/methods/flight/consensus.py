@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
+from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.methods.flight.params import Params
 from lodbench.segmentation import binary_mask
 

@@ -1,7 +1,7 @@
-"""What the edges of a photo say of its pose, and of what all photos share: a block of the joint least squares.
+"""What the edges of a photo say of its pose, and of what all photos share: a block of the least squares.
 
-The model's lines are laid over the photo, and each point of them is compared with the edges across it. Unlike a
-mask that is cut with the map's help, edges do not depend on where the search began (docs/adr/0068).
+The model's lines are laid over the photo, and each point of them is compared with the edges across it. Unlike
+a mask that is cut with the map's help, edges do not depend on where the search began (docs/adr/0068).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from lodbench.methods.flight.roof_parts import RoofParts
 
 Floats = NDArray[np.float64]
 
-# Edges are looked at in photos so wide, pixels; points of lines are so far apart, and farther in a dense city.
+# Edges are looked at in photos so wide, pixels; points of lines are so far apart, farther in a dense city.
 _WIDTH, _SPACING_PX, _MOST_POINTS = 1200, 4.0, 1000
 # Standard deviations of how far edges lie from the model's lines, per scale of the masks' robust kernel, and
 # in the last steps, pixels; how far is looked, deviations.
@@ -35,8 +35,8 @@ _LENGTHS_PX = (80.0, 120.0)
 # Standard deviation of where each building stands, east and north, metres; see ``summed_up``.
 _VIEW_PLACE_M = 0.3
 _NOISE_PX, _BORDER_PX, _LEAST_WEIGHT, _FEWEST_POINTS = (0.7, 12.0), 3.0, 1e-6, 12
-# Where walls end says nothing: hedges, cars and slopes hide it, and nothing of a map is worse than its ground. On
-# two real flights the bases of walls show 1 to 2.5 m above the map's (docs/adr/0068).
+# Where walls end says nothing: hedges, cars and slopes hide it, and of a map the ground errs most.
+# On two real flights the bases of walls show 1 to 2.5 m above the map's (docs/adr/0068).
 _LOWEST_RISE = 0.2
 # Matrices of points in the last steps; one leads there.
 _MOST_SUBSETS = 4
@@ -82,7 +82,7 @@ def edge_terms(
         vectors: (P, 6) their poses: metres and degrees.
         lens: (5,) as of ``State.lens``.
         roofs: By how much parts of roofs are higher than in the map; parts that are met are added.
-        reach_px: Scale of the masks' robust kernel, with which that of edges narrows; None for the last steps.
+        reach_px: Scale of the masks' robust kernel, with which that of edges narrows; None in the last steps.
         trust: As of ``flight_terms``.
         threads: Photos are looked at side by side, None for one after the other.
     """
@@ -147,12 +147,8 @@ def _terms(
     distances, chances = candidates.expected(len(pixels), sigma_px)
     rises, up = lines.rises[inside], laid.by_place[inside, 2]
     camera, none = laid.by_camera[inside], np.zeros(len(pixels))
-    slopes = np.column_stack(
-        [camera[:, :6], none, up * rises, up * (1.0 - rises), camera[:, 6:], none]
-    )
-    seen = Residuals(
-        pixels, -distances, slopes, chances, lines.buildings[inside], lines.points[inside, :2]
-    )
+    slopes = np.column_stack([camera[:, :6], none, up * rises, up * (1.0 - rises), camera[:, 6:], none])
+    seen = Residuals(pixels, -distances, slopes, chances, lines.buildings[inside], lines.points[inside, :2])
     near = distances[chances > 0.5]
     found_px = 1.4826 * float(np.median(np.abs(near))) if len(near) else _NOISE_PX[1]
     noise_px = float(np.clip(found_px, *_NOISE_PX))

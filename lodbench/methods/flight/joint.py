@@ -1,10 +1,10 @@
 """The joint problem: poses of all photos, what they share, and the heights of the roofs they show.
 
 Its unknowns, in this order: six numbers of each photo (metres, degrees); the flight's error of x, y, z
-(metres), pitch, roll, yaw (degrees); the focal length (share), radial distortion, principal point (shares of
-the width), and by how much masks are too large (pixels); what all roofs, and where all walls end, are wrong about alike (metres); each building's
-height against the map, and each part's of its roof or foot (metres); the similarity that places a
-reconstruction. A photo's pose is its prior, the flight's error and an error of its own; a part's height is
+(metres), pitch, roll, yaw (degrees); the focal length (share), radial distortion, principal point (shares
+of the width), and by how much masks are too large (pixels); what all roofs, and where all walls end, are
+wrong about alike (metres); each building's height against the map, and each part's of its roof or foot
+(metres); the similarity that places a reconstruction. A photo's pose is its prior, the flight's error and an error of its own; a part's height is
 its building's and an error of its own, a building's that of all roofs and its own. All is one sparse system.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import SuperLU
 
-from lodbench.methods.contour_alignment.pose_vector import rotation_derivatives
+from lodbench.geometry.pose_vector import rotation_derivatives
 from lodbench.methods.flight.error_groups import ErrorGroup
 from lodbench.methods.flight.normal_equations import NormalEquations
 from lodbench.methods.flight.params import Params
@@ -58,7 +58,7 @@ class Solution:
     pulls: Floats
 
     def moved_by_places(self) -> Floats:
-        """Returns (S, 2 N) how all unknowns move per metre that each building stands east and north of the map."""
+        """Returns (S, 2 N) how unknowns move per metre that each building stands east and north off."""
         return np.asarray(-self.factorised.solve(self.pulls)) if self.pulls.size else self.pulls
 
     def scales(self) -> Floats:

@@ -12,11 +12,11 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
+from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment.uncertainty import probability_within
-from lodbench.methods.flight.bundle import block_of
 from lodbench.methods.flight.aligning import Aligned, align, mean_iou, side_by_side
+from lodbench.methods.flight.bundle import block_of
 from lodbench.methods.flight.consensus import flight_error
 from lodbench.methods.flight.findings import cannot_tell_focal, findings_of
 from lodbench.methods.flight.joint import photo_covariance, solve
@@ -38,7 +38,8 @@ _TIE_STEPS = 6
 _SAME_SCALE = (
     "focal length and height cannot be told apart by these photos: the focal length is left as stated"
 )
-_MASKS_BY_MAP = "masks made with the map agree with it: how sure the poses are is too sure"
+# Edges place a flight where no less of the map's lines than this show one: more than do by chance.
+_LEAST_EDGES = 0.55
 # What photos have in common is this many sigmas from what was expected before all is believed less.
 _EXPECTED_SIGMAS = 2.0
 
@@ -126,28 +127,60 @@ class FlightMethod:
         offset, _ = flight_error(queries, start.vectors, offsets, city_map, self.params)
         aligned = align(queries, start.begun(np.arange(len(queries)), offset), city_map, self.params)
         if not cannot_tell_focal(aligned.solution, self.params):
-            return self._finished(queries, start, aligned, city_map)
-        held = FlightMethod(replace(self.params, focal=0.0))
-        aligned.state.constants[FOCAL] = start.constants[FOCAL] = 0.0
-        found = held._finished(queries, start, align(queries, aligned.state, city_map, held.params), city_map)
-        found.findings["notes"] = [_SAME_SCALE]
-        return found
+            found = self._finished(queries, start, aligned, city_map)
+        else:
+            held = FlightMethod(replace(self.params, focal=0.0))
+            aligned.state.constants[FOCAL] = start.constants[FOCAL] = 0.0
+            aligned = align(queries, aligned.state, city_map, held.params)
+            found = held._finished(queries, start, aligned, city_map)
+            found.findings["notes"] = [_SAME_SCALE]
+        return self._refined_by_edges(queries, start, aligned.state.vectors, found, city_map)
+
+    def _refined_by_edges(
+        self,
+        queries: Sequence[Query],
+        start: State,
+        vectors: Floats,
+        found: FlightEstimate,
+        city_map: CityMap,
+    ) -> FlightEstimate:
+        """Returns a flight that masks have placed where edges have it, if these lie on the map's lines.
+
+        Findings about the map stay those of masks.
+        """
+        if start.reconstruction is None or all(query.image is None for query in queries):
+            return found
+        method = FlightMethod(replace(self.params, single="region"))
+        begun = replace(start, vectors=vectors).begun(np.arange(len(queries)), np.zeros(6))
+        aligned, method = method._aligned_by_edges(queries, begun, city_map)
+        if mean_iou(aligned.terms) < _LEAST_EDGES:
+            return found
+        refined = method._with_covariances(queries, begun, aligned, city_map)
+        return FlightEstimate(refined.estimates, found.findings)
 
     def _solve_by_edges(
         self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
     ) -> FlightEstimate:
         """Returns the same of photos without masks, which are compared by their edges."""
-        if all(isinstance(found, QueryFault) for found in alone):
+        if len(queries) == 1 or all(isinstance(found, QueryFault) for found in alone):
             return FlightEstimate(alone)
         start = self._start(queries, city_map, alone)
+        if start.reconstruction is None:
+            start.vectors, _ = agreed_places(start.vectors, alone, self.params)
+        aligned, method = self._aligned_by_edges(queries, start, city_map)
+        # Masks are made for what stands in the map or on the ground only: poses do not rest on them.
+        masked = with_masks_by_looks(queries, aligned.state.vectors, aligned.state.weights, city_map)
+        return method._finished(masked, start, aligned, city_map)
+
+    def _aligned_by_edges(
+        self, queries: Sequence[Query], start: State, city_map: CityMap
+    ) -> tuple[Aligned, FlightMethod]:
+        """Returns where edges have a flight, and the method that knows how far its priors scatter."""
         params = self.params.for_edges()
         if start.reconstruction is not None:
             gaps = differences(start.vectors, start.priors)
             params = params.with_scatter(gaps[start.reconstruction.photos])
-        aligned = align(queries, start, city_map, params)
-        # Masks are made for what stands in the map or on the ground only: poses do not rest on them.
-        masked = with_masks_by_looks(queries, aligned.state.vectors, aligned.state.weights, city_map)
-        return FlightMethod(params)._finished(masked, start, aligned, city_map)
+        return align(queries, start, city_map, params), FlightMethod(params)
 
     def _require_reconstruction(self, queries: Sequence[Query]) -> None:
         known = sum(query.reconstructed is not None for query in queries)
@@ -161,20 +194,32 @@ class FlightMethod:
     def _finished(
         self, queries: Sequence[Query], start: State, aligned: Aligned, city_map: CityMap
     ) -> FlightEstimate:
+        """Returns the poses of an aligned flight, and what it says of drone and map."""
+        found = self._with_covariances(queries, start, aligned, city_map)
+        of_constants = np.array(found.findings["of_constants"])
+        return FlightEstimate(
+            found.estimates, findings_of(aligned, queries, city_map, self.params, of_constants)
+        )
+
+    def _with_covariances(
+        self, queries: Sequence[Query], start: State, aligned: Aligned, city_map: CityMap
+    ) -> FlightEstimate:
+        """Returns the poses of an aligned flight; of findings what constants err by besides, (13, 13)."""
         ends = self._ends(queries, start, aligned, city_map)
-        state = aligned.state
-        state.shift(*ends.middle)
+        aligned.state.shift(*ends.middle)
         of_pose, of_constants = ends.covariances
         # What footprints of the map are wrong about no photo tells: cameras go aside with a building.
         moved = self.params.footprint_m * aligned.solution.moved_by_places()
         shared = moved[6 * len(queries) :][: len(of_constants)]
-        of_constants = of_constants + shared @ shared.T
+
+        def estimate(row: int) -> Estimate:
+            own = moved[6 * row : 6 * row + 6]
+            return self._estimate(aligned, row, of_pose + own @ own.T)
+
         # Each takes the longer the more photos there are: of hundreds, all of them take as long as the steps.
         with side_by_side(city_map.threads) as threads:
-            spread = map if threads is None else threads.map
-            estimates = list(spread(lambda row: self._estimate(aligned, row, of_pose, moved[6 * row : 6 * row + 6]), range(len(queries))))
-        found = findings_of(aligned, queries, city_map, self.params, of_constants)
-        return FlightEstimate(estimates, found)
+            estimates = list((map if threads is None else threads.map)(estimate, range(len(queries))))
+        return FlightEstimate(estimates, {"of_constants": of_constants + shared @ shared.T})
 
     def _ends(self, queries: Sequence[Query], start: State, aligned: Aligned, city_map: CityMap) -> Ends:
         """Returns where the flight ends from other starts around its answer.
@@ -245,10 +290,10 @@ class FlightMethod:
         )
         return max(1.0, float((beyond**2).max()))
 
-    def _estimate(self, aligned: Aligned, row: int, of_ends: Floats, moved: Floats) -> Estimate:
+    def _estimate(self, aligned: Aligned, row: int, besides: Floats) -> Estimate:
+        """Returns a photo's pose; ``besides`` is what it errs by beyond what the solution says, (6, 6)."""
         vector = aligned.state.vectors[row]
-        spread = photo_covariance(aligned.solution, row) * self._misfit(aligned.state) + of_ends
-        spread = spread + moved @ moved.T
+        spread = photo_covariance(aligned.solution, row) * self._misfit(aligned.state) + besides
         term = aligned.terms[row]
         return Estimate(
             pose=pose_from_vector(vector),

@@ -128,7 +128,7 @@ class Params:
         return _sigmas(*widths, self.own_tilt_deg, self.own_tilt_deg, self.own_yaw_deg)
 
     def with_scatter(self, gaps: Floats) -> Params:
-        """Returns the parameters where photos' own errors are as large as they are found to be, or as declared.
+        """Returns the parameters with photos' own errors as large as they are found to be, or as declared.
 
         Args:
             gaps: (P, 6) where a block of photos has each, less what sensors say: metres and degrees.
@@ -136,10 +136,13 @@ class Params:
         if len(gaps) < _FEWEST_TO_SCATTER:
             return self
         scatter = _MAD * np.median(np.abs(gaps - np.median(gaps, axis=0)), axis=0)
-        groups = scatter[:3].max(), scatter[3:5].max(), scatter[5]
-        names = ("own_m", "own_tilt_deg", "own_yaw_deg")
-        widths = (max(getattr(self, n), math.sqrt(3.0) * s) for n, s in zip(names, groups, strict=True))
-        return replace(self, **dict(zip(names, map(float, widths), strict=True)))
+        widths = math.sqrt(3.0) * scatter
+        return replace(
+            self,
+            own_m=max(self.own_m, float(widths[:3].max())),
+            own_tilt_deg=max(self.own_tilt_deg, float(widths[3:5].max())),
+            own_yaw_deg=max(self.own_yaw_deg, float(widths[5])),
+        )
 
     def constant_sigmas(self, scales: Floats = _AS_TOLD) -> Floats:
         """Returns (13,) standard deviations beforehand of what photos share, in the order of ``joint``.
@@ -167,7 +170,7 @@ class Params:
     def for_edges(self) -> Params:
         """Returns the parameters where edges of photos say the poses: they lie on roofs, no mask's stairs do.
 
-        Heights of roofs err as ``region`` has it; those of single roofs may still be wrong by much (Student's t).
+        Heights of roofs err as ``region`` has it; single roofs may still be wrong by much (Student's t).
         """
         return replace(
             self,

@@ -59,7 +59,7 @@ class PhotoTerms:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """Points through a lens: where they are looked up, and how far they are from the mask's outline, or edges.
+    """Points through a lens: where they are looked up, and how far they are from a mask's outline or edges.
 
     Attributes:
         pixels: (N, 2) of the working size.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lodbench.geometry import Pose
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
+from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.methods.flight.relative_poses import robust, rotation_vector
 
 Floats = NDArray[np.float64]

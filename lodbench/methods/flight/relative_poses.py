@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
+from lodbench.geometry.pose_vector import pose_from_vector
 
 Floats = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.state import differences
 from lodbench.methods.protocol import Estimate

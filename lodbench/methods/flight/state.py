@@ -56,8 +56,7 @@ class State:
 
     @property
     def lens(self) -> Floats:
-        """Returns (5,) the focal length's change as a share, k1, how far right and down the principal point is as
-        shares of the width, and pixels that masks are too large by."""
+        """Returns (5,) focal length (share), k1, principal point right and down (shares), masks' growth (px)."""
         return self.constants[_LENS]
 
     @property

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera
+from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.matching.mutual_nn import MutualNn, MutualNnParams
 from lodbench.matching.protocol import Features, Matches
 from lodbench.matching.sift import Sift, SiftParams
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.flight.bundle import PairMatches
 from lodbench.methods.flight.relative_poses import RelativePose, tangents
 
@@ -39,9 +39,7 @@ _FURTHEST_DEG = 15.0
 _FOCAL_STEP = 0.005
 
 
-def relative_poses(
-    queries: Sequence[Query], vectors: Floats
-) -> tuple[list[RelativePose], list[PairMatches]]:
+def relative_poses(queries: Sequence[Query], vectors: Floats) -> tuple[list[RelativePose], list[PairMatches]]:
     """Returns what features say of pairs of photos, and those that agree; none where there are no photos.
 
     Args:
@@ -73,7 +71,7 @@ def relative_poses(
             *relative, agrees = tie
             ties.append(RelativePose(first, second, *relative))
             pixels = np.stack([matches.first[is_scene], matches.second[is_scene]])[:, agrees]
-            shared.append(PairMatches(first, second, pixels, np.stack(rays)[:, agrees]))
+            shared.append(PairMatches(first, second, pixels.astype(np.float64), np.stack(rays)[:, agrees]))
     return ties, shared
 
 

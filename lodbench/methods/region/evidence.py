@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lodbench.datasets.query import Query
 from lodbench.geometry import wrap_deg
 from lodbench.geometry.angles import rotations_from_euler
-from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
+from lodbench.geometry.pose_vector import vector_from_pose
 from lodbench.methods.region.params import Params
 from lodbench.methods.region.unknowns import CAMERAS, LENS
 from lodbench.rendering import ContourFit, RegionFit, Scorer, appearance_bins, edge_bins

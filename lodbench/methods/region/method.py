@@ -15,8 +15,8 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
+from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.outline import edges_of, scene_in_reach
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.uncertainty import beyond_range, probability_within
 from lodbench.methods.fits import query_photo
 from lodbench.methods.protocol import Estimate, Streams

@@ -57,6 +57,7 @@ class RaisedRoofs:
         feet_m: How much higher than in the map all walls end, metres.
         eaves_m: How much farther than in the map all eaves stand out, metres.
         threads: Of the map.
+        is_tall: (B,) whether a building has a height that could err.
     """
 
     def __init__(self, city_map: CityMap, part: Scene, pitched_lower_m: float = 0.0) -> None:
@@ -69,7 +70,7 @@ class RaisedRoofs:
         self._floors, self._rises = np.zeros((2, part.num_buildings))
         self._floors[boxes.building] = boxes.low[:, 2]
         self._rises[boxes.building] = boxes.high[:, 2] - boxes.low[:, 2]
-        self._is_tall = self._rises > _FLAT_M
+        self.is_tall = self._rises > _FLAT_M
         self._told_m = -pitched_lower_m * pitched_blocks(part)
 
     def each_by_itself(self, own_m: Floats, feet_m: float, eaves_m: float) -> RaisedRoofs:
@@ -103,7 +104,7 @@ class RaisedRoofs:
             heights = part.vertices[:, 2].astype(np.float64)
             vertices = part.vertices.copy()
             shares = self._shares(heights, owner, self._floors, self._rises)
-            lifts = self._is_tall[owner] * (1.0 - shares)
+            lifts = self.is_tall[owner] * (1.0 - shares)
             vertices[:, 2] = heights + shares * self._raised(step)[owner] + lifts * self._lifted(step)[owner]
             if self.eaves_m != 0.0:
                 vertices[:, :2] += (self.eaves_m * shares)[:, None] * self._outward
@@ -135,7 +136,7 @@ class RaisedRoofs:
             buildings: As of ``shares``.
             step: As of ``shares``.
         """
-        return np.asarray(self._is_tall[buildings] * (1.0 - self.shares(heights, buildings, step)))
+        return np.asarray(self.is_tall[buildings] * (1.0 - self.shares(heights, buildings, step)))
 
     def outward(self, corners: NDArray[np.int32], places: Floats) -> Floats:
         """Returns (N, 2) how far points of edges move east and north where walls stand out a metre farther.
@@ -149,17 +150,17 @@ class RaisedRoofs:
 
     def _shares(self, heights: Floats, buildings: NDArray[np.int64], floors: Floats, rises: Floats) -> Floats:
         shares = (heights - floors[buildings]) / np.maximum(rises[buildings], _FLAT_M)
-        return np.asarray(np.where(self._is_tall[buildings], np.clip(shares, 0.0, 1.0), 0.0))
+        return np.asarray(np.where(self.is_tall[buildings], np.clip(shares, 0.0, 1.0), 0.0))
 
     def _raised(self, step: int) -> Floats:
         """Returns (B,) by how much each roof is higher at a step, metres; what is flat has none."""
         lowest = np.minimum(_LOWEST_M - self._rises, 0.0)
-        return np.where(self._is_tall, np.maximum(step * STEP_M + self._told_m + self.own_m, lowest), 0.0)
+        return np.where(self.is_tall, np.maximum(step * STEP_M + self._told_m + self.own_m, lowest), 0.0)
 
     def _lifted(self, step: int) -> Floats:
         """Returns (B,) by how much each building's walls end higher at a step, metres."""
         most = np.maximum(self._rises + self._raised(step) - _LOWEST_M, 0.0)
-        return np.where(self._is_tall, np.minimum(self.feet_m, most), 0.0)
+        return np.where(self.is_tall, np.minimum(self.feet_m, most), 0.0)
 
 
 def _map_of(part: Scene, city_map: CityMap) -> CityMap:

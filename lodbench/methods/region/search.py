@@ -11,8 +11,8 @@ from scipy.ndimage import maximum_filter
 
 from lodbench.datasets.query import Query
 from lodbench.geometry import Pose, PoseGrid
+from lodbench.geometry.pose_vector import pose_from_vector, rotation_derivatives
 from lodbench.methods.contour_alignment.outline import EdgeArrays, OutlinePoints, sample_outline
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, rotation_derivatives
 from lodbench.methods.fits import nothing_fits
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import Evidence

@@ -13,10 +13,10 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, Pose
+from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.contour_alignment.alignment import Aligner
 from lodbench.methods.contour_alignment.params import Params as PhotoParams
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment.uncertainty import probability_within
 from lodbench.methods.tracking.params import Params, half_size
 from lodbench.storage import random_stream

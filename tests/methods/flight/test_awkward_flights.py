@@ -13,7 +13,7 @@ from lodbench.citymap.corrected_map import corrected_map
 from lodbench.datasets.query import Query
 from lodbench.errors import RenderingError
 from lodbench.evaluation import pose_error
-from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.flight import Params, aligning
 from lodbench.methods.flight.photo_terms import flight_terms
 from lodbench.synthesis.flights.errors import MapErrors, change_map

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lodbench.geometry.pose_vector import vector_from_pose
 from lodbench.methods.contour_alignment.alignment import Aligner
-from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
 from lodbench.methods.flight import Params, photo_terms
 from lodbench.methods.flight.photo_terms import LENS, flight_terms
 from lodbench.methods.flight.roof_parts import RoofParts

@@ -14,7 +14,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Camera, Pose
-from lodbench.methods.contour_alignment.pose_vector import (
+from lodbench.geometry.pose_vector import (
     pose_from_vector,
     rotation_derivatives,
 )

@@ -10,7 +10,7 @@ import pytest
 
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
-from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
+from lodbench.geometry.pose_vector import vector_from_pose
 from lodbench.methods.flight import FlightMethod, Params
 from lodbench.methods.flight.shared_looks import agreed_places, exposures, look_of, with_masks_by_looks
 from lodbench.methods.protocol import Estimate

@@ -1,1 +1,0 @@
-from lodbench.geometry.pose_vector import *  # noqa: F403
