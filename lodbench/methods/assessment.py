@@ -20,6 +20,7 @@ from lodbench.datasets.query import Query
 from lodbench.estimation.model_lines import LensErrors, ModelLines, Projected, lines_in_view, project_lines
 from lodbench.estimation.photo_edges import PhotoEdges
 from lodbench.geometry import Camera
+from lodbench.geometry.camera_sigmas import UNKNOWN, CameraSigmas
 from lodbench.geometry.pose_vector import vector_from_pose
 from lodbench.methods.contour_alignment.uncertainty import probability_within
 from lodbench.methods.protocol import Estimate
@@ -33,6 +34,8 @@ _NOISE_PX, _TOGETHER_PX = 2.0, 40.0
 # Covariances of single photos allow for more than errors are: on 98 answers over two real flights and two
 # cities this share of them states what is found (docs/adr/0069).
 _COVARIANCE_SHARE = 0.5
+# How often a camera is not as declared, but no better known than from its nominal focal length.
+_MISDECLARED = 0.1
 # A line lies on an edge that is nearer than this; lines laid so far aside say how many do by chance, pixels.
 _ON_PX, _ASIDE_PX = 2.5, (-25.0, -17.0, 17.0, 25.0)
 # Where no more lines than by chance and this share lie on edges, the photo contradicts the answer.
@@ -44,7 +47,9 @@ _BOUND = 0.98
 _NEWS_M = 1.0
 
 
-def assessed(estimate: Estimate, query: Query, city_map: CityMap, params: Any = None) -> Estimate:
+def assessed(
+    estimate: Estimate, query: Query, city_map: CityMap, params: Any = None, is_camera_solved: bool = False
+) -> Estimate:
     """Returns an answer with what the camera leaves open in its covariance, and a probability that holds.
 
     Args:
@@ -53,6 +58,7 @@ def assessed(estimate: Estimate, query: Query, city_map: CityMap, params: Any = 
         city_map: The map.
         params: The method's, for the ranges of its search; of one without ``range_..`` those of the papers'
             priors are taken.
+        is_camera_solved: Whether what is not known of the camera stands in the covariance already.
     """
     if estimate.probability is None:
         return estimate
@@ -64,10 +70,17 @@ def assessed(estimate: Estimate, query: Query, city_map: CityMap, params: Any = 
     notes = list(estimate.notes)
     covariance, probability = estimate.covariance, float(estimate.probability)
     if covariance is not None:
-        by_camera = camera_columns(laid, lines, _prior_sigmas(params)) * _camera_sigmas(query)
-        notes += _camera_notes(by_camera, query)
-        covariance = covariance + by_camera @ by_camera.T
-        probability = min(probability, probability_within(_COVARIANCE_SHARE * covariance, vector))
+        allowed = _COVARIANCE_SHARE * covariance
+        if is_camera_solved:
+            probability = min(probability, probability_within(allowed, vector))
+        else:
+            per_unit = camera_columns(laid, lines, _prior_sigmas(params))
+            by_camera, if_unknown = per_unit * _camera_sigmas(query), per_unit * _sigmas_of(UNKNOWN)
+            notes += _camera_notes(by_camera, query)
+            covariance = covariance + by_camera @ by_camera.T
+            masses = [probability_within(allowed + c @ c.T, vector) for c in (by_camera, if_unknown)]
+            mixed = (1.0 - _MISDECLARED) * masses[0] + _MISDECLARED * min(masses)
+            probability = min(probability, mixed)
     for doubt in (*_bounds(query, vector, params), *_edge_doubts(query, laid, lines, camera)):
         notes.append(doubt)
         probability = min(probability, _DOUBTFUL)
@@ -146,12 +159,15 @@ def _prior_sigmas(params: Any) -> Floats:
 
 def _camera_sigmas(query: Query) -> Floats:
     """Returns (4,) deviations in the order of ``LensErrors``, less what the method knows already."""
-    sigmas = query.camera_sigmas
-    if sigmas is None:
+    if query.camera_sigmas is None:
         return np.zeros(4)
-    known = query.lens_percent or 0.0
-    focal = np.sqrt(max(sigmas.focal_percent**2 - known**2, 0.0)) / 100.0
-    return np.array([focal, sigmas.k1, sigmas.center_percent / 100.0, sigmas.center_percent / 100.0])
+    found, known = _sigmas_of(query.camera_sigmas), 0.01 * (query.lens_percent or 0.0)
+    found[0] = np.sqrt(max(found[0] ** 2 - known**2, 0.0))
+    return found
+
+
+def _sigmas_of(sigmas: CameraSigmas) -> Floats:
+    return np.array([0.01 * sigmas.focal_percent, sigmas.k1, *[0.01 * sigmas.center_percent] * 2])
 
 
 def _camera_notes(by_camera: Floats, query: Query) -> Iterator[str]:

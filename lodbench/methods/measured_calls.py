@@ -112,9 +112,8 @@ def _assessed(
     if not isinstance(estimate, Estimate):
         return estimate
     # A flight solves for its camera: what is left of it stands in the covariance already.
-    if isinstance(method, SupportsFlights):
-        query = replace(query, camera_sigmas=None)
-    return assessed(estimate, query, city_map, getattr(method, "params", None))
+    is_camera_solved = isinstance(method, SupportsFlights)
+    return assessed(estimate, query, city_map, getattr(method, "params", None), is_camera_solved)
 
 
 def _measured(estimate: object, hypotheses: int, seconds: float) -> Estimate:

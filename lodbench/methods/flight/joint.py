@@ -4,8 +4,9 @@ Its unknowns, in this order: six numbers of each photo (metres, degrees); the fl
 (metres), pitch, roll, yaw (degrees); the focal length (share), radial distortion, principal point (shares
 of the width), and by how much masks are too large (pixels); what all roofs, and where all walls end, are
 wrong about alike (metres); each building's height against the map, and each part's of its roof or foot
-(metres); the similarity that places a reconstruction. A photo's pose is its prior, the flight's error and an error of its own; a part's height is
-its building's and an error of its own, a building's that of all roofs and its own. All is one sparse system.
+(metres); the similarity that places a reconstruction. A photo's pose is its prior, the flight's error and an
+error of its own; a part's height is its building's and an error of its own, a building's that of all roofs
+and its own. All is one sparse system.
 """
 
 from __future__ import annotations

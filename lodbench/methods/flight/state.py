@@ -56,7 +56,7 @@ class State:
 
     @property
     def lens(self) -> Floats:
-        """Returns (5,) focal length (share), k1, principal point right and down (shares), masks' growth (px)."""
+        """Returns (5,) focal length and k1, principal point right and down, how much masks are grown (px)."""
         return self.constants[_LENS]
 
     @property
