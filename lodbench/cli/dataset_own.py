@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import (
+    add_camera_option,
     add_city_options,
     add_height_options,
     city_flags,
@@ -96,11 +97,7 @@ def _add_common_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--masks", type=Path, metavar="DIR", help="building masks of the photos, white = building"
     )
-    parser.add_argument(
-        "--camera",
-        metavar="'MODEL W H ...'",
-        help="of all images, as COLMAP has it: SIMPLE_PINHOLE W H f cx cy",
-    )
+    add_camera_option(parser, "of all images, as COLMAP has it")
     parser.add_argument(
         "--offset",
         type=float,
@@ -138,12 +135,14 @@ def _make(asked: argparse.Namespace, **sources: Any) -> int:
     require_within("--offset", asked.offset, -math.inf)
     _require_used(asked)
     profile = load_profile(asked.source, asked.option, asked.crs)
+    camera, camera_sigmas = given_camera(asked.camera)
     made = make_own_dataset(
         OwnRequest(
             folder=asked.folder,
             photos=asked.images,
             masks=asked.masks,
-            camera=given_camera(asked.camera),
+            camera=camera,
+            camera_sigmas=camera_sigmas,
             offset_m=tuple(asked.offset),
             city=asked.city,
             lod=asked.lod or profile.lod,

@@ -11,7 +11,7 @@ from lodbench.datasets.photo_pose import HeightOptions, HeightSource, RoughPlace
 from lodbench.datasets.pose_text import parse_camera
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, LodbenchError, require_choice, require_within
-from lodbench.geometry import Camera
+from lodbench.geometry import Camera, CameraSigmas
 from lodbench.storage import can_write
 
 if TYPE_CHECKING:
@@ -93,8 +93,10 @@ def rough_settings(asked: argparse.Namespace) -> dict[str, Any]:
     if asked.height is not None and unused:
         hint = f"--height is in the city's heights already: leave {unused[0]} or --height out."
         raise ConfigError(f"{unused[0]} is not used with --height.", hint)
+    camera, sigmas = given_camera(asked.camera)
     return {
-        "camera": given_camera(asked.camera),
+        "camera": camera,
+        "camera_sigmas": sigmas,
         "given": RoughPlace(asked.lat, asked.lon, asked.height, asked.heading, asked.pitch, asked.roll),
         "center": None if asked.center is None else tuple(asked.center),
     }
@@ -102,8 +104,7 @@ def rough_settings(asked: argparse.Namespace) -> dict[str, Any]:
 
 def add_rough_pose_options(parser: argparse.ArgumentParser, title: str) -> None:
     """Adds the options that say where a photo was taken, roughly, and with which camera."""
-    camera_help = "COLMAP's camera model and parameters in pixels: SIMPLE_PINHOLE W H f cx cy"
-    parser.add_argument("--camera", metavar="'MODEL W H ...'", help=camera_help)
+    add_camera_option(parser, "COLMAP's camera model and parameters in pixels")
     place = parser.add_argument_group(title)
     add = place.add_argument
     add("--lat", type=float, metavar="DEG", help="latitude, WGS 84")
@@ -124,6 +125,13 @@ def add_rough_pose_options(parser: argparse.ArgumentParser, title: str) -> None:
         metavar=("E", "N", "UP"),
         help="position in the city's own coordinates",
     )
+
+
+def add_camera_option(parser: argparse.ArgumentParser, words: str) -> None:
+    """Adds ``--camera``, as ``given_camera`` reads it."""
+    words += ": SIMPLE_PINHOLE W H f cx cy; and how well they are known, if not exactly: sigma_f=1.5%%"
+    words += " sigma_c=0.7%% (of the width) sigma_k1=0.03"
+    parser.add_argument("--camera", metavar="'MODEL W H ...'", help=words)
 
 
 def add_prior_options(parser: argparse.ArgumentParser) -> None:
@@ -213,14 +221,14 @@ def height_options(asked: argparse.Namespace) -> HeightOptions:
     return HeightOptions(asked.heights, asked.takeoff, asked.geoid, asked.height_offset)
 
 
-def given_camera(text: str | None) -> Camera | None:
-    """Returns the camera of ``MODEL W H PARAMETERS``.
+def given_camera(text: str | None) -> tuple[Camera | None, CameraSigmas | None]:
+    """Returns the camera of ``MODEL W H PARAMETERS``, and how well it is known, each None where nobody says.
 
     Raises:
         ConfigError: It is no camera.
     """
     if text is None:
-        return None
+        return None, None
     try:
         return parse_camera(text.split())
     except (LodbenchError, ValueError) as error:

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from lodbench.harness.track.track import Track
 
 _EPILOG = """\
-The first frame is found from a rough pose, as by localize: what the first photo states, or the options below.
+The first frame is found from a rough pose, as by localize: what the first photo, or DJI's .SRT beside a
+video, states, or the options below.
 Each next frame starts from where the last motion leads. Where nothing near fits, the camera is lost, and
 searched for from there, wider with each frame.
 

@@ -5,7 +5,9 @@
     ROOT/                       or one such folder per split: ROOT/in_place, ROOT/out_of_place, ...
         GT_pose.txt             name qw qx qy qz tx ty tz, world to camera (or poses.txt)
         GPS_pose.txt            the priors, likewise; several lines of a name are its hypotheses, best first
-        intrinsic.txt           name PINHOLE W H fx fy cx cy
+        intrinsic.txt           name PINHOLE W H fx fy cx cy, and how well they are known where that is not
+                                exactly, as standard deviations: sigma_f=0.5% sigma_c=0.35% sigma_k1=0.01
+                                (sigma_c percent of the width; any may lack; sigma_by=WORD says whence)
         Query_image/            the photos (optional; or images/)
         masks/                  building masks, 255 = building (optional)
         instances/              labels of single buildings, 0 = none, one value per building (optional)
@@ -33,8 +35,8 @@ from lodbench.datasets.pose_text import (
     format_camera,
     format_pose,
     lines_to_text,
-    read_cameras,
     read_hypotheses,
+    read_known_cameras,
     read_percents,
     read_poses,
     read_words,
@@ -42,7 +44,7 @@ from lodbench.datasets.pose_text import (
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.datasets.references import read_references
 from lodbench.errors import ConfigError, DatasetError, nearest_names
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.storage import write_text
 
 TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"
@@ -127,6 +129,7 @@ def write_poses(
     truth: Mapping[str, Pose],
     priors: Mapping[str, Pose],
     *,
+    sigmas: Mapping[str, CameraSigmas | None] | None = None,
     truth_file: str = TRUTH_FILE,
     decimals: tuple[int, int] | None = None,
     survives_power_cut: bool = True,
@@ -138,14 +141,16 @@ def write_poses(
         cameras: By image name.
         truth: True poses by image name, world to camera, coordinates of the city's CRS.
         priors: Rough poses, likewise.
+        sigmas: How well the cameras are known, by image name; where nobody says, none or None.
         truth_file: Name of the file of true poses.
         decimals: As for ``format_pose``.
         survives_power_cut: As for ``write_bytes``.
     """
+    known = sigmas or {}
     lines = {
         truth_file: [format_pose(name, pose, decimals) for name, pose in truth.items()],
         PRIOR_FILE: [format_pose(name, pose, decimals) for name, pose in priors.items()],
-        CAMERA_FILE: [format_camera(name, camera) for name, camera in cameras.items()],
+        CAMERA_FILE: [format_camera(name, camera, known.get(name)) for name, camera in cameras.items()],
     }
     for name, listed in lines.items():
         if listed:
@@ -190,7 +195,9 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
     truth_file = _truth_file(folder) or folder / TRUTH_FILE
     truth = read_poses(truth_file) if has_truth else {}
     priors = read_hypotheses(folder / PRIOR_FILE) if has_priors else {}
-    cameras = read_cameras(folder / CAMERA_FILE)
+    known = read_known_cameras(folder / CAMERA_FILE)
+    cameras = {name: camera for name, (camera, _) in known.items()}
+    sigmas = {name: stated for name, (_, stated) in known.items() if stated is not None}
     if has_truth and not truth:
         raise DatasetError(f"{truth_file} holds no poses.", _LAYOUT_HINT)
     names = list(dict.fromkeys([*truth, *priors]))
@@ -205,12 +212,14 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
         notes.append(f"{split}: there are no priors; prior=uniform draws them around the truth")
     sequences = read_words(folder / SEQUENCE_FILE) if (folder / SEQUENCE_FILE).is_file() else {}
     notes += [f"{split}: {note}" for note in _sequence_notes(sequences, names)]
-    lenses = read_percents(folder / LENS_FILE) if (folder / LENS_FILE).is_file() else {}
+    lenses = {name: stated.stated_focal_percent for name, stated in sigmas.items()}
+    lenses |= read_percents(folder / LENS_FILE) if (folder / LENS_FILE).is_file() else {}
     entries = [
         replace(
             _entry(folder, split, name, cameras, priors.get(name, ())),
             sequence=sequences.get(name, ""),
             lens_percent=lenses.get(name),
+            camera_sigmas=sigmas.get(name),
         )
         for name in names
     ]

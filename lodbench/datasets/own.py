@@ -19,7 +19,7 @@ from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.pose_text import lines_to_text
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.storage import make_folder, new_folder, write_bytes, write_text
 
 _JPEG_QUALITY = 95
@@ -39,6 +39,7 @@ class OwnImage:
         stated: What its photo says of itself, where the prior is from that; else None.
         no_prior: Why its photo, which was asked, gives no prior; "" where it does, or was not asked.
         lens_percent: As of ``PhotoCamera``, where the camera is by what the photo says of itself.
+        camera_sigmas: How well the camera is known, None where nobody says.
     """
 
     name: str
@@ -50,6 +51,7 @@ class OwnImage:
     stated: PhotoMetadata | None = None
     no_prior: str = ""
     lens_percent: float | None = None
+    camera_sigmas: CameraSigmas | None = None
 
     @property
     def file_name(self) -> str:
@@ -262,7 +264,8 @@ def _write_texts(
 ) -> None:
     truth = {name: image.truth for name, image, _ in kept if image.truth is not None}
     priors = {name: image.prior for name, image, _ in kept if image.prior is not None}
-    write_poses(folder, {name: pinhole for name, _, pinhole in kept}, truth, priors)
+    sigmas = {name: image.camera_sigmas for name, image, _ in kept}
+    write_poses(folder, {name: pinhole for name, _, pinhole in kept}, truth, priors, sigmas=sigmas)
     flights = _flights([(name, image) for name, image, _ in kept])
     if flights:
         write_text(folder / SEQUENCE_FILE, lines_to_text(flights))

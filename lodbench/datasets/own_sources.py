@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import OwnImage, find_mask, find_photo
-from lodbench.datasets.photo_camera import PhotoCamera, camera_from_photo
+from lodbench.datasets.photo_camera import camera_from_photo, camera_given
 from lodbench.datasets.photo_copies import copies_among
 from lodbench.datasets.photo_files import find_photos, require_photos
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo, require_stated
 from lodbench.errors import DatasetError, LodbenchError
-from lodbench.geometry import Camera
+from lodbench.geometry import Camera, CameraSigmas
 
 LeftOut = list[tuple[str, str]]
 
@@ -27,6 +27,7 @@ def images_from_photos(
     *,
     masks: Path | None = None,
     camera: Camera | None = None,
+    camera_sigmas: CameraSigmas | None = None,
 ) -> tuple[list[OwnImage], LeftOut]:
     """Returns the photos of a folder with the rough poses their metadata states, and those without one.
 
@@ -36,6 +37,7 @@ def images_from_photos(
         heights: How the drone's heights become the city's.
         masks: Folder of masks of the photos as stored, or None.
         camera: Intrinsics of all photos, before their own.
+        camera_sigmas: How well these are known, None for exactly.
 
     Raises:
         LodbenchError: There are no photos, or no height of any could be converted.
@@ -55,10 +57,11 @@ def images_from_photos(
         try:
             photo = read_photo_metadata(path)
             require_stated(photo, heights, knows_camera=camera is not None)
-            found = PhotoCamera(camera, "given") if camera else camera_from_photo(photo)
+            found = camera_given(camera, camera_sigmas) if camera else camera_from_photo(photo)
             prior = pose_from_photo(photo, frame, heights)
             own = OwnImage(name, found.camera, prior, photo=path, mask=mask, stated=photo)
-            images.append(replace(own, lens_percent=found.lens_percent))
+            sigmas = found.camera_sigmas
+            images.append(replace(own, lens_percent=found.lens_percent, camera_sigmas=sigmas))
         except LodbenchError as fault:
             # Should none be left, the last one's hint says what to do about all.
             left_out.append((name, fault.message))
@@ -76,7 +79,8 @@ def images_from_poses(
     *,
     photos: Path | None = None,
     masks: Path | None = None,
-    cameras: dict[str, Camera] | None = None,
+    cameras: Mapping[str, tuple[Camera, CameraSigmas | None]] | None = None,
+    camera_sigmas: CameraSigmas | None = None,
     frame: MapFrame | None = None,
     heights: HeightOptions | None = None,
 ) -> tuple[list[OwnImage], LeftOut]:
@@ -86,7 +90,8 @@ def images_from_poses(
         found: Images of another program's model, in the city's coordinates.
         photos: Folder that the image names are relative to, or None for poses alone.
         masks: Folder of masks of the photos as stored, or None.
-        cameras: Intrinsics by image name, where the model has none.
+        cameras: Intrinsics by image name and how well they are known, where the model has none.
+        camera_sigmas: How well the model's are known, None where nobody says.
         frame: The city's coordinates, to read the photos' own positions; None for no priors.
         heights: How the drone's heights become the city's.
     """
@@ -96,13 +101,16 @@ def images_from_poses(
         photo = None if photos is None else find_photo(photos, image.name)
         if photo is not None:  # matrices and Metashape's labels lack the ending
             image = image._replace(name=str(PurePosixPath(image.name).with_name(photo.name)))
-        camera = image.camera or (cameras or {}).get(Path(image.name).name)
+        camera, sigmas = image.camera, camera_sigmas
+        if camera is None and cameras is not None:
+            camera, sigmas = cameras.get(Path(image.name).name, (None, None))
         if camera is None:
             left_out.append((image.name, "no camera: the format has none, or not for this image"))
         elif photos is not None and photo is None:
             left_out.append((image.name, f"no such photo in {photos}"))
         else:
             own = OwnImage(image.name, camera, None, image.pose, photo, find_mask(masks, image.name, photo))
+            own = replace(own, camera_sigmas=sigmas)
             images.append(own if frame is None else _with_stated_prior(own, frame, heights))
     return images, left_out
 

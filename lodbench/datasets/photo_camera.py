@@ -5,43 +5,28 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from lodbench.datasets.photo_focal import (
+    NOMINAL_PERCENT,
+    by_known_sensor,
+    focal_lengths,
+    is_like,
+    is_like_equivalent,
+    why_no_sensor,
+)
 from lodbench.datasets.photo_metadata import PhotoMetadata
 from lodbench.datasets.photo_xmp import Dewarp
 from lodbench.errors import DatasetError
-from lodbench.geometry import Camera
+from lodbench.geometry import Camera, CameraSigmas
+from lodbench.geometry.camera_sigmas import CALIBRATED, MAKER, UNKNOWN
 
-# Sensors, millimetres: widths as published by DJI with the drones, heights by the shape of whole photos.
-_SMALL, _ONE_INCH, _FOUR_THIRDS, _FULL = (6.17, 4.6275), (13.2, 8.8), (17.3, 12.975), (35.9, 35.9 * 2 / 3)
-_SENSOR_MM = {  # by EXIF's model
-    "FC220": _SMALL,  # Mavic Pro, 1/2.3 inch
-    "FC330": _SMALL,  # Phantom 4
-    "FC300X": _SMALL,  # Phantom 3
-    "FC350": _SMALL,  # Zenmuse X3
-    "FC550": _FOUR_THIRDS,  # Zenmuse X5, 4/3 inch
-    "FC6310": _ONE_INCH,  # Phantom 4 Pro, 1 inch
-    "FC6310S": _ONE_INCH,
-    "FC6310R": _ONE_INCH,  # Phantom 4 RTK
-    "FC6510": _ONE_INCH,  # Zenmuse X4S
-    "FC6520": _FOUR_THIRDS,  # Zenmuse X5S
-    "L1D-20C": _ONE_INCH,  # Mavic 2 Pro
-    "L2D-20C": _FOUR_THIRDS,  # Mavic 3
-    "FC3411": _ONE_INCH,  # Air 2S
-    "M3E": _FOUR_THIRDS,  # Mavic 3 Enterprise
-    "ZENMUSEP1": _FULL,
-}
-# The diagonal of the 36 x 24 mm picture that "35 mm equivalent" means.
-_DIAGONAL_35MM = math.hypot(36.0, 24.0)
-# DJI writes the equivalent of the whole sensor, 4:3 where the table above has no other, into photos of 16:9,
-# which show all of its width, too: by the definition a photo of 24 mm would have 26 mm then.
-_WIDE, _WHOLE_HEIGHT = 1.6, 3.0 / 4.0
 # A field of view beyond these is a wrong number: fisheyes have no focal length of this kind.
 _FIELD_DEG = (3.0, 150.0)
 # Sizes are whole pixels, so scaling changes the aspect a little; cropping changes it more.
 _ASPECT_TOLERANCE = 0.01
-# How far a lens's nominal focal length is from its own, and the error of a whole millimetre, as deviations.
-_NOMINAL_PERCENT, _ROUNDED_MM = 1.0, 0.5 / math.sqrt(3.0)
-# Focal lengths in pixels and as an equivalent differ by less, unless one is of another picture or lens.
-_EQUIVALENT_TOLERANCE = 1.3
+# Shapes of whole sensors: photos of 16:9 are cut out of them, and optical centres stated of the whole.
+_SENSOR_SHAPES = (4.0 / 3.0, 3.0 / 2.0)
+# Principal points are off the middle by less, as a share of half the picture.
+_OFF_CENTER = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +35,22 @@ class PhotoCamera:
 
     Attributes:
         camera: Of the picture as stored, lens distortion included where it is known.
-        source: ``dewarp``, ``calibrated``, ``focal_plane``, ``sensor`` or ``35mm``; or ``given`` by a person.
+        source: ``dewarp`` or ``calibrated``, by the maker; as of ``Focal``; or ``given`` by a person.
         lens_percent: Standard deviation of a focal length that is the lens's nominal one, percent, rounding
-            included; None for a calibrated one.
+            included, or as a person states it; None for a calibrated one.
+        camera_sigmas: Standard deviations of all of its numbers.
     """
 
     camera: Camera
     source: str
     lens_percent: float | None = None
+    camera_sigmas: CameraSigmas = CALIBRATED
+
+
+def camera_given(camera: Camera, sigmas: CameraSigmas | None) -> PhotoCamera:
+    """Returns a camera that a person gave, with what they state of it."""
+    known = sigmas or CALIBRATED
+    return PhotoCamera(camera, "given", known.stated_focal_percent, known)
 
 
 def camera_flag(width: int, height: int) -> str:
@@ -80,49 +73,66 @@ def require_photo_size(camera: Camera, name: str, width: int, height: int) -> No
 
 def states_focal_length(photo: PhotoMetadata) -> bool:
     """Tells whether a photo states anything that ``camera_from_photo`` can make a camera of."""
-    is_whole = photo.digital_zoom == 1.0
-    in_pixels = photo.dewarp is not None or (photo.calibrated_focal_px or 0.0) > 0
-    has_sensor = photo.pixel_mm is not None or photo.model.upper() in _SENSOR_MM
-    in_mm = photo.focal_mm is not None and has_sensor
-    return (is_whole and in_pixels) or in_mm or photo.focal_35mm is not None
+    return _calibrated_px(photo) is not None or any(focal_lengths(photo, photo.width, photo.height))
+
+
+def why_no_focal_length(photo: PhotoMetadata) -> str:
+    """Returns what a photo states that is no focal length, as a clause in brackets; "" for nothing."""
+    reasons = [why_no_sensor(photo, photo.width, photo.height)]
+    if _calibrated_px(photo) is not None and _picture(photo, photo.width, photo.height) is None:
+        x, y = photo.optical_center_x_px, photo.optical_center_y_px
+        reasons.append(
+            f"its calibration has the optical centre {x:g}, {y:g}, which is of no picture of this shape"
+        )
+    clause = "; ".join(filter(None, reasons))
+    return f" ({clause})" if clause else ""
+
+
+def require_lens_picture(photo: PhotoMetadata) -> None:
+    """Makes sure that a photo is what a lens has made, and no stitched panorama.
+
+    Raises:
+        DatasetError: It is one: no pinhole has taken it, whatever camera its tags repeat.
+    """
+    if photo.projection:
+        raise DatasetError(
+            f"{photo.name} is a panorama ({photo.projection}): no single camera has taken it.",
+            "Take the photos that it was stitched of.",
+        )
 
 
 def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
     """Returns the camera of a photo.
 
-    Tried in order: DJI's calibration with its distortion (without it where the drone has undistorted
-    the picture already), DJI's focal length in pixels, EXIF's focal length with the size of a pixel,
-    with the width of a known sensor, and as the equivalent of a 35 mm camera, which is rounded to a
-    millimetre and so good to a few percent.
+    Tried in order: DJI's calibration with its distortion (without it where the drone has undistorted the
+    picture already), the maker's focal length in pixels, EXIF's focal length with the size of a pixel or with
+    the width of a known sensor, a field of view, and the equivalent of a 35 mm camera, which is rounded to a
+    millimetre and so good to a few percent. What no camera can have is passed over (``photo_focal``).
 
-    A digital zoom enlarges the middle of the lens's picture. So it multiplies EXIF's focal length, and DJI's
-    numbers, which are of the whole picture, are left out. The equivalent has the photo's field of view
-    by its definition, zoom included. So it tells a photo that was scaled since by a program that also
-    changed the size in EXIF, and the second lens of a drone whose table has the first. DJI's of a photo of
-    16:9 is that of the whole sensor.
+    A digital zoom enlarges the middle of the lens's picture, and the maker's numbers, which are of the whole
+    picture, are left out. The equivalent tells a photo that was scaled since by a program that also changed
+    the size in EXIF, and the second lens of a drone whose table has the first; the calibration's optical
+    centre tells a photo that was scaled, too, and by how much.
 
     Raises:
-        DatasetError: The photo states none of them, or one that no camera has, or was cropped or scaled.
+        DatasetError: The photo states none of them, or one that no camera has, was cropped or scaled, or is a
+            panorama.
     """
+    require_lens_picture(photo)
     width, height = _size_when_taken(photo)
-    if photo.digital_zoom != 1.0:
-        photo = replace(
-            photo,
-            dewarp=None,
-            calibrated_focal_px=None,
-            optical_center_x_px=None,
-            optical_center_y_px=None,
-        )
-    if photo.dewarp is not None:
-        _require_own_pixels(photo, photo.dewarp.fx, width, height)
-        return PhotoCamera(_checked(photo, _dewarped(photo, photo.dewarp, width, height)), "dewarp")
-    fx, fy, source = _focal_px(photo, width, height)
-    cx = width / 2 if photo.optical_center_x_px is None else photo.optical_center_x_px
-    cy = height / 2 if photo.optical_center_y_px is None else photo.optical_center_y_px
-    if not (0 < cx < width and 0 < cy < height):
-        cx, cy = width / 2, height / 2
-    return PhotoCamera(
-        _checked(photo, Camera(width, height, fx, fy, cx, cy)), source, _lens_percent(photo, source)
+    found = _calibrated(photo, width, height)
+    if found is not None:
+        return found
+    for fx, fy, source, percent in focal_lengths(photo, width, height):
+        if source == "focal_plane":
+            _require_own_pixels(photo, fx, width, height)
+        if source == "35mm" or is_like_equivalent(photo, fx, width, height):
+            camera = _checked(photo, Camera(width, height, fx, fy, width / 2, height / 2))
+            return PhotoCamera(camera, source, percent, _sigmas(source, percent))
+    zoomed = "" if photo.digital_zoom == 1.0 else ", taken with a digital zoom,"
+    raise DatasetError(
+        f"{photo.name}{zoomed} does not say its camera's focal length{why_no_focal_length(photo)}.",
+        f"Give {camera_flag(photo.width, photo.height)}, or another of COLMAP's models.",
     )
 
 
@@ -150,66 +160,90 @@ def _is_same_shape(width: int, height: int, photo: PhotoMetadata) -> bool:
     return abs(width * photo.height / (height * photo.width) - 1) < _ASPECT_TOLERANCE
 
 
-def _dewarped(photo: PhotoMetadata, dewarp: Dewarp, width: int, height: int) -> Camera:
-    numbers = (dewarp.fx, dewarp.fy, width / 2 + dewarp.cx, height / 2 + dewarp.cy)
-    if photo.is_dewarped or not any(dewarp.distortion):
-        return Camera(width, height, *numbers)
-    return Camera(width, height, *numbers, (*dewarp.distortion, 0.0, 0.0, 0.0), "FULL_OPENCV")
+def _calibrated_px(photo: PhotoMetadata) -> tuple[float, float] | None:
+    """Returns fx and fy of the maker's calibration; None where there is none, or the picture is zoomed."""
+    if photo.digital_zoom != 1.0:
+        return None
+    if photo.dewarp is not None:
+        return photo.dewarp.fx, photo.dewarp.fy
+    focal = photo.calibrated_focal_px or 0.0
+    return (focal, photo.calibrated_focal_y_px or focal) if focal > 0 else None
 
 
-def _focal_px(photo: PhotoMetadata, width: int, height: int) -> tuple[float, float, str]:
-    """Returns fx and fy in pixels, and what they were made from."""
-    if photo.calibrated_focal_px is not None and photo.calibrated_focal_px > 0:
-        _require_own_pixels(photo, photo.calibrated_focal_px, width, height)
-        return photo.calibrated_focal_px, photo.calibrated_focal_px, "calibrated"
-    if photo.focal_mm is not None and photo.pixel_mm is not None:
-        focal_mm = photo.focal_mm * photo.digital_zoom
-        _require_own_pixels(photo, focal_mm / photo.pixel_mm[0], width, height)
-        return focal_mm / photo.pixel_mm[0], focal_mm / photo.pixel_mm[1], "focal_plane"
-    sensor_mm = _SENSOR_MM.get(photo.model.upper())
-    if photo.focal_mm is not None and sensor_mm is not None:
-        # Photos of another shape than the sensor's show all of its width or all of its height.
-        per_mm = max(max(width, height) / sensor_mm[0], min(width, height) / sensor_mm[1])
-        focal = photo.focal_mm * photo.digital_zoom * per_mm
-        if _is_like_equivalent(photo, focal, width, height):
-            return focal, focal, "sensor"
-    equivalent = _equivalent_px(photo, width, height)
-    if equivalent is not None:
-        return equivalent, equivalent, "35mm"
-    zoomed = "" if photo.digital_zoom == 1.0 else ", taken with a digital zoom,"
-    raise DatasetError(
-        f"{photo.name}{zoomed} does not say its camera's focal length.",
-        f"Give {camera_flag(photo.width, photo.height)}, or another of COLMAP's models.",
+def _calibrated(photo: PhotoMetadata, width: int, height: int) -> PhotoCamera | None:
+    """Returns the camera of the maker's calibration; None where there is none that is this picture's."""
+    focal, picture = _calibrated_px(photo), _picture(photo, width, height)
+    if focal is None or picture is None:
+        return None
+    scale, center = picture[0], picture[1:]
+    fx, fy = (number / scale for number in focal)
+    nominal = by_known_sensor(photo, width, height)
+    if photo.focal_35mm is None and nominal is not None and not is_like(fx, nominal):
+        return None
+    _require_own_pixels(photo, fx, width, height)
+    # The scale is as well known as the optical centre is in the middle.
+    percent = None if scale == 1.0 else NOMINAL_PERCENT
+    source = "calibrated" if photo.dewarp is None else "dewarp"
+    camera = Camera(width, height, fx, fy, *center)
+    camera = _checked(
+        photo, camera if photo.dewarp is None else _dewarped(photo, photo.dewarp, scale, camera)
     )
+    return PhotoCamera(camera, source, percent, _sigmas(source, percent))
 
 
-def _lens_percent(photo: PhotoMetadata, source: str) -> float | None:
-    if source == "calibrated":
-        return None
-    if source != "35mm" or photo.focal_35mm is None:
-        return _NOMINAL_PERCENT
-    return math.hypot(_NOMINAL_PERCENT, 100.0 * _ROUNDED_MM / photo.focal_35mm)
+def _dewarped(photo: PhotoMetadata, dewarp: Dewarp, scale: float, camera: Camera) -> Camera:
+    """Returns a camera with the optical centre and, unless the drone has undone it, the distortion of DJI.
+
+    Raises:
+        DatasetError: The optical centre is outside the picture.
+    """
+    cx, cy = camera.width / 2 + dewarp.cx / scale, camera.height / 2 + dewarp.cy / scale
+    if not (0 < cx < camera.width and 0 < cy < camera.height):
+        raise DatasetError(
+            f"{photo.name}: its calibration (DewarpData) has the optical centre {cx:.0f}, {cy:.0f}, outside "
+            f"of {camera.width} x {camera.height} pixels.",
+            f"Give {camera_flag(photo.width, photo.height)}.",
+        )
+    camera = replace(camera, cx=cx, cy=cy)
+    if photo.is_dewarped or not any(dewarp.distortion):
+        return camera
+    return replace(camera, distortion=(*dewarp.distortion, 0.0, 0.0, 0.0), lens="FULL_OPENCV")
 
 
-def _equivalent_px(photo: PhotoMetadata, width: int, height: int) -> float | None:
-    if photo.focal_35mm is None:
-        return None
-    longer, shorter = max(width, height), min(width, height)
-    if photo.make.upper() == "DJI" and longer > _WIDE * shorter:
-        width, height = longer, round(longer * _WHOLE_HEIGHT)
-    return photo.focal_35mm / _DIAGONAL_35MM * math.hypot(width, height)
+def _picture(photo: PhotoMetadata, width: int, height: int) -> tuple[float, float, float] | None:
+    """Returns how the picture that was calibrated, whose middle is near its optical centre, became this one.
+
+    Returns:
+        How many of its pixels are one here, and the optical centre here; None if it was another picture. The
+        centre is the middle where it is not stated, or the photo was turned since.
+    """
+    x, y = photo.optical_center_x_px, photo.optical_center_y_px
+    if x is None or y is None:
+        return 1.0, width / 2, height / 2
+    shapes = [width / height, *(shape if width >= height else 1 / shape for shape in _SENSOR_SHAPES)]
+    for across, down in ((x, y), (y, x)) if min(x, y) > 0 else ():
+        for shape in shapes:
+            whole = max(width, height * shape), max(height, width / shape)
+            scales = 2 * across / whole[0], 2 * down / whole[1]
+            if abs(math.log(scales[0] / scales[1])) > _OFF_CENTER:
+                continue
+            scale = (scales[0] + scales[1]) / 2
+            scale = 1.0 if abs(math.log(scale)) <= _OFF_CENTER else scale
+            if (across, down) != (x, y):
+                return scale, width / 2, height / 2
+            return scale, x / scale - (whole[0] - width) / 2, y / scale - (whole[1] - height) / 2
+    return None
 
 
-def _is_like_equivalent(photo: PhotoMetadata, focal_px: float, width: int, height: int) -> bool:
-    """Tells whether a focal length fits the 35 mm equivalent; with a digital zoom some drones' does not."""
-    equivalent = _equivalent_px(photo, width, height)
-    if equivalent is None or photo.digital_zoom != 1.0:
-        return True
-    return abs(math.log(focal_px / equivalent)) <= math.log(_EQUIVALENT_TOLERANCE)
+def _sigmas(source: str, lens_percent: float | None) -> CameraSigmas:
+    if lens_percent is None:
+        return replace(MAKER, source=source)
+    focal_percent = max(UNKNOWN.focal_percent, round(lens_percent, 2))
+    return replace(UNKNOWN, focal_percent=focal_percent, source=source)
 
 
 def _require_own_pixels(photo: PhotoMetadata, focal_px: float, width: int, height: int) -> None:
-    if not _is_like_equivalent(photo, focal_px, width, height):
+    if not is_like_equivalent(photo, focal_px, width, height):
         raise DatasetError(
             f"{photo.name}: a focal length of {focal_px:.0f} px is not of {width} x {height} pixels, by its "
             f"35 mm equivalent of {photo.focal_35mm:g} mm: it was scaled since it was taken.",

@@ -12,6 +12,7 @@ from typing import Any
 
 from lodbench.datasets.photo_tags import exif_values, read_header
 from lodbench.datasets.photo_xmp import Dewarp, xmp_values
+from lodbench.errors import DatasetError
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +42,11 @@ class PhotoMetadata:
         focal_35mm: Focal length of a 36 x 24 mm camera with the same diagonal field of view.
         pixel_mm: Width and height of a sensor's pixel, millimetres (EXIF's focal plane resolution).
         digital_zoom: What part of the lens's picture the photo shows enlarged: 2 for a half; 1 for all of it.
-        calibrated_focal_px: DJI's focal length in pixels.
-        optical_center_x_px: DJI's principal point by design, pixels.
+        field_across_deg: Horizontal field of view.
+        field_down_deg: Vertical field of view.
+        calibrated_focal_px: The maker's focal length in pixels, of DJI by design.
+        calibrated_focal_y_px: The same along y, where that is another.
+        optical_center_x_px: The maker's principal point, pixels, of DJI by design.
         optical_center_y_px: Likewise.
         dewarp: DJI's calibration with lens distortion.
         is_dewarped: The drone has undistorted the picture already.
@@ -50,6 +54,8 @@ class PhotoMetadata:
         is_single_point: An RTK receiver had no corrections, and nothing says whether the height is its own.
         vertical_reference: What XMP says that the altitude is above (``VertCS``).
         is_exif3_height: The altitude is EXIF's, above the ellipsoid by version 3.0, above sea level before.
+        projection: How a stitched panorama was laid flat, ``equirectangular``; "" for a lens's picture.
+        xmp_fault: Why XMP that is there cannot be read, in words; "" where it can.
     """
 
     name: str
@@ -73,7 +79,10 @@ class PhotoMetadata:
     focal_35mm: float | None = None
     pixel_mm: tuple[float, float] | None = None
     digital_zoom: float = 1.0
+    field_across_deg: float | None = None
+    field_down_deg: float | None = None
     calibrated_focal_px: float | None = None
+    calibrated_focal_y_px: float | None = None
     optical_center_x_px: float | None = None
     optical_center_y_px: float | None = None
     dewarp: Dewarp | None = None
@@ -82,6 +91,8 @@ class PhotoMetadata:
     is_single_point: bool = False
     vertical_reference: str = ""
     is_exif3_height: bool = False
+    projection: str = ""
+    xmp_fault: str = ""
 
     @property
     def has_position(self) -> bool:
@@ -101,26 +112,30 @@ def read_photo_metadata(path: str | Path) -> PhotoMetadata:
     """Returns what a photo's header states; numbers that are none are taken as absent.
 
     Raises:
-        DatasetError: The file cannot be read, is no JPEG, PNG or TIFF, has too many pixels to be a
-            photo, or its XMP is malformed or holds a DOCTYPE.
+        DatasetError: The file cannot be read, is no JPEG, PNG or TIFF, or has too many pixels to be a photo.
+            XMP that is malformed or holds a DOCTYPE is a fault only of who needs it: ``xmp_fault``.
     """
     path = Path(path)
     size, exif, xmp = read_header(path)
-    stated = exif_values(exif)
-    if xmp:
-        stated = _with_xmp(stated, xmp_values(path, xmp))
+    stated, fault = exif_values(exif), ""
+    try:
+        stated = _with_xmp(stated, *xmp_values(path, xmp)) if xmp else stated
+    except DatasetError as error:
+        fault = error.message.rstrip(".")
     known = {field.name for field in fields(PhotoMetadata)}
     return PhotoMetadata(
         name=path.name,
         width=size[0],
         height=size[1],
+        xmp_fault=fault,
         **{name: value for name, value in stated.items() if name in known and value is not None},
     )
 
 
-def _with_xmp(exif: dict[str, Any], xmp: dict[str, Any]) -> dict[str, Any]:
-    """Returns what both state, XMP first; what EXIF says of an altitude goes with its own."""
-    stated = exif | xmp
+def _with_xmp(exif: dict[str, Any], xmp: dict[str, Any], repeated: dict[str, Any]) -> dict[str, Any]:
+    """Returns what all state, makers' XMP first; what EXIF says of an altitude goes with its own."""
+    known = {name: value for name, value in exif.items() if value not in (None, "")}
+    stated = exif | repeated | known | xmp
     if "altitude_m" in xmp:
         stated["is_exif3_height"] = False
     return stated

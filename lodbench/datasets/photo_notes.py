@@ -13,6 +13,15 @@ from lodbench.datasets.photo_pose import HeightOptions
 _TELL_ACCURACY_M = 2.0
 
 
+def xmp_note(photos: Iterable[PhotoMetadata]) -> str | None:
+    """Returns a sentence if what some photos' XMP says could not be read, and so was not used."""
+    broken = [photo for photo in photos if photo.xmp_fault]
+    if not broken:
+        return None
+    count = "its" if len(broken) == 1 else f"{len(broken)} photos'"
+    return f"{count} XMP cannot be read, and nothing of it was used: {broken[0].xmp_fault}"
+
+
 def datum_note(frame: MapFrame) -> str | None:
     """Returns a sentence if the step from GPS to the city's datum may be off by metres."""
     accuracy = frame.accuracy_m

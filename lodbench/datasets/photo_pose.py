@@ -13,7 +13,12 @@ from dataclasses import dataclass
 from typing import Literal, cast, get_args
 
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_camera import camera_flag, states_focal_length
+from lodbench.datasets.photo_camera import (
+    camera_flag,
+    require_lens_picture,
+    states_focal_length,
+    why_no_focal_length,
+)
 from lodbench.datasets.photo_heights import is_above_ellipsoid
 from lodbench.datasets.photo_metadata import PhotoMetadata
 from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
@@ -132,7 +137,9 @@ def require_stated(
 
     Raises:
         DatasetError: Something is missing; the one message names all of it, the hint the options for it.
+            Or it is a panorama.
     """
+    require_lens_picture(photo)
     given = given or RoughPlace()
     lacking: list[tuple[str, str]] = []
     if not knows_place:
@@ -150,11 +157,16 @@ def require_stated(
         looks = "--heading and --pitch (0 at the horizon, -90 straight down)"
         lacking.append((f"where its camera looked ({_why_unknown(photo)})", looks))
     if not knows_camera and not states_focal_length(photo):
-        lacking.append(("its camera's focal length", camera_flag(photo.width, photo.height)))
+        lacking.append(
+            (f"its camera's focal length{why_no_focal_length(photo)}", camera_flag(photo.width, photo.height))
+        )
     if lacking:
         what, flags = (_listed(words) for words in zip(*lacking, strict=True))
         local = "" if knows_place else " For a city without a reference system give --center EAST NORTH UP."
-        raise DatasetError(f"{photo.name} does not say {what}.", f"lodbench localize takes {flags}.{local}")
+        fault = f": {photo.xmp_fault}" if photo.xmp_fault else ""
+        raise DatasetError(
+            f"{photo.name} does not say {what}{fault}.", f"lodbench localize takes {flags}.{local}"
+        )
 
 
 def _listed(words: Sequence[str]) -> str:

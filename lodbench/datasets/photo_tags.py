@@ -25,6 +25,16 @@ _LAT_REF, _LAT, _LON_REF, _LON, _ALT_REF, _ALT = 1, 2, 3, 4, 5, 6
 # sea level; programs that took up the new version's number need not have taken up the new meaning.
 _BELOW, _OF_EITHER = (1, 3), (0, 1)
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}
+# What XMP calls EXIF's tags, for those that are numbers.
+_IN_XMP = {
+    "FocalLength": _FOCAL_MM,
+    "FocalLengthIn35mmFilm": _FOCAL_35MM,
+    "FocalPlaneXResolution": _PLANE_X,
+    "FocalPlaneYResolution": _PLANE_Y,
+    "DigitalZoomRatio": _ZOOM,
+    "PixelXDimension": _WIDTH,
+    "PixelYDimension": _HEIGHT,
+}
 
 
 def read_header(path: Path) -> tuple[tuple[int, int], dict[int, Any], bytes]:
@@ -128,10 +138,25 @@ def _degrees(parts: Any, reference: Any) -> float | None:
     return sign * (degrees + minutes / 60 + seconds / 3600)
 
 
+def tags_in_xmp(stated: Mapping[str, str]) -> dict[int, Any]:
+    """Returns EXIF's tags that XMP repeats, by its names, in the form of ``read_header``."""
+    exif: dict[int, Any] = {tag: stated[name] for name, tag in _IN_XMP.items() if name in stated}
+    exif[_PLANE_UNIT] = number_of(stated.get("FocalPlaneResolutionUnit", 2))
+    below = stated.get("GPSAltitudeRef", "").strip().lower()
+    gps: dict[int, Any] = {_ALT: stated.get("GPSAltitude"), _ALT_REF: int(below.startswith(("1", "below")))}
+    for name, tag, reference in (("GPSLatitude", _LAT, _LAT_REF), ("GPSLongitude", _LON, _LON_REF)):
+        text = stated.get(name, "").strip()  # 48,21.1367N or 48,21,8N; some write -48.352278
+        body = text.rstrip("NSEWnsew")
+        gps[tag], gps[reference] = [*body.split(","), "0", "0"][:3], text[len(body) :]
+    top = {tag: stated[name] for name, tag in (("Make", _MAKE), ("Model", _MODEL)) if name in stated}
+    return {**top, _ORIENTATION: stated.get("Orientation"), _EXIF_IFD: exif, _GPS_IFD: gps}
+
+
 def number_of(value: Any) -> float | None:
-    """Returns a finite number, or None: EXIF has rationals with zero below, XMP any text."""
+    """Returns a finite number, or None: EXIF has rationals with zero below, XMP any text and fractions."""
     try:
-        number = float(value)
+        above, is_fraction, below = value.partition("/") if isinstance(value, str) else (value, "", "")
+        number = float(above) / float(below) if is_fraction else float(above)
     except (TypeError, ValueError, ZeroDivisionError):
         return None
     return number if math.isfinite(number) else None

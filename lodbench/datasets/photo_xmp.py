@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lodbench.citymodel.xml import Element, XmlMembers, local_name, namespace_of
-from lodbench.datasets.photo_tags import number_of, place_of
+from lodbench.datasets.photo_tags import exif_values, number_of, place_of, tags_in_xmp
 from lodbench.errors import CityModelError, DatasetError
 from lodbench.findings import Findings
 
@@ -53,8 +53,26 @@ _PROPERTIES: dict[str, dict[str, tuple[str, ...]]] = {
         "gimbal_yaw_deg": ("CameraOrientationNED/Yaw",),
         "gimbal_pitch_deg": ("CameraOrientationNED/Pitch",),
         "gimbal_roll_deg": ("CameraOrientationNED/Roll",),
+        "calibrated_focal_px": ("CalibratedFocalLength/X", "CalibratedFocalLength"),
+        "calibrated_focal_y_px": ("CalibratedFocalLength/Y",),
+        "optical_center_x_px": ("CalibratedOpticalCenter/X", "CalibratedOpticalCenterX"),
+        "optical_center_y_px": ("CalibratedOpticalCenter/Y", "CalibratedOpticalCenterY"),
     },
 }
+# What programs repeat of EXIF, in its own terms.
+_REPEATED = ("ns.adobe.com/exif/", "ns.adobe.com/tiff/")
+_PANORAMA = "ns.google.com/photos/1.0/panorama"
+# Stitched pictures that are as flat as a photo.
+_FLAT = ("perspective", "rectilinear")
+_PIX4D = ("pix4d.com/camera", "sensefly.com/camera")
+# Of any maker; names of the diagonal or of nothing are not read, for they are used for either.
+_FIELD_OF_VIEW = re.compile(
+    r"(?:camera|picture|lens|sensor)?(?:(h|v)(?:oriz|ert)?(?:ontal|ical)?_?(?:fov|fieldofview)"
+    r"|(?:fov|fieldofview)_?(h|v)(?:oriz|ert)?(?:ontal|ical)?)(?:deg|degrees?)?",
+    re.IGNORECASE,
+)
+# Where a packet begins, behind whatever a program has put before it.
+_BEGINS = re.compile(rb"<\?xpacket|<\?xml|<(?:\w+:)?xmpmeta|<(?:\w+:)?RDF")
 _ANGLES = ("gimbal_yaw_deg", "gimbal_pitch_deg", "gimbal_roll_deg")
 _FIELD_LIMITS = {"latitude_deg": 90.0, "longitude_deg": 180.0, **dict.fromkeys(_ANGLES, 360.0)}
 # Angles of other makers. Pitch in Pix4D's Camera: is 0 straight down by its definition and in some makers'
@@ -106,8 +124,11 @@ class _Property(NamedTuple):
     value: str
 
 
-def xmp_values(path: Path, packet: bytes) -> dict[str, Any]:
+def xmp_values(path: Path, packet: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
     """Returns what an XMP packet states, by the names of ``PhotoMetadata``; nothing for what it does not.
+
+    The first has what makers say in their own terms, the second what is there of EXIF's, which a program may
+    have copied long ago.
 
     Raises:
         DatasetError: It is no well-formed XML, holds a DOCTYPE, or is too large.
@@ -128,9 +149,46 @@ def xmp_values(path: Path, packet: bytes) -> dict[str, Any]:
     values["dewarp"] = _dewarp(dji.get("DewarpData"))
     values["is_dewarped"] = dji.get("DewarpFlag", "0").strip() == "1"
     values |= _rtk(dji)
+    values = _pix4d(properties) | _field_of_view(properties) | values
+    values["projection"] = _projection(properties)
     references = [each.value.strip() for each in properties if each.name == _VERTICAL_REFERENCE]
     values["vertical_reference"] = references[0] if references else ""
-    return {name: value for name, value in values.items() if value is not None}
+    repeated = {name: value for part in _REPEATED for name, value in _of(properties, part).items()}
+    return _known(values), _known(exif_values(tags_in_xmp(repeated)))
+
+
+def _known(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None and value != ""}
+
+
+def _projection(properties: list[_Property]) -> str:
+    """Returns how a stitched panorama is laid flat; "" for a picture that a lens has made."""
+    stated = _of(properties, _PANORAMA)
+    is_one = "FullPanoWidthPixels" in stated or stated.get("UsePanoramaViewer", "").strip().lower() == "true"
+    name = stated.get("ProjectionType", "equirectangular" if is_one else "").strip().lower()
+    return "" if name in _FLAT else name
+
+
+def _field_of_view(properties: list[_Property]) -> dict[str, float]:
+    """Returns the fields of view that XMP states, degrees, across and down."""
+    found: dict[str, float] = {}
+    for each in properties:
+        match = _FIELD_OF_VIEW.fullmatch(each.name.rpartition("/")[2])
+        number = number_of(each.value.rstrip(" \N{DEGREE SIGN}degrs")) if match else None
+        if match and number is not None and 0 < number < 180:
+            axis = (match[1] or match[2]).lower()
+            found.setdefault("field_across_deg" if axis == "h" else "field_down_deg", number)
+    return found
+
+
+def _pix4d(properties: list[_Property]) -> dict[str, float]:
+    """Returns the focal length in Pix4D's terms: in millimetres, or in pixels where it says so."""
+    stated = {name: value for part in _PIX4D for name, value in _of(properties, part).items()}
+    number = number_of(stated.get("PerspectiveFocalLength"))
+    if number is None or number <= 0 or stated.get("ModelType", "perspective").strip() != "perspective":
+        return {}
+    unit = stated.get("PerspectiveFocalLengthUnits", "mm").strip().lower()
+    return {"focal_mm": number} if unit == "mm" else {"calibrated_focal_px": number} if "pix" in unit else {}
 
 
 def _of(properties: list[_Property], part: str) -> dict[str, str]:
@@ -186,8 +244,7 @@ def _properties(path: Path, packet: bytes) -> list[_Property]:
     """Returns all properties of a packet with a namespace, written as attributes or as elements."""
     if len(packet) > _MAX_XMP_BYTES:
         raise DatasetError(f"{path}: its XMP is larger than {_MAX_XMP_BYTES >> 20} MiB.")
-    # The packet may be padded with white space, and some writers end it with zeros.
-    stream = io.BytesIO(packet.strip(b"\0 \r\n\t"))
+    stream = io.BytesIO(_trimmed(packet))
     members = XmlMembers(stream, f"{path}, XMP", ("RDF", "Description"), Findings())
     try:
         return [each for member in members for each in _stated_in(member)]
@@ -195,6 +252,15 @@ def _properties(path: Path, packet: bytes) -> list[_Property]:
         raise DatasetError(
             error.message, "Remove the XMP, or copy the photo from the drone again."
         ) from error
+
+
+def _trimmed(packet: bytes) -> bytes:
+    """Returns a packet without what programs put around it: a name (GDAL), white space, zeros."""
+    packet = packet.strip(b"\0 \r\n\t")
+    begins = _BEGINS.search(packet)
+    if begins is None or packet.startswith((b"<", b"\xef\xbb\xbf<", b"\xfe\xff", b"\xff\xfe")):
+        return packet
+    return packet[begins.start() : packet.rfind(b">") + 1]
 
 
 def _stated_in(member: Element) -> Iterator[_Property]:
@@ -208,6 +274,8 @@ def _stated_in(member: Element) -> Iterator[_Property]:
         pairs = [(owners[element], name, value) for name, value in element.items()]
         for owner, tag, value in [*pairs, (above, element.tag, element.text)]:
             namespace, name = namespace_of(str(tag)), local_name(str(tag))
+            if not namespace and ":" in name:  # a prefix that nothing declares, as some programs leave it
+                namespace, name = name.split(":", 1)
             if isinstance(value, str) and namespace and namespace not in _FRAMES:
                 if namespace not in prefixes:
                     prefixes[namespace] = _prefix(element, namespace)

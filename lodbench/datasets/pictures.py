@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import struct
 import warnings
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +20,10 @@ from lodbench.storage.contents import read_content
 
 # Tags of TIFF.
 _WIDTH, _HEIGHT, _ORIENTATION = 0x0100, 0x0101, 0x0112
+_SHORT = 3
+# How a TIFF begins: the order of its bytes, and whether it is a BigTIFF.
+_TIFFS = {b"II*\0": ("<", False), b"MM\0*": (">", False), b"II+\0": ("<", True), b"MM\0+": (">", True)}
+_PNG, _PNG_PIXELS = b"\x89PNG\r\n\x1a\n", (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
 # OpenCV's level before each silence that lasts: it is the process's, and the last thread to end restores the
 # first one.
 _LOCK, _levels = Lock(), list[int]()
@@ -55,9 +60,9 @@ def decoded(content: bytes, *, as_stored: bool) -> NDArray[Any] | None:
     """Returns the pixels of a picture's file, as `read_picture` does; None if it cannot be decoded."""
     import cv2
 
+    content = _unturned(_plain_png(content))
     if not content:
         return None
-    content = _unturned(content)
     in_colour = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     flags = cv2.IMREAD_UNCHANGED if as_stored else in_colour
     coded = np.frombuffer(content, dtype=np.uint8)
@@ -91,16 +96,43 @@ def opencv_silenced() -> Iterator[None]:
             logging.setLogLevel(_levels.pop())
 
 
+def _plain_png(content: bytes) -> bytes:
+    """Returns a PNG with nothing but its pixels, nothing of one that is damaged, and other files as they are.
+
+    What libpng has to say of colour profiles and the like it writes to the terminal itself.
+    """
+    if not content.startswith(_PNG):
+        return content
+    kept, at = [_PNG], len(_PNG)
+    while at < len(content):
+        length, kind = struct.unpack_from(">I4s", content[at : at + 8].ljust(8, b"\0"))
+        chunk = content[at : at + 12 + length]
+        at += len(chunk)
+        if kind not in _PNG_PIXELS:
+            continue
+        if chunk[-4:] != zlib.crc32(chunk[4:-4]).to_bytes(4, "big"):
+            return b""
+        kept.append(chunk)
+        if kind == b"IEND":
+            return b"".join(kept)
+    return b""
+
+
 def _unturned(content: bytes) -> bytes:
     """Returns a TIFF whose tag says that it is not turned: OpenCV turns TIFFs whatever its flags say."""
-    order = {b"II*\0": "<", b"MM\0*": ">"}.get(content[:4])
+    order, is_big = _TIFFS.get(content[:4], ("", False))
+    # Where the first offset is, and the formats of counts and entries, which are longer in a BigTIFF.
+    begin, number, form = (8, "Q", "HHQH6x") if is_big else (4, "H", "HHIH2x")
+    size = struct.calcsize(f"<{form}")
     try:
-        (first,) = struct.unpack_from(f"{order}I", content, 4) if order else (0,)
-        (count,) = struct.unpack_from(f"{order}H", content, first) if order else (0,)
-        for at in range(first + 2, first + 2 + 12 * count, 12):
+        (first,) = struct.unpack_from(f"{order}{'Q' if is_big else 'I'}", content, begin) if order else (0,)
+        (count,) = struct.unpack_from(f"{order}{number}", content, first) if order else (0,)
+        first += struct.calcsize(f"<{number}")
+        for at in range(first, min(first + size * count, len(content)), size):
             if struct.unpack_from(f"{order}H", content, at)[0] == _ORIENTATION:
-                return content[: at + 8] + struct.pack(f"{order}HH", 1, 0) + content[at + 12 :]
-    except struct.error:  # cut off, as the decoder will say
+                upright = struct.pack(f"{order}{form}", _ORIENTATION, _SHORT, 1, 1)
+                return content[:at] + upright + content[at + size :]
+    except (struct.error, OverflowError):  # cut off, as the decoder will say
         pass
     return content
 

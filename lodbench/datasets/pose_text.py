@@ -7,13 +7,15 @@ from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 from lodbench.errors import DatasetError, LodbenchError
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Camera, CameraSigmas, Pose
+from lodbench.geometry.camera_sigmas import split_sigmas
 
 T = TypeVar("T")
 
 # No place on Earth is further from the origin of its CRS.
 _MAX_COORDINATE_M = 1e8
 _POSE_LAYOUT = "name qw qx qy qz tx ty tz"
+_CAMERA_LAYOUT = "name PINHOLE W H fx fy cx cy"
 
 
 def read_poses(path: str | Path) -> dict[str, Pose]:
@@ -47,7 +49,16 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
     Raises:
         DatasetError: As for ``read_poses``.
     """
-    return _only_ones(Path(path), parse_camera, "name PINHOLE W H fx fy cx cy")
+    return {name: camera for name, (camera, _) in read_known_cameras(path).items()}
+
+
+def read_known_cameras(path: str | Path) -> dict[str, tuple[Camera, CameraSigmas | None]]:
+    """Returns cameras, and how well they are known where a line says so after the parameters.
+
+    Raises:
+        DatasetError: As for ``read_poses``.
+    """
+    return _only_ones(Path(path), parse_camera, _CAMERA_LAYOUT)
 
 
 def read_words(path: str | Path) -> dict[str, str]:
@@ -84,10 +95,11 @@ def format_pose(name: str, pose: Pose, decimals: tuple[int, int] | None = None) 
     return " ".join([name, *numbers])
 
 
-def format_camera(name: str, camera: Camera) -> str:
-    """Returns the line of a camera, with as many digits as restore it exactly."""
+def format_camera(name: str, camera: Camera, sigmas: CameraSigmas | None = None) -> str:
+    """Returns the line of a camera, with as many digits as restore it exactly, and how well it is known."""
     model, numbers = camera.to_colmap()
-    return " ".join([name, model, str(camera.width), str(camera.height), *(repr(v) for v in numbers)])
+    known = [] if sigmas is None else sigmas.words()
+    return " ".join([name, model, str(camera.width), str(camera.height), *(repr(v) for v in numbers), *known])
 
 
 def lines_to_text(lines: Iterable[str]) -> str:
@@ -170,13 +182,17 @@ def _parse_place(words: list[str]) -> Pose:
     return pose
 
 
-def parse_camera(words: list[str]) -> Camera:
-    """Returns the camera of the words ``MODEL W H params...`` (COLMAP's models).
+def parse_camera(words: list[str]) -> tuple[Camera, CameraSigmas | None]:
+    """Returns the camera of the words ``MODEL W H params...`` (COLMAP's models), and how well it is known.
+
+    The latter is None unless words such as ``sigma_f=0.5%`` say it, see ``split_sigmas``.
 
     Raises:
         LodbenchError: There are too few, the model is unknown, or they are no camera.
         ValueError: A word is no number.
     """
+    words, sigmas = split_sigmas(words)
     if len(words) < 4:
         raise LodbenchError("too few values")
-    return Camera.from_colmap(words[0], int(words[1]), int(words[2]), [float(word) for word in words[3:]])
+    numbers = [float(word) for word in words[3:]]
+    return Camera.from_colmap(words[0], int(words[1]), int(words[2]), numbers), sigmas

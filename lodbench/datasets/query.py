@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import QueryFault
 from lodbench.findings import Finding, Findings
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Camera, CameraSigmas, Pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +39,7 @@ class Query:
             scene's up to a similarity; None where there is none.
         lens_percent: Standard deviation of the camera's focal length by where that came from, percent; None
             where nobody says, or it was calibrated.
+        camera_sigmas: Standard deviations of all of the camera's numbers; None: as of a calibrated one.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Query:
     sequence: str = ""
     reconstructed: Pose | None = None
     lens_percent: float | None = None
+    camera_sigmas: CameraSigmas | None = None
 
     @property
     def mask(self) -> NDArray[np.float32]:
@@ -83,6 +85,7 @@ class Entry:
         reconstructed: Its pose in a reconstruction of its flight, in a frame of that.
         instances: Labels of its buildings made beforehand, see ``lodbench.datasets.instance_labels``.
         lens_percent: As of ``Query``.
+        camera_sigmas: Likewise.
     """
 
     name: str
@@ -96,6 +99,7 @@ class Entry:
     reconstructed: Pose | None = None
     instances: Path | None = None
     lens_percent: float | None = None
+    camera_sigmas: CameraSigmas | None = None
 
     @property
     def key(self) -> str:

@@ -8,12 +8,14 @@ from lodbench.geometry.angles import (
     wrap_deg,
 )
 from lodbench.geometry.camera import Camera
+from lodbench.geometry.camera_sigmas import CameraSigmas
 from lodbench.geometry.grid import AxisRange, PoseGrid
 from lodbench.geometry.pose import Pose
 
 __all__ = [
     "AxisRange",
     "Camera",
+    "CameraSigmas",
     "EulerAngles",
     "Pose",
     "PoseGrid",

@@ -9,7 +9,7 @@ from pathlib import Path
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.photo_pose import HeightOptions, RoughPlace
 from lodbench.errors import require_within
-from lodbench.geometry import Camera
+from lodbench.geometry import Camera, CameraSigmas
 from lodbench.segmentation import Segmenter
 
 
@@ -42,6 +42,7 @@ class RoughRequest(CityRequest):
 
     Attributes:
         camera: Intrinsics of the photo as stored, lens distortion included.
+        camera_sigmas: How well these are known, None for exactly.
         given: Rough place and angles.
         center: Rough place in the city's coordinates (east, north, up, metres); goes before all others.
 
@@ -50,6 +51,7 @@ class RoughRequest(CityRequest):
     """
 
     camera: Camera | None = None
+    camera_sigmas: CameraSigmas | None = None
     given: RoughPlace = field(default_factory=RoughPlace)
     center: tuple[float, float, float] | None = None
 

@@ -14,7 +14,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.errors import LodbenchError
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.measured_calls import localize_query
 from lodbench.methods.protocol import Estimate, Method, SupportsPrepare
@@ -35,6 +35,7 @@ def localize(
     seed: int = 0,
     threads: int | None = None,
     lens_percent: float | None = None,
+    camera_sigmas: CameraSigmas | None = None,
 ) -> Estimate:
     """Returns the pose of one photo, from its building mask or its pixels, and a rough pose.
 
@@ -50,6 +51,7 @@ def localize(
         seed: Seed of the search.
         threads: Threads of the renderer, None for one per core; never changes the answer.
         lens_percent: Standard deviation of the camera's focal length, percent, where that is not calibrated.
+        camera_sigmas: Standard deviations of all of the camera's numbers; None: as calibrated.
 
     Raises:
         QueryFault: The mask is not as described or holds no building, or no building is near the prior.
@@ -61,7 +63,14 @@ def localize(
     photo = None if image is None else Path(image)
     probability = None if mask is None else check_mask(mask, camera)
     query = Query(
-        "photo", "", camera, prior.shifted(-scene.origin), probability, photo, lens_percent=lens_percent
+        "photo",
+        "",
+        camera,
+        prior.shifted(-scene.origin),
+        probability,
+        photo,
+        lens_percent=lens_percent,
+        camera_sigmas=camera_sigmas,
     )
     city_map = CityMap(scene, threads=threads)
     streams = partial(random_stream, seed, "localize", "photo")

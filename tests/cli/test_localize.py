@@ -223,6 +223,10 @@ def test_how_well_the_focal_length_is_known_is_told(capsys, tmp_path, shared_dat
     words = ["--mask", str(case.mask), "--method", "contour_alignment"]
     found = localize(capsys, case, tmp_path / "o", *words)
     assert (sure["camera"]["lens_percent"], found["camera"]["lens_percent"]) == (None, 1.0)
+    assert sure["camera"]["sigmas"] == {
+        "focal_percent": 0.5, "center_percent": 0.35, "k1": 0.01, "source": "dewarp"
+    }  # fmt: skip
+    assert found["camera"]["sigmas"]["focal_percent"] == 1.5
     assert found["sigmas"]["z_m"] > 1.5 * sure["sigmas"]["z_m"]
     assert main([str(case.photo), "--city", str(case.city), "--out", str(tmp_path / "text"), *words]) == 0
     assert "camera: sensor, its focal length good to 1.0 %" in capsys.readouterr().out

@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from pyproj import Transformer
 
 from lodbench.citymodel import open_scene
 from lodbench.cli import main
@@ -250,6 +251,21 @@ def test_a_video_s_camera_must_be_given(capsys, footage, tmp_path, source, said)
     at = words.index("--camera")
     assert main(words[:at] + words[at + 2 :]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_dji_s_subtitles_beside_a_video_state_its_start(capsys, footage, tmp_path):
+    video = Path(shutil.copy(footage.folder / "flight.avi", tmp_path / "DJI_0001.avi"))
+    x, y, up = np.add(footage.truth[0].center, (3.0, -4.0, 5.0))
+    longitude, latitude = Transformer.from_crs("EPSG:32631", "EPSG:4326", always_xy=True).transform(x, y)
+    cue = f"[latitude: {latitude:.7f}] [longitude: {longitude:.7f}] [rel_alt: 1.0 abs_alt: {up:.3f}] "
+    cue += "[gb_yaw: 43.0 gb_pitch: -69.6 gb_roll: 0.3]"
+    video.with_suffix(".SRT").write_text(f"1\n00:00:00,000 --> 00:00:00,033\n{cue}\n\n")
+    words = ["track", video, "--city", footage.folder / "city.obj", "--crs", "EPSG:32631", *CAMERA_WORDS]
+    words += ["--masks", footage.folder / "masks", "--out", tmp_path / "out"]
+    assert main([*map(str, words)]) == 0
+    assert "note: what DJI_0001.SRT states of the start was used" in capsys.readouterr().out
+    first = read_poses(tmp_path / "out" / "poses.txt")["frame_000000.png"]
+    assert pose_error(first, footage.truth[0]).translation_m < 1.0
 
 
 def test_a_rough_pose_that_is_lacking_is_asked_for_in_words_of_track(capsys, footage, tmp_path):

@@ -57,12 +57,13 @@ def exif_of(
     size: tuple[int, int] | None = None,
     orientation: int = 1,
     zoom: float | None = None,
+    plane: tuple[float, float, int | None] | None = None,
     taken_at: str = "2023:10:18 11:46:19",
     fraction: str = "",
     altitude_ref: int | None = None,
     version: str = "",
 ) -> bytes:
-    """Returns EXIF with the tags DJI writes."""
+    """Returns EXIF with the tags DJI writes; ``plane``: resolution along x and y of the focal plane, unit."""
     exif = Image.Exif()
     exif[0x010F], exif[0x0110], exif[0x0112] = make, model, orientation
     details: dict[int, Any] = {0x9003: taken_at}
@@ -76,6 +77,9 @@ def exif_of(
         details[0xA405] = focal_35mm
     if zoom is not None:
         details[0xA404] = IFDRational(Fraction(zoom).limit_denominator(1000))
+    if plane is not None:
+        details |= {0xA20E: _ratio(plane[0]), 0xA20F: _ratio(plane[1])}
+        details |= {} if plane[2] is None else {0xA210: plane[2]}
     if size is not None:
         details[0xA002], details[0xA003] = size
     exif._ifds[0x8769] = details
@@ -106,6 +110,10 @@ def write_photo(
         content = content[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + content[2:]
     path.write_bytes(content)
     return path
+
+
+def _ratio(number: float) -> IFDRational:
+    return IFDRational(Fraction(number).limit_denominator(10000))
 
 
 def _sexagesimal(degrees: float) -> tuple[IFDRational, IFDRational, IFDRational]:

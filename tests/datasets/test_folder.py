@@ -11,7 +11,7 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import FolderParams, open_folder, select_splits
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.harness.runs.result import queries_digest
 
 POSE = "1 0 0 0 1 2 3"
@@ -82,6 +82,26 @@ class TestOneFolder:
         assert [entry.lens_percent for entry in dataset.entries] == [1.57, None]
         known = tuple(replace(entry, lens_percent=None) for entry in dataset.entries)
         assert queries_digest(dataset, dataset.entries) != queries_digest(dataset, known)
+
+    def test_how_well_cameras_are_known(self, tmp_path, city):
+        names = ("a.jpg", "b.jpg", "c.jpg")
+        root = write_split(tmp_path / "flight", names, names, names)
+        lines = (root / "intrinsic.txt").read_text().splitlines()
+        said = ["", " sigma_f=3%", " sigma_f=0.5% sigma_c=0.35% sigma_k1=0.01 sigma_by=dewarp"]
+        lines = [line + words for line, words in zip(lines, said, strict=True)]
+        (root / "intrinsic.txt").write_text("\n".join(lines))
+        dataset = open_at(root, city)
+        assert [entry.camera_sigmas for entry in dataset.entries] == [
+            None,
+            CameraSigmas(3.0, 0.0, 0.0, "stated"),
+            CameraSigmas(0.5, 0.35, 0.01, "dewarp"),
+        ]
+        assert [entry.lens_percent for entry in dataset.entries] == [None, 3.0, None]
+        known = tuple(replace(entry, camera_sigmas=None) for entry in dataset.entries)
+        assert queries_digest(dataset, dataset.entries) != queries_digest(dataset, known)
+        (root / "intrinsic.txt").write_text(lines[0] + " sigma_f=1 2")
+        with pytest.raises(DatasetError, match=r"intrinsic\.txt, line 1: '2' is no deviation"):
+            open_at(root, city)
 
     @pytest.mark.parametrize("percent", ["0", "-1", "nan", "wide", "1 2"])
     def test_what_is_no_deviation_of_a_lens(self, tmp_path, city, percent):

@@ -11,6 +11,8 @@ from PIL import Image
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
+from lodbench.datasets.photo_notes import xmp_note
+from lodbench.datasets.photo_pose import RoughPlace, require_stated
 from lodbench.errors import DatasetError
 from tests.datasets.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
 
@@ -155,12 +157,20 @@ class TestHostile:
 
     def test_an_entity_is_refused(self, tmp_path):
         packet = b'<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]>' + xmp_packet({"Model": "&e;"})
-        with pytest.raises(DatasetError, match="DOCTYPE"):
-            read_photo_metadata(write_photo(tmp_path / "a.jpg", xmp=packet))
+        photo = read_photo_metadata(write_photo(tmp_path / "a.jpg", xmp=packet))
+        assert "DOCTYPE" in photo.xmp_fault
+        assert photo.gimbal_yaw_deg is None
 
     def test_broken_xmp_is_named(self, tmp_path):
-        with pytest.raises(DatasetError, match=r"a\.jpg, XMP"):
-            read_photo_metadata(write_photo(tmp_path / "a.jpg", xmp=xmp_packet(PROPERTIES)[:-60]))
+        path = write_photo(tmp_path / "a.jpg", None, exif_of(51.0, 5.0, 90.0), xmp_packet(PROPERTIES)[:-60])
+        photo = read_photo_metadata(path)
+        assert photo.xmp_fault.startswith(f"{path}, XMP is not well-formed XML")
+        with pytest.raises(DatasetError, match=r"where its camera looked .*: .*a\.jpg, XMP is not") as fault:
+            require_stated(photo)
+        assert "--heading and --pitch" in fault.value.hint
+        # What it would say of angles is given, all else is in EXIF.
+        require_stated(photo, given=RoughPlace(heading_deg=10.0, pitch_deg=-60.0), knows_camera=False)
+        assert xmp_note([photo]) == f"its XMP cannot be read, and nothing of it was used: {photo.xmp_fault}"
 
     @pytest.mark.parametrize("content", [b"", b"hello", b"\xff\xd8\xff\xe1", b"\x89PNG\r\n\x1a\n"])
     def test_what_is_no_picture(self, tmp_path, content):

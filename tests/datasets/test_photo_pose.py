@@ -243,7 +243,7 @@ class TestCamera:
         "numbers",
         [
             {"dewarp": Dewarp("2019", 3666.0, 3660.0, -12.5, 8.5, (-0.26, 0.11, 0.001, -0.002, -0.03))},
-            {"calibrated_focal_px": 3666.0, "optical_center_x_px": 2736.0, "optical_center_y_px": 1824.0},
+            {"calibrated_focal_px": 3666.0},
             {"focal_mm": 8.8, "pixel_mm": (0.0024, 0.0024)},
         ],
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import astuple
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.datasets.undistort import pinhole_of
 from lodbench.evaluation import pose_error
+from lodbench.geometry import CameraSigmas
 from tests.cli.photo_case import Case
 from tests.datasets.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
 from tests.harness.own_case import LENS, init, make_own_case, run
@@ -189,15 +191,21 @@ class TestFromPhotos:
         ]
 
     @pytest.mark.parametrize(
-        ("changes", "percent"),
+        ("changes", "percent", "sigmas"),
         [
-            ([], None),
-            ([(b"DewarpData", b"DewarpNone")], 1.0),
-            ([(b"DewarpData", b"DewarpNone"), (b"FC6310R", b"FC6310X")], 1.56),
+            ([], None, (0.5, 0.35, 0.01, "dewarp")),
+            ([(b"DewarpData", b"DewarpNone")], 1.0, (1.5, 0.7, 0.03, "sensor")),
+            (
+                [(b"DewarpData", b"DewarpNone"), (b"FC6310R", b"FC6310X")],
+                1.56,
+                (1.56, 0.7, 0.03, "35mm"),
+            ),
         ],
         ids=["calibrated", "sensor", "35mm"],
     )
-    def test_a_focal_length_stays_known_as_well_as_it_is(self, capsys, tmp_path, case, changes, percent):
+    def test_a_focal_length_stays_known_as_well_as_it_is(
+        self, capsys, tmp_path, case, changes, percent, sigmas
+    ):
         photo = case.photo.read_bytes()
         for old, new in changes:
             assert old in photo
@@ -209,6 +217,42 @@ class TestFromPhotos:
         assert code == 0, err
         (entry,) = open_folder(FolderParams(str(tmp_path / "town"), str(case.city))).entries
         assert entry.lens_percent == percent
+        assert astuple(entry.camera_sigmas) == sigmas
+
+    def test_a_camera_that_is_given_is_exact_unless_its_deviations_are_given_too(
+        self, capsys, tmp_path, case
+    ):
+        camera = "SIMPLE_PINHOLE 684 456 460 342 228"
+        for name, words in (("exact", ""), ("stated", " sigma_f=3% sigma_c=1%")):
+            given = ["--images", case.photo.parent, "--city", case.city, "--camera", camera + words]
+            code, _, err = run(capsys, "dataset init", tmp_path / name, *given)
+            assert code == 0, err
+        exact, stated = (
+            open_folder(FolderParams(str(tmp_path / name), str(case.city))).entries[0]
+            for name in ("exact", "stated")
+        )
+        assert (exact.camera_sigmas, exact.lens_percent) == (None, None)
+        assert (stated.camera_sigmas, stated.lens_percent) == (CameraSigmas(3.0, 1.0, 0.0, "stated"), 3.0)
+
+    def test_a_panorama_beside_the_photos_is_left_out(self, capsys, tmp_path, case):
+        flight = tmp_path / "flight"
+        shutil.copytree(case.photo.parent, flight)
+        sphere = xmp_packet(PROPERTIES).replace(
+            b"drone-dji:Gimbal",
+            b'xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" '
+            b'GPano:ProjectionType="equirectangular" drone-dji:Gimbal',
+            1,
+        )
+        write_photo(flight / "DJI_0002_PANO.JPG", np.zeros((32, 64), np.uint8), exif_of(), sphere)
+        words = ["--images", flight, "--city", case.city]
+        code, out, err = run(capsys, "dataset init", tmp_path / "town", *words)
+        assert code == 0, err
+        assert "town: 1 image" in out
+        assert "left out: DJI_0002_PANO.JPG: DJI_0002_PANO.JPG is a panorama (equirectangular)" in out
+        sphere_alone = [flight / "DJI_0002_PANO.JPG", "--city", case.city, "--out", tmp_path / "o"]
+        code, _, err = run(capsys, "localize", *sphere_alone)
+        assert code == 2
+        assert "is a panorama" in err
 
     def test_nothing_is_written_over(self, capsys, tmp_path, case):
         (tmp_path / "town").mkdir()

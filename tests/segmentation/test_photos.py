@@ -121,6 +121,39 @@ def test_a_tiff_s_pixels_are_as_stored(tmp_path, orientation, kind):
     assert np.array_equal(read_picture(tmp_path / "a.tif", as_stored=True), pixels)
 
 
+@pytest.mark.parametrize("kind", ["<u1", "<u2", ">u2"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_bigtiff_s_pixels_are_as_stored(tmp_path, orientation, kind):
+    pixels = np.random.default_rng(0).integers(0, 255, (16, 24)).astype(kind)
+    order, bits = kind[0], 8 * pixels.itemsize
+    values = {256: 24, 257: 16, 258: bits, 259: 1, 262: 1, 273: 16, 274: orientation, 277: 1, 278: 16}
+    values[279] = pixels.nbytes
+    entries = b"".join(struct.pack(f"{order}HHQH6x", tag, 3, 1, value) for tag, value in values.items())
+    header = (b"II" if order == "<" else b"MM") + struct.pack(f"{order}HHHQ", 43, 8, 0, 16 + pixels.nbytes)
+    directory = struct.pack(f"{order}Q", len(values)) + entries + bytes(8)
+    (tmp_path / "a.tif").write_bytes(header + pixels.tobytes() + directory)
+    assert np.array_equal(read_picture(tmp_path / "a.tif", as_stored=True), pixels)
+    if order == "<":  # Pillow takes the others for no picture
+        stated = read_photo_metadata(tmp_path / "a.tif")
+        assert (stated.width, stated.height, stated.orientation) == (24, 16, orientation)
+
+
+def test_nothing_but_our_own_line_reaches_the_terminal(tmp_path, capfd):
+    pixels = np.random.default_rng(0).integers(0, 255, (64, 96, 3)).astype(np.uint8)
+    whole = tmp_path / "profile.png"
+    Image.fromarray(pixels).save(whole, icc_profile=b"none" * 50)
+    assert np.array_equal(read_picture(whole), pixels[..., ::-1])
+    content = whole.read_bytes()
+    middle = content[: len(content) // 2]
+    for name, damaged in (("cut.png", middle), ("crc.png", middle + b"\0" + content[len(middle) + 1 :])):
+        (tmp_path / name).write_bytes(damaged)
+        assert read_picture(tmp_path / name) is None
+    # A damaged comment is none of the pixels.
+    (tmp_path / "text.png").write_bytes(content.replace(b"none", b"nine", 1))
+    assert np.array_equal(read_picture(tmp_path / "text.png"), pixels[..., ::-1])
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_photo_too_large_to_decode_is_refused(tmp_path):
     whole = written(tmp_path / "bomb.png", np.zeros((2, 2), np.uint8)).read_bytes()
     header = b"IHDR" + struct.pack(">II", 1_000_000, 1_000_000) + whole[24:29]

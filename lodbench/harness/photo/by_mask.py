@@ -47,6 +47,7 @@ def more_probable(
             method=request.by_mask,
             seed=request.seed,
             lens_percent=photo.lens_percent,
+            camera_sigmas=photo.camera_sigmas,
         )
     except QueryFault as fault:
         note = f"a network's mask was asked as well, and says nothing: {fault.message.rstrip('.')}"

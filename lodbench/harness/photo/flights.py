@@ -156,6 +156,7 @@ def _solve(
                     sequence="flight",
                     reconstructed=tied,
                     lens_percent=photo.lens_percent,
+                    camera_sigmas=photo.camera_sigmas,
                 )
             )
         streams = [partial(random_stream, request.seed, "localize", "photo") for _ in queries]

@@ -16,7 +16,7 @@ from lodbench.citymodel.stored_city import OpenCity
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.datasets.inputs import Input, declared_inputs, require_inputs
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_notes import place_notes
+from lodbench.datasets.photo_notes import place_notes, xmp_note
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
@@ -66,6 +66,7 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
                 method=method,
                 seed=request.seed,
                 lens_percent=photo.lens_percent,
+                camera_sigmas=photo.camera_sigmas,
             )
     answered, estimate = more_probable(photo, place.scene, prior, estimate)
     return write_answer(answered, view if answered is photo else answered.view(), place, prior, estimate)
@@ -151,6 +152,7 @@ def write_answer(
         camera=photo.pinhole,
         camera_source=photo.camera_source,
         lens_percent=photo.lens_percent,
+        camera_sigmas=photo.camera_sigmas,
         overlay=overlay,
         geojson=geojson,
         notes=_notes(photo, place, view, estimate),
@@ -194,6 +196,7 @@ def _notes(photo: PreparedPhoto, place: OpenMap, view: PhotoView, estimate: Esti
     has_height = request.center is not None or request.given.height_m is not None
     notes += estimate.notes
     notes += place_notes(place.frame, () if has_height else (photo.stated,), request.heights)
+    notes += filter(None, [xmp_note([photo.stated])])
     if photo.stated.orientation > 1:
         notes.append("viewers turn this photo for display (EXIF): camera and mask are of the stored pixels")
     if photo.stated.is_turned and request.given.roll_deg is None:

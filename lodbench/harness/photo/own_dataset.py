@@ -24,14 +24,14 @@ from lodbench.datasets.own import (
 )
 from lodbench.datasets.own_sources import LeftOut, images_from_photos, images_from_poses
 from lodbench.datasets.photo_files import PHOTO_SUFFIXES
-from lodbench.datasets.photo_notes import place_notes
+from lodbench.datasets.photo_notes import place_notes, xmp_note
 from lodbench.datasets.photo_pose import HeightOptions
 from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.pose_files import read_pose_file
-from lodbench.datasets.pose_text import read_cameras
+from lodbench.datasets.pose_text import read_known_cameras
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
-from lodbench.geometry import Camera
+from lodbench.geometry import Camera, CameraSigmas
 from lodbench.harness.city import far_words, open_city
 
 
@@ -47,6 +47,7 @@ class OwnRequest:
         masks: Folder of building masks of the photos as they are stored, or None.
         cameras: Camera file by image name, for formats without cameras; or None.
         camera: Intrinsics of all images, or None.
+        camera_sigmas: How well these are known, None for exactly.
         offset_m: Added to the positions of ``poses`` (east, north, up), before they are brought from the
             reference system that their file declares to the city's.
         city: City model, or None to trust that the poses are in its coordinates.
@@ -62,6 +63,7 @@ class OwnRequest:
     masks: Path | None = None
     cameras: Path | None = None
     camera: Camera | None = None
+    camera_sigmas: CameraSigmas | None = None
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     city: Path | None = None
     lod: str | None = None
@@ -116,7 +118,7 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
 def _prior_notes(images: Sequence[OwnImage], frame: MapFrame | None, heights: HeightOptions) -> list[str]:
     """Returns what the reader should know of rough poses from photos: how sure they are, and which lack."""
     stated = [image.stated for image in images if image.stated is not None]
-    notes = [*place_notes(frame, stated, heights)] if stated else []
+    notes = [*place_notes(frame, stated, heights), *filter(None, [xmp_note(stated)])] if stated else []
     lacking = [image for image in images if image.no_prior]
     if lacking:
         first = lacking[0]
@@ -183,7 +185,8 @@ def _images(
             placed,
             photos=request.photos,
             masks=request.masks,
-            cameras=None if request.cameras is None else read_cameras(request.cameras),
+            cameras=None if request.cameras is None else read_known_cameras(request.cameras),
+            camera_sigmas=request.camera_sigmas,
             frame=frame,
             heights=request.heights,
         )
@@ -199,7 +202,12 @@ def _images(
     if request.photos is None or frame is None:
         raise ConfigError("There are no photos and no poses.", "Give --images DIR, --city FILE, or a model.")
     images, left_out = images_from_photos(
-        request.photos, frame, request.heights, masks=request.masks, camera=request.camera
+        request.photos,
+        frame,
+        request.heights,
+        masks=request.masks,
+        camera=request.camera,
+        camera_sigmas=request.camera_sigmas,
     )
     return images, left_out, "photos", ()
 

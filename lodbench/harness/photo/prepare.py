@@ -12,14 +12,19 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_camera import PhotoCamera, camera_from_photo, require_photo_size
+from lodbench.datasets.photo_camera import (
+    PhotoCamera,
+    camera_from_photo,
+    camera_given,
+    require_photo_size,
+)
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_pose import pose_at, pose_from_photo, require_stated
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Entry
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import DatasetError
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.harness.city import require_near_city
 from lodbench.harness.photo.outputs import PhotoView
 from lodbench.harness.photo.request import PhotoRequest
@@ -38,7 +43,8 @@ class PreparedPhoto:
         stated: What its metadata say.
         camera: Of the photo as stored, lens included.
         camera_source: Where the camera's numbers came from.
-        lens_percent: As of ``PhotoCamera``; None for a camera that was given.
+        lens_percent: As of ``PhotoCamera``.
+        camera_sigmas: Likewise.
         pinhole: The camera that is localised.
         mask: (H, W) probability of building as the pinhole sees it; None where no mask is looked at.
     """
@@ -48,6 +54,7 @@ class PreparedPhoto:
     camera: Camera
     camera_source: str
     lens_percent: float | None
+    camera_sigmas: CameraSigmas
     pinhole: Camera
     mask: NDArray[np.float32] | None
 
@@ -79,7 +86,8 @@ def prepare_photo(request: PhotoRequest, requires: Collection[str]) -> PreparedP
     found = _camera(request, stated)
     pinhole = pinhole_of(found.camera)
     mask = pinhole_mask(request, found.camera, pinhole) if Input.MASK in requires else None
-    return PreparedPhoto(request, stated, found.camera, found.source, found.lens_percent, pinhole, mask)
+    known = found.source, found.lens_percent, found.camera_sigmas
+    return PreparedPhoto(request, stated, found.camera, *known, pinhole, mask)
 
 
 def undistorted_photo(view: PhotoView, folder: Path) -> Path:
@@ -100,7 +108,7 @@ def _camera(request: PhotoRequest, photo: PhotoMetadata) -> PhotoCamera:
     if request.camera is None:
         return camera_from_photo(photo)
     require_photo_size(request.camera, photo.name, photo.width, photo.height)
-    return PhotoCamera(request.camera, "given")
+    return camera_given(request.camera, request.camera_sigmas)
 
 
 def pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDArray[np.float32]:

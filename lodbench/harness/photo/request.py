@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.map_frame import Place
 from lodbench.evaluation import PoseError
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.harness.requests import RoughRequest
 from lodbench.methods import Method
 from lodbench.reporting.answers import UNTRUSTED, trust_word
@@ -62,6 +62,7 @@ class LocalizedPhoto:
         camera: Pinhole that was localised.
         camera_source: Where its numbers came from.
         lens_percent: Standard deviation of its focal length, percent; None for one that was calibrated.
+        camera_sigmas: Standard deviations of all of the camera's numbers.
         overlay: Picture written.
         geojson: Map written, or None without a reference system.
         notes: What the reader should know.
@@ -87,6 +88,7 @@ class LocalizedPhoto:
     camera: Camera
     camera_source: str
     lens_percent: float | None
+    camera_sigmas: CameraSigmas
     overlay: Path
     geojson: Path | None
     notes: tuple[str, ...]
@@ -131,6 +133,7 @@ class LocalizedPhoto:
                 "colmap": [*self.camera.to_colmap()],
                 "source": self.camera_source,
                 "lens_percent": self.lens_percent,
+                "sigmas": asdict(self.camera_sigmas),
             },
             "overlay": str(self.overlay),
             "geojson": None if self.geojson is None else str(self.geojson),

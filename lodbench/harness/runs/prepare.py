@@ -115,6 +115,7 @@ class Preparation:
             sequence=entry.sequence,
             reconstructed=entry.reconstructed,
             lens_percent=entry.lens_percent,
+            camera_sigmas=entry.camera_sigmas,
         )
 
     def _true_pixels(self, entry: Entry, camera: Camera) -> Callable[[Points], Points]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,6 +79,7 @@ def queries_digest(dataset: Dataset, entries: tuple[Entry, ...]) -> str:
                 pose_numbers(entry.prior),
                 pose_numbers(dataset.truth.get(entry.key)),
                 *([] if entry.lens_percent is None else [entry.lens_percent]),
+                *([] if entry.camera_sigmas is None else astuple(entry.camera_sigmas)),
             ]
             for entry in entries
         ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 import time
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ from lodbench.datasets.own import find_mask
 from lodbench.datasets.photo_files import PHOTO_SUFFIXES, find_photos, in_pose_lines, require_photos
 from lodbench.datasets.photo_flights import natural_key
 from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.pictures import read_picture
+from lodbench.datasets.pictures import opencv_silenced, read_picture
 from lodbench.datasets.undistort import undistorted
 from lodbench.errors import DatasetError, LodbenchError, QueryFault
 from lodbench.geometry import Camera
@@ -135,11 +136,17 @@ class Footage:
 
         if self.source.suffix.lower() in PHOTO_SUFFIXES:
             raise DatasetError(f"{self.source} is one photo.", "lodbench localize finds where it was taken.")
-        video = cv2.VideoCapture(str(self.source))
-        if not video.isOpened():
-            raise DatasetError(
-                f"{self.source} is no video that OpenCV reads.", "Take MP4, or a folder of photos."
-            )
+        with opencv_silenced():
+            video = cv2.VideoCapture(str(self.source), _backend())
+            if not video.isOpened():
+                raise DatasetError(
+                    f"{self.source} is no video that OpenCV reads.", "Take MP4, or a folder of photos."
+                )
+            yield from self._frames_of(video)
+
+    def _frames_of(self, video: Any) -> Iterator[Shot]:
+        import cv2
+
         stated = float(video.get(cv2.CAP_PROP_FPS))
         # Some containers say 0, -1 or no number at all.
         rate = self.rate or (stated if 0 < stated < math.inf else _VIDEO_RATE)
@@ -164,6 +171,14 @@ class Footage:
             self.notes.append(
                 f"{number} of the video's {count:.0f} frames can be read: it is cut off or damaged"
             )
+
+
+def _backend() -> int:
+    """Returns FFmpeg, told to be silent, where OpenCV has it: others take pictures for videos, and print."""
+    import cv2
+
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    return int(cv2.CAP_FFMPEG if cv2.CAP_FFMPEG in cv2.videoio_registry.getBackends() else cv2.CAP_ANY)
 
 
 def _size(pixels: NDArray[np.uint8]) -> tuple[int, int]:

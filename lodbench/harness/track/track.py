@@ -19,12 +19,18 @@ from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import require_some_mask
-from lodbench.datasets.photo_camera import PhotoCamera, camera_from_photo, require_photo_size
+from lodbench.datasets.photo_camera import (
+    PhotoCamera,
+    camera_from_photo,
+    camera_given,
+    require_photo_size,
+)
 from lodbench.datasets.photo_files import in_pose_lines
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_notes import place_notes
 from lodbench.datasets.photo_pose import pose_at, pose_from_photo
 from lodbench.datasets.undistort import pinhole_of
+from lodbench.datasets.video_subtitles import find_subtitles, stated_at_start
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
@@ -219,11 +225,16 @@ def _start(
             )
         size = size or (request.camera.width, request.camera.height)
         stated = PhotoMetadata(request.footage.source.name, *size)
+        subtitles = find_subtitles(request.footage.source)
+        if subtitles is not None and (beside := stated_at_start(subtitles, stated)) != stated:
+            stated = beside
+            request.footage.notes.append(f"what {subtitles.name} states of the start was used")
     else:
         stated = read_photo_metadata(first)
     if request.camera is not None:
         require_photo_size(request.camera, stated.name, stated.width, stated.height)
-    camera = PhotoCamera(request.camera, "given") if request.camera else camera_from_photo(stated)
+    given = request.camera
+    camera = camera_given(given, request.camera_sigmas) if given else camera_from_photo(stated)
     if request.center is not None:
         east, north, _ = request.center
         convergence = 0.0 if frame is None else frame.convergence_deg(east, north)
