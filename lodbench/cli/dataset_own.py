@@ -137,7 +137,7 @@ def _make(asked: argparse.Namespace, **sources: Any) -> int:
 
     require_within("--offset", asked.offset, -math.inf)
     _require_used(asked)
-    profile = load_profile(asked.source, asked.option, asked.crs)
+    profile = load_profile(asked.source, asked.option, asked.crs, asked.date)
     made = make_own_dataset(
         OwnRequest(
             folder=asked.folder,
