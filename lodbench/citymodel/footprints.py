@@ -113,6 +113,10 @@ def _blocks(
     unit_m = 1.0 if known is None else known.height_unit_m
     heights, bottoms = _heights(columns, options, unit_m, ids, findings)
     rings, ring_starts, polygon_starts, owner = _kept_polygons(polygons, heights, ids, findings)
+    if len(owner) == 0 and any(item.code is UNDERGROUND for item in findings.items):
+        raise NotACity(
+            f"{source} has no footprint but below the ground.", "Is it the building tile of the city?"
+        )
     if len(owner) == 0:
         raise _no_height(source, findings)
     if not np.isfinite(rings).all():

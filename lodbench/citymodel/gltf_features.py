@@ -31,27 +31,36 @@ def require_readable(content: bytes, source: str) -> None:
     if document is None:
         return
     required = document.get("extensionsRequired")
-    for name in required if isinstance(required, list) else ():
-        if name not in _HARMLESS and not str(name).startswith(_LOOKS):
+    for name in required if isinstance(required, list) else filter(None, [required]):
+        if str(name) not in _HARMLESS and not str(name).startswith(_LOOKS):
             raise CityModelError(
                 f"{source} requires the glTF extension {str(name)[:60]!r}, which is not read.",
                 "Export it again without, as plain triangles: no compression, no instances.",
             )
-    for table, names in (("accessors", ("count", "byteOffset")), ("bufferViews", ("byteLength", "byteOffset"))):
+    _require_counts(document, source)
+    accessors = _list_of(document.get("accessors"))
+    for number in sorted(_of_triangles(document)):
+        if number < len(accessors) and isinstance(accessors[number], dict) and "sparse" in accessors[number]:
+            raise CityModelError(
+                f"{source} stores triangles sparsely (accessors[{number}] of its glTF), which is not read.",
+                "Export it again without sparse accessors.",
+            )
+
+
+def _require_counts(document: dict[str, Any], source: str) -> None:
+    """Raises CityModelError where a count, a length or an offset of a glTF document is none."""
+    for table, least in (
+        ("accessors", {"count": 1, "byteOffset": 0}),
+        ("bufferViews", {"byteLength": 1, "byteOffset": 0}),
+    ):
         for number, entry in enumerate(_list_of(document.get(table))):
-            values = entry if isinstance(entry, dict) else {}
-            for name in names:
-                value = values.get(name, 1)
-                if type(value) is not int or value < 0 or (name in ("count", "byteLength") and value == 0):
+            for name, lowest in least.items():
+                value = entry.get(name, lowest) if isinstance(entry, dict) else lowest
+                if type(value) is not int or value < lowest:
                     raise CityModelError(
                         f"{source}: {table}[{number}] of its glTF has the {name} {str(value)[:40]}.",
                         "Export it again.",
                     )
-            if "sparse" in values and number in _of_triangles(document):
-                raise CityModelError(
-                    f"{source} stores its triangles sparsely (accessors[{number}] of its glTF), which is not read.",
-                    "Export it again without sparse accessors.",
-                )
 
 
 def _of_triangles(document: dict[str, Any]) -> set[int]:
@@ -61,7 +70,10 @@ def _of_triangles(document: dict[str, Any]) -> set[int]:
         for primitive in _list_of(mesh.get("primitives")) if isinstance(mesh, dict) else ():
             if isinstance(primitive, dict):
                 attributes = primitive.get("attributes")
-                values = [*(attributes.values() if isinstance(attributes, dict) else ()), primitive.get("indices")]
+                values = [
+                    *(attributes.values() if isinstance(attributes, dict) else ()),
+                    primitive.get("indices"),
+                ]
                 found.update(value for value in values if type(value) is int)
     return found
 
