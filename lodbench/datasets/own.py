@@ -40,6 +40,7 @@ class OwnImage:
         no_prior: Why its photo, which was asked, gives no prior; "" where it does, or was not asked.
         lens_percent: As of ``PhotoCamera``, where the camera is by what the photo says of itself.
         camera_sigmas: How well the camera is known, None where nobody says.
+        keeps_folders: Whether its name in a dataset has its folders, which tell it from others.
     """
 
     name: str
@@ -52,11 +53,13 @@ class OwnImage:
     no_prior: str = ""
     lens_percent: float | None = None
     camera_sigmas: CameraSigmas | None = None
+    keeps_folders: bool = False
 
     @property
     def file_name(self) -> str:
-        """Returns its name in a dataset: without folders and spaces, which text poses cannot hold."""
-        return in_pose_lines(PurePosixPath(self.name).name)
+        """Returns its name in a dataset: without folders, or these as words; and spaces, which poses lack."""
+        name = self.name.replace("/", "_") if self.keeps_folders else PurePosixPath(self.name).name
+        return in_pose_lines(name)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from pathlib import Path
 from lodbench.datasets.exchange.colmap import is_colmap, models_below
 from lodbench.datasets.exchange.kapture import is_kapture
 from lodbench.datasets.exchange.photogrammetry import looks_like
-from lodbench.datasets.exchange.posed import FoundPose, content
+from lodbench.datasets.exchange.posed import FoundPose, content, with_slashes
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.plugins import blaming, load_plugin, of_kind, plugin_names
 
@@ -56,7 +56,8 @@ def read_pose_file(path: Path, format_name: str, known: Collection[str] = ()) ->
         raise DatasetError(f"{path} is {found}.", f"format={kind} reads {wanted}.")
     read = load_plugin("pose_formats", kind)
     with blaming("pose_formats", kind, f"read {path}"):
-        poses = [of_kind(pose, FoundPose) for pose in read(path)]
+        read_poses = (of_kind(pose, FoundPose) for pose in read(path))
+        poses = [pose._replace(name=with_slashes(pose.name)) for pose in read_poses]
     if not poses:
         raise DatasetError(f"{path} holds no poses.", f"It was read with format={kind}.")
     return kind, poses
