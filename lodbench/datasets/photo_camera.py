@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from lodbench.datasets.camera_faults import FIELD_DEG
 from lodbench.datasets.photo_metadata import PhotoMetadata
 from lodbench.datasets.photo_xmp import Dewarp
 from lodbench.errors import DatasetError
@@ -34,8 +35,6 @@ _DIAGONAL_35MM = math.hypot(36.0, 24.0)
 # DJI writes the equivalent of the whole sensor, 4:3 where the table above has no other, into photos of 16:9,
 # which show all of its width, too: by the definition a photo of 24 mm would have 26 mm then.
 _WIDE, _WHOLE_HEIGHT = 1.6, 3.0 / 4.0
-# A field of view beyond these is a wrong number: fisheyes have no focal length of this kind.
-_FIELD_DEG = (3.0, 150.0)
 # Sizes are whole pixels, so scaling changes the aspect a little; cropping changes it more.
 _ASPECT_TOLERANCE = 0.01
 # How far a lens's nominal focal length is from its own, and the error of a whole millimetre, as deviations.
@@ -152,6 +151,12 @@ def _is_same_shape(width: int, height: int, photo: PhotoMetadata) -> bool:
 
 def _dewarped(photo: PhotoMetadata, dewarp: Dewarp, width: int, height: int) -> Camera:
     numbers = (dewarp.fx, dewarp.fy, width / 2 + dewarp.cx, height / 2 + dewarp.cy)
+    if not (0 < numbers[2] < width and 0 < numbers[3] < height):
+        raise DatasetError(
+            f"{photo.name}: DewarpData puts the optical centre {dewarp.cx:.0f}, {dewarp.cy:.0f} px from the "
+            f"middle of {width} x {height}, which is outside the photo.",
+            f"Give {camera_flag(photo.width, photo.height)}.",
+        )
     if photo.is_dewarped or not any(dewarp.distortion):
         return Camera(width, height, *numbers)
     return Camera(width, height, *numbers, (*dewarp.distortion, 0.0, 0.0, 0.0), "FULL_OPENCV")
@@ -219,7 +224,7 @@ def _require_own_pixels(photo: PhotoMetadata, focal_px: float, width: int, heigh
 
 def _checked(photo: PhotoMetadata, camera: Camera) -> Camera:
     field = math.degrees(2 * math.atan(camera.width / (2 * camera.fx)))
-    if not _FIELD_DEG[0] <= field <= _FIELD_DEG[1]:
+    if not FIELD_DEG[0] <= field <= FIELD_DEG[1]:
         raise DatasetError(
             f"{photo.name}: a focal length of {camera.fx:.0f} px sees {field:.1f} degrees; no photo does.",
             f"Give {camera_flag(photo.width, photo.height)}.",

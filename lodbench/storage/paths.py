@@ -4,11 +4,29 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from pathlib import Path
 
 from lodbench.errors import ConfigError
 
 _DEFAULT_CACHE_GB = 20.0
+
+
+def path_name(what: str, name: str) -> str:
+    """Returns a name that becomes part of a path, as it is: it cannot lead out of its folder.
+
+    Args:
+        what: Whose name, as in ``method``.
+        name: It.
+
+    Raises:
+        ConfigError: It is no plain name.
+    """
+    if not isinstance(name, str) or not re.fullmatch(r"\w[\w.+-]{0,199}", name):
+        raise ConfigError(
+            f"The {what} name {name!r} cannot name a folder.", "Use letters, digits and any of _ . + -"
+        )
+    return name
 
 
 def data_root() -> Path:

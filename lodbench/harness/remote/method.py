@@ -28,6 +28,7 @@ from lodbench.harness.remote.process import Child, ProcessFault, RunnerFault
 from lodbench.harness.remote.wire import MalformedMessage, fault_of
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.workspace import Workspace
+from lodbench.storage.paths import path_name
 
 HERE, SUBPROCESS = "here", "subprocess"
 _MODULE = "lodbench.harness.remote.child"
@@ -122,7 +123,7 @@ class RemoteMethod:
         self._told: CityMap | None = None
         self._prepared_in: tuple[Sequence[Reference], Path] | None = None
         about = self._start()
-        self.name = about.name
+        self.name = path_name("method", about.name)
         self.requires = frozenset(about.requires)
         self.params, self.trial_params = about.params, about.trial_params
         self.remote_code = about.code

@@ -135,6 +135,9 @@ class Footage:
 
         if self.source.suffix.lower() in PHOTO_SUFFIXES:
             raise DatasetError(f"{self.source} is one photo.", "lodbench localize finds where it was taken.")
+        # Opening a pipe would wait for ever.
+        if self.source.exists() and not self.source.is_file():
+            raise DatasetError(f"{self.source} is no regular file.", "Save the video to a file first.")
         video = cv2.VideoCapture(str(self.source))
         if not video.isOpened():
             raise DatasetError(
