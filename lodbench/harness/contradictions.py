@@ -40,6 +40,7 @@ from lodbench.segmentation.masks import read_mask
 from lodbench.storage import file_digest
 
 Mask = NDArray[np.bool_]
+Photo = NDArray[np.uint8]
 
 # Views are compared at this width, pixels.
 _WIDTH = 160
@@ -49,17 +50,18 @@ _LEAST, _MOST = 0.02, 0.95
 _DOUBTFUL, _HARDLY, _FITS, _GAIN = 0.6, 0.3, 0.5, 0.2
 # What focal lengths are mistaken by: other units, halves, a digital zoom.
 _FACTORS = (0.25, 1 / 3, 0.5, 2 / 3, 0.8, 1.25, 1.5, 2.0, 3.0, 4.0)
-# The mean rank of a photo's gradients on outlines is 0.5 where they are not its own. Below the first a photo is
-# doubted; others' outlines must have the second, gain the third, by so many deviations of all others'. Below
+# The mean rank of a photo's gradients on outlines is 0.5 where they are not its own. Below the first it is
+# doubted: others' outlines must have the second, gain the third, by so many deviations of all others'. Below
 # the next in the median the true poses are off the photos, if there are so many.
 _NO_OUTLINES, _OUTLINES, _MORE, _DEVIATIONS, _RANDOM, _SEVERAL = 0.55, 0.57, 0.05, 5.0, 0.52, 8
+_MOST_COMPARED = 2000
 # Copies of a picture differ by less than this in the mean, of 255.
 _SAME_GREY = 2.0
 # Poses of one photo differ by less.
 _SAME_M, _SAME_DEG = 0.5, 0.5
 
 # Where one of them is said of a query, its photo has nothing to add.
-_SAID = (PHOTO_TWICE, CAMERA_UNLIKE_VIEW)
+_SAID = (PHOTO_TWICE, CAMERA_UNLIKE_VIEW, MASK_UNLIKE_CITY)
 
 _TURNS: dict[str, Callable[[Mask], Mask]] = {
     "mirrored": lambda mask: mask[:, ::-1],
@@ -170,60 +172,66 @@ class Views:
                 yield Reading(MASK_EXCHANGED, f"that of {other.entry.key}", _iou(other.silhouette, mask))
 
     def wrong_photos(self) -> Iterator[tuple[FindingCode, str, str]]:
-        """Yields photos without outlines where they should be: code, key (or the split, of all), and words."""
+        """Yields photos without outlines where they should be: code, key (of all: the split), words."""
         shown = [view for view in self.views if view.entry.image is not None]
-        edges = [_outline(view.silhouette) for view in shown]
-        small: list[NDArray[np.uint8] | None] = []
-        own = np.full(len(shown), np.nan)
+        own: dict[str, list[float]] = {split: [] for split in self._dataset.splits}
         with Progress("outlines", len(shown)) as progress:
-            for number, view in enumerate(shown):
-                small.append(_small_photo(view))
-                if (ranks := _gradient_ranks(small[-1])) is not None:
-                    own[number] = ranks[edges[number]].mean()
-                progress.advance()
-        doubtful = np.flatnonzero(own < _NO_OUTLINES)
-        for number in doubtful:
-            yield from self._photo_readings(shown, edges, small, own, number, doubtful)
-        for split in self._dataset.splits:
-            of_split = own[[view.entry.split == split for view in shown]]
-            of_split = of_split[np.isfinite(of_split)]
-            if len(of_split) >= _SEVERAL and np.median(of_split) < _RANDOM:
-                words = f"mean rank of gradients there {np.median(of_split):.2f}, 0.5 anywhere"
+            # Photos are compared with those of the same size, so many at a time, for memory.
+            for size in {view.silhouette.shape for view in shown}:
+                alike = [view for view in shown if view.silhouette.shape == size]
+                for start in range(0, len(alike), _MOST_COMPARED):
+                    pairs = []
+                    for view in alike[start : start + _MOST_COMPARED]:
+                        photo = _small_photo(view)
+                        pairs += [] if photo is None else [(view, photo)]
+                        progress.advance()
+                    scores = _outline_scores(pairs)
+                    for (view, _), score in zip(pairs, np.diag(scores), strict=True):
+                        own[view.entry.split].append(float(score))
+                    yield from self._photo_readings(pairs, scores)
+        for split, found in own.items():
+            if len(found) >= _SEVERAL and np.median(found) < _RANDOM:
+                words = f"mean rank of gradients there {np.median(found):.2f}, 0.5 anywhere"
                 yield PHOTO_UNLIKE_CITY, split, words
 
     def _photo_readings(
-        self,
-        shown: Sequence[View],
-        edges: Sequence[Mask],
-        small: Sequence[NDArray[np.uint8] | None],
-        own: NDArray[np.float64],
-        number: int,
-        doubtful: NDArray[np.int64],
+        self, pairs: Sequence[tuple[View, Photo]], scores: NDArray[np.float64]
     ) -> Iterator[tuple[FindingCode, str, str]]:
-        """Yields what a photo without its outlines is: a copy, another's, or of another camera."""
-        view, photo, ranks = shown[number], small[number], _gradient_ranks(small[number])
-        if photo is None or ranks is None:
-            return
-        for other, picture in zip(shown, small, strict=True):
-            if other is not view and picture is not None and _is_copy(photo, picture):
-                if not _is_same_place(self._dataset, view.entry, other.entry):
-                    yield PHOTO_TWICE, view.entry.key, f"that of {other.entry.key}"
-                    return
-        scores = np.array([ranks[e].mean() if e.shape == ranks.shape else np.nan for e in edges])
-        best = int(max(doubtful, key=lambda other: np.nan_to_num(scores[other])))
-        others = np.delete(scores, best)
-        least = max(_OUTLINES, own[number] + _MORE)
-        if np.isfinite(others).sum() > _SEVERAL:
-            least = max(least, np.nanmean(others) + _DEVIATIONS * np.nanstd(others))
-        cameras = [
-            (ranks[_outline(self._renderer.render(camera, view.pose))].mean(), words)
-            for words, camera in _other_cameras(view.camera, view.entry)
-        ]
-        score, words = max(cameras)
-        if scores[best] >= max(least, score):
-            yield PHOTO_EXCHANGED, view.entry.key, f"it is that of {shown[best].entry.key}"
-        elif score >= max(_OUTLINES, own[number] + _MORE):
-            yield CAMERA_UNLIKE_VIEW, view.entry.key, f"the photo's outlines are {words}"
+        """Yields what photos are whose outlines are elsewhere: copies, others', of another camera.
+
+        Args:
+            pairs: Views and their photos.
+            scores: (N, N) of each photo on each view's outlines.
+        """
+        own = np.diag(scores)
+        others = np.where(np.eye(len(own), dtype=bool), np.nan, scores)
+        least = np.maximum(_OUTLINES, own + _MORE)
+        is_doubtful = own < _NO_OUTLINES
+        if len(own) > 1:
+            is_doubtful |= np.nanmax(others, axis=1) >= least
+        if len(own) > _SEVERAL:
+            least = np.maximum(least, np.nanmedian(others, axis=1) + _DEVIATIONS * _spread(others))
+        for number in np.flatnonzero(is_doubtful).tolist():
+            view, photo = pairs[number]
+            copied = [other for other, picture in pairs if other is not view and _is_copy(photo, picture)]
+            copied = [o for o in copied if not _is_same_place(self._dataset, view.entry, o.entry)]
+            best = int(np.argmax(np.where(is_doubtful, np.nan_to_num(others[number]), 0.0)))
+            score, words = self._best_camera(view, photo)
+            if copied:
+                yield PHOTO_TWICE, view.entry.key, f"that of {copied[0].entry.key}"
+            elif others[number, best] >= max(least[number], score):
+                yield PHOTO_EXCHANGED, view.entry.key, f"it is that of {pairs[best][0].entry.key}"
+            elif score >= max(_OUTLINES, own[number] + _MORE):
+                yield CAMERA_UNLIKE_VIEW, view.entry.key, f"the photo's outlines are {words}"
+
+    def _best_camera(self, view: View, photo: Photo) -> tuple[float, str]:
+        """Returns the score of the other camera whose outlines a photo has best, and its words."""
+        ranks = _gradient_ranks(photo)
+        found = [(0.0, "")]
+        for words, camera in _other_cameras(view.camera, view.entry):
+            edges = _outline(self._renderer.render(camera, view.pose))
+            found += [(float(ranks[edges].mean()), words)] if edges.any() else []
+        return max(found)
 
 
 def check_views(dataset: Dataset, scene: Scene | None, with_pixels: bool, findings: Findings) -> None:
@@ -320,7 +328,7 @@ def _outline(silhouette: Mask) -> Mask:
     return np.asarray(edge > 0)
 
 
-def _small_photo(view: View) -> NDArray[np.uint8] | None:
+def _small_photo(view: View) -> Photo | None:
     """Returns a view's photo, (H, W, 3) BGR as small as its camera; None where it cannot be read."""
     picture = None if view.entry.image is None else read_picture(view.entry.image)
     if picture is None:
@@ -329,15 +337,29 @@ def _small_photo(view: View) -> NDArray[np.uint8] | None:
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _is_copy(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> bool:
+def _is_copy(first: Photo, second: Photo) -> bool:
     """Tells whether two pictures differ by no more than their compression."""
-    return first.shape == second.shape and float(cv2.absdiff(first, second).mean()) < _SAME_GREY
+    return float(cv2.absdiff(first, second).mean()) < _SAME_GREY
 
 
-def _gradient_ranks(small: NDArray[np.uint8] | None) -> NDArray[np.float64] | None:
-    """Returns (H, W) how strong a picture's gradients are, as ranks from 0 to 1; None for none."""
-    if small is None:
-        return None
+def _outline_scores(pairs: Sequence[tuple[View, Photo]]) -> NDArray[np.float64]:
+    """Returns (N, N): the mean rank of each photo's gradients on each view's outlines."""
+    if not pairs:
+        return np.zeros((0, 0))
+    edges = np.stack([_outline(view.silhouette).ravel() for view, _ in pairs]).astype(np.float32)
+    edges /= np.maximum(edges.sum(axis=1, keepdims=True), 1)
+    scores = [edges @ _gradient_ranks(photo).ravel().astype(np.float32) for _, photo in pairs]
+    return np.array(scores, np.float64)
+
+
+def _spread(others: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns the standard deviation of each row by its quartiles, which one outlier leaves alone."""
+    low, high = np.nanpercentile(others, (25, 75), axis=1)
+    return np.asarray((high - low) / 1.35)
+
+
+def _gradient_ranks(small: Photo) -> NDArray[np.float64]:
+    """Returns (H, W) how strong a picture's gradients are, as ranks from 0 to 1."""
     lab = cv2.GaussianBlur(cv2.cvtColor(small, cv2.COLOR_BGR2LAB).astype(np.float32), (0, 0), 1.0)
     strength = (cv2.Sobel(lab, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(lab, cv2.CV_32F, 0, 1) ** 2).sum(axis=2)
     return np.asarray(rankdata(strength).reshape(strength.shape) / strength.size)
