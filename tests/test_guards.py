@@ -15,6 +15,7 @@ from lodbench.cli.verify import read_config
 from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import PhotoMetadata
 from lodbench.datasets.photo_xmp import Dewarp
+from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, Pose
@@ -136,6 +137,14 @@ def test_a_video_that_is_a_pipe_is_not_waited_for(tmp_path, capsys, name):
     city = str(tmp_path / "city.obj")
     assert main(["track", str(tmp_path / name), "--city", city, *words, "--pitch", "-60"]) == 2
     assert "is no regular file" in capsys.readouterr().err
+
+
+def test_poses_and_polygons_that_are_pipes_are_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "x.json")
+    with pytest.raises(DatasetError, match="is no regular file"):
+        read_polygons(tmp_path / "x.json", "P.jpg", 4, 4)
+    with pytest.raises(DatasetError, match="is no regular file"):
+        read_pose_file(tmp_path / "x.json", "auto")
 
 
 def test_dewarp_data_with_a_centre_outside_is_refused_for_that():

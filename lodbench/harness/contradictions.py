@@ -329,12 +329,13 @@ def _outline(silhouette: Mask) -> Mask:
 
 
 def _small_photo(view: View) -> Photo | None:
-    """Returns a view's photo, (H, W, 3) BGR as small as its camera; None where it cannot be read."""
+    """Returns a view's photo, (H, W, 3) BGR as small as its camera; None if it is blank or cannot be read."""
     picture = None if view.entry.image is None else read_picture(view.entry.image)
     if picture is None:
         return None
     size = (view.camera.width, view.camera.height)
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    small = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return small if small.std(axis=(0, 1)).max() > _SAME_GREY else None
 
 
 def _is_copy(first: Photo, second: Photo) -> bool:

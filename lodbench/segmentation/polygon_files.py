@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lodbench.errors import DatasetError
 from lodbench.segmentation.mask_polygons import Mask, Ring, painted, polygons_of
 from lodbench.storage.json_text import parse_json
+from lodbench.storage.paths import require_regular
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -107,6 +108,7 @@ def read_polygons(path: Path, photo: str, height: int, width: int) -> Mask:
             polygon, nothing labelled as a building, no building inside the photo, or several images of
             the photo's name.
     """
+    require_regular(path)
     try:
         # Some editors begin a file with a byte order mark.
         stored = parse_json(path.read_text(encoding="utf-8-sig"))

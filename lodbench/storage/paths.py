@@ -7,7 +7,7 @@ import os
 import re
 from pathlib import Path
 
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, DatasetError
 
 _DEFAULT_CACHE_GB = 20.0
 
@@ -27,6 +27,16 @@ def path_name(what: str, name: str) -> str:
             f"The {what} name {name!r} cannot name a folder.", "Use letters, digits and any of _ . + -"
         )
     return name
+
+
+def require_regular(path: Path) -> None:
+    """Makes sure that a path, if it exists, is a file or folder: reading a pipe or device may never end.
+
+    Raises:
+        DatasetError: It is something else.
+    """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise DatasetError(f"{path} is no regular file.", "Save what it gives to a file first.")
 
 
 def data_root() -> Path:

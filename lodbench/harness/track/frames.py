@@ -26,6 +26,7 @@ from lodbench.geometry import Camera
 from lodbench.harness.track.clocks import PHOTO_RATE, photo_clocks
 from lodbench.segmentation import Segmenter, check_mask
 from lodbench.segmentation.masks import read_mask
+from lodbench.storage.paths import require_regular
 
 Mask = NDArray[np.float32]
 
@@ -135,9 +136,7 @@ class Footage:
 
         if self.source.suffix.lower() in PHOTO_SUFFIXES:
             raise DatasetError(f"{self.source} is one photo.", "lodbench localize finds where it was taken.")
-        # Opening a pipe would wait for ever.
-        if self.source.exists() and not self.source.is_file():
-            raise DatasetError(f"{self.source} is no regular file.", "Save the video to a file first.")
+        require_regular(self.source)
         video = cv2.VideoCapture(str(self.source))
         if not video.isOpened():
             raise DatasetError(
