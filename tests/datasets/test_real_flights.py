@@ -46,7 +46,7 @@ def test_files_that_name_flights_are_believed(flight, tmp_path):
 
 def test_several_flights_at_once_are_refused(flight):
     root, _ = flight
-    with pytest.raises(DatasetError, match="several flights.*: ochota") as caught:
+    with pytest.raises(DatasetError, match=r"several flights.*: ochota") as caught:
         open_real_flight(RealFlightParams(str(root.parent)))
     assert f"dataset.root={root}" in str(caught.value.hint)
     with pytest.raises(DatasetError, match="is not a folder"):
