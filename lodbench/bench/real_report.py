@@ -68,7 +68,7 @@ def report_real(trials: pd.DataFrame, title: str, truths: pd.DataFrame | None = 
         (str(of_set), str(method)): rows
         for (of_set, method), rows in trials.groupby(["set", "method"], sort=False)
     }
-    at_truth = {} if truths is None or truths.empty else dict(list(truths.groupby("set")))
+    at_truth = {} if truths is None or truths.empty else {str(s): rows for s, rows in truths.groupby("set")}
     is_one = trials["set"].nunique() == 1
     named = {method if is_one else f"{of_set}, {method}": rows for (of_set, method), rows in groups.items()}
     figures = [figure for name, rows in named.items() for figure in _figures(name, rows)]
@@ -135,17 +135,11 @@ def flight_errors(trials: pd.DataFrame) -> FlightErrors | None:
     by_flight = answered.groupby(["flight", "prior"], sort=False)
     own = np.linalg.norm(answered[_PLACE] - by_flight[_PLACE].transform("median"), axis=1)
     common = by_flight[[*_PLACE, "up_percent", "height_m"]].median()
-    up = common.iloc[common["up_m"].abs().argsort(kind="stable").iloc[len(common) // 2]]
-    plan = np.hypot(common["east_m"], common["north_m"])
-    middle = int(plan.argsort(kind="stable").iloc[len(plan) // 2])
-    share = 100.0 * plan.iloc[middle] / common["height_m"].iloc[middle]
-    return FlightErrors(
-        float(up["up_m"]),
-        float(up["up_percent"]),
-        float(plan.iloc[middle]),
-        float(share),
-        float(np.median(own)),
-    )
+    heights, up, up_percent = (common[name].to_numpy() for name in ("height_m", "up_m", "up_percent"))
+    plan = np.hypot(common["east_m"].to_numpy(), common["north_m"].to_numpy())
+    k, j = (int(np.argsort(size, kind="stable")[len(common) // 2]) for size in (np.abs(up), plan))
+    plan_percent = 100.0 * plan[j] / heights[j]
+    return FlightErrors(*map(float, (up[k], up_percent[k], plan[j], plan_percent, np.median(own))))
 
 
 def trusted(trials: pd.DataFrame) -> tuple[int, int]:

@@ -58,5 +58,8 @@ MASK_UNFIT = FindingCode(
 CRS_DIFFERS = FindingCode(527, _E, "The dataset states another reference system than its city model has.")
 PRIOR_FAR = FindingCode(528, _E, "A prior lies kilometres outside the city model; its query fails.")
 KEY_TWICE = FindingCode(529, _E, "Several queries of a split have one name; nothing runs on them.")
+UNLIKE_RECONSTRUCTION = FindingCode(
+    530, _W, "A true pose is not where the reconstruction beside it has its photo, or that cannot be read."
+)
 
 CATALOGUE = catalogue_of(globals())

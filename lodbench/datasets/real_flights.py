@@ -9,16 +9,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lodbench.datasets.folder import TRUTH_FILE, FolderParams, open_folder
-from lodbench.datasets.query import Dataset
-from lodbench.errors import DatasetError
+import numpy as np
 
-NAME, CITY_FILE = "real_flights", "city.obj"
+from lodbench.datasets.codes import UNLIKE_RECONSTRUCTION
+from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
+from lodbench.datasets.folder import TRUTH_FILE, FolderParams, open_folder
+from lodbench.datasets.query import Dataset, notes_of
+from lodbench.errors import DatasetError, LodbenchError
+from lodbench.findings import Findings
+from lodbench.geometry.similarity import fit_similarity
+
+NAME, CITY_FILE, RECONSTRUCTION = "real_flights", "city.obj", "sparse"
+# How far rounding moves poses, metres or degrees, and from where on one is another.
+_SAME_M, _FAR_M = 0.1, 0.5
 # What the head of a board of such flights says.
 BOARD_HEAD = (
     "Real photos, a block for each flight. True poses are by structure from motion that knows nothing of the "
-    "map; maps are traced in photos and share its scale. How good both are: `lodbench dataset card "
-    "real_flights`. Figures do not compare with those of drawn photos."
+    "map; maps are traced in photos and share its scale. How good both are is said by the dataset's card "
+    "(lodbench dataset card real_flights). Figures do not compare with those of drawn photos."
 )
 
 
@@ -46,8 +54,30 @@ def open_real_flight(params: RealFlightParams) -> Dataset:
             f"Name one: dataset.root={flights[0].parent}",
         )
     dataset = open_folder(FolderParams(str(root), city, name=params.name))
+    findings = (*dataset.findings, *_beside_reconstruction(root, dataset).items)
     entries = tuple(replace(entry, sequence=entry.sequence or entry.split) for entry in dataset.entries)
-    return replace(dataset, entries=entries)
+    return replace(
+        dataset, entries=entries, findings=findings, notes=(*dataset.notes, *notes_of(Findings([*findings])))
+    )
+
+
+def _beside_reconstruction(root: Path, dataset: Dataset) -> Findings:
+    """Returns which true poses are not those of the reconstruction, laid on all of them by a similarity."""
+    findings, folder = Findings(), root / RECONSTRUCTION
+    if not is_colmap(folder):
+        return findings
+    try:
+        there = {found.name: found.pose for found in read_colmap(folder)}
+        known = [(e.key, there[e.name], dataset.truth[e.key]) for e in dataset.entries if e.name in there]
+        keys, poses, truth = zip(*known, strict=True) if known else ((), (), ())
+        fitted = fit_similarity(poses, truth, np.full((len(keys), 3), _SAME_M), np.full(len(keys), _SAME_M))
+    except LodbenchError as error:
+        findings.add(UNLIKE_RECONSTRUCTION, RECONSTRUCTION, error.message)
+        return findings
+    for key, distance_m in zip(keys, fitted.distances_m, strict=True):
+        if distance_m > _FAR_M:
+            findings.add(UNLIKE_RECONSTRUCTION, key, f"{distance_m:.1f} m")
+    return findings
 
 
 def city_beside(root: Path) -> str | None:

@@ -83,7 +83,7 @@ def roof_edges(camera: Camera, pose: Pose, city_map: CityMap) -> Floats:
     rise = np.abs(edges.points[:, 1, 2] - edges.points[:, 0, 2])
     length = np.linalg.norm(edges.points[:, 1] - edges.points[:, 0], axis=1)
     is_high = edges.points[:, :, 2].min(axis=1) > _feet(city_map.scene)[edges.building]
-    return edges.pixels[edges.is_visible & is_high & (rise < _STEEPEST * length)]
+    return np.asarray(edges.pixels[edges.is_visible & is_high & (rise < _STEEPEST * length)])
 
 
 def _feet(scene: Scene) -> Floats:

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import shutil
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from lodbench.cli import main as lodbench
+from lodbench.datasets.exchange.colmap import write_colmap
+from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.datasets.real_flights import RealFlightParams, open_real_flight
 from lodbench.errors import DatasetError
+from lodbench.geometry.similarity import Similarity
 from lodbench.harness.runs.input_checks import tell_flights
 from lodbench.harness.runs.predict import _batches
 from lodbench.methods.registry import make_method
@@ -51,6 +57,28 @@ def test_several_flights_at_once_are_refused(flight):
     assert f"dataset.root={root}" in str(caught.value.hint)
     with pytest.raises(DatasetError, match="is not a folder"):
         open_real_flight(RealFlightParams(str(root / "nothing")))
+
+
+def test_true_poses_are_compared_with_the_reconstruction(tmp_path):
+    root, _ = write_dataset(tmp_path, 5)
+    truth = read_poses(root / "GT_pose.txt")
+    camera = next(iter(read_cameras(root / "intrinsic.txt").values()))
+    # In a frame of its own: half as large, turned about the vertical, shifted.
+    other = Similarity(
+        0.5, Rotation.from_euler("z", 40, degrees=True).as_matrix(), np.array([3.0, 9.0, -2.0])
+    )
+    found = [FoundPose(name, "", other.pose(pose), camera) for name, pose in truth.items()]
+    write_colmap(found, root / "sparse")
+    opened = open_real_flight(RealFlightParams(str(root)))
+    assert opened.findings == ()
+    found[1] = found[1]._replace(pose=found[1].pose.shifted(np.array([0.0, 0.0, 1.5])))
+    write_colmap(found, root / "sparse")
+    (finding,) = open_real_flight(RealFlightParams(str(root))).findings
+    assert (finding.code.code, finding.object_id) == ("LB530", "data/view_01.png")
+    assert 2.0 < float(finding.detail.split()[0]) <= 3.0
+    (root / "sparse" / "images.txt").write_text("1 2 3\n")
+    (finding,) = open_real_flight(RealFlightParams(str(root))).findings
+    assert (finding.code.code, finding.object_id) == ("LB530", "sparse")
 
 
 def test_check_compares_with_the_card(flight, capsys):
