@@ -19,7 +19,7 @@ from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
-from lodbench.datasets.real_flights import city_beside
+from lodbench.datasets.real_flights import city_beside, require_one_flight
 from lodbench.errors import ConfigError, require_within
 from lodbench.execution import ProgressCallback
 from lodbench.harness.city import open_city
@@ -153,6 +153,8 @@ def _photos_and_maps(options: argparse.Namespace) -> list[tuple[Dataset, Scene]]
 
 
 def _open_set(options: argparse.Namespace, query: Path, name: str) -> tuple[Dataset, Scene]:
+    if options.city is None:
+        require_one_flight(query)
     city = city_beside(query) if options.city is None else str(options.city)
     dataset = open_folder(FolderParams(str(query), city, options.lod, options.crs, None, name))
     if dataset.city_model is None:

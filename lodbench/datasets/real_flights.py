@@ -46,13 +46,8 @@ def open_real_flight(params: RealFlightParams) -> Dataset:
         DatasetError: The folder holds several flights, or as ``open_folder``.
     """
     root = Path(params.root).expanduser()
+    require_one_flight(root)
     city = params.city_model or city_beside(root)
-    if not (root / TRUTH_FILE).is_file() and (flights := sorted(root.glob(f"*/{TRUTH_FILE}"))):
-        names = ", ".join(flight.parent.name for flight in flights)
-        raise DatasetError(
-            f"{root} holds several flights, each over a map of its own: {names}.",
-            f"Name one: dataset.root={flights[0].parent}",
-        )
     dataset = open_folder(FolderParams(str(root), city, name=params.name))
     findings = (*dataset.findings, *_beside_reconstruction(root, dataset).items)
     entries = tuple(replace(entry, sequence=entry.sequence or entry.split) for entry in dataset.entries)
@@ -78,6 +73,20 @@ def _beside_reconstruction(root: Path, dataset: Dataset) -> Findings:
         if distance_m > _FAR_M:
             findings.add(UNLIKE_RECONSTRUCTION, key, f"{distance_m:.1f} m")
     return findings
+
+
+def require_one_flight(root: Path) -> None:
+    """Refuses a folder of several flights, each over a map of its own.
+
+    Raises:
+        DatasetError: It is one.
+    """
+    if not (root / TRUTH_FILE).is_file() and (flights := sorted(root.glob(f"*/{TRUTH_FILE}"))):
+        names = ", ".join(flight.parent.name for flight in flights)
+        raise DatasetError(
+            f"{root} holds several flights, each over a map of its own: {names}.",
+            f"Name one: dataset.root={flights[0].parent}",
+        )
 
 
 def city_beside(root: Path) -> str | None:

@@ -231,3 +231,5 @@ def test_what_is_refused(town, tmp_path, capsys):
     ):
         assert lodbench(["bench", "real", "--query", str(root), *wrong]) == 2
         assert words in capsys.readouterr().err
+    assert lodbench(["bench", "real", "--query", str(root.parent), "--method", "prior_only"]) == 2
+    assert f"Name one: --query {root}" in capsys.readouterr().err
