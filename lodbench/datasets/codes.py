@@ -82,5 +82,8 @@ TRUTH_LIKE_PLAN = FindingCode(
 )
 TRUTH_OFF_GPS = FindingCode(541, _W, "True poses are far from where their photos say they were taken.")
 PHOTO_UNLIKE_CITY = FindingCode(542, _W, "Photos lack the outlines that the city has from the true poses.")
+UNLIKE_RECONSTRUCTION = FindingCode(
+    543, _W, "A true pose is not where the reconstruction beside it has its photo, or that cannot be read."
+)
 
 CATALOGUE = catalogue_of(globals())
