@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.photo_tags import exif_values, read_header
-from lodbench.datasets.photo_xmp import Dewarp, xmp_values
+from lodbench.datasets.photo_xmp import Dewarp, LaserRange, xmp_values
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +50,7 @@ class PhotoMetadata:
         is_single_point: An RTK receiver had no corrections, and nothing says whether the height is its own.
         vertical_reference: What XMP says that the altitude is above (``VertCS``).
         is_exif3_height: The altitude is EXIF's, above the ellipsoid by version 3.0, above sea level before.
+        laser: What DJI's laser measured, where its status is normal.
     """
 
     name: str
@@ -82,6 +83,7 @@ class PhotoMetadata:
     is_single_point: bool = False
     vertical_reference: str = ""
     is_exif3_height: bool = False
+    laser: LaserRange | None = None
 
     @property
     def has_position(self) -> bool:
