@@ -55,7 +55,7 @@ class LocatedPixel:
         covariance: (3, 3) of its error, square metres; None where that of the pose is not known.
         surface: What the pixel shows: ``roof``, ``wall`` or ``ground``.
         building: Id of the building, or None on the ground.
-        beside: What else it may show, within 95 % of pose and pixel: near an edge the covariance is too small.
+        beside: What else it may show, within 95 % of pose and pixel: the covariance knows of no edges.
         notes: What a laser's range says against it, in a sentence.
     """
 
@@ -282,9 +282,7 @@ def places_of(
     return found
 
 
-def _beside(
-    surfaces: Surfaces, pose: Pose, linear: _Linear, row: int, known: Uncertainty
-) -> tuple[str, ...]:
+def _beside(surfaces: Surfaces, pose: Pose, linear: _Linear, row: int, known: Uncertainty) -> tuple[str, ...]:
     """Returns what else a pixel may show: what rays meet at the rim of 95 % of where its own may pass."""
     assert known.covariance is not None  # noqa: S101 - the caller has looked
     by_ray, by_pixel = linear.by_ray[row], linear.by_ray_pixel[row]
@@ -359,6 +357,7 @@ def _with_laser(
     residual, notes = _residual_of(middle, pose, laser), [""] * len(places)
     if residual is None:
         return notes
+    assert known.covariance is not None  # noqa: S101 - the caller has looked
     pose_share = known.covariance @ residual.jacobian
     variance = float(residual.jacobian @ pose_share) + residual.sigma_m**2
     off = abs(residual.residual_m) / math.sqrt(variance)

@@ -198,7 +198,9 @@ def _other_angles(properties: list[_Property]) -> str:
 
 def _laser(properties: Mapping[str, str]) -> LaserRange | None:
     """Returns the range of DJI's laser (``LRF...``); None unless its status is that of a measurement."""
-    stated = {name.lower().removeprefix("lrf"): text for name, text in properties.items() if "LRF" in name.upper()}
+    stated = {
+        name.lower().removeprefix("lrf"): text for name, text in properties.items() if "LRF" in name.upper()
+    }
     distance = number_of(stated.get("targetdistance"))
     if stated.get("status", "").strip().lower() != "normal" or distance is None or distance <= 0:
         return None

@@ -70,16 +70,16 @@ def camera_columns(camera: Camera, rays: PixelRays, names: Sequence[str]) -> Flo
     """
     for name in names:
         require_choice("parameters", name, CAMERA_PARAMETERS)
-    x, y = rays.points.T
+    count = len(rays.points)
     focal = np.array([camera.fx, camera.fy])
     radius2 = (rays.points**2).sum(axis=1, keepdims=True)
     columns = {
         "focal": focal * _through_lens(camera, rays.points),
-        "cx": np.broadcast_to([1.0, 0.0], (len(x), 2)),
-        "cy": np.broadcast_to([0.0, 1.0], (len(x), 2)),
+        "cx": np.broadcast_to([1.0, 0.0], (count, 2)),
+        "cy": np.broadcast_to([0.0, 1.0], (count, 2)),
         "k1": focal * rays.points * radius2,
     }
-    return np.stack([columns[name] for name in names], axis=2) if names else np.zeros((len(x), 2, 0))
+    return np.stack([columns[name] for name in names], axis=2) if names else np.zeros((count, 2, 0))
 
 
 def _through_lens(camera: Camera, points: Floats) -> Floats:
