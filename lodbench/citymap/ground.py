@@ -15,11 +15,14 @@ _NEIGHBOURS, _FURTHEST_M = 12, 2000.0
 # Standard deviations of a base from the ground beside it, metres, and of the ground from a plane, metres a
 # metre of distance; and of the plane's slopes beforehand.
 _BASE_M, _BEND, _SLOPE = 0.3, 0.01, 0.05
-# Bases off by more than this many standard deviations (cellars, parts on a roof) count less: Huber's rule.
-_HUBER, _ROUNDS = 1.5, 5
+# Bases off by more than this many standard deviations (cellars, parts on a roof) hardly count (Geman and
+# McClure's weights); rounds of reweighting.
+_ODD, _ROUNDS = 2.5, 4
 # How far above and below all bases the ground may be, metres; samples along a ray, and steps from plane to
 # plane after them.
-_BEYOND_M, _SAMPLES, _STEPS = 10.0, 33, 8
+_BEYOND_M, _SAMPLES, _STEPS = 10.0, 33, 50
+# A ray has met the ground at the next plane where the last one was this near, metres.
+_MET_M = 0.01
 
 
 class GroundPlanes(NamedTuple):
@@ -61,14 +64,15 @@ class Ground:
         near = self._bases[rows]
         design = np.concatenate([np.ones((*away.shape, 1)), near[..., :2] - places[:, None]], axis=2)
         noise, prior = np.hypot(_BASE_M, _BEND * away), np.diag([0.0, _SLOPE**-2, _SLOPE**-2])
-        trust = np.ones_like(noise)
+        # From their median on: least squares alone would lay the plane through a cellar that is nearest.
+        off = (near[..., 2] - np.median(near[..., 2], axis=1, keepdims=True)) / noise
         for _ in range(_ROUNDS):
+            scale = np.maximum(1.0, 1.4826 * np.median(np.abs(off), axis=1, keepdims=True))
+            trust = 1.0 / (1.0 + (off / (_ODD * scale)) ** 2) ** 2
             weighted = design * (trust / noise**2)[..., None]
             spread = np.linalg.inv(weighted.transpose(0, 2, 1) @ design + prior)
             plane = spread @ (weighted.transpose(0, 2, 1) @ near[..., 2:])
             off = (near[..., 2] - (design @ plane)[..., 0]) / noise
-            scale = np.maximum(1.0, 1.4826 * np.median(np.abs(off), axis=1, keepdims=True))
-            trust = np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(off), 1e-9))
         scatter = np.maximum(1.0, (trust * off**2).sum(axis=1) / max(count - 1, 1))
         sigma = np.sqrt(scatter * (spread[:, 0, 0] + _BASE_M**2))
         if self._sigma_m is not None:
@@ -88,17 +92,26 @@ class Ground:
         last = (low - center[2]) / rays[:, 2]
         steps = first[:, None] + (last - first)[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
         points = center + steps[:, :, None] * rays[:, None]
-        above = points[..., 2] - self.at(points.reshape(-1, 3)[:, :2]).height_m.reshape(steps.shape)
-        # NaN is neither: beyond the last building there is no ground to meet.
-        meets = (above[:, :-1] > 0) & (above[:, 1:] <= 0)
-        met = np.flatnonzero(meets.any(axis=1))
-        rows = meets[met].argmax(axis=1)
-        near, far, rays = steps[met, rows], steps[met, rows + 1], rays[met]
-        away = 0.5 * (near + far)
-        for _ in range(_STEPS):
-            points = center + away[:, None] * rays
-            plane = self.at(points[:, :2])
-            falling = (plane.slope * rays[:, :2]).sum(axis=1) - rays[:, 2]
-            away = np.clip(away + (points[:, 2] - plane.height_m) / np.maximum(falling, 1e-9), near, far)
-        found[falls[met]] = away
+        # Roughly first: where a ray passes below the nearest base.
+        is_below = points[..., 2] <= self._bases[self._tree.query(points[..., :2])[1], 2]
+        away = steps[np.arange(len(rays)), is_below.argmax(axis=1)]
+        # From plane to plane; every other step halves, as the ground jumps where other bases become near.
+        near, far, left = first.copy(), last.copy(), np.arange(len(rays))
+        for step in range(_STEPS):
+            ends = center + away[left, None] * rays[left]
+            plane = self.at(ends[:, :2])
+            above = ends[:, 2] - plane.height_m
+            is_over = ~(above <= 0)  # where no ground is known, too
+            near[left[is_over]], far[left[~is_over]] = away[left[is_over]], away[left[~is_over]]
+            falling = (plane.slope * rays[left, :2]).sum(axis=1) - rays[left, 2]
+            ahead = away[left] + above / np.maximum(falling, 1e-9)
+            is_between = (near[left] < ahead) & (ahead < far[left]) & (step % 2 == 0)
+            is_off = ~(np.abs(above) < _MET_M)
+            away[left] = np.where(is_between | ~is_off, ahead, 0.5 * (near[left] + far[left]))
+            left = left[is_off]
+            if not len(left):
+                break
+        # Not where no building is near, nor at a camera that is in the ground.
+        is_known = np.isfinite(self.at((center + away[:, None] * rays)[:, :2]).height_m) & (away > first)
+        found[falls[is_known]] = away[is_known]
         return found

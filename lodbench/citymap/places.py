@@ -262,40 +262,47 @@ def places_of(
         spreads = linear.covariances(known)
         if laser is not None:
             notes = _with_laser(surfaces, camera, pose, known, laser, linear, places, spreads)
+    beside = [()] * len(pixels) if spreads is None else _beside(surfaces, pose, linear, known)
     found: list[LocatedPixel | None] = []
     for row, kind in enumerate(hits.kind):
         if not kind:
             found.append(None)
             continue
         building = int(hits.building[row])
-        beside = () if spreads is None else _beside(surfaces, pose, linear, row, known)
         found.append(
             LocatedPixel(
                 places[row],
                 None if spreads is None else spreads[row],
                 kind,
                 None if building < 0 else surfaces.scene.building_ids[building],
-                beside,
+                beside[row],
                 (notes[row],) if notes[row] else (),
             )
         )
     return found
 
 
-def _beside(surfaces: Surfaces, pose: Pose, linear: _Linear, row: int, known: Uncertainty) -> tuple[str, ...]:
-    """Returns what else a pixel may show: what rays meet at the rim of 95 % of where its own may pass."""
+def _beside(surfaces: Surfaces, pose: Pose, linear: _Linear, known: Uncertainty) -> list[tuple[str, ...]]:
+    """Returns what else pixels may show: what rays meet at the rim of 95 % of where their own may pass."""
     assert known.covariance is not None  # noqa: S101 - the caller has looked
-    by_ray, by_pixel = linear.by_ray[row], linear.by_ray_pixel[row]
-    spread = by_ray @ known.covariance @ by_ray.T + known.pixel_sigma_px**2 * by_pixel @ by_pixel.T
-    ray = linear.rays[row] / np.linalg.norm(linear.rays[row])
-    across = np.eye(3) - np.outer(ray, ray)
+    rows = [row for row, kind in enumerate(linear.hits.kind) if kind]
+    by_ray, by_pixel = linear.by_ray[rows], linear.by_ray_pixel[rows]
+    spread = by_ray @ known.covariance @ by_ray.transpose(0, 2, 1)
+    spread += known.pixel_sigma_px**2 * by_pixel @ by_pixel.transpose(0, 2, 1)
+    ray = linear.rays[rows] / np.linalg.norm(linear.rays[rows], axis=1, keepdims=True)
+    across = np.eye(3) - ray[:, :, None] * ray[:, None]
     values, axes = np.linalg.eigh(across @ spread @ across)
     turns = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False)
-    rim = np.stack([np.cos(turns), np.sin(turns)], axis=1) * np.sqrt(_CHI2_95 * np.maximum(values[1:], 0.0))
-    hits = surfaces.hit(pose.center, linear.hits.places[row] + rim @ axes[:, 1:].T - pose.center)
-    own = surfaces.name(linear.hits, row)
-    others = [surfaces.name(hits, k) or "nothing" for k in range(len(rim))]
-    return tuple(name for name in dict.fromkeys(others) if name != own)
+    reach = np.sqrt(_CHI2_95 * np.maximum(values[:, None, 1:], 0.0))
+    rim = (np.stack([np.cos(turns), np.sin(turns)], axis=1) * reach) @ axes[:, :, 1:].transpose(0, 2, 1)
+    rays = linear.hits.places[rows][:, None] + rim - pose.center
+    hits = surfaces.hit(pose.center, rays.reshape(-1, 3))
+    names = [surfaces.name(hits, k) or "nothing" for k in range(len(hits.kind))]
+    others: list[tuple[str, ...]] = [()] * len(linear.hits.kind)
+    for k, row in enumerate(rows):
+        around = dict.fromkeys(names[k * _AROUND : (k + 1) * _AROUND])
+        others[row] = tuple(name for name in around if name != surfaces.name(linear.hits, row))
+    return others
 
 
 @dataclass(frozen=True, slots=True, eq=False)

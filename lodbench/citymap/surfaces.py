@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap.ground import Ground
 from lodbench.citymodel.building_boxes import building_boxes
+from lodbench.citymodel.raw import take_segments
 from lodbench.citymodel.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -22,6 +24,8 @@ _ROOF_Z = 0.3
 _BURIED = 2.0
 # Shares of a triangle that rounding may cost at its edges, and the least way of a ray, in its lengths.
 _EDGE, _NEAR = 1e-9, 1e-6
+# Boxes or triangles that are tested at a time.
+_AT_ONCE = 1 << 19
 
 
 class Hits(NamedTuple):
@@ -75,9 +79,8 @@ class Surfaces:
     def hit(self, center: Floats, directions: Floats) -> Hits:
         """Returns what (N, 3) rays from a (3,) centre meet first."""
         count = len(directions)
-        met = [self._building_hit(center, ray) for ray in directions]
-        away = np.array([each[0] for each in met])
-        building, triangle = (np.array([each[k] for each in met], np.int64) for k in (1, 2))
+        away, triangle = self._building_hits(center, directions)
+        building = np.searchsorted(self.scene.triangle_starts, triangle, side="right") - 1
         with np.errstate(invalid="ignore"):
             points = center + away[:, None] * directions
         is_hit = np.isfinite(away)
@@ -96,22 +99,39 @@ class Surfaces:
         kind = np.where(is_hit, roofs, np.where(is_ground, GROUND, ""))
         return Hits(points, normals, sigma, np.where(is_hit, building, -1), tuple(map(str, kind)))
 
-    def _building_hit(self, center: Floats, ray: Floats) -> tuple[float, int, int]:
-        """Returns how many of its lengths away a ray meets a building, which, and which triangle."""
-        boxes, scene = self._boxes, self.scene
-        with np.errstate(divide="ignore", invalid="ignore"):
-            one, other = (boxes.low - center) / ray, (boxes.high - center) / ray
-        # 0 / 0, a ray along a box's side, bounds nothing.
-        enters = np.nan_to_num(np.minimum(one, other), nan=-np.inf, posinf=np.inf, neginf=-np.inf).max(axis=1)
-        leaves = np.nan_to_num(np.maximum(one, other), nan=np.inf, posinf=np.inf, neginf=-np.inf).min(axis=1)
-        near = boxes.building[(enters <= leaves) & (leaves > 0)]
-        spans = [np.arange(scene.triangle_starts[b], scene.triangle_starts[b + 1]) for b in near]
-        rows = np.concatenate(spans) if spans else np.zeros(0, np.int64)
-        away = _triangle_distances(center, ray, scene.vertices[scene.triangles[rows]].astype(np.float64))
-        if not np.isfinite(away).any():
-            return np.inf, -1, -1
-        first = int(rows[away.argmin()])
-        return float(away.min()), int(np.searchsorted(scene.triangle_starts, first, side="right")) - 1, first
+    def _building_hits(self, center: Floats, rays: Floats) -> tuple[Floats, NDArray[np.int64]]:
+        """Returns how many of its lengths away each of (N, 3) rays meets a building, and which triangle.
+
+        inf and -1 for a ray that meets none.
+        """
+        scene, away, triangle = self.scene, np.full(len(rays), np.inf), np.full(len(rays), -1, np.int64)
+        for ray, building in self._boxes_on(center, rays):
+            counts = np.diff(scene.triangle_starts)[building]
+            # Cut anywhere: a ray's nearest triangle so far is kept.
+            for rows in np.split(np.arange(len(ray)), _cuts(counts)):
+                tested, _ = take_segments(scene.triangle_starts, building[rows])
+                owner = np.repeat(ray[rows], counts[rows])
+                corners = scene.vertices[scene.triangles[tested]].astype(np.float64)
+                found = _triangle_distances(center, rays[owner], corners)
+                is_near = found < away[owner]
+                order = np.flatnonzero(is_near)[np.argsort(-found[is_near], kind="stable")]
+                away[owner[order]], triangle[owner[order]] = found[order], tested[order]
+        return away, triangle
+
+    def _boxes_on(
+        self, center: Floats, rays: Floats
+    ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        """Yields rays and buildings through whose boxes they pass, both as numbers, some rays at a time."""
+        boxes = self._boxes
+        for first in range(0, len(rays), max(1, _AT_ONCE // len(boxes.building))):
+            some = rays[first : first + max(1, _AT_ONCE // len(boxes.building)), None]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                one, other = (boxes.low - center) / some, (boxes.high - center) / some
+            # 0 / 0, a ray along a box's side, bounds nothing.
+            enters = np.fmax.reduce(np.minimum(one, other), axis=2)
+            leaves = np.fmin.reduce(np.maximum(one, other), axis=2)
+            ray, box = np.nonzero((enters <= leaves) & (leaves > 0))
+            yield ray + first, boxes.building[box]
 
     def _normals(self, triangles: NDArray[np.int64], rays: Floats) -> Floats:
         corners = self.scene.vertices[self.scene.triangles[triangles]].astype(np.float64)
@@ -121,16 +141,27 @@ class Surfaces:
         return np.asarray(towards * normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
-def _triangle_distances(center: Floats, ray: Floats, corners: Floats) -> Floats:
-    """Returns (T,) how many of its lengths away a ray meets each of (T, 3, 3) triangles; inf for not."""
+def _cuts(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Returns where to cut a list so that parts hold some ``_AT_ONCE`` triangles at most, or one entry."""
+    return np.flatnonzero(np.diff(np.cumsum(counts) // _AT_ONCE)) + 1
+
+
+def _triangle_distances(center: Floats, rays: Floats, corners: Floats) -> Floats:
+    """Returns (T,) how many of its lengths away each of (T, 3) rays meets its triangle; inf for not.
+
+    Args:
+        center: (3,) where the rays start.
+        rays: (T, 3).
+        corners: (T, 3, 3).
+    """
     start, one, two = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    across = np.cross(ray, two)
+    across = np.cross(rays, two)
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = 1.0 / (one * across).sum(axis=1)
         from_start = center - start
         u = (from_start * across).sum(axis=1) * inverse
         beside = np.cross(from_start, one)
-        v = (beside @ ray) * inverse
+        v = (beside * rays).sum(axis=1) * inverse
         away = (two * beside).sum(axis=1) * inverse
         is_met = (u >= -_EDGE) & (v >= -_EDGE) & (u + v <= 1 + _EDGE) & (away > _NEAR)
     return np.where(is_met & np.isfinite(away), away, np.inf)

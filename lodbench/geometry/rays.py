@@ -57,8 +57,9 @@ def pixel_rays(camera: Camera, pixels: Floats) -> PixelRays:
                     break
             slopes = _lens_slopes(camera, points)
             is_solved = (np.abs(_through_lens(camera, points) - wanted) < 1e3 * _SOLVED).all(axis=1)
-            # Beyond where a polynomial folds back there is another root, which no ray takes.
-            points[~(is_solved & (np.linalg.det(slopes) > 0))] = np.nan
+            # Beyond where a polynomial folds back there are other roots, mirrored, which no ray takes.
+            is_upright = (np.linalg.det(slopes) > 0) & (np.trace(slopes, axis1=1, axis2=2) > 0)
+            points[~(is_solved & is_upright)] = np.nan
     return PixelRays(points, focal[:, None] * slopes)
 
 
