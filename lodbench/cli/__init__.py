@@ -13,6 +13,10 @@ COMMANDS = {
         "lodbench.cli.localize",
         "find where photos were taken: pose, overlay, map, how far to trust it",
     ),
+    "locate": (
+        "lodbench.cli.locate",
+        "say where on the map or the ground pixels, or regions of a mask, of a localised photo are",
+    ),
     "track": ("lodbench.cli.track", "find where each frame of a video, or of a folder of frames, was taken"),
     "georeference": (
         "lodbench.cli.georeference",

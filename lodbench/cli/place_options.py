@@ -59,17 +59,24 @@ def city_settings(asked: argparse.Namespace) -> dict[str, Any]:
     Raises:
         ConfigError: The profile, an option or the rule of roofs is unknown, or --out cannot be written to.
     """
-    from lodbench.citymodel.derive import ROOF_HEIGHTS
-
     if not can_write(asked.out):
         raise ConfigError(f"Nothing can be written to --out {asked.out}.", "Name another folder: --out DIR")
+    return {**map_settings(asked), "out": asked.out, "heights": height_options(asked)}
+
+
+def map_settings(asked: argparse.Namespace) -> dict[str, Any]:
+    """Returns the city of ``add_map_options`` and how to read it.
+
+    Raises:
+        ConfigError: The profile, an option or the rule of roofs is unknown.
+    """
+    from lodbench.citymodel.derive import ROOF_HEIGHTS
+
     profile = load_profile(asked.source, asked.option, asked.crs, asked.date)
     if asked.roof_height is not None:
         require_choice("--roof-height", asked.roof_height, ROOF_HEIGHTS)
     return {
         "city": asked.city,
-        "out": asked.out,
-        "heights": height_options(asked),
         "lod": asked.lod or profile.lod,
         "options": profile.options,
         "roof_height": asked.roof_height,
