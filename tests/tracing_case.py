@@ -45,12 +45,13 @@ def poses() -> dict[str, Pose]:
 
 def drawn(pose: Pose, seed: int) -> np.ndarray:
     """Returns a photo, (H, W, 3) BGR: blocks from the furthest to the nearest, each face of one colour."""
-    picture = np.full((CAMERA.height, CAMERA.width, 3), (70, 120, 90), np.uint8)
+    # Four times as large: OpenCV fills half a pixel beyond each edge.
+    picture = np.full((4 * CAMERA.height, 4 * CAMERA.width, 3), (70, 120, 90), np.uint8)
     colours = np.random.default_rng(7).integers(90, 220, size=(len(BOXES), 3))
 
     def fill(points: np.ndarray, colour: np.ndarray) -> None:
-        pixels = CAMERA.project(points @ pose.rotation.T + pose.translation) - 0.5
-        cv2.fillPoly(picture, [np.rint(pixels * 16).astype(np.int32)], colour.tolist(), cv2.LINE_AA, 4)
+        pixels = 4 * CAMERA.project(points @ pose.rotation.T + pose.translation) - 0.5
+        cv2.fillPoly(picture, [np.rint(pixels).astype(np.int32)], colour.tolist())
 
     order = sorted(
         range(len(BOXES)),
@@ -65,6 +66,7 @@ def drawn(pose: Pose, seed: int) -> np.ndarray:
             if outward @ (pose.center[:2] - roof[a, :2]) > 0:
                 fill(np.stack([floor[a], floor[b], roof[b], roof[a]]), colours[number] * (0.35 + 0.1 * side))
         fill(roof, colours[number])
+    picture = cv2.resize(picture, (CAMERA.width, CAMERA.height), interpolation=cv2.INTER_AREA)
     noise = np.random.default_rng(seed).normal(0, 4, picture.shape)
     return np.clip(cv2.GaussianBlur(picture, (0, 0), 0.7) + noise, 0, 255).astype(np.uint8)
 
@@ -78,7 +80,7 @@ def sparse_points() -> np.ndarray:
 
 
 def traced_by_hand(pixels: float, seed: int, names: tuple[str, ...] = ()) -> list[Traced]:
-    """Returns roofs as traced in two views opposite each other, each corner some pixels off; and the length."""
+    """Returns roofs as traced in two views opposite each other, each corner some pixels off; and a length."""
     generator, views = np.random.default_rng(seed), poses()
     pair = ("view_01.jpg", "view_07.jpg")
     found = []
