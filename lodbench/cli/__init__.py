@@ -23,6 +23,7 @@ COMMANDS = {
         "place a COLMAP model on the map by its buildings, without ground control points",
     ),
     "mask": ("lodbench.cli.mask", "make or correct a photo's building mask by hand; LabelMe, COCO, QGIS"),
+    "trace": ("lodbench.cli.trace", "trace a map of roofs in the photos of a COLMAP model; make a benchmark"),
     "run": ("lodbench.cli.run", "localise the photos of a dataset with one method, and score the poses"),
     "basin": ("lodbench.cli.basin", "measure how far off the prior may be"),
     "evaluate": ("lodbench.cli.evaluate", "score poses made by another program: COLMAP, TUM, ..."),

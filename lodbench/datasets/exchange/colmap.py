@@ -7,6 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lodbench.datasets.exchange.colmap_rigs import RIG_FILES, PosedImage, lone_cameras
 from lodbench.datasets.exchange.posed import (
     FoundPose,
@@ -43,7 +46,7 @@ _MODEL_NAMES = {
     15: "FISHEYE",
     16: "EUCM",
 }
-_BYTES_PER_POINT = 24
+_BYTES_PER_POINT, _BYTES_PER_TRACK = 24, 8
 _Cameras = Mapping[int, Camera | str]
 
 
@@ -89,6 +92,30 @@ def read_colmap(path: Path) -> Iterator[FoundPose]:
     if cameras and len(faults) == len(cameras):
         raise DatasetError(f"{cameras_file} has no camera that can be had: {faults[0]}.")
     return read_images(path, cameras)
+
+
+def read_colmap_points(folder: Path) -> NDArray[np.float64]:
+    """Returns (N, 3) the sparse points of a model; none where it has no file of them.
+
+    Raises:
+        DatasetError: The file is cut off or malformed.
+    """
+    path = folder / "points3D.bin"
+    if path.is_file():
+        data, points = _Bytes(path), []
+        for _ in range(data.take("<Q")[0]):
+            points.append(data.take("<Q3d3Bd")[1:4])
+            data.skip(data.take("<Q")[0] * _BYTES_PER_TRACK)
+        return np.array(points, np.float64).reshape(-1, 3)
+    path = folder / "points3D.txt"
+    if not path.is_file():
+        return np.zeros((0, 3))
+    found = []
+    for where, line in content(path):
+        with Place(where, "POINT3D_ID X Y Z R G B ERROR TRACK[]"):
+            _, x, y, z, *_ = line.split()
+            found.append([float(x), float(y), float(z)])
+    return np.array(found, np.float64).reshape(-1, 3)
 
 
 def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
