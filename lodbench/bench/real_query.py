@@ -12,10 +12,13 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.bench.figures import Progress, Report, no_progress
 from lodbench.bench.real_report import report_real
 from lodbench.citymap import CityMap
+from lodbench.citymap.places import ground_errors
+from lodbench.citymap.surfaces import Surfaces
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.priors import UniformPrior
@@ -25,7 +28,8 @@ from lodbench.evaluation import pose_error
 from lodbench.evaluation.edge_distance import PhotoEdges, median_and_share
 from lodbench.evaluation.errors import FAILED
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR
-from lodbench.geometry import Pose
+from lodbench.geometry import Camera, Pose
+from lodbench.geometry.rays import pixel_rays
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.requirements import segmented_inputs
 from lodbench.methods import Method
@@ -40,6 +44,8 @@ from lodbench.synthesis.flights.errors import SensorErrors, moved
 
 Answer = Estimate | QueryFault
 PUBLISHED = "published"
+# About so many pixels of a photo, in a grid, are placed on the map or the ground.
+_PIXELS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +103,8 @@ class _Shot:
         truth: True pose.
         edges: Of the photo; None where there is no photo.
         height_m: Of the camera above the ground of the map.
+        surfaces: The map's, and the ground.
+        pixels: (N, 2) of a grid, those that show map or ground.
     """
 
     key: str
@@ -105,6 +113,8 @@ class _Shot:
     truth: Pose
     edges: PhotoEdges | None
     height_m: float
+    surfaces: Surfaces
+    pixels: NDArray[np.float64]
 
 
 @dataclass(slots=True, eq=False)
@@ -205,7 +215,7 @@ def _shots(
     dataset, scene = photos.dataset, photos.scene
     needs = segmented_inputs(method)
     preparation = Preparation(dataset, scene, photos.segmenter, "prior", needs, city_map)
-    ground = float(np.median(building_boxes(scene).low[:, 2]))
+    ground, surfaces = float(np.median(building_boxes(scene).low[:, 2])), Surfaces(scene)
     shots = []
     for entry in dataset.entries:
         if entry.key in dataset.truth:
@@ -214,8 +224,20 @@ def _shots(
             own = entry if entry.prior is not None else replace(entry, prior=dataset.truth[entry.key])
             flight, height_m = (entry.split, entry.sequence), float(truth.center[2]) - ground
             query = preparation.query(own)
-            shots.append(_Shot(entry.key, flight, query, truth, edges.get(entry.key), height_m))
+            pixels = _placed_pixels(query.camera, truth, surfaces)
+            of_photo = edges.get(entry.key)
+            shots.append(_Shot(entry.key, flight, query, truth, of_photo, height_m, surfaces, pixels))
     return shots
+
+
+def _placed_pixels(camera: Camera, truth: Pose, surfaces: Surfaces) -> NDArray[np.float64]:
+    """Returns (N, 2) pixels of a grid, without those that show neither map nor ground from the true pose."""
+    columns = max(1, round(math.sqrt(_PIXELS * camera.width / camera.height)))
+    rows = max(1, round(_PIXELS / columns))
+    u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
+    pixels = np.column_stack([u.ravel() * camera.width, v.ravel() * camera.height])
+    hits = surfaces.hit(truth.center, pixel_rays(camera, pixels).directions @ truth.rotation)
+    return np.asarray(pixels[np.isfinite(hits.places[:, 0])])
 
 
 def _prior(shot: _Shot, label: str, options: RealOptions) -> Pose:
@@ -296,7 +318,7 @@ def _row(
     """Returns the measurements of one answer; no answer is one that nobody will trust."""
     ends, errors = np.full(3, np.nan), FAILED
     row: dict[str, Any] = {"score": 0.0, "probability": 0.0, "surprise": math.nan, "failure": ""}
-    edges = math.nan, math.nan
+    edges, ground = (math.nan, math.nan), (math.inf, math.nan)
     if isinstance(answer, QueryFault):
         row["failure"] = answer.message
     else:
@@ -304,6 +326,7 @@ def _row(
         probability = math.nan if answer.probability is None else answer.probability
         row |= {"score": float(answer.score), "probability": probability}
         row["surprise"] = _surprise(answer, shot.truth)
+        ground = _ground(shot, query, answer)
         if shot.edges is not None:
             edges = median_and_share(shot.edges.distances(answer.pose, city_map))
     start = query.prior.center - shot.truth.center
@@ -314,6 +337,7 @@ def _row(
         "height_m": shot.height_m,
         **row,
         **dict(zip(("edges_px", "edges_found"), edges, strict=True)),
+        **dict(zip(("ground_m", "ground_held"), ground, strict=True)),
         **dict(zip(("seconds", "cpu_seconds"), taken, strict=True)),
     }
 
@@ -325,6 +349,19 @@ def _surprise(answer: Estimate, truth: Pose) -> float:
         with suppress(np.linalg.LinAlgError):  # a plug-in may state that it is sure of one direction
             return float(missed @ np.linalg.solve(answer.covariance[:3, :3], missed))
     return math.nan
+
+
+def _ground(shot: _Shot, query: Query, answer: Estimate) -> tuple[float, float]:
+    """Returns how far from the truth pixels are placed, metres (median), and the share in the ellipse.
+
+    A pixel in the sky is infinitely far; the share is NaN where no covariance is stated.
+    """
+    if not len(shot.pixels):
+        return math.nan, math.nan
+    covariance = np.zeros((6, 6)) if answer.covariance is None else answer.covariance
+    found = ground_errors(query.camera, answer.pose, covariance, shot.truth, shot.surfaces, shot.pixels)
+    away = float(np.median(np.nan_to_num(found.distance_m, nan=np.inf)))
+    return away, math.nan if answer.covariance is None else float(found.is_within.mean())
 
 
 def _overlays(trials: _Trials) -> dict[str, bytes]:

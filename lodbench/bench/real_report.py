@@ -36,7 +36,8 @@ _FEWEST_PHOTOS = 3
 _PLACE = ["east_m", "north_m", "up_m"]
 _HEAD = (
     "set", "method", "answers", "2/3/5 m, deg", "95 % at 2 m, 2 deg", "median", "common height",
-    "common plan", "own", "stated/found", f"wrong at {TRUSTED:g}", "surprise, in 95 %", "edges", "s", "CPU s",
+    "common plan", "own", "stated/found", f"wrong at {TRUSTED:g}", "surprise, in 95 %", "edges",
+    "ground", "s", "CPU s",
 )  # fmt: skip
 _NOTES = f"""\
 common: median error of a flight's photos (from the prior in the middle, by size), and percent of the height
@@ -45,7 +46,9 @@ stated/found: mean probability, and share within 2 m and 2 deg; wrong at {TRUSTE
 surprise: median squared error of the place in stated standard deviations (honest: {_MEDIAN_SURPRISE:.1f});
   share of places in the stated 95 %
 edges: median distance of roof edges from the nearest image edge within {PARALLEL_DEG:g} deg,
-  in pixels of the photo at {WIDTH} px width or less; share that has one within {REACH_PX:g} px"""
+  in pixels of the photo at {WIDTH} px width or less; share that has one within {REACH_PX:g} px
+ground: median distance of pixels' places on map or ground from the true ones;
+  share within the pose's stated 95 % ellipse"""
 
 
 def report_real(trials: pd.DataFrame, title: str, truths: pd.DataFrame | None = None) -> Report:
@@ -59,8 +62,9 @@ def report_real(trials: pd.DataFrame, title: str, truths: pd.DataFrame | None = 
             truth's), ``height_m`` (of the true camera above ground), ``score``, ``probability`` (of being
             within 2 m and 2 degrees; NaN where the method states none), ``surprise`` (squared error of the
             place in standard deviations, by the covariance that was stated; NaN where none was),
-            ``edges_px``, ``edges_found`` (as of ``lodbench.evaluation.edge_distance``), ``seconds``,
-            ``cpu_seconds``, ``failure``.
+            ``edges_px``, ``edges_found`` (as of ``lodbench.evaluation.edge_distance``), ``ground_m`` (median
+            over pixels of how far they are placed on map or ground from where they are), ``ground_held``
+            (share in the stated 95 % ellipse; NaN where none was), ``seconds``, ``cpu_seconds``, ``failure``.
         title: Data and protocol in words.
         truths: A row per set and photo: ``set``, ``photo``, ``edges_px``, ``edges_found`` at the true pose.
     """
@@ -173,6 +177,11 @@ def _figures(name: str, rows: pd.DataFrame) -> Iterator[Figure]:
     if share is not None:
         yield Figure(f"{name}: wrong answers flagged, 90 % of right kept", 100.0 * share, "%")
     yield from _edge_figures(name, rows)
+    if rows["ground_m"].notna().any():
+        yield Figure(f"{name}: ground points, median", float(rows["ground_m"].median()), "m")
+    if rows["ground_held"].notna().any():
+        share = 100.0 * float(rows["ground_held"].mean())
+        yield Figure(f"{name}: ground points within the said {100 * _HELD:g} %", share, "%")
     yield Figure(f"{name}: seconds", float(middle["seconds"]), "s")
     yield Figure(f"{name}: CPU seconds", float(middle["cpu_seconds"]), "s")
 
@@ -211,6 +220,7 @@ def _cells(rows: pd.DataFrame) -> list[str]:
         "-" if stated == "-" else f"{wrong} of {sure}",
         "-" if inside is None else f"{middle['surprise']:.1f}, {100 * inside.mean():.0f} %",
         _edges(rows),
+        _ground(rows),
         f"{middle['seconds']:.2f}",
         f"{middle['cpu_seconds']:.2f}",
     ]
@@ -221,6 +231,15 @@ def _edges(rows: pd.DataFrame) -> str:
     if rows["edges_found"].isna().all():
         return "-"
     return f"{rows['edges_px'].median():.2f} px, {100.0 * rows['edges_found'].mean():.0f} %"
+
+
+def _ground(rows: pd.DataFrame) -> str:
+    """Returns the median over photos of their medians, and the mean share in the stated ellipses."""
+    if rows["ground_m"].isna().all():
+        return "-"
+    held_share = rows["ground_held"].mean()
+    share = "-" if np.isnan(held_share) else f"{100.0 * held_share:.0f} %"
+    return f"{rows['ground_m'].median():.2f} m, {share}"
 
 
 def _interval(trials: pd.DataFrame) -> str:

@@ -17,6 +17,7 @@ from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.priors import UniformPrior
 from lodbench.evaluation.queries import ERROR
 from lodbench.evaluation.recall import Threshold
+from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.protocol import Estimate, FlightEstimate
 from lodbench.segmentation.registry import make_segmenter
 from tests.town import write_dataset
@@ -37,6 +38,7 @@ def trials(*ends):
         "flight": "all",
         "height_m": 100.0,
         **dict.fromkeys(("east_m", "north_m", "up_m", "edges_px", "edges_found"), math.nan),
+        **dict.fromkeys(("ground_m", "ground_held"), math.nan),
     }
     common |= {"prior_translation_error_m": 20.0, "prior_rotation_error_deg": 3.0}
     return pd.DataFrame(rows).assign(method="m", **common)
@@ -170,6 +172,33 @@ class TestPriors:
             np.linalg.norm(off, axis=2).ravel().tolist()
         )
         assert "mostly shared" in report.text
+
+    @pytest.mark.parametrize(("off", "ground_m", "held"), [((0, 0, 0), 0.0, 100.0), ((3, 4, 0), 5.0, 0.0)])
+    def test_pixels_are_placed_on_the_ground(self, town, off, ground_m, held):
+        """Nearly level ground seen from 5 m aside is 5 m aside, and in no ellipse of 1 m."""
+
+        class Near(Together):
+            def localize_flight(self, queries, city_map, streams):
+                # `tests.town.prior_of` moves by (5, -4, 6) metres and turns by 3 degrees.
+                poses = []
+                for query in queries:
+                    pitch, roll, yaw = query.prior.euler
+                    center = query.prior.center - (5, -4, 6) + off
+                    poses.append(Pose.from_euler(EulerAngles(pitch, roll, yaw - 3), center))
+                covariance = np.diag([0.01, 0.01, 0.01, 1e-6, 1e-6, 1e-6])
+                return FlightEstimate([Estimate(pose, 1.0, covariance=covariance) for pose in poses])
+
+        photos = RealSet(
+            open_folder(FolderParams(*map(str, town))), open_scene(town[1]), make_segmenter("none")[0]
+        )
+        report = measure_real([photos], {"near": Near()}, RealOptions(is_published_only=True))
+        figures = {f.figure: f.value for f in report.figures}
+        assert figures["near: ground points, median"] == pytest.approx(ground_m, abs=0.03)
+        assert figures["near: ground points within the said 95 %"] == pytest.approx(held, abs=5.0)
+        median, share = (
+            figures[f"near: ground points{words}"] for words in (", median", " within the said 95 %")
+        )
+        assert f"{median:.2f} m, {share:.0f} %" in report.text
 
     def test_a_narrow_prior_is_shared_no_wider(self):
         shared, own = shared_and_own(UniformPrior(x_m=1.0, y_m=1.0, z_m=0.0, pitch_deg=0.0, roll_deg=0.0))
