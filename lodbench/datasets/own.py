@@ -154,6 +154,7 @@ def write_dataset(
     about: Mapping[str, Any],
     advance: Callable[[], None] = lambda: None,
     left_out: Sequence[tuple[str, str]] = (),
+    complete: Callable[[Path], None] = lambda folder: None,
 ) -> Written:
     """Writes a dataset folder: poses, cameras, photos and masks, undistorted where a lens has distortion.
 
@@ -163,6 +164,7 @@ def write_dataset(
         about: What ``dataset.json`` should keep of where it came from.
         advance: Called after each image.
         left_out: Name and reason of images that were left out before.
+        complete: Called with the full folder before it takes its name, to write what else belongs in it.
 
     Raises:
         LodbenchError: The folder is not empty, two images have one name, or none could be written.
@@ -186,6 +188,7 @@ def write_dataset(
             name, reason = left_out[0] if left_out else ("", "there are no images")
             raise DatasetError(f"No image could be used; the first is {name}: {reason}")
         _write_texts(filling, kept, {**about, "left_out": [list(pair) for pair in left_out]})
+        complete(filling)
     return Written(folder, tuple(name for name, _, _ in kept), num_undistorted, tuple(left_out))
 
 

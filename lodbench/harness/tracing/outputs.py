@@ -83,9 +83,9 @@ def write_benchmark(solved: TracedMap, model: CityModel, photos: Path, folder: P
         "city_model": "city.obj",
         "prior": f"{prior.describe()}, seed {seed}",
     }
-    written = write_dataset(images, folder, about)
-    convert_city(model, folder / "city.obj")
-    return written
+    return write_dataset(
+        images, folder, about, complete=lambda filling: convert_city(model, filling / "city.obj")
+    )
 
 
 class Footprint(NamedTuple):
