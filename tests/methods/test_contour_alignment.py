@@ -214,6 +214,28 @@ class TestParams:
         assert params.searches_basins()
         assert not Params().searches_basins()
 
+    def test_starts_are_closer_over_near_buildings_and_as_before_over_far_ones(self):
+        params = Params()
+        assert params.over(2.6) == replace(params, search="grid")
+        near, nearest = params.over(9.0), params.over(40.0)
+        assert near.stride_m == pytest.approx(60.0 / 9.0)
+        assert nearest.stride_m == pytest.approx(5.0)
+        assert nearest.basin_stride_m == pytest.approx(12.5)
+        assert len(params.grid()) < len(near.grid()) < len(nearest.grid()) < 2000
+        assert nearest.starts == 16
+
+    def test_a_prior_of_basins_keeps_them_however_near_buildings_are(self):
+        wide = Params(range_x_m=200.0, range_y_m=200.0)
+        assert wide.over(1.0).searches_basins()
+        assert wide.over(40.0).searches_basins()
+        assert not Params(range_x_m=40.0, range_y_m=40.0).over(40.0).searches_basins()
+
+    def test_the_scale_is_that_of_the_nearest_camera_the_prior_leaves_open(self, tilted_queries, city_map):
+        exact = Aligner(tilted_queries[0], city_map, replace(SMALL, range_z_m=0.0)).pixels_per_m()
+        open_20_m = Aligner(tilted_queries[0], city_map, replace(SMALL, range_z_m=40.0)).pixels_per_m()
+        focal_px = CAMERA.scaled(*SMALL.fine_size).fx
+        assert focal_px / open_20_m == pytest.approx(focal_px / exact - 20.0)
+
     def test_the_grid_of_the_published_priors_is_lodlocv2_s(self):
         grid = Params().grid()
         assert [axis.count for axis in (grid.x, grid.y, grid.z, grid.yaw)] == [3, 3, 7, 8]

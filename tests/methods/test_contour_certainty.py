@@ -16,7 +16,7 @@ from lodbench.methods.contour_alignment.pose_vector import (
     vector_from_pose,
 )
 from lodbench.methods.contour_alignment.refinement import Mode, Refined
-from lodbench.methods.contour_alignment.uncertainty import answer_of, probability_within
+from lodbench.methods.contour_alignment.uncertainty import among_rivals, answer_of, probability_within
 from lodbench.methods.contour_alignment.world_errors import TRACKS
 
 
@@ -109,3 +109,34 @@ class TestAlternatives:
     def test_the_unlikely_and_the_near_are_none(self):
         answer = answer_of(self.mixture((0.0, 0.7), (1.0, 0.29), (30.0, 0.01)))
         assert answer.alternatives == answer.alternative_probabilities == ()
+
+
+class TestRivals:
+    """Other ends of the alignment where the silhouette fits nearly as well as at the answer's."""
+
+    @staticmethod
+    def among(places_m, ious):
+        start = vector_from_pose(Pose.from_euler(EulerAngles(40.0, 0.0, 20.0), (0.0, 0.0, 50.0)))
+        mode = Mode(TRACKS[0][0][0], False, False, np.zeros(10), np.eye(10) * 100.0, 0.0)
+        alone = answer_of(Refined(np.append(start, 0.0), (mode,), np.ones(1), 0.9))
+        ends = np.tile(np.append(start, 0.0), (len(ious), 1))
+        ends[:, 0] += places_m
+        return alone, among_rivals(alone, ends, np.array(ious))
+
+    def test_two_places_that_fit_alike_have_half_the_probability_each(self):
+        alone, answer = self.among([0.0, 9.0], [0.88, 0.88])
+        assert answer.probability == pytest.approx(0.5 * alone.probability)
+        assert answer.alternative_probabilities == pytest.approx((0.5,))
+        assert answer.alternatives[0].center[0] == pytest.approx(9.0)
+
+    def test_ends_of_one_place_are_no_rivals(self):
+        alone, answer = self.among([0.0, 0.4, -1.5, 0.0], [0.88, 0.88, 0.879, 0.87])
+        assert answer.probability == alone.probability
+        assert answer.alternatives == ()
+
+    @given(st.floats(0.5, 0.87))
+    def test_what_fits_worse_takes_less(self, iou):
+        alone, answer = self.among([0.0, 9.0], [0.88, iou])
+        _, worse = self.among([0.0, 9.0], [0.88, iou - 0.01])
+        assert answer.probability <= worse.probability <= alone.probability
+        assert worse.probability > 0.9 * alone.probability

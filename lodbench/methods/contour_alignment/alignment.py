@@ -32,6 +32,7 @@ from lodbench.methods.contour_alignment.pose_vector import (
     rotation_derivatives,
     vector_from_pose,
 )
+from lodbench.rendering.projection import view_planes, visible_buildings
 from lodbench.segmentation import binary_mask
 
 Floats = NDArray[np.float64]
@@ -142,6 +143,19 @@ class Aligner:
                 return vector
             vector = vector + here.step()
         return vector
+
+    def pixels_per_m(self) -> float:
+        """Returns the scale of the nearest quarter of the buildings in view, fine pixels per metre.
+
+        It is that of a camera as much nearer than the prior as its height may be off.
+        """
+        camera, prior = self._query.camera.scaled(*self._params.fine_size), self._query.prior
+        rotation, center = np.ascontiguousarray(prior.rotation), np.ascontiguousarray(prior.center)
+        shown = visible_buildings(self.edges.spheres, rotation, center, view_planes(camera, 0, camera.width))
+        away = np.linalg.norm(self.edges.spheres[shown, :3] - center, axis=1)
+        if len(away) == 0:
+            return 0.0
+        return float(camera.fx / max(1.0, np.quantile(away, 0.25) - 0.5 * self._params.range_z_m))
 
     def linearize(self, vector: Floats, reach_px: float, size: tuple[int, int]) -> Linearization | None:
         """Returns what the outlines say at a pose; None if too little outline is seen.

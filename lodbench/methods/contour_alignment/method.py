@@ -19,7 +19,7 @@ from lodbench.methods.contour_alignment.params import Params
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.refinement import refine
 from lodbench.methods.contour_alignment.starts import find_starts
-from lodbench.methods.contour_alignment.uncertainty import answer_of, beyond_range
+from lodbench.methods.contour_alignment.uncertainty import among_rivals, answer_of, beyond_range
 from lodbench.methods.protocol import Estimate, Streams
 
 Floats = NDArray[np.float64]
@@ -52,13 +52,13 @@ class ContourAlignment:
         started, params = time.perf_counter(), self.params.with_lens(query.lens_percent)
         city_map = expected_map(city_map, params.pitched_lower_m)
         aligner = Aligner(query, city_map, params)
-        starts, best = find_starts(query, city_map, aligner, params)
+        starts, best = find_starts(query, city_map, aligner, params.over(aligner.pixels_per_m()))
         selected = time.perf_counter()
-        found, trace = self._align(aligner, starts)
-        refined = refine(aligner, found, params)
+        ends, trace = self._align(aligner, starts)
+        refined = refine(aligner, ends[int(np.argmax(trace))], params)
         if refined is None:
             raise QueryFault("no outline of a building is in view of the aligned pose")
-        answer = answer_of(refined)
+        answer = among_rivals(answer_of(refined), ends, np.array(trace))
         finished = time.perf_counter()
         return Estimate(
             pose=pose_from_vector(answer.vector),
@@ -77,7 +77,7 @@ class ContourAlignment:
         )
 
     def _align(self, aligner: Aligner, starts: Floats) -> tuple[Floats, tuple[float, ...]]:
-        """Returns the start, aligned, whose silhouette fits best, and the IoU of each."""
+        """Returns the starts, aligned, (N, 7), and the IoU of each."""
         width, height = self.params.fine_size
         half = max(8, width // 2), max(8, height // 2)
         aligned = [aligner.align(start, self.params.reaches_px(), half) for start in starts]
@@ -85,4 +85,4 @@ class ContourAlignment:
         ious = [at.iou if at else 0.0 for at in here]
         if max(ious) <= 0:
             raise QueryFault("no outline of a building is in view of any aligned pose")
-        return aligned[int(np.argmax(ious))], tuple(ious)
+        return np.array(aligned), tuple(ious)

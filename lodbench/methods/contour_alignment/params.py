@@ -35,6 +35,9 @@ _POSITIVE = (
 _PROBABILITIES = ("lens_doubt", "tilt_doubt")
 # Between a lens as told and one in doubt.
 _START_LENS_PERCENT = 0.5
+# Starts lie this close in the picture, pixels of the fine size, however near buildings are: little more than
+# alignment reaches. They are never closer than half of what they are over far ones.
+_STRIDE_PX, _CLOSEST = 60.0, 0.5
 # Grids of more poses than this are left for basins: four times those of the published priors' grid.
 _MOST_POSES = 2000
 
@@ -52,7 +55,8 @@ class Params:
         range_z_m: See range_x_m.
         range_yaw_deg: Full width in yaw, degrees.
         range_tilt_deg: Full width in pitch and in roll, degrees.
-        stride_m: Largest distance between samples of the grid along x, y and z, metres.
+        stride_m: Largest distance between samples of the grid along x, y and z, metres; less where buildings
+            are so near that it is more than 60 pixels.
         stride_yaw_deg: The same in yaw, degrees.
         search: ``grid`` scores every sample; ``basins`` scores wider ones on small masks and aligns the
             outlines of the best from afar; ``auto`` takes the grid unless it is large.
@@ -61,7 +65,7 @@ class Params:
         basin_share: Share of the wider samples whose outlines are aligned.
         basin_reach_px: How far their outlines may lie apart in the first step, pixels of the fine size.
         basin_steps: Alignment steps of each, on masks of a quarter of the fine size.
-        starts: Best poses of the grid whose outlines are aligned.
+        starts: Best poses of the grid whose outlines are aligned; up to twice as many over near buildings.
         steps: Alignment steps of each start, on masks of half the size.
         final_steps: Alignment steps of the best of them, at full size.
         spacing_px: Distance between outline points, pixels.
@@ -192,6 +196,21 @@ class Params:
     def basin_reaches_px(self) -> tuple[float, ...]:
         """Returns the same for the alignment from afar, which ends where the other begins."""
         return _falling(self.basin_reach_px, self.reach_px, self.basin_steps)
+
+    def over(self, pixels_per_m: float) -> Params:
+        """Returns these parameters for buildings of such a scale, pixels of the fine size per metre.
+
+        Near buildings need closer starts. A degree is as many pixels over all: its stride grows instead.
+        """
+        share = max(_CLOSEST, _STRIDE_PX / max(_STRIDE_PX, pixels_per_m * self.stride_m))
+        return replace(
+            self,
+            search="basins" if self.searches_basins() else "grid",
+            stride_m=share * self.stride_m,
+            stride_yaw_deg=self.stride_yaw_deg / share,
+            basin_stride_m=share * self.basin_stride_m,
+            starts=round(self.starts / share),
+        )
 
     def with_lens(self, percent: float | None) -> Params:
         """Returns these parameters for a lens that is known no better than so, percent, where told."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ _NUMBERS = (("x", "m"), ("y", "m"), ("z", "m"), ("pitch", "deg"), ("roll", "deg"
 _DRAWS = 2048
 # Hypotheses less likely than this are left out; answers less likely are no alternatives.
 _LEAST_WEIGHT, _LEAST_ALTERNATIVE = 0.002, 0.02
+# An end of the alignment whose IoU is less by this is believed 1/e as much.
+_RIVAL_IOU = 0.004
 # A mask and a model that overlap by no more than the one do not show the same thing, by the other they may.
 _NO_OVERLAP, _OVERLAP = 0.3, 0.5
 
@@ -66,6 +68,40 @@ def answer_of(refined: Refined) -> Answer:
         chances[best] * overlap,
         tuple(pose_from_vector(refined.vector[:6] + mean) for mean, _ in others),
         tuple(overlap * weight for _, weight in others),
+    )
+
+
+def among_rivals(answer: Answer, ends: Floats, ious: Floats) -> Answer:
+    """Returns an answer whose probabilities are shared with places where the silhouette fits nearly as well.
+
+    Outlines there are other points, whose densities do not compare with the answer's; IoUs do.
+
+    Args:
+        answer: What the end of highest IoU led to.
+        ends: (N, 7) where the alignment of the starts ended.
+        ious: (N,) of silhouette and mask there.
+    """
+    order = np.argsort(-ious, kind="stable")
+    apart: list[int] = []
+    for k in order:
+        if all(np.linalg.norm(ends[k, :3] - ends[j, :3]) >= WITHIN_M for j in apart):
+            apart.append(int(k))
+    weights = np.exp((ious[apart] - ious[apart[0]]) / _RIVAL_IOU)
+    shares = weights / weights.sum()
+    # The answer may have moved on to where another one ended.
+    turn = turn_per_angle(answer.vector)
+    rivals = [
+        (pose_from_vector(ends[k]), float(share))
+        for k, share in zip(apart[1:], shares[1:], strict=True)
+        if share >= _LEAST_ALTERNATIVE and not _is_near(ends[k, :6] - answer.vector, turn)
+    ]
+    known = zip(answer.alternatives, shares[0] * np.array(answer.alternative_probabilities), strict=True)
+    others = sorted([*known, *rivals], key=lambda other: -other[1])
+    return replace(
+        answer,
+        probability=answer.probability * float(shares[0]),
+        alternatives=tuple(pose for pose, _ in others),
+        alternative_probabilities=tuple(float(share) for _, share in others),
     )
 
 
