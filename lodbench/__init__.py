@@ -26,6 +26,7 @@ _PUBLIC = {
     "leaderboard": "lodbench.harness.results",
     "load_run": "lodbench.harness.results",
     "localize": "lodbench.methods.localize",
+    "locate": "lodbench.citymap.places",
     "make_renderer": "lodbench.rendering",
     "open_scene": "lodbench.citymodel",
     "pose_error": "lodbench.evaluation",

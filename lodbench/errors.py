@@ -52,6 +52,10 @@ class WorkersGone(LodbenchError):
     """Workers cannot begin, keep dying or hang, or the scheduler is gone: the run ends, no query fails."""
 
 
+# What ends whatever runs, and is no fault of the code that it came up in: before ``except BaseException``.
+STOPPED = (KeyboardInterrupt, GeneratorExit)
+
+
 def nearest_names(wanted: str, known: Iterable[str]) -> str:
     """Returns a hint that lists the known names closest to a misspelt one, or all of them."""
     names = sorted(known)

@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
-from lodbench.errors import ConfigError, LodbenchError, nearest_names
+from lodbench.errors import STOPPED, ConfigError, LodbenchError, nearest_names
 
 T = TypeVar("T")
 
@@ -92,7 +92,9 @@ class PlugIn:
             raise self._broken(self.fault)
         try:
             part = self.point.load()
-        except (Exception, SystemExit) as error:  # a package of others may raise anything
+        except STOPPED:
+            raise
+        except BaseException as error:  # a package of others may raise anything
             raise self._broken(
                 f"{self.point.value} does not load: {_words(error, self.point.module)}"
             ) from error
@@ -168,7 +170,9 @@ def _folder_of(point: EntryPoint) -> Path | None:
             return folder
     try:
         spec = find_spec(point.value)
-    except (Exception, SystemExit):  # it imports the package around, which may raise anything
+    except STOPPED:
+        raise
+    except BaseException:  # it imports the package around, which may raise anything
         return None
     places = list(spec.submodule_search_locations or ()) if spec else []
     return Path(places[0]) if places else None
@@ -253,9 +257,9 @@ def blaming(group: str, name: str, what: str) -> Iterator[None]:
     """
     try:
         yield
-    except LodbenchError:
+    except (LodbenchError, *STOPPED):
         raise
-    except (Exception, SystemExit) as error:  # code of others may raise anything
+    except BaseException as error:  # code of others may raise anything
         plug_in = next((each for each in installed(group) if each.name == name), None)
         names_file = isinstance(error, OSError) and error.filename is not None
         if names_file or isinstance(error, BrokenPipeError) or (plug_in is not None and plug_in.is_ours):

@@ -13,9 +13,11 @@ import numpy as np
 
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.pose_text import lines_to_text
+from lodbench.harness.tracing.tracing import Traced, write_tracing
 from tests.datasets.dji_photo import exif_of, write_photo, xmp_packet
 from tests.flight import stated
-from tests.town import CAMERA, true_poses, write_dataset
+from tests.town import BOXES, CAMERA, true_poses, write_dataset
 
 # What differs from one undisturbed run to the next: times, machine facts, and a key drawn once per cache.
 TIMED = {"timings.csv", "provenance.json", "predictions.jsonl", "own_runs.key", "multirun.yaml"}
@@ -73,6 +75,7 @@ def prepare_inputs(folder: Path) -> Path:
     write_colmap(
         [FoundPose(name, "", pose, CAMERA) for name, pose in true_poses(3).items()], folder / "model"
     )
+    _prepare_tracing(folder)
     for split, count in (("train", 3), ("val", 1)):
         for kind in ("images", "masks"):
             (folder / "views" / split / kind).mkdir(parents=True)
@@ -83,6 +86,22 @@ def prepare_inputs(folder: Path) -> Path:
             picture = np.repeat(mask[:, :, None] // 2 + 20, 3, axis=2)
             cv2.imwrite(str(folder / "views" / split / "images" / f"{number}.png"), picture)
     return folder
+
+
+def _prepare_tracing(folder: Path) -> None:
+    """Writes a model with points of level ground, and a roof traced in two of its photos, the masks."""
+    poses = true_poses(3)
+    write_colmap([FoundPose(name, "", pose, CAMERA) for name, pose in poses.items()], folder / "traced")
+    places = [(x, y) for x in range(-90, 91, 5) for y in range(-90, 91, 5)]
+    lines = (f"{number} {x} {y} 0 0 0 0 0.5" for number, (x, y) in enumerate(places, start=1))
+    (folder / "traced" / "points3D.txt").write_text(lines_to_text(lines))
+    west, south, east, north, _, top = BOXES[4]
+    roof = np.array([(west, south, top), (east, south, top), (east, north, top), (west, north, top)], float)
+    pixels = {
+        name: CAMERA.project(roof @ poses[name].rotation.T + poses[name].translation)
+        for name in ("view_00.png", "view_01.png")
+    }
+    write_tracing([Traced("roof", "A", pixels)], folder / "traced.json")
 
 
 def _data(folder: Path) -> Words:
@@ -192,6 +211,12 @@ TRACK = _in(
     "--out",
     "{}/track",
 )
+LOCALIZE = _in("localize", PHOTO, "--mask", MASK, *ABOUT, "--crs", CRS, *ONE_STEP, "--out", "{}/found")
+LOCATE = _in("locate", PHOTO, *PLACED, "--found", "{}/found", "--pixel", "160", "120")
+TRACE = _in(
+    *("trace", "{}/traced", "--images", "{}/three/data/masks", "--polygons", "{}/traced.json", "--metric"),
+    *("--out", "{}/traced.city.json", "--benchmark", "{}/benchmark", "--queries", "view_02.png"),
+)
 EXPORTS = [word for kind in ("labelme", "coco", "geojson") for word in ("--export", kind)]
 
 COMMANDS = [
@@ -218,6 +243,7 @@ COMMANDS = [
     Command("city convert over a scene", _convert("scene"), (_convert("scene"),)),
     Command("render", RENDER),
     Command("localize", _in("localize", PHOTO, "--mask", MASK, *ABOUT, *ONE_STEP, "--out", "{}/found")),
+    Command("locate", LOCATE, (LOCALIZE,)),
     Command(
         "localize a flight",
         _in("localize", "{}/flight", "--masks", "{}/flight_masks", *PLACED, "--out", "{}/found"),
@@ -235,6 +261,7 @@ COMMANDS = [
         remembered=("lodbench.harness.georeference.georeference._solved",),
     ),
     Command("track", TRACK),
+    Command("trace", TRACE, timed=("dataset.json",), is_once=True),
     Command("mask", _in("mask", PHOTO, "--mask", MASK, "--no-page", "--out", "{}/mask.png", *EXPORTS)),
     Command(
         "run, many poses drawn",

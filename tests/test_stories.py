@@ -17,6 +17,7 @@ import pytest
 from lodbench.cli import main
 from lodbench.datasets.map_frame import MapFrame
 from tests.flight import write_flight
+from tests.tracing_case import write_case
 
 pytestmark = pytest.mark.slow
 
@@ -118,3 +119,12 @@ def test_a_new_network(tmp_path, shared_data):
     said = tell("network", tmp_path, less={"schedule.epochs=3": "schedule.epochs=1"})
     assert "val IoU" in said
     assert (tmp_path / "net" / "compact.onnx").is_file()
+
+
+def test_a_benchmark_from_a_real_flight(tmp_path):
+    write_case(tmp_path)
+    said = tell("real-benchmark", tmp_path)
+    assert "block 5: roof 40." in said
+    assert "written: town, 6 photos that the map has not used" in said
+    assert said.count("area IoU 0.9") + said.count("area IoU 1.0") >= 20
+    assert (tmp_path / "town" / "city.obj").is_file()

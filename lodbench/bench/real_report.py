@@ -1,15 +1,16 @@
-"""Priors and ends on real photos: recall, whether wrong answers are known, and a picture of basins."""
+"""Priors and ends on real photos: recall, common and own errors, stated probability, photo edges, basins."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.bench.figures import Figure, Report
+from lodbench.evaluation.edge_distance import PARALLEL_DEG, REACH_PX, WIDTH
 from lodbench.evaluation.queries import ERROR
 from lodbench.evaluation.recall import Threshold, hits_of
 from lodbench.evaluation.statistics import bootstrap_ratio
@@ -25,27 +26,61 @@ LIMITS = (Threshold(2, 1), Threshold(2, 2), Threshold(3, 3), Threshold(5, 5))
 # A right answer, and the share of them that a threshold on the probability lets through.
 _RIGHT = Threshold(2, 2)
 _KEPT = 0.9
-# The squared length, in standard deviations, that 95 % of Gaussian errors in three directions stay below.
-_HELD, _SURPRISE = 0.95, 7.8147
+# The squared length, in standard deviations, that 95 % of Gaussian errors in three directions stay below;
+# half of them stay below the other.
+_HELD, _SURPRISE, _MEDIAN_SURPRISE = 0.95, 7.8147, 2.366
+# An answer that a user would trust.
+TRUSTED = 0.9
+# What photos have in common needs some photos.
+_FEWEST_PHOTOS = 3
+_PLACE = ["east_m", "north_m", "up_m"]
+_HEAD = (
+    "set", "method", "answers", "2/3/5 m, deg", "95 % at 2 m, 2 deg", "median", "common height",
+    "common plan", "own", "stated/found", f"wrong at {TRUSTED:g}", "surprise, in 95 %", "edges",
+    "ground", "s", "CPU s",
+)  # fmt: skip
+_NOTES = f"""\
+common: median error of a flight's photos (from the prior in the middle, by size), and percent of the height
+  above ground; own: median of what is left of each error without it
+stated/found: mean probability, and share within 2 m and 2 deg; wrong at {TRUSTED:g}: of answers so probable
+surprise: median squared error of the place in stated standard deviations (honest: {_MEDIAN_SURPRISE:.1f});
+  share of places in the stated 95 %
+edges: median distance of roof edges from the nearest image edge within {PARALLEL_DEG:g} deg,
+  in pixels of the photo at {WIDTH} px width or less; share that has one within {REACH_PX:g} px
+ground: median distance of pixels' places on map or ground from the true ones;
+  share within the pose's stated 95 % ellipse"""
 
 
-def report_real(trials: pd.DataFrame, title: str) -> Report:
-    """Returns the report of trials: a table of methods, one of trials, and a picture of basins.
+def report_real(trials: pd.DataFrame, title: str, truths: pd.DataFrame | None = None) -> Report:
+    """Returns the report of trials: a table of sets and methods, one of trials, and a picture of basins.
 
     Args:
-        trials: A row per method, photo and prior: ``method``, ``photo``, ``prior`` (the number of a drawn
-            one, or ``published``), ``prior_translation_error_m``, ``prior_rotation_error_deg``,
-            ``translation_error_m``, ``rotation_error_deg`` (infinite without an answer), ``prior_east_m``,
-            ``prior_north_m``, ``east_m``, ``north_m`` (less the truth's), ``score``, ``probability`` (of
-            being within 2 m and 2 degrees; NaN where the method says none), ``surprise`` (squared error of
-            the place in standard deviations, by the covariance that was said; NaN where none was),
-            ``seconds``, ``cpu_seconds``, ``failure``.
+        trials: A row per set, method, photo and prior: ``set``, ``method``, ``photo``, ``flight``, ``prior``
+            (the number of a drawn one, or ``published``), ``prior_translation_error_m``,
+            ``prior_rotation_error_deg``, ``translation_error_m``, ``rotation_error_deg`` (infinite without
+            an answer), ``prior_east_m``, ``prior_north_m``, ``east_m``, ``north_m``, ``up_m`` (less the
+            truth's), ``height_m`` (of the true camera above ground), ``score``, ``probability`` (of being
+            within 2 m and 2 degrees; NaN where the method states none), ``surprise`` (squared error of the
+            place in standard deviations, by the covariance that was stated; NaN where none was),
+            ``edges_px``, ``edges_found`` (as of ``lodbench.evaluation.edge_distance``), ``ground_m`` (median
+            over pixels of how far they are placed on map or ground from where they are), ``ground_held``
+            (share in the stated 95 % ellipse; NaN where none was), ``seconds``, ``cpu_seconds``, ``failure``.
         title: Data and protocol in words.
+        truths: A row per set and photo: ``set``, ``photo``, ``edges_px``, ``edges_found`` at the true pose.
     """
-    by_method = {str(name): rows for name, rows in trials.groupby("method", sort=False)}
-    figures = [figure for name, rows in by_method.items() for figure in _figures(name, rows)]
-    text = "\n".join([title, _summary(by_method), "", _table(trials)])
-    return Report(text, figures, trials, partial(_pictures, by_method))
+    groups = {
+        (str(of_set), str(method)): rows
+        for (of_set, method), rows in trials.groupby(["set", "method"], sort=False)
+    }
+    at_truth = {} if truths is None or truths.empty else {str(s): rows for s, rows in truths.groupby("set")}
+    is_one = trials["set"].nunique() == 1
+    named = {method if is_one else f"{of_set}, {method}": rows for (of_set, method), rows in groups.items()}
+    figures = [figure for name, rows in named.items() for figure in _figures(name, rows)]
+    for of_set, rows in at_truth.items():
+        name = "truth" if is_one else f"{of_set}, truth"
+        figures += _edge_figures(name, rows)
+    text = "\n".join([title, _summary(groups, at_truth), _NOTES, "", _table(trials)])
+    return Report(text, figures, trials, partial(_pictures, named))
 
 
 def found(trials: pd.DataFrame, limit: Threshold) -> NDArray[np.bool_]:
@@ -74,6 +109,49 @@ def held(trials: pd.DataFrame) -> NDArray[np.bool_] | None:
     return np.asarray(said < _SURPRISE) if len(said) else None
 
 
+class FlightErrors(NamedTuple):
+    """What the answers to a flight's photos err by in common, and besides.
+
+    Attributes:
+        up_m: Common error along height, of the prior whose is in the middle by size; metres.
+        up_percent: The same of the cameras' heights above ground.
+        plan_m: Common error in plan; metres.
+        plan_percent: The same of the heights.
+        own_m: Median distance of answers from where the common error alone would put them; metres.
+    """
+
+    up_m: float
+    up_percent: float
+    plan_m: float
+    plan_percent: float
+    own_m: float
+
+
+def flight_errors(trials: pd.DataFrame) -> FlightErrors | None:
+    """Returns common and own errors of one method; None of flights of fewer than three answered photos."""
+    answered = trials[trials["up_m"].notna()].assign(
+        up_percent=lambda t: 100.0 * t["up_m"] / t["height_m"],
+    )
+    by_flight = answered.groupby(["flight", "prior"], sort=False)
+    answered = answered[by_flight["photo"].transform("count") >= _FEWEST_PHOTOS]
+    if answered.empty:
+        return None
+    by_flight = answered.groupby(["flight", "prior"], sort=False)
+    own = np.linalg.norm(answered[_PLACE] - by_flight[_PLACE].transform("median"), axis=1)
+    common = by_flight[[*_PLACE, "up_percent", "height_m"]].median()
+    heights, up, up_percent = (common[name].to_numpy() for name in ("height_m", "up_m", "up_percent"))
+    plan = np.hypot(common["east_m"].to_numpy(), common["north_m"].to_numpy())
+    k, j = (int(np.argsort(size, kind="stable")[len(common) // 2]) for size in (np.abs(up), plan))
+    plan_percent = 100.0 * plan[j] / heights[j]
+    return FlightErrors(*map(float, (up[k], up_percent[k], plan[j], plan_percent, np.median(own))))
+
+
+def trusted(trials: pd.DataFrame) -> tuple[int, int]:
+    """Returns how many answers of a probability of 0.9 and more are wrong, and how many there are."""
+    sure = trials["probability"].to_numpy(np.float64) >= TRUSTED
+    return int((sure & ~found(trials, _RIGHT)).sum()), int(sure.sum())
+
+
 def _figures(name: str, rows: pd.DataFrame) -> Iterator[Figure]:
     for limit in LIMITS:
         yield Figure(f"{name}: recall {limit.label}", 100.0 * float(found(rows, limit).mean()), "%")
@@ -81,34 +159,87 @@ def _figures(name: str, rows: pd.DataFrame) -> Iterator[Figure]:
     yield Figure(f"{name}: median translation", float(middle[ERROR[0]]), "m")
     yield Figure(f"{name}: median rotation", float(middle[ERROR[1]]), "deg")
     yield Figure(f"{name}: priors", float(len(rows)), "")
-    yield Figure(f"{name}: seconds", float(middle["seconds"]), "s")
-    yield Figure(f"{name}: CPU seconds", float(middle["cpu_seconds"]), "s")
+    if (errors := flight_errors(rows)) is not None:
+        yield Figure(f"{name}: common height", errors.up_m, "m")
+        yield Figure(f"{name}: common height of height above ground", errors.up_percent, "%")
+        yield Figure(f"{name}: common plan", errors.plan_m, "m")
+        yield Figure(f"{name}: common plan of height above ground", errors.plan_percent, "%")
+        yield Figure(f"{name}: own error, median", errors.own_m, "m")
+    if rows["probability"].notna().all():
+        wrong, sure = trusted(rows)
+        yield Figure(f"{name}: mean probability stated", 100.0 * float(rows["probability"].mean()), "%")
+        yield Figure(f"{name}: answers at probability {TRUSTED:g}", float(sure), "")
+        yield Figure(f"{name}: wrong answers at probability {TRUSTED:g}", float(wrong), "")
     inside, share = held(rows), flagged(rows)
     if inside is not None:
+        yield Figure(f"{name}: median squared error in stated sigmas", float(rows["surprise"].median()), "")
         yield Figure(f"{name}: places within the said {100 * _HELD:g} %", 100.0 * float(inside.mean()), "%")
     if share is not None:
         yield Figure(f"{name}: wrong answers flagged, 90 % of right kept", 100.0 * share, "%")
+    yield from _edge_figures(name, rows)
+    if rows["ground_m"].notna().any():
+        yield Figure(f"{name}: ground points, median", float(rows["ground_m"].median()), "m")
+    if rows["ground_held"].notna().any():
+        share = 100.0 * float(rows["ground_held"].mean())
+        yield Figure(f"{name}: ground points within the said {100 * _HELD:g} %", share, "%")
+    yield Figure(f"{name}: seconds", float(middle["seconds"]), "s")
+    yield Figure(f"{name}: CPU seconds", float(middle["cpu_seconds"]), "s")
 
 
-def _summary(by_method: dict[str, pd.DataFrame]) -> str:
-    head = [f"{limit.translation_m:g} m, {limit.rotation_deg:g} deg" for limit in LIMITS]
-    cells = [["method", *head, "95 % at 2 m, 2 deg", "median", "s", "CPU s", "in said 95 %", "wrong flagged"]]
-    for name, rows in by_method.items():
-        middle = rows[[*ERROR, "seconds", "cpu_seconds"]].median()
-        inside, share = held(rows), flagged(rows)
-        cells.append(
-            [
-                name,
-                *(f"{int(found(rows, limit).sum())} of {len(rows)}" for limit in LIMITS),
-                _interval(rows),
-                f"{middle[ERROR[0]]:.2f} m, {middle[ERROR[1]]:.2f} deg",
-                f"{middle['seconds']:.2f}",
-                f"{middle['cpu_seconds']:.2f}",
-                "-" if inside is None else f"{100 * inside.mean():.0f} %",
-                "-" if share is None else f"{100 * share:.0f} %",
-            ]
-        )
+def _edge_figures(name: str, rows: pd.DataFrame) -> Iterator[Figure]:
+    if rows["edges_found"].notna().any():
+        yield Figure(f"{name}: roof edges to image edges, median", float(rows["edges_px"].median()), "px")
+        yield Figure(f"{name}: roof edges with an image edge", 100.0 * float(rows["edges_found"].mean()), "%")
+
+
+def _summary(groups: Mapping[tuple[str, str], pd.DataFrame], at_truth: Mapping[str, pd.DataFrame]) -> str:
+    cells = [list(_HEAD)]
+    for of_set in dict.fromkeys(name for name, _ in groups):
+        if of_set in at_truth:
+            edges = _edges(at_truth[of_set])
+            row = {"set": of_set, "method": "truth", "answers": str(len(at_truth[of_set])), "edges": edges}
+            cells.append([row.get(head, "") for head in _HEAD])
+        cells += [[name, method, *_cells(rows)] for (name, method), rows in groups.items() if name == of_set]
     return format_columns(cells)
+
+
+def _cells(rows: pd.DataFrame) -> list[str]:
+    middle = rows[[*ERROR, "seconds", "cpu_seconds", "surprise"]].median()
+    recalls = [100.0 * float(found(rows, limit).mean()) for limit in LIMITS[1:]]
+    inside, errors, (wrong, sure) = held(rows), flight_errors(rows), trusted(rows)
+    stated = "-" if rows["probability"].isna().any() else f"{100.0 * rows['probability'].mean():.0f}"
+    return [
+        str(len(rows)),
+        "/".join(f"{recall:.0f}" for recall in recalls) + " %",
+        _interval(rows),
+        f"{middle[ERROR[0]]:.2f} m, {middle[ERROR[1]]:.2f} deg",
+        "-" if errors is None else f"{errors.up_m:+.2f} m, {errors.up_percent:+.2f} %",
+        "-" if errors is None else f"{errors.plan_m:.2f} m, {errors.plan_percent:.2f} %",
+        "-" if errors is None else f"{errors.own_m:.2f} m",
+        f"{stated}/{recalls[0]:.0f} %",
+        "-" if stated == "-" else f"{wrong} of {sure}",
+        "-" if inside is None else f"{middle['surprise']:.1f}, {100 * inside.mean():.0f} %",
+        _edges(rows),
+        _ground(rows),
+        f"{middle['seconds']:.2f}",
+        f"{middle['cpu_seconds']:.2f}",
+    ]
+
+
+def _edges(rows: pd.DataFrame) -> str:
+    """Returns the median over photos of their medians, and the mean share found."""
+    if rows["edges_found"].isna().all():
+        return "-"
+    return f"{rows['edges_px'].median():.2f} px, {100.0 * rows['edges_found'].mean():.0f} %"
+
+
+def _ground(rows: pd.DataFrame) -> str:
+    """Returns the median over photos of their medians, and the mean share in the stated ellipses."""
+    if rows["ground_m"].isna().all():
+        return "-"
+    held_share = rows["ground_held"].mean()
+    share = "-" if np.isnan(held_share) else f"{100.0 * held_share:.0f} %"
+    return f"{rows['ground_m'].median():.2f} m, {share}"
 
 
 def _interval(trials: pd.DataFrame) -> str:
@@ -121,8 +252,9 @@ def _interval(trials: pd.DataFrame) -> str:
 
 
 def _table(trials: pd.DataFrame) -> str:
-    cells = [["method", "photo", "prior", "off by", "error", "score", "probability", ""]]
+    cells = [["method", "photo", "prior", "off by", "error", "up", "score", "probability", "edges", ""]]
     for _, t in trials.iterrows():
+        has_edges = not np.isnan(t["edges_found"])
         cells.append(
             [
                 t["method"],
@@ -130,8 +262,10 @@ def _table(trials: pd.DataFrame) -> str:
                 t["prior"],
                 f"{t['prior_translation_error_m']:.1f} m, {t['prior_rotation_error_deg']:.1f} deg",
                 f"{t['translation_error_m']:.2f} m, {t['rotation_error_deg']:.2f} deg",
+                f"{t['up_m']:+.2f} m",
                 f"{t['score']:.3f}",
                 "-" if np.isnan(t["probability"]) else f"{t['probability']:.2f}",
+                f"{t['edges_px']:.2f} px, {100.0 * t['edges_found']:.0f} %" if has_edges else "-",
                 t["failure"],
             ]
         )

@@ -29,6 +29,8 @@ def tell_unused(format: str, options: ReadOptions, findings: Findings) -> None:
             unheard |= {name: f"{name}: base=ground sets buildings on the ground" for name in _OF_GROUND}
     if format in _UPRIGHT:
         unheard["up_axis"] = "up_axis: it is of meshes"
+    if not format.startswith("City"):
+        unheard["date"] = "date: it is of CityGML and CityJSON"
     usual = ReadOptions()
     for name, why in unheard.items():
         if getattr(options, name) != getattr(usual, name):

@@ -10,6 +10,7 @@ from functools import cache
 from glob import escape
 from pathlib import Path
 
+from lodbench.citymodel.lifespans import holds_on
 from lodbench.citymodel.meshing import CityMesh, mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
@@ -68,8 +69,9 @@ def open_cached_city(
     if is_scene(folder):
         try:
             known = load_city(folder)
-            mark_used(folder)
-            return known
+            if holds_on(known.period, options.date):
+                mark_used(folder)
+                return known
         except CityModelError as fault:
             _LOGGER.warning("%s It is made anew.", fault)
     model = read_city_model(path, options=options, progress=progress)
@@ -98,7 +100,7 @@ def open_city(model: CityModel, mesh: CityMesh) -> OpenCity:
     """Returns a mesh of a model with the findings of both."""
     counts = Counter(model.findings.counts())
     counts.update(mesh.findings.counts())
-    return OpenCity(mesh.scene, dict(sorted(counts.items())), mesh.area_m2, mesh.lost_m2)
+    return OpenCity(mesh.scene, dict(sorted(counts.items())), mesh.area_m2, mesh.lost_m2, model.period)
 
 
 def scene_key(path: Path, lod: str | None, options: ReadOptions, roof_height: str | None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
 from lodbench.citymodel.gml_batch import read_batch
 from lodbench.citymodel.gml_context import envelope_srs, gml_id, is_inside, owner_of
-from lodbench.citymodel.gml_details import SolidReader, read_attributes
+from lodbench.citymodel.gml_details import SolidReader, measured_height, read_attributes
 from lodbench.citymodel.gml_links import LinkResolver
 from lodbench.citymodel.gml_names import MEMBERS, NESTED_TYPES, is_citygml
 from lodbench.citymodel.gml_pictures import SurfacePictures
@@ -21,6 +22,7 @@ from lodbench.citymodel.gml_walk import GeometryWalk
 from lodbench.citymodel.growing import GrowingArray
 from lodbench.citymodel.json_documents import paused_collector
 from lodbench.citymodel.layers import types_of
+from lodbench.citymodel.lifespans import Lifespans
 from lodbench.citymodel.objects import ObjectTable, Solids
 from lodbench.citymodel.pictures import PictureTable
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of
@@ -31,6 +33,8 @@ from lodbench.findings import Findings
 # Numbers are read when this much text has gathered: large enough that a parse is worth its call,
 # small enough that memory stays flat.
 _BATCH_CHARACTERS = 1 << 20
+# Files of 1.0 and 2.0 declare .../citygml/profiles/base/2.0 besides.
+_BEFORE_THE_STANDARD = re.compile(r"https?://www\.citygml\.org/citygml/(\w+/)?\d/\d/\d$")
 # Where CityJSON has another name for what CityGML calls an object.
 _JSON_TYPES = {
     "ReliefFeature": "TINRelief",
@@ -49,6 +53,7 @@ def read_citygml(
     has_details: bool = False,
     layers: Sequence[str] = (),
     pictures: PictureTable | None = None,
+    day: str | None = None,
 ) -> RawCity:
     """Returns the buildings of a CityGML document in the coordinates of the file, and objects of its layers.
 
@@ -59,11 +64,12 @@ def read_citygml(
         has_details: Whether attributes, solids and ids of polygons are read as well.
         layers: Names of ``LAYERS``: what to read besides buildings.
         pictures: Receives those of surfaces, which are kept then; with ``has_details``.
+        day: Date on which objects must stand that tell of their end; None for today.
 
     Raises:
         CityModelError: The XML is not well-formed or not CityGML, or a coordinate is bad.
     """
-    reader = _Reader(source, is_strict, has_details, layers, pictures)
+    reader = _Reader(source, is_strict, has_details, layers, pictures, day)
     with paused_collector(), open_stream() as stream:
         reader.read(stream)
     if reader.links.unresolved:
@@ -82,9 +88,11 @@ class _Reader:
         has_details: bool,
         layers: Sequence[str],
         pictures: PictureTable | None,
+        day: str | None,
     ) -> None:
         self.findings = Findings()
-        self.walk = GeometryWalk(self.findings)
+        self._lifespans = Lifespans(day, self.findings)
+        self.walk = GeometryWalk(self.findings, self._lifespans)
         self.links = LinkResolver(self.walk, source.rpartition("/")[2], self.findings)
         self._source = source
         self._is_strict = is_strict
@@ -148,6 +156,11 @@ class _Reader:
         # A WFS answer wraps the CityModel; its namespace map still names the version.
         namespaces = [namespace_of(root.tag), *(root.nsmap or {}).values()]
         versions = [ns.rpartition("/")[2] for ns in namespaces if "opengis.net/citygml/" in (ns or "")]
+        if not versions and any(_BEFORE_THE_STANDARD.match(ns or "") for ns in namespaces):
+            raise NotACity(
+                f"{self._source} is CityGML 0.4 or older, from before the standard; 1.0 to 3.0 is read.",
+                "Export it again, or convert it to CityGML 1.0 with a program that reads 0.4.",
+            )
         self._version = versions[0] if versions else ""
         self._srs_name = self._root_srs = envelope_srs(root) or root.get("srsName")
 
@@ -160,17 +173,22 @@ class _Reader:
     def _read_member(self, member: Element) -> None:
         self._begin_member(member)
         met: list[tuple[Element, dict[Element, int], int]] = []
+        num_over = 0
         for element in member.iter(*self._wanted):
             type_ = local_name(element.tag)
             if not is_citygml(element.tag) or (type_ != "Building" and is_inside(element, met)):
+                continue
+            if not self.walk.stands(element):
+                num_over += 1
                 continue
             number = len(self._building_ids)
             building_id = gml_id(element) or f"{type_.lower()}-{number + 1}"
             self._building_ids.append(building_id)
             attributes = read_attributes(element) if self._objects.has_details else None
             own = self._objects.add(
-                building_id, _JSON_TYPES.get(type_, type_), -1, number, attributes, _roof_type(element)
-            )
+                building_id, _JSON_TYPES.get(type_, type_), -1, number, attributes, _roof_type(element),
+                measured_height(element),
+            )  # fmt: skip
             srs_name = envelope_srs(element) or self._srs_name
             before = len(self.walk.batch.owners), len(self.walk.references)
             part_of = self.walk.walk_building(
@@ -180,7 +198,7 @@ class _Reader:
             if before == (len(self.walk.batch.owners), len(self.walk.references)):
                 self.findings.add(BUILDING_EMPTY, building_id, "" if type_ == "Building" else f"a {type_}")
         if not met:
-            names = [local_name(child.tag) for child in member]
+            names = [] if num_over else [local_name(child.tag) for child in member]
             self._others.update(name for name in names if name != "CityModel")  # its members were read before
             self._has_textures |= any(local_name(child.tag) == "Appearance" for child in member)
             self._read_pictures(member, {})
@@ -207,7 +225,8 @@ class _Reader:
         object_id = gml_id(nested) or f"{table.ids[own]}-{name}-{len(part_of) + 1}"
         attributes = read_attributes(nested) if table.has_details else None
         type_, roof_type = NESTED_TYPES[name], _roof_type(nested)
-        return table.add(object_id, type_, parent, table.building[own], attributes, roof_type)
+        height_m = measured_height(nested) if type_ == "BuildingPart" else None
+        return table.add(object_id, type_, parent, table.building[own], attributes, roof_type, height_m)
 
     def _flush(self) -> None:
         batch = self.walk.take_batch()
@@ -225,6 +244,10 @@ class _Reader:
         for name, count in sorted(self._others.items()):
             if not name.startswith("Appearance"):
                 self.findings.add(NOT_A_BUILDING, name, f"{count} of them")
+        for name, count in sorted(self.walk.extensions.items()):
+            self.findings.add(NOT_A_BUILDING, name, f"{count} of them, of an extension, in buildings")
+        if not self._building_ids and (ended := self._lifespans.none_stands()):
+            raise NotACity(f"{self._source} {ended}.", "Take it as it stood before: date=YYYY-MM-DD")
         if not self._building_ids and not self._version:
             hint = "Of other GML, such as INSPIRE's, footprints are read once they are saved as GeoPackage."
             raise NotACity(f"{self._source} is GML, but names nothing of CityGML.", hint)
@@ -280,6 +303,8 @@ class _Reader:
             picture=picture,
             uv=uv,
             pitched=pitched_buildings(self._objects.roof_types, len(self._building_ids)),
+            measured_m=self._objects.heights(len(self._building_ids)),
+            period=self._lifespans.period(),
         )
 
 

@@ -16,16 +16,20 @@ from lodbench.citymodel.cityjson_values import declared_system, points_of
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
 from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.crs import crs_label, is_in_degrees
-from lodbench.citymodel.gml_names import INTERIOR_NAMES
+from lodbench.citymodel.gml_details import overall_height
+from lodbench.citymodel.gml_names import INTERIOR_NAMES, STOREYS
 from lodbench.citymodel.json_documents import documents_of, paused_collector
 from lodbench.citymodel.layers import types_of
+from lodbench.citymodel.lifespans import Lifespans
 from lodbench.citymodel.objects import ObjectTable
 from lodbench.citymodel.pictures import PictureTable
 from lodbench.citymodel.raw import NotACity, RawCity
 from lodbench.citymodel.roof_types import roof_type_of
+from lodbench.citymodel.tilesets import HINT, is_tileset, place_of_tileset
 from lodbench.errors import CityModelError
 
 _HINT = "Check it with a CityJSON validator."
+_CONSTRUCTIONS = ("Building", "Bridge", "Tunnel")
 _LOOKS = ("textures", "materials")
 _MAX_DEPTH = 100  # of parts in parts: real ones have three, and who writes them goes down as deep
 
@@ -40,6 +44,7 @@ def read_cityjson(
     has_details: bool = False,
     layers: Sequence[str] = (),
     pictures: PictureTable | None = None,
+    day: str | None = None,
 ) -> RawCity:
     """Returns the buildings of a CityJSON file or a sequence of CityJSON features, and objects of its layers.
 
@@ -50,12 +55,13 @@ def read_cityjson(
         has_details: Whether attributes and solids are kept as well.
         layers: Names of ``LAYERS``: what to read besides buildings.
         pictures: Receives those of surfaces, which are kept then.
+        day: Date on which objects must stand that tell of their end; None for today.
 
     Raises:
         CityModelError: The file is no JSON, no CityJSON, or breaks its structure; the message names
             the object.
     """
-    reader = _Reader(source, is_strict, has_details, layers, pictures)
+    reader = _Reader(source, is_strict, has_details, layers, pictures, day)
     with paused_collector(), open_stream() as stream:
         return reader.result(reader.read(documents_of(stream, source, reader.repeated)))
 
@@ -70,12 +76,14 @@ class _Reader:
         has_details: bool,
         layers: Sequence[str],
         pictures: PictureTable | None,
+        day: str | None,
     ) -> None:
         self._source = source
         self._is_strict = is_strict
         self._wanted = types_of(layers)
         self._objects = ObjectTable(has_details)
         self._collector = PolygonCollector(objects=self._objects, pictures=pictures)
+        self._lifespans = Lifespans(day, self._collector.findings)
         self._version: str | None = None
         self._srs_name: str | None = None
         self._transform: Json | None = None
@@ -105,6 +113,9 @@ class _Reader:
                 "Without its transform the coordinates mean nothing: put the header line before it.",
             )
         if kind != "CityJSON":
+            if is_tileset(document):
+                where = f" {place_of_tileset(document)}".rstrip()
+                raise NotACity(f"{self._source} is a tileset of 3D Tiles{where}, no city model.", HINT)
             hint = "Name GeoJSON footprints .geojson." if kind == "FeatureCollection" else _HINT
             raise NotACity(f"{self._source} is JSON, but not CityJSON (type {kind!r}).", hint)
         version = str(document.get("version", ""))
@@ -153,15 +164,18 @@ class _Reader:
             is_in_degrees(self._srs_name),
         )  # fmt: skip
         numbers = self._number_objects(objects)
+        storeys = self._storeys(numbers)
+        outside = self._levels_outside(objects, numbers, storeys)
         for object_id, item in objects.items():
             part = numbers.get(object_id)
             if part is None:
                 continue
             number = self._objects.building[part]
-            is_interior = item.get("type") in INTERIOR_NAMES
+            is_room = item.get("type") in INTERIOR_NAMES
             try:
                 for shape in item.get("geometry") or ():
-                    geometry.read(shape, number, object_id, is_interior, part)
+                    is_doubled = part in storeys and (number, str(shape.get("lod"))) in outside
+                    geometry.read(shape, number, object_id, is_room or is_doubled, part)
             except CityModelError:
                 raise
             except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError) as error:
@@ -169,6 +183,28 @@ class _Reader:
                     f"{self._source}: the geometry of {object_id} is malformed ({error}).", _HINT
                 ) from None
         geometry.finish()
+
+    def _storeys(self, numbers: dict[str, int]) -> set[int]:
+        """Returns the numbers of storeys and units of buildings, and of what is in them."""
+        table, storeys = self._objects, set[int]()
+        for part in sorted(numbers.values()):  # parents come first
+            if table.types[part] in STOREYS or table.parents[part] in storeys:
+                storeys.add(part)
+        return storeys
+
+    def _levels_outside(
+        self, objects: dict[str, Json], numbers: dict[str, int], storeys: set[int]
+    ) -> set[tuple[int, str]]:
+        """Returns buildings and levels that have surfaces besides those of storeys and rooms."""
+        if not storeys:
+            return set()
+        return {
+            (self._objects.building[part], str(shape.get("lod")))
+            for object_id, part in numbers.items()
+            if part not in storeys and objects[object_id].get("type") not in INTERIOR_NAMES
+            for shape in _list_of(objects[object_id].get("geometry"))
+            if isinstance(shape, dict)
+        }
 
     def _vertices(self, values: Any) -> NDArray[np.float64]:
         """Returns (V, 3) coordinates: the transform is applied where there is one."""
@@ -189,6 +225,7 @@ class _Reader:
             translate = np.asarray(self._transform["translate"], np.float64).reshape(3)
         except (TypeError, ValueError, KeyError) as error:
             raise CityModelError(f"{self._source} has a malformed transform ({error}).", _HINT) from None
+        _require_scale(vertices, scale, self._source)
         return vertices * scale + translate
 
     def _number_objects(self, objects: dict[str, Json]) -> dict[str, int]:
@@ -198,6 +235,7 @@ class _Reader:
                 raise CityModelError(f"{self._source}: the object {object_id} is malformed.", _HINT)
         parents = parents_of(objects)
         roots = roots_of(objects, parents)
+        left_out = self._left_out(objects, roots)
         has_geometry = {roots[object_id] for object_id, item in objects.items() if item.get("geometry")}
         numbers: dict[str, int] = {}
         depths: dict[str, int] = {}
@@ -210,6 +248,8 @@ class _Reader:
             line = [object_id]
             while line[-1] not in numbers and line[-1] != root:
                 line.append(parents[line[-1]])
+            if not left_out.isdisjoint(line):
+                continue
             for own in reversed(line):
                 if own not in numbers:
                     parent = -1 if own == root else numbers[parents[own]]
@@ -218,6 +258,21 @@ class _Reader:
                         raise CityModelError(f"{self._source}: {own} is nested too deeply.", _HINT)
                     numbers[own] = self._add_object(own, objects[own], parent, root in has_geometry)
         return numbers
+
+    def _left_out(self, objects: dict[str, Json], roots: dict[str, str]) -> set[str]:
+        """Returns the ids of buildings and parts that do not stand, and of objects of extensions in them."""
+        left_out = set()
+        for object_id, item in objects.items():
+            type_, root = str(item.get("type")), str(objects[roots[object_id]].get("type"))
+            told = item.get("attributes")
+            if root not in self._wanted and not _is_building(root):
+                continue
+            if type_.startswith("+") and not any(word in type_ for word in _CONSTRUCTIONS):
+                self._others[type_] += 1
+                left_out.add(object_id)
+            elif isinstance(told, dict) and not self._lifespans.stands(object_id, told):
+                left_out.add(object_id)
+        return left_out
 
     def _add_object(self, object_id: str, item: Json, parent: int, has_geometry: bool) -> int:
         """Returns the number of a new object, which is a building of its own where it has no parent."""
@@ -230,7 +285,9 @@ class _Reader:
             attributes = dict(told)
             if item.get("address"):
                 attributes["address"] = item["address"]
-        return table.add(object_id, str(item.get("type")), parent, building, attributes, roof_type_of(told))
+        type_, height_m = str(item.get("type")), overall_height(told)
+        height_m = height_m if parent < 0 or type_ == "BuildingPart" else None
+        return table.add(object_id, type_, parent, building, attributes, roof_type_of(told), height_m)
 
     def _add_building(self, building_id: str, has_geometry: bool) -> int:
         findings = self._collector.findings
@@ -244,13 +301,38 @@ class _Reader:
             self._collector.findings.add(DUPLICATE_ID, name, "names two objects; the later gets ~2 and so on")
         for name, count in sorted(self._others.items()):
             self._collector.findings.add(NOT_A_BUILDING, name, f"{count} of them")
+        if not self._collector.building_ids and (ended := self._lifespans.none_stands()):
+            raise NotACity(f"{self._source} {ended}.", "Take it as it stood before: date=YYYY-MM-DD")
         if not self._collector.building_ids:
             raise NotACity(f"{self._source} has no buildings.", "Is it the building tile of the city?")
         city = self._collector.finish(
             source=self._source, format=format, version=self._version, srs_names=(self._srs_name,)
         )
-        city.has_textures = self._has_textures
+        city.has_textures, city.period = self._has_textures, self._lifespans.period()
         return city
+
+
+def _require_scale(vertices: NDArray[np.float64], scale: NDArray[np.float64], source: str) -> None:
+    """Makes sure that a transform keeps the vertices apart that it scales.
+
+    Raises:
+        CityModelError: It puts different ones at one place; what is flat needs no scale of its heights.
+    """
+    is_lost = ~np.isfinite(scale) | (scale == 0)
+    if len(vertices) and is_lost[2] and np.isfinite(scale[2]):
+        is_lost[2] = bool(np.ptp(vertices[:, 2]))
+    if len(vertices) and is_lost.any():
+        axes = " and ".join(axis for axis, lost in zip("xyz", is_lost.tolist(), strict=True) if lost)
+        values = ", ".join(f"{value:g}" for value in scale.tolist())
+        raise CityModelError(
+            f"{source} has a transform with the scale [{values}], which leaves nothing of {axes}: "
+            "the program that wrote it lost the coordinates.",
+            "Export it again, or with another program.",
+        )
+
+
+def _list_of(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
 
 
 def _is_building(kind: str) -> bool:

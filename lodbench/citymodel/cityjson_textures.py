@@ -29,7 +29,9 @@ class TextureReader:
         self._theme = appearance.get("default-theme-texture")
         textures = appearance.get("textures")
         self._images = [
-            str(texture.get("image", "")) if isinstance(texture, dict) else ""
+            (str(texture.get("image", "")), str(texture.get("wrapMode") or ""))
+            if isinstance(texture, dict)
+            else ("", "")
             for texture in (textures if isinstance(textures, list) else ())
         ]
         try:
@@ -75,7 +77,9 @@ class TextureReader:
         if not labels or not labels[0] or type(labels[0][0]) is not int:
             return None
         image = labels[0][0]
-        picture = self._pictures.number(self._images[image]) if 0 <= image < len(self._images) else NO_PICTURE
+        picture = (
+            self._pictures.number(*self._images[image]) if 0 <= image < len(self._images) else NO_PICTURE
+        )
         if picture == NO_PICTURE:
             self._pictures.notes["surface whose picture is not there"] += 1
             return None
@@ -95,8 +99,8 @@ class TextureReader:
 class TextureWriter:
     """Collects the textures of a document or feature."""
 
-    def __init__(self, polygons: Polygons, names: dict[int, str]) -> None:
-        self._polygons, self._names = polygons, names
+    def __init__(self, polygons: Polygons, names: dict[int, str], wraps: dict[int, str]) -> None:
+        self._polygons, self._names, self._wraps = polygons, names, wraps
         self._textures: dict[int, int] = {}
         self._places: dict[tuple[float, ...], int] = {}
 
@@ -130,8 +134,12 @@ class TextureWriter:
         """Returns the member ``appearance`` of the document, or nothing where it has none."""
         if not self._textures:
             return {}
-        names = [self._names[picture] for picture in self._textures]
-        textures = [{"type": "JPG" if name.endswith(".jpg") else "PNG", "image": name} for name in names]
+        names = [(self._names[picture], self._wraps.get(picture)) for picture in self._textures]
+        textures = [
+            {"type": "JPG" if name.endswith(".jpg") else "PNG", "image": name}
+            | ({"wrapMode": wrap} if wrap else {})
+            for name, wrap in names
+        ]
         places = [list(place) for place in self._places]
         return {
             "appearance": {

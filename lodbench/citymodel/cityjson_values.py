@@ -55,6 +55,9 @@ def declared_system(metadata: Any, source: str) -> str | None:
         >>> declared_system({"crs": {"epsg": 25832}}, "city.json")
         'EPSG:25832'
     """
+    if isinstance(metadata, list):  # against the schema, and published all the same
+        names = (declared_system(one, source) for one in metadata if isinstance(one, dict))
+        return next(filter(None, names), None)
     if not isinstance(metadata, dict):
         return None
     crs = metadata.get("crs")

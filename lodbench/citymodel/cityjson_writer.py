@@ -14,7 +14,7 @@ from lodbench.citymodel.cityjson_textures import TextureWriter
 from lodbench.citymodel.cityjson_values import ONE_TEXT, fitting, listed, reference_system
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.objects import CityObjects
-from lodbench.citymodel.pictures import counted_lines
+from lodbench.citymodel.pictures import counted_lines, wraps_of
 from lodbench.citymodel.raw import buildings_only, group_by
 
 _SURFACE_NAMES = {
@@ -73,7 +73,7 @@ def cityjsonseq_text(
     ]
     for building, building_id in enumerate(model.building_ids):
         # A feature has an appearance of its own.
-        writer.textures = TextureWriter(model.polygons, pictures or {})
+        writer.textures = TextureWriter(model.polygons, pictures or {}, wraps_of(model.pictures))
         objects = writer.objects_of(building)
         used = sorted(
             {n for item in objects.values() for shape in item.get("geometry", ()) for n in _leaves(shape)}
@@ -105,7 +105,7 @@ class _Writer:
     def __init__(self, model: CityModel, pictures: dict[int, str]) -> None:
         polygons = model.polygons
         self._model = model
-        self.textures = TextureWriter(polygons, pictures)
+        self.textures = TextureWriter(polygons, pictures, wraps_of(model.pictures))
         self._objects: CityObjects = model.objects or buildings_only(model.building_ids)
         self._low = polygons.points.min(axis=0) if len(polygons.points) else np.zeros(3)
         whole = np.rint((polygons.points - self._low) / _MILLIMETRE).astype(np.int64)

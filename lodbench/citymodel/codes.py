@@ -93,7 +93,22 @@ LOD_DERIVED = FindingCode(408, _I, "Level 1 was derived from a finer level.")
 LOD_UNDERIVABLE = FindingCode(409, _W, "A building has no footprint to derive level 1 from.")
 GROUND_DEFAULTED = FindingCode(410, _W, "No column or terrain gives the ground; ground_m is used.")
 OPTION_UNUSED = FindingCode(411, _W, "An option was given that says nothing to this format.")
-INTERIOR_SKIPPED = FindingCode(404, _I, "Rooms and furniture are left out of the mesh.")
+NOT_STANDING = FindingCode(
+    412, _I, "A building, or a part of one, does not stand at the date that counts; it is left out."
+)
+CREATED_LATER = FindingCode(
+    413, _I, "An object, or the record of it, was created after the date that counts; it stays."
+)
+STAYS_FLAT = FindingCode(
+    414, _W, "A building has a height, but no more than a footprint: it is flat unless level 1 is derived."
+)
+HEIGHT_NO_DATA = FindingCode(
+    415,
+    _E,
+    "A corner lies at a height of no land, such as -9999 for no data; it is put on the ground near it.",
+)
+UNDERGROUND = FindingCode(416, _I, "A footprint lies below the ground; it is left out.")
+INTERIOR_SKIPPED = FindingCode(404, _I, "Rooms, storeys and furniture are left out of the mesh.")
 
 SHELL_TOO_FEW_FACES = FindingCode(601, _W, "A shell of a solid has fewer than four faces.")
 SHELL_NOT_CLOSED = FindingCode(602, _W, "A shell has edges that only one face has: it leaks.")

@@ -113,4 +113,5 @@ class PolygonCollector:
             picture=picture,
             uv=uv,
             pitched=None if table is None else pitched_buildings(table.roof_types, len(self.building_ids)),
+            measured_m=None if table is None else table.heights(len(self.building_ids)),
         )

@@ -20,7 +20,7 @@ from lodbench.citymodel.meshing import CityMesh, mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions, made_with
 from lodbench.citymodel.picture_writer import write_pictures
-from lodbench.citymodel.pictures import FIRST_COLOUR, counted_lines
+from lodbench.citymodel.pictures import FIRST_COLOUR, counted_lines, wraps_of
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.selection import polygon_blocks
 from lodbench.citymodel.stored_city import store_city
@@ -182,6 +182,8 @@ def convert_textured(
     write_textured(mesh, MeshFrame(model.origin, model.crs), target)
     findings = Findings(list(model.findings.items))
     left_out = "names of buildings, and all levels but the finest: triangles stand by picture"
+    if source is None and set(wraps_of(model.pictures).values()) - {"wrap"}:
+        left_out += "; wrapMode of pictures, which repeat here"
     return Conversion(target, model, None, findings, (left_out, *mesh.notes))
 
 

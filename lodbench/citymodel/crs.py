@@ -64,6 +64,7 @@ class KnownCrs:
         is_mapped: Whether lodbench's own map was needed to read the name.
         has_ellipsoidal_heights: Whether it is a system of three dimensions (EPSG:4979), whose heights are
             above the ellipsoid.
+        lost: What of the name is no reference system, such as the code of a datum; "" where all of it is.
     """
 
     label: str
@@ -72,6 +73,7 @@ class KnownCrs:
     vertical_to_m: float
     is_mapped: bool
     has_ellipsoidal_heights: bool = False
+    lost: str = ""
 
     @property
     def counts_west(self) -> bool:
@@ -148,10 +150,14 @@ def resolve_crs(name: str) -> KnownCrs | None:
     from pyproj.exceptions import CRSError
 
     label, is_mapped = crs_label(name)
+    lost = ""
     try:
         crs = CRS.from_user_input(label)
     except CRSError:
-        return None
+        label, lost = _plane_of(label)
+        if not lost:
+            return None
+        crs, is_mapped = CRS.from_user_input(label), True
     if not label.startswith("EPSG:") and crs.to_epsg() is not None:
         label = f"EPSG:{crs.to_epsg()}"  # WKT, PROJJSON and the like have a short name, too
     vertical_code, vertical_to_m = None, 1.0
@@ -171,7 +177,26 @@ def resolve_crs(name: str) -> KnownCrs | None:
         Proj(horizontal)
     except CRSError:  # WKT may state a projection that PROJ has not
         return None
-    return KnownCrs(label, horizontal, vertical_code, vertical_to_m, is_mapped, is_solid)
+    return KnownCrs(label, horizontal, vertical_code, vertical_to_m, is_mapped, is_solid, lost)
+
+
+def _plane_of(label: str) -> tuple[str, str]:
+    """Returns the plane's system of a name of two codes that make none together, and what the other is not.
+
+    Both are "" where neither is the system of a plane.
+    """
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    codes = label.removeprefix("EPSG:").split("+")
+    for code, other in (codes, codes[::-1]) if len(codes) == 2 else ():
+        try:
+            crs = CRS.from_epsg(int(code))
+        except (CRSError, ValueError):
+            continue
+        if (crs.is_projected or crs.is_geographic) and not crs.is_compound:
+            return f"EPSG:{code}", f"EPSG:{other} names no system of heights"
+    return "", ""
 
 
 def is_in_degrees(name: str | None) -> bool:

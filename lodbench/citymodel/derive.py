@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import LOD_DERIVED, LOD_UNDERIVABLE
 from lodbench.citymodel.extrude import extrude
+from lodbench.citymodel.flat_buildings import is_flat, raise_flat
 from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
 from lodbench.citymodel.newell import newell
 from lodbench.citymodel.objects import outer_parts
@@ -49,16 +50,20 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
     one of them has no roof: then the building is one block. A block stands on its lowest point and reaches
     one height, taken over the area of its roofs: ``max`` the highest point, ``median`` and ``p70`` the
     height that half and 70 % of the roof area stay below, ``eave`` the lowest point of the roofs.
+    A building of which there is no more than a footprint or the edge of its roof (LoD0) is a block of the
+    height that its source tells, whatever the rule.
 
     Returns:
         Polygons whose ``lod`` is 0: the only level of a model with ``lods=("1",)``.
 
     Raises:
         ConfigError: The rule is unknown.
-        CityModelError: The model has no finer level, or no building gives a block.
+        CityModelError: The model has no finer level and no heights, or no building gives a block.
     """
     require_rule(roof_height)
     finer = _finer_level(model)
+    origin = f"LoD{finer}" if finer in model.lods else "heights that the source tells"
+    model = raise_flat(model, finer)
     plans, owner, bottom, top, building_of, partly = _blocks(model, finer, ROOF_HEIGHTS[roof_height])
     for building in np.setdiff1d(np.arange(len(model.building_ids)), building_of[owner]):
         findings.add(LOD_UNDERIVABLE, model.building_ids[building], f"from LoD{finer}")
@@ -71,7 +76,7 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
             "No building has a footprint and a roof to derive level 1 from.",
             "Take a level that is there: lodbench city info FILE.",
         )
-    findings.add(LOD_DERIVED, "", f"from LoD{finer}, roof_height={roof_height}")
+    findings.add(LOD_DERIVED, "", f"from {origin}, roof_height={roof_height}")
     points, ring_starts, polygon_starts = _flat(plans)
     blocks = extrude(points, ring_starts, polygon_starts, bottom[owner], top[owner])
     own = owner[blocks.footprint]
@@ -197,8 +202,10 @@ def _flat(plans: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64], 
 
 
 def _finer_level(model: CityModel) -> str:
-    """Returns the lowest level above 1."""
+    """Returns the lowest level above 1; where there is none, and heights are told, the next that could be."""
     finer = [name for name in model.lods if name and name[0] in "234"]
+    if not finer and is_flat(model).any():
+        return "2"
     if not finer:
         raise CityModelError(
             "There is no level of detail 2 or finer to derive level 1 from.",

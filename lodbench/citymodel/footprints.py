@@ -19,10 +19,12 @@ from lodbench.citymodel.codes import (
     HEIGHT_MISSING,
     READER_WARNING,
     RING_TOO_SHORT,
+    UNDERGROUND,
 )
 from lodbench.citymodel.crs import resolve_crs
 from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.gdal import missing_bytes, read_vector
+from lodbench.citymodel.objects import TALLEST_M
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of, take_segments
 from lodbench.citymodel.roof_types import pitched_buildings
@@ -34,8 +36,6 @@ from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 from lodbench.storage.json_text import parse_json
 
-# No house is higher: heights above the sea are.
-_TALLEST_M = 1000.0
 _EXTRA_HINT = "Install it: pip install 'lodbench[vector]'."
 
 
@@ -111,8 +111,12 @@ def _blocks(
     known = resolve_crs(options.crs or str(crs))
     # Columns are in the unit of the heights, feet where the plane is; what the user sets is in metres.
     unit_m = 1.0 if known is None else known.height_unit_m
-    heights = _heights(columns, options, unit_m, ids, findings)
+    heights, bottoms = _heights(columns, options, unit_m, ids, findings)
     rings, ring_starts, polygon_starts, owner = _kept_polygons(polygons, heights, ids, findings)
+    if len(owner) == 0 and any(item.code is UNDERGROUND for item in findings.items):
+        raise NotACity(
+            f"{source} has no footprint but below the ground.", "Is it the building tile of the city?"
+        )
     if len(owner) == 0:
         raise _no_height(source, findings)
     if not np.isfinite(rings).all():
@@ -122,7 +126,7 @@ def _blocks(
     corners = rings[ring_starts[polygon_starts[:-1]]]
     ground = _ground(columns, corners, owner, options.crs or str(crs), options)
     ground = _without_gaps(ground, owner, ids, options, unit_m, polygons, findings)
-    blocks = extrude(rings, ring_starts, polygon_starts, ground, ground + heights[owner])
+    blocks = extrude(rings, ring_starts, polygon_starts, ground + bottoms[owner], ground + heights[owner])
     used, building = np.unique(owner[blocks.footprint], return_inverse=True)
     pitched = pitched_buildings(columns.roof_types(), len(ids))
     return RawCity(
@@ -196,14 +200,23 @@ def _of_their_own(polygons: WkbPolygons) -> str:
 
 def _heights(
     columns: Columns, options: ReadOptions, unit_m: float, ids: list[str], findings: Findings
-) -> NDArray[np.float64]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Returns (N,) heights of tops, NaN for footprints to leave out, and of bottoms above the ground."""
     heights, names = columns.heights(options, unit_m)
-    is_missing = ~((heights > 0) & (heights * unit_m < _TALLEST_M))
+    bottoms, bottom_names = columns.bottoms(options, unit_m)
+    is_below = columns.underground()
+    is_missing = ~((heights > 0) & (heights * unit_m < TALLEST_M))
+    is_turned = ~is_missing & (bottoms >= heights)
     code = HEIGHT_MISSING if options.default_height_m is None else HEIGHT_DEFAULTED
-    for i in np.flatnonzero(is_missing):
-        findings.add(code, ids[i], columns.written(names, int(i)))
+    for i in np.flatnonzero((is_missing | is_turned) & ~is_below):
+        told = [*names, *(bottom_names if is_turned[i] else ())]
+        findings.add(code, ids[i], columns.written(told, int(i)))
+    for i in np.flatnonzero(is_below):
+        findings.add(UNDERGROUND, ids[i])
+    is_missing |= is_turned
     default = np.nan if options.default_height_m is None else options.default_height_m / unit_m
-    return np.where(is_missing, default, heights)
+    tops = np.where(is_below, np.nan, np.where(is_missing, default, heights))
+    return tops, np.where(bottoms < tops, bottoms, 0.0)
 
 
 def _no_height(source: str, findings: Findings) -> CityModelError:

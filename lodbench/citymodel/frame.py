@@ -108,7 +108,8 @@ def _settle_crs(
     if known.is_mapped and known.label.startswith("EPSG:21781") and _middle(points)[0] > 2e6:
         known = require_crs(known.label.replace("21781", "2056"))  # "CH1903" on LV95 coordinates
     if known.is_mapped or known.label.startswith("EPSG:2056+"):
-        findings.add(CRS_MAPPED, "", f"{srs_name or override} read as {known.label}")
+        why = f"; {known.lost}" if known.lost else ""
+        findings.add(CRS_MAPPED, "", f"{override or srs_name} read as {known.label}{why}")
     return known
 
 

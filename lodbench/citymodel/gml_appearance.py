@@ -14,6 +14,13 @@ from lodbench.citymodel.xml import Element, local_name
 Floats = NDArray[np.float64]
 
 
+class Image(NamedTuple):
+    """A picture by its name in the file, and how it goes on beyond its edges (``Pictures.wraps``)."""
+
+    name: str
+    wrap: str = ""
+
+
 class Georeference(NamedTuple):
     """A picture that lies on the ground: (column, row) = inverse @ (x, y) - inverse @ origin."""
 
@@ -33,8 +40,8 @@ class Appearances:
         materials: Diffuse RGB of each surface.
     """
 
-    rings: dict[str, tuple[str, str]] = field(default_factory=dict)
-    planes: dict[str, tuple[str, Floats]] = field(default_factory=dict)
+    rings: dict[str, tuple[Image, str]] = field(default_factory=dict)
+    planes: dict[str, tuple[Image, Floats]] = field(default_factory=dict)
     grounds: dict[str, Georeference] = field(default_factory=dict)
     materials: dict[str, tuple[int, int, int]] = field(default_factory=dict)
 
@@ -62,7 +69,7 @@ def read_appearances(member: Element, found: Appearances, folder: TextureFolder)
 
 
 def _read_parameterized(texture: Element, found: Appearances) -> None:
-    image = _text(texture, "imageURI")
+    image = Image(_text(texture, "imageURI"), _text(texture, "wrapMode"))
     for places in texture.iter("{*}TexCoordList"):
         coordinates = list(places.iterchildren("{*}textureCoordinates"))
         # CityGML 3 names the rings beside the coordinates, in the same order.

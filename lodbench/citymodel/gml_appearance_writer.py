@@ -20,10 +20,13 @@ class AppearanceXml:
         polygons: Of the city.
         dialect: The version of CityGML.
         names: Name of each picture that is there, by number.
+        wraps: How they go on beyond their edges, likewise, where that is known.
     """
 
-    def __init__(self, polygons: Polygons, dialect: Dialect, names: dict[int, str]) -> None:
-        self._polygons, self._dialect, self._names = polygons, dialect, names
+    def __init__(
+        self, polygons: Polygons, dialect: Dialect, names: dict[int, str], wraps: dict[int, str]
+    ) -> None:
+        self._polygons, self._dialect, self._names, self._wraps = polygons, dialect, names, wraps
         self._found: dict[int, dict[str, list[tuple[str, str]]]] = defaultdict(lambda: defaultdict(list))
 
     def add(self, polygon: int, polygon_id: str, ring: int, points: slice) -> str | None:
@@ -63,6 +66,7 @@ class AppearanceXml:
         name = self._names[picture]
         mime = "image/jpeg" if name.endswith(".jpg") else "image/png"
         head = tag("app:imageURI", text_of(name)) + tag("app:mimeType", mime)
+        head += tag("app:wrapMode", self._wraps[picture]) if picture in self._wraps else ""
         target = self._target_2 if self._dialect.version == "2.0" else self._target_3
         return tag(
             "app:ParameterizedTexture", head + "".join(target(name, rings) for name, rings in targets.items())

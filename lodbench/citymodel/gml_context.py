@@ -12,8 +12,10 @@ from lodbench.citymodel.gml_names import (
     INTERIOR_NAMES,
     OBJECT_PROPERTIES,
     OUTER_NAMES,
+    ROOF_EDGE,
     SURFACE_KINDS,
     is_building_tag,
+    is_extension,
 )
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.xml import Element, local_name
@@ -25,7 +27,7 @@ _LINKED = [
     for path in ("*", "*/*/*", "*/*/*/*/*")
 ]
 # Plain integers: looking a member up in its class costs more than the rest of a step.
-_UNKNOWN, _INTERIOR = int(SurfaceKind.UNKNOWN), int(SurfaceKind.INTERIOR)
+_UNKNOWN, _ROOF, _INTERIOR = map(int, (SurfaceKind.UNKNOWN, SurfaceKind.ROOF, SurfaceKind.INTERIOR))
 
 
 def plain_numbers(element: Element) -> str:
@@ -46,7 +48,7 @@ def surface_kind(prop: Element, building: Element) -> int:
     """Returns the ``SurfaceKind`` of a geometry property, from the elements around it."""
     node = prop.getparent()
     if node is None or node is building:
-        return _UNKNOWN
+        return _ROOF if local_name(prop.tag) == ROOF_EDGE else _UNKNOWN
     name = local_name(node.tag)
     if name in OUTER_NAMES:
         return SURFACE_KINDS[name]
@@ -94,6 +96,30 @@ def is_inside(element: Element, met: list[tuple[Element, dict[Element, int], int
     """Tells whether an element stands inside of one that was met, as terrain does inside of terrain."""
     above = set(element.iterancestors())
     return any(other in above for other, _, _ in met)
+
+
+def is_another_s(node: Element, building: Element, left_out: set[Element]) -> bool:
+    """Tells whether something inside of a building stands in what is left out, or in an extension's property.
+
+    What a property of another namespace holds is no boundary of the building: thermal zones, measured noise.
+    Objects of other namespaces in properties of CityGML are, such as a roof of a kind of its own.
+    """
+    for above in node.iterancestors():
+        if above is building:
+            return False
+        if above in left_out or is_extension(above.tag):
+            return True
+    return False
+
+
+def extension_above(node: Element, building: Element) -> Element | None:
+    """Returns the outermost property of an extension that something inside of a building stands in."""
+    found = None
+    for above in node.iterancestors():
+        if above is building:
+            break
+        found = above if is_extension(above.tag) else found
+    return found
 
 
 def buildings_inside(element: Element) -> set[Element]:

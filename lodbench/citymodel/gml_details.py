@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Any
 
-from lodbench.citymodel.gml_context import buildings_inside, owner_of
+from lodbench.citymodel.gml_context import is_another_s, owner_of
 from lodbench.citymodel.gml_index import MemberIndex, index_member
 from lodbench.citymodel.gml_names import (
     GEOMETRY_PROPERTIES,
@@ -93,6 +94,34 @@ def _take_measured_height(values: dict[str, Any]) -> None:
         values["height"] = rest if len(rest) > 1 else next(iter(rest), None)
         if not rest:
             del values["height"]
+
+
+def measured_height(element: Element) -> float | None:
+    """Returns the height of an object above the ground in metres, as it tells, or that of its storeys."""
+    told: dict[str, Any] = {}
+    for child in element.iterchildren(*("{*}" + name for name in ("height", *_HEIGHTS))):
+        metres = _metres(child)
+        if local_name(child.tag) == "height":
+            told["height"] = _value(child, 0)
+        elif metres is not None:
+            told[local_name(child.tag)] = [float(word) * metres for word in _numbers(child)]
+    if "measuredHeight" not in told:
+        _take_measured_height(told)
+    return overall_height(told)
+
+
+def overall_height(told: Mapping[str, Any]) -> float | None:
+    """Returns the measured height among an object's attributes, else that of its storeys above the ground."""
+    for name in ("measuredHeight", "storeyHeightsAboveGround"):
+        values = told[name] if isinstance(told.get(name), list) else [told.get(name)]
+        if values and all(type(value) in (int, float) for value in values):
+            return float(sum(values))
+    return None
+
+
+def _numbers(element: Element) -> list[str]:
+    words = (element.text or "").split()
+    return words if all(re.fullmatch(r"[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?", word) for word in words) else []
 
 
 def _is_overall(height: dict[str, Any]) -> bool:
@@ -201,7 +230,7 @@ class SolidReader:
     def __init__(self, member: Element, walk: GeometryWalk, table: ObjectTable, first_serial: int) -> None:
         self._index: MemberIndex = index_member(member, walk)
         self.polygons = self._index.polygons
-        self._table = table
+        self._table, self._left_out = table, walk.left_out
         self._first = first_serial
         for element, number in self._index.polygons.items():
             gml_id = next((element.get(name) for name in GML_IDS if element.get(name)), None)
@@ -210,9 +239,8 @@ class SolidReader:
 
     def read(self, building: Element, part_of: dict[Element, int], own: int) -> None:
         """Adds the solids of a building and its parts."""
-        inner = buildings_inside(building)
         for prop in building.iter(*GEOMETRY_PROPERTIES):
-            if property_lod(prop.tag) is None or not inner.isdisjoint(prop.iterancestors()):
+            if property_lod(prop.tag) is None or is_another_s(prop, building, self._left_out):
                 continue
             composites: dict[Element, int] = {}
             for composite in prop.iter("{*}CompositeSolid"):

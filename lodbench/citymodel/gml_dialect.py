@@ -93,7 +93,8 @@ CITYGML_2 = Dialect(
     rank=_ranks(
         *_OBJECT, "core:relativeToTerrain", "core:relativeToWater", "gen:attribute",
         *_FACTS, "bldg:yearOfConstruction", "bldg:yearOfDemolition", "bldg:roofType",
-        "bldg:measuredHeight", *_STOREYS, "bldg:lod0FootPrint", "bldg:lod1Solid", "bldg:lod1MultiSurface",
+        "bldg:measuredHeight", *_STOREYS, "bldg:lod0FootPrint", "bldg:lod0RoofEdge",
+        "bldg:lod1Solid", "bldg:lod1MultiSurface",
         "bldg:lod2Solid", "bldg:lod2MultiSurface", "bldg:lod2Geometry", "bldg:lod3Geometry",
         "bldg:lod4Geometry", "bldg:outerBuildingInstallation", "bldg:interiorBuildingInstallation",
         "room:lod4Solid", "room:lod4MultiSurface",

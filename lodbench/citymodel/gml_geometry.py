@@ -12,6 +12,7 @@ from lodbench.citymodel.gml_dialect import Dialect, tag
 from lodbench.citymodel.gml_levels import Face, LevelShapes, left_out, level_of
 from lodbench.citymodel.gml_properties import Property
 from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.pictures import wraps_of
 from lodbench.citymodel.raw import group_by
 from lodbench.citymodel.selection import select_polygons
 from lodbench.citymodel.triangulate import triangulate
@@ -45,7 +46,7 @@ class GeometryXml:
         self._of_part = group_by(polygons.building if polygons.part is None else polygons.part)
         self._solids_of_part = {} if model.solids is None else group_by(model.solids.part)
         self._is_left_out = left_out(model, self._levels, notes).tolist()
-        self.appearance = AppearanceXml(polygons, dialect, pictures)
+        self.appearance = AppearanceXml(polygons, dialect, pictures, wraps_of(model.pictures))
 
     def properties(self, part: int, object_id: str, type_: str) -> Iterator[Property]:
         """Yields the geometry of an object as properties, each with the name that tells its place."""
@@ -83,15 +84,7 @@ class GeometryXml:
         enclosed = {face for shells in solids for shell in shells for face, _ in shell}
         loose = [n for n in polygons if n not in bound and n not in enclosed]
         if self._dialect.version == "3.0":
-            if solids and level == 0:  # where it has no solids
-                loose, solids = loose + sorted(enclosed - bound), []
-            if solids:
-                yield (
-                    f"core:lod{level}Solid",
-                    tag(f"core:lod{level}Solid", self._volumes(solids, bound, polygons)),
-                )
-            if loose:
-                yield self._loose_3(level, loose)
+            yield from self._level_3(level, polygons, solids, bound, loose)
         elif type_ in _INSTALLED:
             shapes = [self._volumes(solids, bound, polygons)] if solids else []
             shapes += [self._multi_surface(loose)] if loose else []
@@ -108,9 +101,29 @@ class GeometryXml:
                     f"{space}:lod{level}Solid",
                     tag(f"bldg:lod{level}Solid", self._volumes(solids, bound, polygons)),
                 )
-            if loose:
-                name = "lod0FootPrint" if level == 0 else f"lod{level}MultiSurface"
-                yield f"{space}:{name}", tag(f"bldg:{name}", self._multi_surface(loose))
+            edges = [n for n in loose if level == 0 and self._kinds[n] == SurfaceKind.ROOF]
+            name = "lod0FootPrint" if level == 0 else f"lod{level}MultiSurface"
+            for own_name, members in ((name, [n for n in loose if n not in edges]), ("lod0RoofEdge", edges)):
+                if members:
+                    yield f"{space}:{own_name}", tag(f"bldg:{own_name}", self._multi_surface(members))
+
+    def _level_3(
+        self,
+        level: int,
+        polygons: list[int],
+        solids: list[list[list[Face]]],
+        bound: set[int],
+        loose: list[int],
+    ) -> Iterator[Property]:
+        """Yields solids and the rest of a level as CityGML 3 has them, which has no solids at level 0."""
+        if level == 0:
+            enclosed = {face for shells in solids for shell in shells for face, _ in shell}
+            loose, solids = loose + sorted(enclosed - bound), []
+        name = f"core:lod{level}Solid"
+        if solids:
+            yield name, tag(name, self._volumes(solids, bound, polygons))
+        if loose:
+            yield self._loose_3(level, loose)
 
     def _by_kind(
         self, level: int, polygons: list[int], type_: str
@@ -124,6 +137,8 @@ class GeometryXml:
             if kind == SurfaceKind.INTERIOR and type_ in (*_INSTALLED, "BuildingRoom"):
                 continue  # the inside of what is inside needs no saying
             if kind in dialect.surfaces or kind in _FILLINGS:
+                if level == 0 and kind == SurfaceKind.ROOF and dialect.version == "2.0":
+                    continue  # the edge of a roof is said by its property
                 if level not in dialect.surface_levels:
                     what = f"surface without its kind, which CityGML {dialect.version} has not at LoD{level}"
                     self._notes[what] += 1

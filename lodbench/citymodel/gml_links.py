@@ -12,7 +12,7 @@ from lodbench.citymodel.codes import (
     XLINK_REMOTE,
     XLINK_UNRESOLVED,
 )
-from lodbench.citymodel.gml_context import declared_around, linked_objects, surface_kind
+from lodbench.citymodel.gml_context import declared_around, is_another_s, linked_objects, surface_kind
 from lodbench.citymodel.gml_index import MemberIndex, index_member
 from lodbench.citymodel.gml_names import (
     GEOMETRY_PROPERTIES,
@@ -170,6 +170,9 @@ class LinkResolver:
             if name in visited:
                 continue
             visited.add(name)
+            if index.elements[name] in self._walk.left_out or not self._walk.stands(index.elements[name]):
+                has_geometry = True  # which ended with it
+                continue
             has_geometry |= self._copy_object(index, index.elements[name], reference, building_ids)
             hrefs = (prop.get(XLINK_HREF, "") for prop in linked_objects(index.elements[name]))
             todo += self._targets_within(index, hrefs, reference, building_ids)
@@ -184,7 +187,7 @@ class LinkResolver:
         around, properties = element.getparent(), 0
         for prop in element.iter(*GEOMETRY_PROPERTIES):
             lod_name = property_lod(prop.tag)
-            if lod_name is None or around is None:
+            if lod_name is None or around is None or is_another_s(prop, around, self._walk.left_out):
                 continue
             properties += 1
             if local_name(prop.tag).endswith("ImplicitRepresentation"):

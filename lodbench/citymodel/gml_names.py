@@ -36,6 +36,8 @@ NESTED_TYPES = {
     "HollowSpace": "TunnelHollowSpace",
     "TunnelFurniture": "TunnelFurniture",
 }
+# Parts of the inside of a building, drawn where it has no surfaces besides theirs.
+STOREYS = frozenset({"Storey", "BuildingUnit", "BuildingStorey"})
 # Properties that hold surfaces and objects, or refer to them elsewhere.
 OBJECT_PROPERTIES = frozenset(
     {
@@ -56,7 +58,8 @@ _NESTED_IN_BUILDINGS = tuple(name for name in _NESTED if "Bridge" not in name an
 # Exact names only: PLATEAU's `uro:lod1HeightType` and the like begin with "lod" and hold no geometry.
 _PROPERTY_SUFFIXES = ("Solid", "MultiSurface", "Geometry", "ImplicitRepresentation")
 _PROPERTY_LODS = {f"lod{lod}{suffix}": str(lod) for lod in range(5) for suffix in _PROPERTY_SUFFIXES}
-_PROPERTY_LODS |= {"lod0FootPrint": "0", "lod0RoofEdge": "0"}
+ROOF_EDGE = "lod0RoofEdge"
+_PROPERTY_LODS |= {"lod0FootPrint": "0", ROOF_EDGE: "0"}
 GEOMETRY_PROPERTIES = tuple("{*}" + name for name in _PROPERTY_LODS)
 _MULTI_SOLIDS = {f"lod{lod}MultiSolid": str(lod) for lod in range(1, 5)}  # of plants
 _SURFACES = {f"lod{lod}Surface": str(lod) for lod in range(2, 5)}  # of water
@@ -184,6 +187,23 @@ def property_lod(tag: str) -> str | None:
 def is_citygml(tag: str) -> bool:
     """Tells whether a tag is of CityGML itself, of any version, and of no extension."""
     return "opengis.net/citygml" in namespace_of(tag)
+
+
+@lru_cache(maxsize=1024)
+def is_extension(tag: str) -> bool:
+    """Tells whether a tag is a property by which an extension (ADE) hangs on what is CityGML's.
+
+    Example:
+        >>> is_extension("{http://www.sig3d.org/citygml/2.0/energy/1.0}thermalZone")
+        True
+        >>> is_extension("{http://www.opengis.net/citygml/building/2.0}boundedBy")
+        False
+    """
+    name, namespace = local_name(tag), namespace_of(tag)
+    if "opengis.net/citygml" in namespace:
+        return name.startswith("adeOf")
+    # Properties begin with a small letter, objects with a large one.
+    return name[:1].islower() and "opengis.net/gml" not in namespace
 
 
 @lru_cache(maxsize=256)

@@ -7,7 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.gml_appearance import Appearances, Floats, Georeference, numbers_of, read_appearances
+from lodbench.citymodel.gml_appearance import (
+    Appearances,
+    Floats,
+    Georeference,
+    Image,
+    numbers_of,
+    read_appearances,
+)
 from lodbench.citymodel.gml_names import GML_IDS
 from lodbench.citymodel.pictures import NO_PICTURE, PictureTable, blank
 from lodbench.citymodel.xml import Element
@@ -63,7 +70,7 @@ class SurfacePictures:
             if name is None:
                 name, places = self._by_surface(number, own)
             if name is not None and places is not None:
-                picture[polygon] = self._pictures.number(name)
+                picture[polygon] = self._pictures.number(*name)
                 if picture[polygon] != NO_PICTURE:
                     uv[starts[0] : starts[-1]] = places
                     continue
@@ -78,7 +85,7 @@ class SurfacePictures:
 
     def _by_ring(
         self, serial: int, lengths: NDArray[np.int64], is_flipped: bool
-    ) -> tuple[str | None, Floats | None]:
+    ) -> tuple[Image | None, Floats | None]:
         """Returns the picture that the outline of a polygon has, and the places of all its corners."""
         rings = self._rings.get(serial, ())
         entries = [self._found.rings.get(name) if name else None for name in rings]
@@ -102,7 +109,7 @@ class SurfacePictures:
             parts.append(places[::-1] if is_flipped else places)
         return image, np.concatenate(parts)
 
-    def _by_surface(self, serial: int, points: Floats) -> tuple[str | None, Floats | None]:
+    def _by_surface(self, serial: int, points: Floats) -> tuple[Image | None, Floats | None]:
         """Returns the picture of a polygon or of what it is part of, by a matrix or a place on the ground."""
         for name in self._surfaces.get(serial, ()):
             if name in self._found.planes:
@@ -111,7 +118,9 @@ class SurfacePictures:
                 places: Floats = homogeneous[:, :2] / homogeneous[:, 2:]
                 return image, places if np.isfinite(places).all() else None
             if name in self._found.grounds:
-                return self._found.grounds[name].image, self._on_ground(self._found.grounds[name], points)
+                return Image(self._found.grounds[name].image), self._on_ground(
+                    self._found.grounds[name], points
+                )
         return None, None
 
     def _on_ground(self, ground: Georeference, points: Floats) -> Floats | None:

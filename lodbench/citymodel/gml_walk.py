@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -9,6 +10,9 @@ from lodbench.citymodel.codes import GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
 from lodbench.citymodel.crs import is_in_degrees
 from lodbench.citymodel.gml_context import (
     buildings_inside,
+    extension_above,
+    gml_id,
+    is_another_s,
     is_in_ring,
     linked_objects,
     owner_of,
@@ -29,17 +33,24 @@ from lodbench.citymodel.gml_names import (
     REFERENCE,
     RELIEF_SURFACE,
     RING,
+    STOREYS,
     TUPLES,
     WALKED,
     WALKED_IN_BUILDINGS,
     XLINK_HREF,
     NodeTable,
     is_building_tag,
+    is_extension,
     property_lod,
 )
 from lodbench.citymodel.gml_polygons import NameTable, PolygonBatch, Reference
+from lodbench.citymodel.lifespans import NAMES, Lifespans
+from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.xml import Element, local_name
 from lodbench.findings import Findings
+
+_INTERIOR = int(SurfaceKind.INTERIOR)
+_DAYS = tuple("{*}" + name for name in NAMES)
 
 
 class GeometryWalk:
@@ -56,9 +67,11 @@ class GeometryWalk:
         duplicate_ids: Polygon ids met twice in the current member.
         default_srs: Reference system of the current building.
         part: City object that the polygons met next belong to.
+        left_out: Elements of the current member that are no part of the building around them.
+        extensions: Objects that extensions (ADE) hang on buildings, by name.
     """
 
-    def __init__(self, findings: Findings) -> None:
+    def __init__(self, findings: Findings, lifespans: Lifespans) -> None:
         self.batch = PolygonBatch()
         self.lods = NameTable()
         self.srs_names = NameTable()
@@ -69,7 +82,9 @@ class GeometryWalk:
         self.duplicate_ids: set[str] = set()
         self.default_srs = 0
         self.part = 0
-        self._findings = findings
+        self.left_out: set[Element] = set()
+        self.extensions: Counter[str] = Counter()
+        self._findings, self._lifespans = findings, lifespans
         self._nodes = NodeTable()
         self._turned: set[Element] = set()
         self._systems: dict[Element, int] = {}
@@ -83,6 +98,7 @@ class GeometryWalk:
     def end_member(self) -> None:
         """Lets go of the elements of a member, or freeing it would have to keep theirs."""
         self.properties.clear()
+        self.left_out.clear()
 
     def take_batch(self) -> PolygonBatch:
         """Returns what was collected and begins anew; call between members only."""
@@ -114,15 +130,17 @@ class GeometryWalk:
         """
         srs = self.default_srs = self.srs_names.index(srs_name)
         part_of: dict[Element, int] = {}
-        inner = buildings_inside(element)
+        left_out = buildings_inside(element)
+        self.left_out |= left_out
+        first, first_reference = len(self.batch.owners), len(self.references)
         # One pass for objects and geometry: an object comes before what is in it.
         for prop in element.iter(*(WALKED_IN_BUILDINGS if is_building_tag(element.tag) else WALKED)):
-            if inner and not inner.isdisjoint(prop.iterancestors()):
+            if self._is_another_s(prop, element):
                 continue
             lod_name = property_lod(prop.tag)
             if lod_name is None:
                 name = local_name(prop.tag)
-                if name in NESTED_TYPES:
+                if name in NESTED_TYPES and self._stands_or_is_left_out(prop):
                     part_of[prop] = add_nested(prop, part_of)
                 if name != RELIEF_SURFACE:
                     continue
@@ -136,13 +154,69 @@ class GeometryWalk:
             elif not self._walk_property(prop, building, lod, kind, srs):
                 self._findings.add(GEOMETRY_EMPTY, building_id, name)
         for prop in linked_objects(element):
-            if not inner.isdisjoint(prop.iterancestors()):
+            if is_extension(prop.tag) or is_another_s(prop, element, self.left_out):
                 continue
             part = owner_of(prop, element, part_of, own)
             # A door that two rooms share is inside from both.
             kind = surface_kind(prop, element)
             self.references.append(Reference(prop.get(XLINK_HREF, ""), building, -1, kind, False, None, part))
+        self._leave_out_storeys(element, part_of, first, first_reference)
         return part_of
+
+    def _is_another_s(self, node: Element, building: Element) -> bool:
+        """Tells whether something is no part of a building; objects of extensions are counted, once each."""
+        is_other = is_another_s(node, building, self.left_out)
+        prop = extension_above(node, building) if is_other else None
+        if prop is not None and prop not in self.left_out:
+            self.left_out.add(prop)
+            self.extensions.update(local_name(child.tag) for child in prop.iterchildren("*"))
+        return is_other
+
+    def _stands_or_is_left_out(self, element: Element) -> bool:
+        if not self.stands(element):
+            self.left_out.add(element)
+        return element not in self.left_out
+
+    def stands(self, element: Element) -> bool:
+        """Tells whether a city object stands at the date that counts; one that does not is a finding."""
+        told = {local_name(child.tag): child.text or "" for child in element.iterchildren(*_DAYS)}
+        return not told or self._lifespans.stands(gml_id(element) or local_name(element.tag), told)
+
+    def _leave_out_storeys(
+        self, building: Element, part_of: dict[Element, int], first: int, first_reference: int
+    ) -> None:
+        """Makes surfaces of storeys and units interior ones at the levels at which their building has others.
+
+        Args:
+            building: Their building.
+            part_of: Numbers of the objects in it.
+            first: Its first polygon.
+            first_reference: And its first reference.
+        """
+        storeys: set[int] = set()
+        for element, number in part_of.items():  # what is around an object comes before it
+            if local_name(element.tag) in STOREYS or owner_of(element, building, part_of, -1) in storeys:
+                storeys.add(number)
+        if not storeys:
+            return
+        owners, references = self.batch.owners, self.references
+        outside = {
+            lod for _, lod, kind, _, part in owners[first:] if part not in storeys and kind != _INTERIOR
+        }
+        outside |= {
+            each.lod
+            for each in references[first_reference:]
+            if each.part not in storeys and each.kind != _INTERIOR
+        }
+        for n in range(first, len(owners)):
+            number, lod, _, srs, part = owners[n]
+            if part in storeys and lod in outside:
+                owners[n] = (number, lod, _INTERIOR, srs, part)
+        for n in range(first_reference, len(references)):
+            if references[n].part in storeys and (
+                references[n].lod in outside or (outside and references[n].lod < 0)
+            ):
+                references[n] = references[n]._replace(kind=_INTERIOR)
 
     def _walk_property(self, prop: Element, building: int, lod: int, kind: int, srs: int) -> bool:
         """Adds the polygons and references of one geometry property; tells whether there were any."""

@@ -40,7 +40,7 @@ def polygons_at(
     if wish not in (FINEST, COARSEST):
         used = np.unique(polygons.lod[is_building[polygons.building]]).tolist()
         present = [model.lods[n] for n in used] if used and not is_building.all() else model.lods
-        name = choose_lod(present, wanted, findings)
+        name = choose_lod(present, wanted, findings, model.measured_m is not None)
         at_level: NDArray[np.bool_] = polygons.lod == model.lods.index(name)
         if not is_building.all():
             at_level |= _own_level(model, name, ~is_building)
@@ -103,7 +103,9 @@ def lod_in_words(lod: str) -> str:
     return f"{lod} LoD" if lod in (FINEST, COARSEST) else f"LoD{lod}"
 
 
-def choose_lod(present: Sequence[str], wanted: str | None, findings: Findings) -> str:
+def choose_lod(
+    present: Sequence[str], wanted: str | None, findings: Findings, has_heights: bool = False
+) -> str:
     """Returns the name of the level to mesh, one for the whole file.
 
     Without a wish it is the lowest level that has walls: 1 if present, else 2, else 3; footprints
@@ -115,6 +117,7 @@ def choose_lod(present: Sequence[str], wanted: str | None, findings: Findings) -
         present: Level names of the file.
         wanted: The level asked for, or None.
         findings: Receives ``LOD_SUBSTITUTED`` where the name taken is not the name asked for.
+        has_heights: Whether the source tells heights of buildings.
 
     Raises:
         CityModelError: The level is absent; the message names those that are there.
@@ -136,7 +139,7 @@ def choose_lod(present: Sequence[str], wanted: str | None, findings: Findings) -
     candidates = _candidates(names, wanted)
     if not candidates:
         hint = f"Ask for lod={names[-1]}."
-        if wanted == "1" and names[-1] >= "2":
+        if wanted == "1" and (names[-1] >= "2" or has_heights):
             hint = f"Ask for lod={names[-1]}, or derive it: roof_height=median (or max, p70, eave)."
         raise CityModelError(
             f"No building has a level of detail {wanted}; the file has: {', '.join(names)}.", hint

@@ -9,6 +9,7 @@ from typing import Any, BinaryIO, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.gltf_features import require_readable
 from lodbench.citymodel.identity import connected_components, number_rows, point_bits
 from lodbench.citymodel.mesh_frames import frame_of_comments, frame_of_extras
 from lodbench.citymodel.model import SurfaceKind
@@ -99,6 +100,8 @@ def load_parts(
     """
     import trimesh
 
+    if MESH_FORMATS.get(suffix) == "glTF":
+        require_readable(content, source)
     try:
         # From memory, so that trimesh knows no folder to look for other files in.
         loaded = trimesh.load_scene(
@@ -106,6 +109,8 @@ def load_parts(
         )
         graph, meshes = loaded.graph, loaded.geometry
         nodes = [node for node in graph.nodes_geometry if len(getattr(meshes[graph[node][1]], "faces", ()))]
+        for name in {graph[node][1] for node in nodes}:
+            _require_corners(meshes[name])
         parts = [part_of(loaded, node) for node in nodes]
     except LodbenchError:
         raise
@@ -118,6 +123,13 @@ def load_parts(
     if not parts:
         raise CityModelError(f"{source} has no triangles.", "Point clouds and lines have no surfaces.")
     return loaded, parts
+
+
+def _require_corners(mesh: Any) -> None:
+    """Raises ValueError if a triangle of a mesh has a corner that is not there."""
+    faces = np.asarray(mesh.faces)
+    if faces.min() < 0 or faces.max() >= len(mesh.vertices):
+        raise ValueError(f"a triangle has corner {faces.max()} of {len(mesh.vertices)}")
 
 
 def turned_up(points: NDArray[np.float64], up_axis: str, suffix: str) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import INTERIOR_SKIPPED, LOD_ABSENT, OPTION_UNUSED
 from lodbench.citymodel.derive import AT_EAVES, derive_lod1, require_rule
+from lodbench.citymodel.flat_buildings import FLAT, tell_flat
 from lodbench.citymodel.lods import has_lod, lod_in_words, polygons_at
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.scene import Scene, SceneBuilder
@@ -87,6 +88,8 @@ def mesh_model(
             counts = (len(blocks),)
             model = replace(model, lods=("1",), polygons=blocks, polygons_read=counts, pitched=pitched)
     name, at_level = polygons_at(model, lod, findings, stands_in)
+    if name.startswith(FLAT):
+        tell_flat(model, findings)
     polygons = model.polygons
     is_interior = (polygons.kind == SurfaceKind.INTERIOR) & (not model.has_interiors)
     for building, count in sorted(Counter(polygons.building[at_level & is_interior].tolist()).items()):

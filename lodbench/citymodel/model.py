@@ -8,6 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.lifespans import Period
 from lodbench.citymodel.objects import CityObjects, Solids
 from lodbench.citymodel.pictures import Pictures
 from lodbench.findings import Findings
@@ -89,6 +90,10 @@ class CityModel:
         pictures: Those; only with ``ReadOptions(has_textures=True)``.
         has_interiors: Whether rooms and furniture are asked for.
         pitched: (B,) which buildings have pitched roofs, as the source tells; None where it tells of none.
+        measured_m: (B,) heights of buildings above the ground, as the source tells, NaN where it does not;
+            None where it tells of none.
+        period: First day, and the day after the last, between which the same buildings stand; None where no
+            building has an end.
     """
 
     source: str
@@ -109,6 +114,8 @@ class CityModel:
     has_textures: bool = False
     pictures: Pictures | None = None
     pitched: NDArray[np.bool_] | None = None
+    measured_m: NDArray[np.float64] | None = None
+    period: Period | None = None
 
     def __repr__(self) -> str:
         counts = f"{len(self.building_ids)} buildings, {len(self.polygons)} polygons"

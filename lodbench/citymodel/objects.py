@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+# No house is higher: heights above the sea are.
+TALLEST_M = 1000.0
+
 
 @dataclass(frozen=True, slots=True)
 class CityObjects:
@@ -79,6 +82,7 @@ class ObjectTable:
     polygon_ids: dict[int, str] = field(default_factory=dict)
     num_polygons: int = 0
     roof_types: list[tuple[int, str]] = field(default_factory=list)
+    measured_m: dict[int, float] = field(default_factory=dict)
 
     def add(
         self,
@@ -88,10 +92,13 @@ class ObjectTable:
         building: int,
         attributes: dict[str, Any] | None = None,
         roof_type: str = "",
+        height_m: float | None = None,
     ) -> int:
-        """Returns the index of a new object; what is told of its roof counts for its building."""
+        """Returns the index of a new object; what is told of its roof and height counts for its building."""
         if roof_type:
             self.roof_types.append((building, roof_type))
+        if height_m is not None and 0 < height_m < TALLEST_M:  # of parts the highest
+            self.measured_m[building] = max(height_m, self.measured_m.get(building, 0.0))
         self.ids.append(object_id)
         self.types.append(type_)
         self.parents.append(parent)
@@ -104,6 +111,11 @@ class ObjectTable:
     def is_plain(self) -> bool:
         """Whether there are buildings only, of which nothing but their ids is told."""
         return not self.has_details and self.types.count("Building") == len(self.types)
+
+    def heights(self, count: int) -> NDArray[np.float64] | None:
+        """Returns (count,) measured heights of buildings, metres, NaN for none; None where no one has any."""
+        told = [self.measured_m.get(building, np.nan) for building in range(count)]
+        return np.asarray(told) if self.measured_m else None
 
     def finish(self) -> CityObjects:
         """Returns the objects."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
+from datetime import date
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -48,6 +49,7 @@ class ReadOptions:
         has_textures: Whether pictures of surfaces are kept too, as ``city convert --textures`` writes them;
             with ``has_details``.
         layers: What to read besides buildings: ``bridges``, ``vegetation`` and so on, see ``LAYERS``.
+        date: Day on which objects must stand that tell of their end, ``YYYY-MM-DD``; None for today.
     """
 
     reader: str | None = None
@@ -70,6 +72,7 @@ class ReadOptions:
     has_details: bool = False
     has_textures: bool = False
     layers: tuple[str, ...] = ()
+    date: str | None = None
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> ReadOptions:
@@ -102,10 +105,19 @@ class ReadOptions:
             raise ConfigError(
                 f"storey_height_m={self.storey_height_m} is no height of a storey.", "Usual is 3."
             )
+        if self.date is not None and not _is_day(self.date):
+            raise ConfigError(f"date={self.date} is no date.", "It reads YYYY-MM-DD: date=2015-06-30")
         object.__setattr__(self, "layers", require_layers(self.layers))
         require_within("sunk_m", self.sunk_m, 0)
         for name in ("origin", "ground_m", "default_height_m", "ecef_origin"):
             require_within(name, getattr(self, name), -math.inf)
+
+
+def _is_day(text: str) -> bool:
+    try:
+        return date.fromisoformat(text).isoformat() == text
+    except ValueError:
+        return False
 
 
 _SHAPING = {field.name for field in fields(ReadOptions)} - {"crs", "is_strict", "has_details", "has_textures"}

@@ -38,6 +38,7 @@ def write_pictures(model: CityModel, target: Path) -> tuple[dict[int, str], tupl
         OSError: The folder cannot be written.
     """
     names: dict[int, str] = {}
+    written: dict[Path, str] = {}
     notes: list[str] = []
     picture = model.polygons.picture
     if model.pictures is None or picture is None:
@@ -45,17 +46,20 @@ def write_pictures(model: CityModel, target: Path) -> tuple[dict[int, str], tupl
     folder = target.with_name(f"{target.name.partition('.')[0]}_pictures")
     for number in np.unique(picture[picture >= 0]).tolist():
         path = model.pictures.files[number]
+        if path in written:
+            names[number] = written[path]
+            continue
         try:
             content, suffix = _portable(path)
         except DatasetError as error:
             notes.append(f"picture that is not taken: {error.message}")
             continue
         stem = _NOT_IN_NAMES.sub("_", path.stem)[:_MAX_STEM].strip("_")
-        name = "_".join(filter(None, (f"{len(names) + 1:04d}", stem))) + suffix
+        name = "_".join(filter(None, (f"{len(written) + 1:04d}", stem))) + suffix
         make_folder(folder)
         write_bytes(folder / name, content)
         # As a link, in which % begins a code.
-        names[number] = f"{folder.name}/{name}".replace("%", "%25")
+        names[number] = written[path] = f"{folder.name}/{name}".replace("%", "%25")
     return names, tuple(notes)
 
 

@@ -16,6 +16,7 @@ from lodbench.errors import DatasetError
 NO_PICTURE = -1
 # From here downward a polygon has no picture but the colour of its material.
 FIRST_COLOUR = -2
+WRAPS = ("", "none", "wrap", "mirror", "clamp", "border")
 Colour = tuple[int, int, int]
 
 
@@ -25,6 +26,7 @@ class Pictures:
 
     Attributes:
         files: Where each lies.
+        wraps: How each goes on beyond its edges, in the word of CityGML, "" where nothing is said.
         notes: What of the source's appearances is not kept, a line each.
         colours: RGB of materials; a polygon without a picture has number ``FIRST_COLOUR - k`` for the k-th.
     """
@@ -32,6 +34,12 @@ class Pictures:
     files: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
     colours: tuple[Colour, ...] = ()
+    wraps: tuple[str, ...] = ()
+
+
+def wraps_of(pictures: Pictures | None) -> dict[int, str]:
+    """Returns how pictures go on beyond their edges, by number, where the source says it."""
+    return {} if pictures is None else {n: wrap for n, wrap in enumerate(pictures.wraps) if wrap}
 
 
 class PictureTable:
@@ -51,14 +59,24 @@ class PictureTable:
         self.notes: Counter[str] = Counter()
         self._is_packed = is_packed
         self._files: list[Path] = []
-        self._numbers: dict[str, int] = {}
+        self._wraps: list[str] = []
+        self._numbers: dict[tuple[str, str], int] = {}
         self._colours: dict[Colour, int] = {}
 
-    def number(self, name: str) -> int:
-        """Returns the number of a picture by its name in the file, -1 where there is none to be had."""
-        if name not in self._numbers:
-            self._numbers[name] = self._look(name)
-        return self._numbers[name]
+    def number(self, name: str, wrap: str = "") -> int:
+        """Returns the number of a picture by its name in the file, -1 where there is none to be had.
+
+        Args:
+            name: As the file has it.
+            wrap: As of ``Pictures.wraps``; words of no standard are noted, and left out.
+        """
+        if wrap not in WRAPS:
+            self.notes[f"wrapMode {wrap[:40]!r} of a picture"] += 1
+            wrap = ""
+        if (name, wrap) not in self._numbers:
+            number = self._numbers[name, wrap] = self._look(name)
+            self._wraps += [wrap] * (number != NO_PICTURE)
+        return self._numbers[name, wrap]
 
     def colour(self, colour: Colour) -> int:
         """Returns the number that a polygon has for a colour of its own."""
@@ -81,7 +99,8 @@ class PictureTable:
 
     def finish(self) -> Pictures:
         """Returns all that were met."""
-        return Pictures(tuple(self._files), counted_lines(self.notes), tuple(self._colours))
+        notes = counted_lines(self.notes)
+        return Pictures(tuple(self._files), notes, tuple(self._colours), tuple(self._wraps))
 
 
 def merge_pictures(
@@ -98,6 +117,7 @@ def merge_pictures(
     numbers, places = [], []
     notes: list[str] = []
     colours: list[Colour] = []
+    wraps: list[str] = []
     for pictures, picture, uv, num_polygons, num_points in parts:
         if picture is None or uv is None:
             picture, uv = blank(num_polygons, num_points)
@@ -108,8 +128,9 @@ def merge_pictures(
             files += pictures.files
             notes += pictures.notes
             colours += pictures.colours
+            wraps += pictures.wraps
     return (
-        Pictures(tuple(files), tuple(notes), tuple(colours)),
+        Pictures(tuple(files), tuple(notes), tuple(colours), tuple(wraps)),
         np.concatenate(numbers),
         np.concatenate(places),
     )

@@ -16,6 +16,7 @@ from lodbench.citymodel.duplicates import drop_repeats
 from lodbench.citymodel.frame import bring_to, brought_note, require_no_degrees, to_metres
 from lodbench.citymodel.handedness import faces_tell_north_first
 from lodbench.citymodel.layers import INTERIORS
+from lodbench.citymodel.missing_heights import mend_heights
 from lodbench.citymodel.model import CityModel, Polygons
 from lodbench.citymodel.naming import unique_ids, unique_objects
 from lodbench.citymodel.newell import newell
@@ -87,6 +88,8 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
         has_textures=raw.has_textures,
         pictures=pictures,
         pitched=raw.pitched,
+        measured_m=raw.measured_m,
+        period=raw.period,
     )
 
 
@@ -112,6 +115,7 @@ def _bring_to_local_frame(
     if options.ecef_origin is not None:
         polygons.points[:] = ShiftedEcef(*options.ecef_origin).points_to_enu(polygons.points)
     tell_unused(raw.format, options, raw.findings)
+    mend_heights(polygons, raw, label)
     move_bases(polygons, raw.building_ids, label, options, raw.findings)
     return label, _subtract_origin(polygons, label, raw, options)
 

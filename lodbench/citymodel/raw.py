@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.growing import GrowingArray
+from lodbench.citymodel.lifespans import Period, common_period
 from lodbench.citymodel.objects import CityObjects, Solids
 from lodbench.citymodel.options import AxisOrder
 from lodbench.citymodel.pictures import Pictures, merge_pictures
-from lodbench.citymodel.roof_types import joined
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 class NotACity(CityModelError):
@@ -51,8 +54,8 @@ class RawCity:
         axis_orders: For each of ``srs_names``, which of the first two columns is the easting, where the
             format settles it; empty where it never does.
         has_textures: Whether the file has pictures or materials of its surfaces.
-        part, objects, solids, polygon_ids, pictures, picture, uv, pitched: As in ``Polygons`` and
-            ``CityModel``.
+        part, objects, solids, polygon_ids, pictures, picture, uv, pitched, measured_m, period: As in
+            ``Polygons`` and ``CityModel``.
     """
 
     source: str
@@ -81,6 +84,8 @@ class RawCity:
     picture: NDArray[np.int32] | None = None
     uv: NDArray[np.float64] | None = None
     pitched: NDArray[np.bool_] | None = None
+    measured_m: NDArray[np.float64] | None = None
+    period: Period | None = None
 
     def systems(self) -> tuple[tuple[str | None, AxisOrder], ...]:
         """Returns name and axis order of each reference system; one without a name where there is none."""
@@ -134,8 +139,22 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
         pictures=pictures,
         picture=picture,
         uv=uv,
-        pitched=joined([(city.pitched, len(city.building_ids)) for city in cities]),
+        pitched=joined([(city.pitched, len(city.building_ids)) for city in cities], False),
+        measured_m=joined([(city.measured_m, len(city.building_ids)) for city in cities], np.nan),
+        period=common_period(city.period for city in cities),
     )
+
+
+def joined(cities: Sequence[tuple[NDArray[Scalar] | None, int]], lack: Any) -> NDArray[Scalar] | None:
+    """Returns (B,) what is told of the buildings of several cities in a row, None where nothing is.
+
+    Args:
+        cities: What is told of each one's, and how many buildings there are.
+        lack: What stands for nothing.
+    """
+    if all(told is None for told, _ in cities):
+        return None
+    return np.concatenate([np.full(n, lack) if told is None else told for told, n in cities])
 
 
 def _taken_points(cities: list[RawCity]) -> NDArray[np.float64]:

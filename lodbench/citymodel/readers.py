@@ -34,6 +34,7 @@ def _asked(source: Source, options: ReadOptions) -> dict[str, Any]:
         "is_strict": options.is_strict,
         "has_details": options.has_details,
         "layers": options.layers,
+        "day": options.date,
         "pictures": PictureTable(folder, is_packed="!" in source.name) if has_pictures else None,
     }
 

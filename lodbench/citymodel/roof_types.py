@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -70,14 +70,3 @@ def pitched_buildings(told: Iterable[tuple[int, str]], count: int) -> NDArray[np
         is_any[building] |= has_pitch
     is_any &= balance >= 0
     return is_any if is_any.any() else None
-
-
-def joined(cities: Sequence[tuple[NDArray[np.bool_] | None, int]]) -> NDArray[np.bool_] | None:
-    """Returns (B,) which buildings of several cities in a row have pitched roofs, None where none has.
-
-    Args:
-        cities: As of ``pitched_buildings``, and how many buildings there are.
-    """
-    if all(pitched is None for pitched, _ in cities):
-        return None
-    return np.concatenate([np.zeros(n, np.bool_) if pitched is None else pitched for pitched, n in cities])

@@ -150,7 +150,7 @@ def scene_info(folder: Path) -> dict[str, Any]:
 
     Returns:
         ``format, crs, lod, buildings, pitched_roofs, triangles, tiles, extent_m, area_m2, lost_m2, findings,
-        finding_objects``; None where an older scene does not say it.
+        finding_objects, period``; None where an older scene does not say it.
 
     Raises:
         CityModelError: The folder holds no scene, or is damaged.
@@ -167,7 +167,7 @@ def scene_info(folder: Path) -> dict[str, Any]:
         "extent_m": None if extent is None else [round(b - a, 3) for a, b in zip(*extent, strict=True)],
         "findings": extra.get("findings", {}),
         "finding_objects": extra.get("finding_objects", {}),
-        **{key: extra.get(key) for key in ("triangles", "tiles", "area_m2", "lost_m2")},
+        **{key: extra.get(key) for key in ("triangles", "tiles", "area_m2", "lost_m2", "period")},
     }
 
 

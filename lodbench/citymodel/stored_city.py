@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lodbench.citymodel.crs import is_same_plane, require_crs
+from lodbench.citymodel.lifespans import Period, date_in, period_of
 from lodbench.citymodel.options import ReadOptions, made_with
 from lodbench.citymodel.scale import is_true_to_scale
 from lodbench.citymodel.scene import Scene
@@ -30,17 +31,21 @@ class OpenCity:
         findings: Code and name to count, of reading and of meshing.
         area_m2: Newell area of the polygons meshed.
         lost_m2: Area no triangle covers.
+        period: As of ``CityModel``.
     """
 
     scene: Scene
     findings: dict[str, int]
     area_m2: float
     lost_m2: float
+    period: Period | None = None
 
     def notes(self) -> tuple[str, ...]:
         """Returns what a reader of results must know of the city: its findings, and any area lost."""
         counts = ", ".join(f"{count} x {name}" for name, count in self.findings.items())
         lines = [f"city model: {counts} (see lodbench city check)"] if counts else []
+        if self.period is not None:
+            lines.append(f"city model: as it stood on {date_in(self.period)}; some of it ends or ended")
         if self.lost_m2 > 0.005:
             lines.append(f"city model: {self.lost_m2:.2f} of {self.area_m2:.2f} m2 could not be meshed")
         return tuple(lines)
@@ -71,6 +76,8 @@ def store_city(
         "extent": [low.tolist(), high.tolist()],
         "triangles": len(city.scene.triangles),
     } | ({} if made is None else {"made_with": dict(made)})
+    if city.period is not None:
+        extra["period"] = list(city.period)
     write_scene(city.scene, folder, extra, survives_power_cut)
 
 
@@ -143,7 +150,8 @@ def _load_told(folder: Path) -> tuple[OpenCity, dict[str, Any] | None]:
     scene, extra = read_scene(folder)
     try:
         findings = {str(name): int(count) for name, count in extra["findings"].items()}
-        city = OpenCity(scene, findings, float(extra["area_m2"]), float(extra["lost_m2"]))
+        period = period_of(extra.get("period"))
+        city = OpenCity(scene, findings, float(extra["area_m2"]), float(extra["lost_m2"]), period)
         return city, None if "made_with" not in extra else dict(extra["made_with"])
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise CityModelError(f"The scene in {folder} is damaged ({error}).", "Delete the folder.") from None

@@ -235,6 +235,7 @@ def keep_buildings(model: CityModel, is_kept: NDArray[np.bool_]) -> CityModel:
         objects=objects,
         solids=solids,
         pitched=None if model.pitched is None else model.pitched[is_kept],
+        measured_m=None if model.measured_m is None else model.measured_m[is_kept],
         polygons=replace(polygons, building=rank[polygons.building].astype(np.int32), part=part),
     )
 

@@ -108,7 +108,14 @@ def _read_file(path: Path, root: Path, up_axis: str, options: ReadOptions) -> Te
 def _read_city(path: Path, folder: TextureFolder, options: ReadOptions) -> TexturedMesh:
     """Returns the buildings of a CityGML file at their finest levels, pictured or in colours of materials."""
     table = PictureTable(folder)
-    raw = read_citygml(lambda: path.open("rb"), str(path), is_strict=False, has_details=True, pictures=table)
+    raw = read_citygml(
+        lambda: path.open("rb"),
+        str(path),
+        is_strict=False,
+        has_details=True,
+        pictures=table,
+        day=options.date,
+    )
     model = finish_model(raw, options)
     mesh = textured_model(model, "A textured map needs appearances with pictures.")
     lost = Counter(str(item.code) for item in model.findings.items if item.code.severity is Severity.ERROR)

@@ -25,6 +25,11 @@ _STOREYS = (
     "storeys", "stories", "floors", "floor", "numfloors", "nfloors", "levels", "buildinglevels",
     "storeysaboveground", "nbetages",
 )  # fmt: skip
+# Where a footprint begins above the ground: a bridge between houses, a roof on columns.
+_MIN_HEIGHTS = ("minheight", "buildingminheight")
+_MIN_LEVELS = ("minlevel", "buildingminlevel", "minfloor")
+_UNDERGROUND = ("underground", "isunderground")
+_LOCATIONS = ("location",)
 _ROOF_TYPES = ("rooftype", "b3daktype", "b3daktyp", "daktype", "roofshape", "dachform")
 _IDS = ("gmlid", "identificatie", "buildingid", "bldgid", "ubid", "uuid", "osmid", "id", "fid", "objectid")
 
@@ -85,6 +90,34 @@ class Columns:
             from_storeys = self._numbers(storeys) * (options.storey_height_m / unit_m)
             values = np.where(np.isfinite(values) & (values > 0), values, from_storeys)
         return values, [name for name in (height, storeys) if name is not None]
+
+    def bottoms(self, options: ReadOptions, unit_m: float = 1.0) -> tuple[NDArray[np.float64], list[str]]:
+        """Returns (N,) heights above ground at which footprints begin, 0 unless told, and the columns.
+
+        Args:
+            options: The height of a storey, metres.
+            unit_m: Metres per unit of the heights.
+        """
+        names = list(self._table)
+        height, level = find_column(names, _MIN_HEIGHTS), find_column(names, _MIN_LEVELS)
+        values = np.full(self._count, np.nan) if height is None else self._numbers(height)
+        if level is not None:
+            from_levels = self._numbers(level) * (options.storey_height_m / unit_m)
+            values = np.where(np.isfinite(values), values, from_levels)
+        told = [name for name in (height, level) if name is not None]
+        return np.where(np.isfinite(values) & (values > 0), values, 0.0), told
+
+    def underground(self) -> NDArray[np.bool_]:
+        """Returns (N,) which footprints lie below the ground, as a column says; one of numbers does not."""
+        is_below = np.zeros(self._count, np.bool_)
+        for known, words in ((_UNDERGROUND, ("true", "yes", "1", "t")), (_LOCATIONS, ("underground",))):
+            name = find_column(list(self._table), known)
+            if name is None:
+                continue
+            texts = [str(value).strip().lower().removesuffix(".0") for value in self._table[name].tolist()]
+            if not any(text.isdigit() and text not in "01" for text in texts):
+                is_below |= np.isin(texts, words)
+        return is_below
 
     def written(self, names: Sequence[str], row: int) -> str:
         """Returns what stands in some columns of a footprint: ``height is '33 ft'``."""

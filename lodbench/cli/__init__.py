@@ -13,12 +13,17 @@ COMMANDS = {
         "lodbench.cli.localize",
         "find where photos were taken: pose, overlay, map, how far to trust it",
     ),
+    "locate": (
+        "lodbench.cli.locate",
+        "say where on the map or the ground pixels, or regions of a mask, of a localised photo are",
+    ),
     "track": ("lodbench.cli.track", "find where each frame of a video, or of a folder of frames, was taken"),
     "georeference": (
         "lodbench.cli.georeference",
         "place a COLMAP model on the map by its buildings, without ground control points",
     ),
     "mask": ("lodbench.cli.mask", "make or correct a photo's building mask by hand; LabelMe, COCO, QGIS"),
+    "trace": ("lodbench.cli.trace", "trace a map of roofs in the photos of a COLMAP model; make a benchmark"),
     "run": ("lodbench.cli.run", "localise the photos of a dataset with one method, and score the poses"),
     "basin": ("lodbench.cli.basin", "measure how far off the prior may be"),
     "evaluate": ("lodbench.cli.evaluate", "score poses made by another program: COLMAP, TUM, ..."),

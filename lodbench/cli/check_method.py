@@ -17,7 +17,7 @@ from lodbench.cli.hydra_app import register_config_sources, section
 from lodbench.cli.hydra_faults import explained
 from lodbench.cli.parser import Parser
 from lodbench.cli.runner import remote_checks
-from lodbench.errors import ConfigError, LodbenchError
+from lodbench.errors import STOPPED, ConfigError, LodbenchError
 from lodbench.methods.conformance import check_answers, check_class
 from lodbench.params import to_params
 from lodbench.plugins import PlugIn, find_plugin
@@ -116,7 +116,9 @@ def _require_known(kind: Any, values: Mapping[str, Any]) -> None:
         _params(kind, values)
     except ConfigError:
         raise
-    except Exception:  # a method may raise anything: that is told with its answers
+    except STOPPED:
+        raise
+    except BaseException:  # a method may raise anything: that is told with its answers
         return
 
 

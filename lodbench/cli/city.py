@@ -31,7 +31,7 @@ def main(argv: Sequence[str]) -> int:
     asked = city_parser().parse_args(argv)
     if asked.action == "info" and (asked.file / "scene.json").is_file():
         return _scene_info(asked)
-    profile = load_profile(asked.source, asked.option, asked.crs)
+    profile = load_profile(asked.source, asked.option, asked.crs, asked.date)
     if asked.layers:
         profile = replace(profile, options=replace(profile.options, layers=asked.layers))
     if asked.action == "info":

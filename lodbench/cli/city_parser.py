@@ -8,6 +8,7 @@ from typing import Any
 
 from lodbench.citymodel.layers import LAYERS
 from lodbench.cli.parser import Parser
+from lodbench.cli.source_profiles import DATE_HELP
 
 _EXAMPLES = """\
 FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb, .parquet) or a mesh
@@ -31,7 +32,7 @@ examples:
 how to read a file, each as --option KEY=VALUE (explained under lodbench.citymodel.ReadOptions):
   axis_order=east_first|north_first  is_strict=false  origin=[E,N,UP]  up_axis=y|z  layer=NAME
   height_column=NAME  storeys_column=NAME  storey_height_m=3  default_height_m=9
-  ground_column=NAME  ground_m=0  terrain=FILE  base=as_given|ground|sunk  sunk_m=3
+  ground_column=NAME  ground_m=0  terrain=FILE  base=as_given|ground|sunk  sunk_m=3  date=YYYY-MM-DD
 """
 
 
@@ -88,6 +89,7 @@ def _add_convert(add: Any) -> None:
 def _add_reading(add: Any) -> None:
     """Adds how the files are read."""
     add("--crs", help="reference system of the coordinates, if the file names none or a wrong one")
+    add("--date", metavar="YYYY-MM-DD", help=DATE_HELP)
     add("--source", default="folder", metavar="PROFILE", help="publisher's profile, as in run source=PROFILE")
     add("--option", action="append", default=[], metavar="KEY=VALUE", help="see below; may be repeated")
     also = f"objects besides buildings: {', '.join(LAYERS)}"

@@ -134,7 +134,7 @@ def _make(asked: argparse.Namespace, **sources: Any) -> int:
 
     require_within("--offset", asked.offset, -math.inf)
     _require_used(asked)
-    profile = load_profile(asked.source, asked.option, asked.crs)
+    profile = load_profile(asked.source, asked.option, asked.crs, asked.date)
     camera, camera_sigmas = given_camera(asked.camera)
     made = make_own_dataset(
         OwnRequest(

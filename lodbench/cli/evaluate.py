@@ -10,7 +10,7 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
-from lodbench.cli.run_dataset import data_identity, with_source
+from lodbench.cli.run_dataset import data_identity, with_date, with_source
 from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import LodbenchError
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
@@ -51,7 +51,7 @@ def task(config: DictConfig) -> None:
     )
     opener, dataset_params = dataset_opener(section(values, "dataset"))
     source = section(values, "source")
-    dataset = with_source(opener(dataset_params), source)
+    dataset, source = with_date(with_source(opener(dataset_params), source), source)
     named = {"poses", "format", "method_name", "paths", "executor", "dataset", "source"}
     plain_settings = {key: value for key, value in values.items() if key not in named}
     settings = EvaluateSettings(

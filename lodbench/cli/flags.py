@@ -11,6 +11,7 @@ from lodbench.cli.setting_words import SETTINGS_COMMANDS, has_flags_alone, short
 
 _FLAGS = {
     "crs": "--crs",
+    "date": "--date",
     "lod": "--lod",
     "roof_height": "--roof-height",
     "city": "--city",

@@ -116,6 +116,8 @@ def _run_jobs(command: str, config_name: str, job: Callable[[DictConfig], None],
             job(single_job(config_name, words))
     except YAMLError as error:
         raise ConfigError(f"A file of settings cannot be read: {' '.join(str(error).split())}.") from error
+    except RecursionError as error:
+        raise ConfigError("A setting is nested too deeply.", "Lists of numbers have one level.") from error
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise explained(error, config_name, words) from error
 

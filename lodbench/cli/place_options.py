@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from lodbench.cli.source_profiles import load_profile
+from lodbench.cli.source_profiles import DATE_HELP, load_profile
 from lodbench.datasets.photo_pose import HeightOptions, HeightSource, RoughPlace
 from lodbench.datasets.pose_text import parse_camera
 from lodbench.datasets.priors import UniformPrior
@@ -25,6 +25,7 @@ def add_city_options(parser: argparse.ArgumentParser) -> None:
     """Adds the options that say how to read a city."""
     parser.add_argument("--lod", help=_LOD)
     parser.add_argument("--crs", help="the city's reference system, if its file names none or a wrong one")
+    parser.add_argument("--date", metavar="YYYY-MM-DD", help=DATE_HELP)
     parser.add_argument(
         "--source", default="folder", metavar="PROFILE", help="publisher's profile, as in run source=PROFILE"
     )
@@ -58,17 +59,24 @@ def city_settings(asked: argparse.Namespace) -> dict[str, Any]:
     Raises:
         ConfigError: The profile, an option or the rule of roofs is unknown, or --out cannot be written to.
     """
-    from lodbench.citymodel.derive import ROOF_HEIGHTS
-
     if not can_write(asked.out):
         raise ConfigError(f"Nothing can be written to --out {asked.out}.", "Name another folder: --out DIR")
-    profile = load_profile(asked.source, asked.option, asked.crs)
+    return {**map_settings(asked), "out": asked.out, "heights": height_options(asked)}
+
+
+def map_settings(asked: argparse.Namespace) -> dict[str, Any]:
+    """Returns the city of ``add_map_options`` and how to read it.
+
+    Raises:
+        ConfigError: The profile, an option or the rule of roofs is unknown.
+    """
+    from lodbench.citymodel.derive import ROOF_HEIGHTS
+
+    profile = load_profile(asked.source, asked.option, asked.crs, asked.date)
     if asked.roof_height is not None:
         require_choice("--roof-height", asked.roof_height, ROOF_HEIGHTS)
     return {
         "city": asked.city,
-        "out": asked.out,
-        "heights": height_options(asked),
         "lod": asked.lod or profile.lod,
         "options": profile.options,
         "roof_height": asked.roof_height,
@@ -212,6 +220,7 @@ def city_flags(asked: argparse.Namespace) -> list[str]:
         "--crs": asked.crs is not None,
         "--source": asked.source != "folder",
         "--option": bool(asked.option),
+        "--date": asked.date is not None,
     }
     return [flag for flag, is_given in given.items() if is_given]
 

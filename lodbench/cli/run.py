@@ -12,7 +12,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
-from lodbench.cli.run_dataset import data_identity, with_prior, with_source
+from lodbench.cli.run_dataset import data_identity, with_date, with_prior, with_source
 from lodbench.cli.runner import made_method, offer_methods
 from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.datasets.registry import dataset_opener
@@ -105,7 +105,8 @@ def run_config(values: dict[str, Any]) -> Run:
     method, params = made_method(section(values, "method"), runner, options.tilt)
     named = named_segmenter(section(values, "segmenter"))
     opener, dataset_params = dataset_opener(section(values, "dataset"))
-    dataset = with_source(opener(dataset_params), section(values, "source"))
+    source = section(values, "source")
+    dataset, source = with_date(with_source(opener(dataset_params), source), source)
     segmenter, segmenter_params = named or default_segmenter(
         dataset, segmented_inputs(method), tuple(options.split)
     )
@@ -117,7 +118,7 @@ def run_config(values: dict[str, Any]) -> Run:
         # Left out where it is the process itself, as in all runs before there was a choice.
         **({} if runner.name == HERE else {"runner": runner.name}),
         "segmenter": asdict(segmenter_params),
-        **data_identity(dataset_params, section(values, "source")),
+        **data_identity(dataset_params, source),
     }
     settings = RunSettings(
         runs_root=Path(paths.runs).expanduser(),

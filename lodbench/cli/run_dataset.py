@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from typing import Any
 
+from lodbench.citymodel.lifespans import date_in
 from lodbench.cli.source_profiles import profile_of
 from lodbench.datasets.prior_sources import FilePrior, prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import draw_priors, make_priors
+from lodbench.harness.city import open_city
 
 # What names the run folder leaves out paths, whose content is named instead, and how work is spread.
 # The origin of a published dataset is withheld for privacy, so it is not written down either.
@@ -53,6 +55,25 @@ def with_source(dataset: Dataset, values: dict[str, Any]) -> Dataset:
     layers = own.layers or source.options.layers
     options = replace(source.options, ecef_origin=own.ecef_origin, layers=layers)
     return replace(dataset, lod=lod, city_options=options)
+
+
+def with_date(dataset: Dataset, values: dict[str, Any]) -> tuple[Dataset, dict[str, Any]]:
+    """Returns a dataset and its source with the date at which its city stood, where any building has an end.
+
+    So a run is one of that date: it reads the same city on any later day.
+
+    Raises:
+        CityModelError: The city cannot be read, or has no building at the level of the dataset.
+    """
+    options = dataset.city_options
+    if dataset.city_model is None or options.date is not None:
+        return dataset, values
+    period = open_city(dataset.city_model, dataset.lod, options, dataset.roof_height).period
+    if period is None:
+        return dataset, values
+    day = date_in(period)
+    told = {**values, "options": {**(values.get("options") or {}), "date": day}}
+    return replace(dataset, city_options=replace(options, date=day)), told
 
 
 def _without(values: dict[str, Any], names: set[str]) -> dict[str, Any]:

@@ -11,6 +11,8 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.cli.configs import config_files, read_config
 from lodbench.errors import ConfigError, nearest_names
 
+DATE_HELP = "leave out what had ended by then, where the file tells of ends (default: today)"
+
 
 @dataclass(frozen=True, slots=True)
 class SourceProfile:
@@ -49,13 +51,16 @@ def profile_of(values: Mapping[str, Any], crs: str | None = None) -> SourceProfi
     )
 
 
-def load_profile(name: str, words: Sequence[str] = (), crs: str | None = None) -> SourceProfile:
+def load_profile(
+    name: str, words: Sequence[str] = (), crs: str | None = None, day: str | None = None
+) -> SourceProfile:
     """Returns a profile by its name, with options a user added.
 
     Args:
         name: Name of a file in ``conf/source/``, of lodbench or of an installed plug-in.
         words: Options as ``key=value``; they go before the profile's own.
         crs: A reference system that goes before both.
+        day: A date that goes before both.
 
     Raises:
         ConfigError: There is no such profile, or an option is malformed, unknown or of the wrong type.
@@ -63,7 +68,9 @@ def load_profile(name: str, words: Sequence[str] = (), crs: str | None = None) -
     values = read_config("source", name)
     if values is None:
         raise ConfigError(f"There is no source {name!r}.", nearest_names(name, config_files("source")))
-    return profile_of({**values, "options": {**(values.get("options") or {}), **option_pairs(words)}}, crs)
+    told = {} if day is None else {"date": day}
+    options = {**(values.get("options") or {}), **option_pairs(words), **told}
+    return profile_of({**values, "options": options}, crs)
 
 
 def option_pairs(words: Sequence[str]) -> dict[str, Any]:

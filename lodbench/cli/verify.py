@@ -12,6 +12,15 @@ from typing import Any, cast
 
 from omegaconf import OmegaConf
 from yaml import AliasToken, scan
+from yaml.tokens import (
+    BlockEndToken,
+    BlockMappingStartToken,
+    BlockSequenceStartToken,
+    FlowMappingEndToken,
+    FlowMappingStartToken,
+    FlowSequenceEndToken,
+    FlowSequenceStartToken,
+)
 
 from lodbench.cli.parser import OldName, Parser
 from lodbench.cli.run_dataset import with_prior, with_source
@@ -138,8 +147,14 @@ def _opened(folder: Path, config: dict[str, Any], root: str | None, city: str | 
     return _Opened(config, root or provenance["dataset_root"], city or provenance["city_model"], True)
 
 
-# A run's configuration has some kilobytes.
-_MAX_CONFIG = 1_000_000
+# A run's configuration has some kilobytes, and a few levels.
+_MAX_CONFIG, _MAX_DEPTH = 1_000_000, 50
+_OPENING = (
+    BlockMappingStartToken,
+    BlockSequenceStartToken,
+    FlowMappingStartToken,
+    FlowSequenceStartToken,
+)
 _CONFIG_FILE = "config.yaml"
 
 
@@ -159,14 +174,28 @@ def read_config(folder: Path) -> dict[str, Any]:
         raise _no_run(folder)
     try:
         text = path.read_text(encoding="utf-8")
-        if len(text) > _MAX_CONFIG or any(isinstance(token, AliasToken) for token in scan(text)):
-            raise ValueError("no run writes that")  # aliases of aliases grow without end
+        _require_plain(text)
         config = OmegaConf.to_container(OmegaConf.create(text))
     except Exception as error:  # the YAML reader's faults share no base with OmegaConf's
         raise DatasetError(f"{path} is not a readable configuration.", "Name a run folder.") from error
     if not isinstance(config, dict) or not {"dataset", "method", "tilt"} <= set(config):
         raise DatasetError(f"{path} is not the configuration of a run.")
     return cast(dict[str, Any], config)
+
+
+def _require_plain(text: str) -> None:
+    """Makes sure that a YAML text takes no longer to read than what a run writes.
+
+    Raises:
+        ValueError: It is longer, has aliases, which may grow without end, or is nested deeply: each bracket
+            costs the reader a look at all around it.
+    """
+    depth = 0
+    for token in scan(text) if len(text) <= _MAX_CONFIG else [AliasToken("", None, None)]:
+        depth += isinstance(token, _OPENING)
+        depth -= isinstance(token, FlowSequenceEndToken | FlowMappingEndToken | BlockEndToken)
+        if isinstance(token, AliasToken) or depth > _MAX_DEPTH:
+            raise ValueError("no run writes that")
 
 
 def _no_run(folder: Path) -> DatasetError:

@@ -1,6 +1,7 @@
 """The catalogue of dataset findings, as ``lodbench dataset check`` and the notes of runs name them.
 
-LB50x files and names, LB51x frames and poses, LB52x what the check looks at besides. An ERROR makes
+LB50x files and names, LB51x frames and poses, LB52x what the check looks at besides,
+LB53x and LB54x parts that contradict each other. An ERROR makes
 queries fail or results wrong, a WARNING puts them in doubt, INFO tells what was decided. A code never
 changes its meaning and is never reused.
 """
@@ -58,5 +59,31 @@ MASK_UNFIT = FindingCode(
 CRS_DIFFERS = FindingCode(527, _E, "The dataset states another reference system than its city model has.")
 PRIOR_FAR = FindingCode(528, _E, "A prior lies kilometres outside the city model; its query fails.")
 KEY_TWICE = FindingCode(529, _E, "Several queries of a split have one name; nothing runs on them.")
+FIELD_OF_VIEW = FindingCode(530, _E, "A camera sees a field that no photo has; its query fails.")
+PRINCIPAL_EXCHANGED = FindingCode(531, _E, "A camera's cx and cy are exchanged; its query fails.")
+PRINCIPAL_POINT = FindingCode(532, _W, "A camera's principal point is far from the middle of the photo.")
+FOCAL_UNLIKE_PHOTO = FindingCode(533, _W, "A photo states another focal length than its camera has.")
+CAMERA_UNLIKE_VIEW = FindingCode(
+    534, _E, "A mask or photo fits the city from its true pose only by a camera with other numbers."
+)
+MASK_TURNED = FindingCode(
+    535, _E, "A mask fits the city from its true pose only mirrored, turned or inverted."
+)
+MASK_EXCHANGED = FindingCode(536, _E, "A mask is another query's, by the city from the true poses.")
+MASK_UNLIKE_CITY = FindingCode(
+    537, _W, "A mask hardly fits the city from its true pose: pose, mask or map is wrong."
+)
+PHOTO_TWICE = FindingCode(538, _E, "Queries with different poses have the same photo.")
+PHOTO_EXCHANGED = FindingCode(539, _E, "A photo is another query's, by the outlines from the true poses.")
+TRUTH_LIKE_PLAN = FindingCode(
+    540,
+    _W,
+    "True poses are as regular as a plan, which no real flight keeps to.",
+)
+TRUTH_OFF_GPS = FindingCode(541, _W, "True poses are far from where their photos say they were taken.")
+PHOTO_UNLIKE_CITY = FindingCode(542, _W, "Photos lack the outlines that the city has from the true poses.")
+UNLIKE_RECONSTRUCTION = FindingCode(
+    543, _W, "A true pose is not where the reconstruction beside it has its photo, or that cannot be read."
+)
 
 CATALOGUE = catalogue_of(globals())

@@ -40,6 +40,7 @@ class OwnImage:
         no_prior: Why its photo, which was asked, gives no prior; "" where it does, or was not asked.
         lens_percent: As of ``PhotoCamera``, where the camera is by what the photo says of itself.
         camera_sigmas: How well the camera is known, None where nobody says.
+        keeps_folders: Whether its name in a dataset has its folders, which tell it from others.
     """
 
     name: str
@@ -52,11 +53,13 @@ class OwnImage:
     no_prior: str = ""
     lens_percent: float | None = None
     camera_sigmas: CameraSigmas | None = None
+    keeps_folders: bool = False
 
     @property
     def file_name(self) -> str:
-        """Returns its name in a dataset: without folders and spaces, which text poses cannot hold."""
-        return in_pose_lines(PurePosixPath(self.name).name)
+        """Returns its name in a dataset: without folders, or these as words; and spaces, which poses lack."""
+        name = self.name.replace("/", "_") if self.keeps_folders else PurePosixPath(self.name).name
+        return in_pose_lines(name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +154,7 @@ def write_dataset(
     about: Mapping[str, Any],
     advance: Callable[[], None] = lambda: None,
     left_out: Sequence[tuple[str, str]] = (),
+    complete: Callable[[Path], None] = lambda folder: None,
 ) -> Written:
     """Writes a dataset folder: poses, cameras, photos and masks, undistorted where a lens has distortion.
 
@@ -160,6 +164,7 @@ def write_dataset(
         about: What ``dataset.json`` should keep of where it came from.
         advance: Called after each image.
         left_out: Name and reason of images that were left out before.
+        complete: Called with the full folder before it takes its name, to write what else belongs in it.
 
     Raises:
         LodbenchError: The folder is not empty, two images have one name, or none could be written.
@@ -183,6 +188,7 @@ def write_dataset(
             name, reason = left_out[0] if left_out else ("", "there are no images")
             raise DatasetError(f"No image could be used; the first is {name}: {reason}")
         _write_texts(filling, kept, {**about, "left_out": [list(pair) for pair in left_out]})
+        complete(filling)
     return Written(folder, tuple(name for name, _, _ in kept), num_undistorted, tuple(left_out))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -105,14 +106,21 @@ def images_from_poses(
         if camera is None and cameras is not None:
             camera, sigmas = cameras.get(Path(image.name).name, (None, None))
         if camera is None:
-            left_out.append((image.name, "no camera: the format has none, or not for this image"))
+            reason = image.no_camera or "no camera: the format has none, or not for this image"
+            left_out.append((image.name, reason))
         elif photos is not None and photo is None:
             left_out.append((image.name, f"no such photo in {photos}"))
         else:
             own = OwnImage(image.name, camera, None, image.pose, photo, find_mask(masks, image.name, photo))
             own = replace(own, camera_sigmas=sigmas)
             images.append(own if frame is None else _with_stated_prior(own, frame, heights))
-    return images, left_out
+    return _named_apart(images), left_out
+
+
+def _named_apart(images: Sequence[OwnImage]) -> list[OwnImage]:
+    """Returns images that have their folders in their names where these tell them apart: ``cam1_x.jpg``."""
+    stems = Counter(Path(image.file_name).stem for image in images)
+    return [replace(image, keeps_folders=stems[Path(image.file_name).stem] > 1) for image in images]
 
 
 def _with_stated_prior(image: OwnImage, frame: MapFrame, heights: HeightOptions | None) -> OwnImage:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from lodbench.datasets.camera_faults import FIELD_DEG
 from lodbench.datasets.photo_focal import (
     NOMINAL_PERCENT,
     by_known_sensor,
@@ -19,8 +20,6 @@ from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, CameraSigmas
 from lodbench.geometry.camera_sigmas import CALIBRATED, MAKER, UNKNOWN
 
-# A field of view beyond these is a wrong number: fisheyes have no focal length of this kind.
-_FIELD_DEG = (3.0, 150.0)
 # Sizes are whole pixels, so scaling changes the aspect a little; cropping changes it more.
 _ASPECT_TOLERANCE = 0.01
 # Shapes of whole sensors: photos of 16:9 are cut out of them, and optical centres stated of the whole.
@@ -253,7 +252,7 @@ def _require_own_pixels(photo: PhotoMetadata, focal_px: float, width: int, heigh
 
 def _checked(photo: PhotoMetadata, camera: Camera) -> Camera:
     field = math.degrees(2 * math.atan(camera.width / (2 * camera.fx)))
-    if not _FIELD_DEG[0] <= field <= _FIELD_DEG[1]:
+    if not FIELD_DEG[0] <= field <= FIELD_DEG[1]:
         raise DatasetError(
             f"{photo.name}: a focal length of {camera.fx:.0f} px sees {field:.1f} degrees; no photo does.",
             f"Give {camera_flag(photo.width, photo.height)}.",

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.photo_tags import exif_values, read_header
-from lodbench.datasets.photo_xmp import Dewarp, xmp_values
+from lodbench.datasets.photo_xmp import Dewarp, LaserRange, xmp_values
 from lodbench.errors import DatasetError
 
 
@@ -56,6 +56,7 @@ class PhotoMetadata:
         is_exif3_height: The altitude is EXIF's, above the ellipsoid by version 3.0, above sea level before.
         projection: How a stitched panorama was laid flat, ``equirectangular``; "" for a lens's picture.
         xmp_fault: Why XMP that is there cannot be read, in words; "" where it can.
+        laser: What DJI's laser measured, where its status is normal.
     """
 
     name: str
@@ -93,6 +94,7 @@ class PhotoMetadata:
     is_exif3_height: bool = False
     projection: str = ""
     xmp_fault: str = ""
+    laser: LaserRange | None = None
 
     @property
     def has_position(self) -> bool:

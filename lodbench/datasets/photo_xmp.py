@@ -117,6 +117,30 @@ class Dewarp:
     distortion: tuple[float, float, float, float, float]
 
 
+@dataclass(frozen=True, slots=True)
+class LaserRange:
+    """A range that a drone's laser measured while the photo was taken, along the ray of the photo's centre.
+
+    Attributes:
+        range_m: From the camera to what the beam met, metres.
+        latitude_deg: Of what it met, by the drone's own place and angles, WGS 84; None where not stated.
+        longitude_deg: Likewise.
+        altitude_m: Likewise, its absolute altitude, metres.
+        relative_altitude_m: Likewise, its height above the take-off point, metres.
+    """
+
+    range_m: float
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    altitude_m: float | None = None
+    relative_altitude_m: float | None = None
+
+    @property
+    def sigma_m(self) -> float:
+        """Returns the standard deviation of the range by the maker's data sheets, metres."""
+        return 0.2 + 0.0015 * self.range_m
+
+
 class _Property(NamedTuple):
     namespace: str
     prefix: str
@@ -148,6 +172,7 @@ def xmp_values(path: Path, packet: bytes) -> tuple[dict[str, Any], dict[str, Any
     dji = _of(properties, _DJI)
     values["dewarp"] = _dewarp(dji.get("DewarpData"))
     values["is_dewarped"] = dji.get("DewarpFlag", "0").strip() == "1"
+    values["laser"] = _laser(dji)
     values |= _rtk(dji)
     values = _pix4d(properties) | _field_of_view(properties) | values
     values["projection"] = _projection(properties)
@@ -227,6 +252,19 @@ def _other_angles(properties: list[_Property]) -> str:
             found.setdefault(name, f"{name} {number[0]}" if number else name)
     listed = ", ".join([*found.values()][:6])
     return f"its XMP states {listed}, which makers mean differently" if listed else ""
+
+
+def _laser(properties: Mapping[str, str]) -> LaserRange | None:
+    """Returns the range of DJI's laser (``LRF...``); None unless its status is that of a measurement."""
+    stated = {
+        name.lower().removeprefix("lrf"): text for name, text in properties.items() if "LRF" in name.upper()
+    }
+    distance = number_of(stated.get("targetdistance"))
+    if stated.get("status", "").strip().lower() != "normal" or distance is None or distance <= 0:
+        return None
+    place = place_of(number_of(stated.get("targetlat")), number_of(stated.get("targetlon")))
+    heights = (number_of(stated.get(name)) for name in ("targetabsalt", "targetalt"))
+    return LaserRange(distance, place.get("latitude_deg"), place.get("longitude_deg"), *heights)
 
 
 def _rtk(properties: Mapping[str, str]) -> dict[str, bool]:

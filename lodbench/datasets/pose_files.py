@@ -23,9 +23,10 @@ from pathlib import Path
 from lodbench.datasets.exchange.colmap import is_colmap, models_below
 from lodbench.datasets.exchange.kapture import is_kapture
 from lodbench.datasets.exchange.photogrammetry import looks_like
-from lodbench.datasets.exchange.posed import FoundPose, content
+from lodbench.datasets.exchange.posed import FoundPose, content, with_slashes
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.plugins import blaming, load_plugin, of_kind, plugin_names
+from lodbench.storage.paths import require_regular
 
 # What a format is stored in, where it is not either.
 _FOLDERS, _FILES = ("c2w", "kapture"), ("lines", "tum", "metashape", "pix4d", "odm")
@@ -50,13 +51,15 @@ def read_pose_file(path: Path, format_name: str, known: Collection[str] = ()) ->
         raise ConfigError(f"format={format_name} is not known.", nearest_names(format_name, known_formats))
     if not path.exists():
         raise DatasetError(f"The pose file {path} does not exist.", "Set poses=FILE.")
+    require_regular(path)
     kind = _guess(path, known) if format_name == "auto" else format_name
     if kind in (_FILES if path.is_dir() else _FOLDERS):
         found, wanted = ("a folder", "a file") if path.is_dir() else ("a file", "a folder")
         raise DatasetError(f"{path} is {found}.", f"format={kind} reads {wanted}.")
     read = load_plugin("pose_formats", kind)
     with blaming("pose_formats", kind, f"read {path}"):
-        poses = [of_kind(pose, FoundPose) for pose in read(path)]
+        read_poses = (of_kind(pose, FoundPose) for pose in read(path))
+        poses = [pose._replace(name=with_slashes(pose.name)) for pose in read_poses]
     if not poses:
         raise DatasetError(f"{path} holds no poses.", f"It was read with format={kind}.")
     return kind, poses

@@ -25,11 +25,11 @@ class Query:
         split: Name of the split it belongs to.
         camera: Pinhole of the full-size image.
         prior: The rough pose to start from.
-        building_probability: (H, W) float32 in [0, 1], what the segmenter found; None for a method that
-            requires no mask.
+        building_probability: (H, W) float32 in [0, 1], read-only, what the segmenter found; None for a
+            method that requires no mask.
         image: The photo, or None where the dataset has none.
         hypotheses: All rough poses the dataset states, the prior first; may be empty.
-        instances: (N, H, W) bool, a mask of each building in the photo, for a method that requires them.
+        instances: (N, H, W) bool, read-only, a mask of each building, for a method that requires them.
         segment: Returns the mask again, guided by the map from a better pose (scene frame), where the
             segmenter is one that looks at the map; None otherwise. Raises QueryFault.
         true_pixels: Returns where (N, 3) points of the scene are in the photo in truth, (N, 2) COLMAP
@@ -56,6 +56,15 @@ class Query:
     reconstructed: Pose | None = None
     lens_percent: float | None = None
     camera_sigmas: CameraSigmas | None = None
+
+    def __post_init__(self) -> None:
+        # A method that writes into them would change what is stored, and what the next method is shown.
+        for name in ("building_probability", "instances"):
+            given = getattr(self, name)
+            if isinstance(given, np.ndarray):
+                shown = given.view()
+                shown.flags.writeable = False
+                object.__setattr__(self, name, shown)
 
     @property
     def mask(self) -> NDArray[np.float32]:

@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
-from lodbench.errors import ConfigError
+from lodbench.errors import STOPPED, ConfigError
 from lodbench.evaluation.calibration import calibrate
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.plugins import installed
@@ -54,7 +54,9 @@ def compute_metrics(queries: pd.DataFrame) -> dict[str, float]:
     for name, metric in installed_metrics().items():
         try:
             found = {str(key): float(value) for key, value in metric(queries).items()}
-        except (Exception, SystemExit) as error:  # whatever a plug-in's own code raises
+        except STOPPED:
+            raise
+        except BaseException as error:  # whatever a plug-in's own code raises
             warnings.warn(f"metric {name} is left out: {type(error).__name__}: {error}", stacklevel=2)
             continue
         if twice := sorted(found.keys() & numbers.keys()):

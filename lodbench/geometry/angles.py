@@ -106,6 +106,15 @@ def euler_from_rotation(cam_from_world: Matrix) -> EulerAngles:
     return _angles_of(cam_from_world.T @ _FLIP_YZ)
 
 
+def turning_axes(angles: EulerAngles) -> Matrix:
+    """Returns the world axes about which more pitch, roll and yaw turn a camera, (3, 3), one a row.
+
+    A direction in the world that is fixed to the camera changes by ``cross(axis, direction)`` a radian.
+    """
+    about_up = _axis_rotation(2, angles.yaw_deg)
+    return np.array([(about_up @ _axis_rotation(1, angles.roll_deg))[:, 0], about_up[:, 1], [0.0, 0.0, 1.0]])
+
+
 def rotation_from_dji(
     gimbal_yaw_deg: float, gimbal_pitch_deg: float, gimbal_roll_deg: float, convergence_deg: float = 0.0
 ) -> Matrix:

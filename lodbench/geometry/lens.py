@@ -2,7 +2,7 @@
 
 The formulas are those of COLMAP's camera models. All act on normalised coordinates: x/z and y/z of a
 point in camera axes, before focal lengths and principal point. Undistorting a picture needs them in
-this direction only, so none is ever inverted.
+this direction only; the rays of single pixels invert them by Newton's method (``rays``).
 """
 
 from __future__ import annotations

@@ -29,6 +29,8 @@ from lodbench.datasets.query import Dataset, repeated_keys
 from lodbench.evaluation.errors import PoseError, pose_error
 from lodbench.findings import Findings
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+from lodbench.harness.contradictions import check_views
+from lodbench.harness.dataset_parts import check_parts
 from lodbench.harness.photo.check import check_photos
 from lodbench.storage import file_digest
 
@@ -111,6 +113,8 @@ def check_dataset(
         _check_views(dataset, scene, findings)
     _check_downloads(dataset, findings)
     check_photos(dataset, with_pixels, findings)
+    check_parts(dataset, scene, findings)
+    check_views(dataset, scene, with_pixels, findings)
     splits = tuple(_report_split(dataset, split, scene, counts or {}) for split in dataset.splits)
     for split in splits:
         _compare_with_paper(split, findings)

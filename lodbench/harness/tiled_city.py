@@ -19,6 +19,7 @@ import numpy as np
 from lodbench.citymodel.cache import code_digest, source_digest
 from lodbench.citymodel.codes import CRS_MIXED, FILE_SKIPPED, LOD_ABSENT
 from lodbench.citymodel.frame import brought_note
+from lodbench.citymodel.lifespans import Period, common_period, holds_on, period_of
 from lodbench.citymodel.lods import COARSEST, FINEST, choose_lod, has_lod
 from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.model import CityModel
@@ -170,7 +171,7 @@ def _tile(job: TileJob, sources: tuple[Source, ...], n: int) -> dict[str, Any]:
     )
     # A hundred to a folder: looking for leftovers in one of ten thousand, for each, takes minutes.
     folder = Path(job.parts) / f"{n // _TILES_PER_FOLDER:04d}" / f"{n:06d}-{key}"
-    if not is_scene(folder):
+    if not is_scene(folder) or not holds_on(_period(folder), job.options.date):
         scene, extra = _mesh_tile(job, source)
         make_folder(folder.parent)
         write_scene(scene, folder, extra, survives_power_cut=False)
@@ -203,7 +204,7 @@ def _mesh_tile(job: TileJob, source: Source) -> tuple[Scene, dict[str, Any]]:
         return _empty(model, model.building_ids), _extra(findings, ())
     findings.items += mesh.findings.items
     areas = {"area_m2": mesh.area_m2, "lost_m2": mesh.lost_m2}
-    return mesh.scene, _extra(findings, walled) | areas
+    return mesh.scene, _extra(findings, walled, period=model.period) | areas
 
 
 def _empty(model: CityModel | None, ids: tuple[str, ...]) -> Scene:
@@ -213,9 +214,16 @@ def _empty(model: CityModel | None, ids: tuple[str, ...]) -> Scene:
     return Scene(points, triangles, starts, starts, ids, "", None if model is None else model.crs, origin)
 
 
-def _extra(findings: Findings, lods: tuple[str, ...], skipped: str | None = None) -> dict[str, Any]:
+def _extra(
+    findings: Findings, lods: tuple[str, ...], skipped: str | None = None, period: Period | None = None
+) -> dict[str, Any]:
     counts = {"findings": findings.counts(), "finding_objects": findings.objects()}
-    return {**counts, "area_m2": 0.0, "lost_m2": 0.0, "lods": list(lods), "skipped": skipped}
+    told = {} if period is None else {"period": list(period)}
+    return {**counts, "area_m2": 0.0, "lost_m2": 0.0, "lods": list(lods), "skipped": skipped, **told}
+
+
+def _period(folder: Path) -> Period | None:
+    return period_of(read_about(folder)["extra"].get("period"))
 
 
 def _common_level(job: TileJob, told: dict[int, dict[str, Any]]) -> str:
@@ -251,4 +259,7 @@ def _join(parts: list[dict[str, Any]], target: Path, made: dict[str, Any]) -> di
         "tiles": len(parts),
         "made_with": made,
     }
+    period = common_period(period_of(part["extra"].get("period")) for part in parts)
+    if period is not None:
+        extra["period"] = list(period)
     return join_scenes(folders, ids, target, extra)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from lodbench.errors import LodbenchError, QueryFault
+from lodbench.errors import STOPPED, LodbenchError, QueryFault
 from lodbench.storage import make_folder, write_text
 from lodbench.storage.atomic import writable
 
@@ -45,8 +45,8 @@ def told_as_fault(part: str, folder: Path, name: str) -> Iterator[None]:
     """
     try:
         yield
-    except LodbenchError:
+    except (LodbenchError, *STOPPED):
         raise
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         file = keep_traceback(folder, name, error)
         raise QueryFault(f"{part} raised {words_of(error)}", f"See {file}.") from error

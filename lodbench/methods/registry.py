@@ -10,6 +10,7 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.methods.protocol import Method, SupportsPriorWidth, SupportsTrueTilt
 from lodbench.params import to_params
 from lodbench.plugins import blaming, load_plugin, of_kind
+from lodbench.storage.paths import path_name
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,7 @@ class ConfiguredMethod:
         """
         with blaming("methods", self.kind.name, "be made"):
             method: Method = self.kind(self.params)
+            path_name("method", method.name)
         return method
 
     def for_prior(self, prior: UniformPrior) -> ConfiguredMethod:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from lodbench.errors import LodbenchError
 from lodbench.storage import digest_of, write_text
 from lodbench.storage.arrays import file_check
 from lodbench.storage.disk import disk, make_folder
-from lodbench.storage.paths import cache_limit_bytes, cache_root
+from lodbench.storage.paths import cache_limit_bytes, cache_root, path_name
 from lodbench.storage.pruning import mark_used, prune_cache
 
 _LOGGER = logging.getLogger(__name__)
@@ -42,12 +42,10 @@ class Workspace:
             make: Writes the part to the path it is given, which ends as the name does; a file, or a folder.
 
         Raises:
-            LodbenchError: The name is no plain file name, or ``make`` wrote nothing there.
+            LodbenchError: The name is no plain name, or ``make`` wrote nothing there.
             Exception: What ``make`` raised; the part is not there then.
         """
-        if not name or PurePosixPath(name).name != name or name.startswith("."):
-            raise LodbenchError(f"{name!r} cannot name a part of a workspace.", "Use a plain file name.")
-        path = self.folder / name
+        path = self.folder / path_name("part's", name)
         is_damaged = path.exists()
         if is_damaged:
             if _stored_check(path) == _check(path):
@@ -100,7 +98,7 @@ def _check(path: Path) -> str:
 def open_workspace(method: str, digest: str) -> Workspace:
     """Returns the workspace of a method for a content, in the cache; the longest unused make room for it."""
     root = cache_root() / _FOLDER
-    workspace = Workspace(root / f"{method}-{digest}")
+    workspace = Workspace(root / f"{path_name('method', method)}-{digest}")
     mark_used(workspace.folder)
     prune_cache(root, cache_limit_bytes(), keep=workspace.folder)
     return workspace

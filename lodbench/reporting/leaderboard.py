@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.lods import lod_in_words
+from lodbench.datasets.real_flights import BOARD_HEAD
+from lodbench.datasets.real_flights import NAME as REAL_FLIGHTS
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
 from lodbench.reporting.page import facts, markup, rendered
 from lodbench.reporting.safe_text import csv_cell, plain_text
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 INDEX = "index.html"
+# What the head of a board says of its data.
+_HEADS = {REAL_FLIGHTS: BOARD_HEAD}
 # What must agree for two rows to rank together. Renderer and seed may differ: they are the method's own.
 _SHARED = ("prior", "split", "queries", "scene", "masks", "lod", "tilt", "segmenter", "evaluator")
 LABELS = ("2m-2deg", "3m-3deg", "5m-5deg")
@@ -68,7 +72,12 @@ def build_leaderboard(root: Path) -> dict[Path, str]:
     if not datasets:
         return {}
     boards = [
-        (name, facts(Counter(entry["source"] for entry in found)), best_of(blocks_of(found)))
+        (
+            name,
+            _HEADS.get(name, ""),
+            facts(Counter(entry["source"] for entry in found)),
+            best_of(blocks_of(found)),
+        )
         for name, found in datasets.items()
     ]
     texts = {root / INDEX: rendered("leaderboard_index.html.jinja", boards=boards)}
@@ -76,14 +85,16 @@ def build_leaderboard(root: Path) -> dict[Path, str]:
         blocks = blocks_of(entries)
         tables = [_table(block) for block in blocks]
         texts[root / f"{name}.csv"] = format_leaderboard_csv(blocks)
-        texts[root / f"{name}.md"] = f"# {name}\n\n" + "\n".join(map(format_markdown, tables))
+        head = _HEADS.get(name, "")
+        title = f"# {name}\n\n" + (f"{head}\n\n" if head else "")
+        texts[root / f"{name}.md"] = title + "\n".join(map(format_markdown, tables))
         texts[root / f"{name}.tex"] = "\n".join(map(format_latex, tables))
         files = [
             path.relative_to(root).as_posix() for path in sorted((root / "entries" / name).glob("*.json"))
         ]
         pieces = [markup(format_html(_page_table(block))) for block in blocks]
         texts[root / f"{name}.html"] = rendered(
-            "leaderboard.html.jinja", name=name, tables=pieces, files=files, index=INDEX
+            "leaderboard.html.jinja", name=name, head=head, tables=pieces, files=files, index=INDEX
         )
     return texts
 

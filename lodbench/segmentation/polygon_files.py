@@ -6,6 +6,7 @@ import json
 import logging
 from collections import Counter
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 from unicodedata import normalize
@@ -17,10 +18,13 @@ from numpy.typing import NDArray
 from lodbench.errors import DatasetError
 from lodbench.segmentation.mask_polygons import Mask, Ring, painted, polygons_of
 from lodbench.storage.json_text import parse_json
+from lodbench.storage.paths import require_regular
 
 _LOGGER = logging.getLogger(__name__)
 
 BUILDING, HOLE = "building", "hole"
+# Points this far outside are on the photo's edge; polygons of less area, pixels, are none.
+_EDGE_PX, _LEAST_PX = 1.0, 1.0
 # Labels of other people's files that count as building, in small letters.
 _BUILDING_LABELS = (BUILDING, "buildings", "house", "houses", "roof", "roofs")
 
@@ -96,13 +100,15 @@ def polygon_file(mask: Path, name: str) -> Path:
 def read_polygons(path: Path, photo: str, height: int, width: int) -> Mask:
     """Returns the (height, width) mask in a LabelMe or COCO file; of several images, the photo's.
 
-    What is labelled as something else is left out, with a warning.
+    What is labelled as something else is left out, with a warning, as are polygons without an area in the
+    photo; points outside are counted.
 
     Raises:
         DatasetError: It is neither, is of another photo by its name or size, holds a shape that is no
             polygon, nothing labelled as a building, no building inside the photo, or several images of
             the photo's name.
     """
+    require_regular(path)
     try:
         # Some editors begin a file with a byte order mark.
         stored = parse_json(path.read_text(encoding="utf-8-sig"))
@@ -129,7 +135,7 @@ def _from_labelme(stored: dict[str, Any], path: Path, photo: str, height: int, w
     labels = [str(shape["label"]) for shape in stored["shapes"]]
     kinds = [label for label in labels if not _is_one_of(label, (HOLE,))]
     _check_labels(kinds, kinds, path)
-    canvas = np.zeros((height, width), np.uint8)
+    canvas = _Canvas(np.zeros((height, width), np.uint8))
     for shape, label in zip(stored["shapes"], labels, strict=True):
         is_hole, kind = _is_one_of(label, (HOLE,)), shape.get("shape_type", "polygon")
         if not is_hole and not _is_one_of(label):
@@ -140,8 +146,8 @@ def _from_labelme(stored: dict[str, Any], path: Path, photo: str, height: int, w
         if kind == "rectangle" and len(points) == 2:
             (x, y), (right, down) = points
             points = np.array([[x, y], [right, y], [right, down], [x, down]])
-        _paint(canvas, points, 0 if is_hole else 1)
-    return _inside(canvas, len(labels), path)
+        canvas.paint(points, 0 if is_hole else 1)
+    return canvas.mask(len(labels), path)
 
 
 def _from_coco(stored: dict[str, Any], path: Path, photo: str, height: int, width: int) -> Mask:
@@ -154,7 +160,7 @@ def _from_coco(stored: dict[str, Any], path: Path, photo: str, height: int, widt
         raise DatasetError(f"{path.name} has annotations, none of them of its image {image['id']}.", _HINT)
     labels = [names[str(annotation["category_id"])] for annotation in wanted]
     _check_labels(names.values(), labels, path)
-    canvas = np.zeros((height, width), np.uint8)
+    canvas = _Canvas(np.zeros((height, width), np.uint8))
     for annotation, label in zip(wanted, labels, strict=True):
         if not _is_one_of(label):
             continue
@@ -164,11 +170,11 @@ def _from_coco(stored: dict[str, Any], path: Path, photo: str, height: int, widt
                 f"{path.name}: a {label} has no outline.", "Boxes are no masks: export polygons."
             )
         if isinstance(segmentation, dict):
-            canvas[_from_runs(segmentation, path, height, width)] = 1
+            canvas.pixels[_from_runs(segmentation, path, height, width)] = 1
             continue
         for ring in segmentation:
-            _paint(canvas, np.array(ring, np.float64).reshape(-1, 2), 1)
-    return _inside(canvas, len(labels), path)
+            canvas.paint(np.array(ring, np.float64).reshape(-1, 2), 1)
+    return canvas.mask(len(labels), path)
 
 
 def _image_of(images: list[dict[str, Any]], path: Path, photo: str) -> dict[str, Any]:
@@ -207,15 +213,73 @@ def _other_photo(path: Path, named: str, photo: str, key: str) -> DatasetError:
     )
 
 
-def _inside(canvas: NDArray[np.uint8], num_shapes: int, path: Path) -> Mask:
-    """Returns what was painted.
+@dataclass(slots=True)
+class _Canvas:
+    """A photo's pixels that polygons are painted on, and what of them was lost.
 
-    Raises:
-        DatasetError: There are shapes, and nothing of them lies in the photo.
+    Attributes:
+        pixels: (H, W), 1 where a building is.
+        polygons: How many were painted, or should have been.
+        lost: How many of them have no area in the photo: they vanish.
+        points: How many corners they have.
+        outside: How many of these lie outside the photo, by more than a line's width.
+        high: Largest x and y of a corner.
     """
-    if num_shapes and not canvas.any():
-        raise DatasetError(f"{path.name} has no building inside the photo.", "Draw on the photo itself.")
-    return np.asarray(canvas > 0)
+
+    pixels: NDArray[np.uint8]
+    polygons: int = 0
+    lost: int = 0
+    points: int = 0
+    outside: int = 0
+    high: tuple[float, float] = (0.0, 0.0)
+
+    def paint(self, points: NDArray[np.float64], value: int) -> None:
+        """Paints a polygon; its points, (N, 2), count from the first pixel's corner."""
+        if not np.isfinite(points).all() or np.abs(points).max(initial=0) > 1e6:
+            raise ValueError("a point that is no pixel")
+        size = np.array(self.pixels.shape[::-1])
+        is_outside = ((points < -_EDGE_PX) | (points > size + _EDGE_PX)).any(axis=1)
+        inside = np.clip(points, 0, size).astype(np.float32)
+        self.polygons += 1
+        self.points += len(points)
+        self.outside += int(is_outside.sum())
+        x, y = np.max(points, axis=0, initial=0.0)
+        self.high = max(self.high[0], float(x)), max(self.high[1], float(y))
+        # The hull, as a ring that crosses itself may have no area by the formula.
+        if len(points) < 3 or cv2.contourArea(cv2.convexHull(inside)) < _LEAST_PX:
+            self.lost += 1
+        else:
+            cv2.fillPoly(self.pixels, [np.rint((points - 0.5) * 16).astype(np.int32)], value, shift=4)
+
+    def mask(self, num_shapes: int, path: Path) -> Mask:
+        """Returns what was painted; warns of points outside the photo, and of polygons that vanish.
+
+        Raises:
+            DatasetError: There are shapes, and nothing of them lies in the photo.
+        """
+        if num_shapes and not self.pixels.any():
+            raise DatasetError(f"{path.name} has no building inside the photo{self._lost()}.", self._hint())
+        if self.outside or self.lost:
+            _LOGGER.warning("%s%s. %s", path.name, self._lost(), self._hint())
+        return np.asarray(self.pixels > 0)
+
+    def _lost(self) -> str:
+        """Returns in words what was lost of the polygons."""
+        told = []
+        if self.outside:
+            told.append(f"{self.outside} of {self.points} points lie outside the photo")
+        if self.lost:
+            told.append(f"{self.lost} of {self.polygons} polygons without an area in it are left out")
+        return f": {'; '.join(told)}" if told else ""
+
+    def _hint(self) -> str:
+        """Returns what may be wrong with the points."""
+        (x, y), (height, width) = self.high, self.pixels.shape
+        if self.polygons and max(x, y) <= 1:
+            return "Are they fractions of the photo? Points are pixels, x to the right, y down."
+        if self.outside and x <= height + _EDGE_PX and y <= width + _EDGE_PX:
+            return "Are x and y exchanged? Points are pixels, x to the right, y down."
+        return "Draw on the photo itself."
 
 
 def _is_one_of(label: str, names: Collection[str] = _BUILDING_LABELS) -> bool:
@@ -245,13 +309,6 @@ def _check_size(path: Path, width: int, height: int, photo_width: int, photo_hei
             f"{path.name} is of a photo of {width} x {height}, this one has {photo_width} x {photo_height}.",
             "Draw on the photo as it is stored.",
         )
-
-
-def _paint(canvas: NDArray[np.uint8], points: NDArray[np.float64], value: int) -> None:
-    """Paints a polygon; its points count from the first pixel's corner."""
-    if not np.isfinite(points).all() or np.abs(points).max(initial=0) > 1e6:
-        raise ValueError("a point that is no pixel")
-    cv2.fillPoly(canvas, [np.rint((points - 0.5) * 16).astype(np.int32)], value, shift=4)
 
 
 def _runs(part: Mask, x: int, y: int, height: int, width: int) -> list[int]:

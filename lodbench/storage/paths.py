@@ -4,11 +4,39 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from pathlib import Path
 
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, DatasetError
 
 _DEFAULT_CACHE_GB = 20.0
+
+
+def path_name(what: str, name: str) -> str:
+    """Returns a name that becomes part of a path, as it is: it cannot lead out of its folder.
+
+    Args:
+        what: Whose name, as in ``method``.
+        name: It.
+
+    Raises:
+        ConfigError: It is no plain name.
+    """
+    if not isinstance(name, str) or not re.fullmatch(r"\w[\w.+-]{0,199}", name):
+        raise ConfigError(
+            f"The {what} name {name!r} cannot name a folder.", "Use letters, digits and any of _ . + -"
+        )
+    return name
+
+
+def require_regular(path: Path) -> None:
+    """Makes sure that a path, if it exists, is a file or folder: reading a pipe or device may never end.
+
+    Raises:
+        DatasetError: It is something else.
+    """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise DatasetError(f"{path} is no regular file.", "Save what it gives to a file first.")
 
 
 def data_root() -> Path:

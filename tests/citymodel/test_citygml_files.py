@@ -165,3 +165,16 @@ class TestHeights:
         assert model.objects is not None
         told = model.objects.attributes[0]
         assert (told["measuredHeight"], told["height"]["Height"]["value"]) == (6.0, 4.0)
+
+
+@pytest.mark.parametrize("module", ["", "building/"])
+def test_citygml_of_before_the_standard_is_named(tmp_path: Path, module: str) -> None:
+    text = f"<CityModel xmlns='http://www.citygml.org/citygml/{module}1/0/0'><cityObjectMember/></CityModel>"
+    with pytest.raises(CityModelError, match=r"is CityGML 0\.4 or older"):
+        read_city_model(write(tmp_path / "a.gml", text))
+
+
+def test_profiles_of_that_address_are_of_the_standard(tmp_path: Path) -> None:
+    profile = "xmlns:pfx0='http://www.citygml.org/citygml/profiles/base/2.0' xmlns:gml"
+    text = box_city().replace("xmlns:gml", profile)
+    assert read_city_model(write(tmp_path / "a.gml", text)).version == "2.0"

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -340,3 +341,61 @@ def test_a_system_that_is_no_text_is_told(tmp_path: Path) -> None:
     text = json.dumps(document({"b": building(surface([0, 1, 2, 3]))}, metadata=metadata))
     with pytest.raises(CityModelError, match="no text"):
         read_city_model(write(tmp_path / "odd.json", text))
+
+
+@pytest.mark.parametrize(
+    "metadata",
+    [
+        [{"title": "t", "referenceSystem": "https://www.opengis.net/def/crs/EPSG/0/32734"}],
+        [{"title": "t"}, "x", {"referenceSystem": "urn:ogc:def:crs:EPSG::32734"}],
+        [{"crs": {"epsg": 32734}}],
+    ],
+)
+def test_metadata_in_a_list_name_the_system(tmp_path: Path, metadata: Any) -> None:
+    transform = {"scale": [0.001] * 3, "translate": [262000.0, 6243000.0, 40.0]}
+    objects = {"a": building(surface([0, 1, 2, 3]))}
+    model = read(tmp_path, document(objects, metadata=metadata, transform=transform))
+    assert (model.crs, codes(model)) == ("EPSG:32734", {})
+
+
+@pytest.mark.parametrize(
+    ("scale", "axes"),
+    [([0, 0, 0], "x and y"), ([0.001, 0, 0.001], "y"), ([0.0, 0.001, 0.001], "x")],
+)
+def test_a_scale_of_zero_is_called_what_it_is(tmp_path: Path, scale: list[float], axes: str) -> None:
+    transform = {"scale": scale, "translate": [85000.0, 446000.0, 0.0]}
+    with pytest.raises(CityModelError, match=f"leaves nothing of {axes}: the program"):
+        read(tmp_path, document({"a": building(surface([0, 1, 2, 3]))}, transform=transform))
+
+
+def test_what_is_flat_needs_no_scale_of_heights(tmp_path: Path) -> None:
+    transform = {"scale": [0.001, 0.001, 0], "translate": [85000.0, 446000.0, 7.0]}
+    flat = document({"a": building(surface([0, 1, 2, 3]))}, transform=transform)
+    assert set(read(tmp_path, flat).polygons.points[:, 2].tolist()) == {7.0}
+    with pytest.raises(CityModelError, match="leaves nothing of z"):
+        read(tmp_path, flat | {"vertices": [*SQUARE[:3], [0, 4000, 1000]]})
+
+
+@pytest.mark.parametrize(
+    ("root", "place"),
+    [
+        (
+            {"boundingVolume": {"region": [0.2018, 0.8402, 0.2022, 0.8406, 0, 9]}},
+            " at latitude 48.15, longitude 11.57",
+        ),
+        (
+            {"boundingVolume": {"sphere": [0, 0, 0, 90]},
+             "transform": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 4177000.0, 855000.0, 4727000.0, 1]},
+            " at latitude 48.14, longitude 11.56",
+        ),
+        ({"boundingVolume": {"box": [0] * 12}}, ""),
+        ({}, ""),
+    ],
+)  # fmt: skip
+def test_a_tileset_is_named_and_its_place_told(tmp_path: Path, root: dict[str, Any], place: str) -> None:
+    tileset = {"asset": {"version": "1.1"}, "geometricError": 500, "root": root}
+    with pytest.raises(CityModelError) as raised:
+        read(tmp_path, tileset)
+    message = re.sub(r"(\.\d\d)\d+", r"\1", raised.value.message.partition("x.city.json ")[2])
+    assert message == f"is a tileset of 3D Tiles{place}, no city model."
+    assert ".glb" in raised.value.hint

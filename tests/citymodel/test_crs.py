@@ -322,13 +322,35 @@ def test_many_unknown_names_end_quickly(tmp_path: Path) -> None:
         read_city_model(write(tmp_path / "a.gml", city(members)))
 
 
-def test_one_height_out_of_this_world_is_no_fault_of_the_plane(tmp_path: Path) -> None:
-    rings = [list(ring) for ring in box_rings()]
-    rings[0][0] = (*rings[0][0][:2], 4e9)
-    text = city(member(solid(surface_members(map(polygon, rings)))))
-    with pytest.raises(CityModelError, match="has 1 of 24 heights nowhere on Earth") as raised:
+def test_heights_out_of_this_world_are_no_fault_of_the_plane(tmp_path: Path) -> None:
+    text = city(member(solid(surface_members(map(polygon, box_rings(z=4e9))))))
+    with pytest.raises(CityModelError, match="has 24 of 24 heights nowhere on Earth") as raised:
         read_city_model(write(tmp_path / "a.gml", text))
     assert "not at fault" in raised.value.hint
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "urn:ogc:def:crs,crs:EPSG::28992,crs:EPSG::5109",
+        "EPSG:28992+5109",
+        "urn:ogc:def:crs,crs:EPSG::99999,crs:EPSG::28992",
+        "urn:ogc:def:crs,crs:EPSG::28992,crs:EPSG::99999",
+    ],
+)
+def test_a_code_that_names_no_heights_leaves_the_plane_its_system(tmp_path: Path, name: str) -> None:
+    """5109 is the datum of Amsterdam, 5709 the heights above it: the plane's system was dropped, too."""
+    rings = box_rings(x=85000.0, y=447000.0)
+    text = city(member(solid(surface_members(map(polygon, rings)))), srs=name)
+    model = read_city_model(write(tmp_path / "a.gml", text))
+    assert model.crs == "EPSG:28992"
+    (found,) = model.findings.items
+    assert found.code.code == "LB306"
+    assert "names no system of heights" in found.detail
+
+
+def test_two_codes_of_which_neither_is_a_plane_stay_unknown() -> None:
+    assert resolve_crs("EPSG:99999+99998") is None
 
 
 def test_a_building_at_zero_is_told_and_leaves_the_frame_at_the_city(tmp_path: Path) -> None:

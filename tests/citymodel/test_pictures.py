@@ -288,3 +288,46 @@ def test_templates_of_cityjson_have_pictures(is_sequence: bool, tmp_path: Path) 
     path = town.with_name("templates.city.jsonl" if is_sequence else "templates.city.json")
     path.write_text("\n".join(map(json.dumps, documents)))
     assert spots_of(read_city_model(path, options=OPTIONS)) == expected()
+
+
+def wraps(path: Path) -> dict[int, str]:
+    """Returns how the picture of each kind of surface goes on beyond its edges."""
+    model = read_city_model(path, options=OPTIONS)
+    assert model.pictures is not None
+    assert model.polygons.picture is not None
+    pairs = zip(model.polygons.kind.tolist(), model.polygons.picture.tolist(), strict=True)
+    return {kind: model.pictures.wraps[number] for kind, number in pairs if number >= 0}
+
+
+@pytest.mark.parametrize(
+    ("ending", "more"),
+    [(".city.json", ()), (".city.jsonl", ()), (".gml", ()), (".gml", ("--citygml", "3.0"))],
+)
+def test_how_pictures_go_on_beyond_their_edges_is_kept(
+    ending: str, more: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One picture may repeat on one surface and end on another: then it has one file and two entries."""
+    source = write_town(tmp_path)
+    text, one = source.read_text(), f"<app:imageURI>{JPEG}</app:imageURI>"
+    first, second = (one + f"<app:wrapMode>{mode}</app:wrapMode>" for mode in ("wrap", "clamp"))
+    text = text.replace(one, first, 1)
+    text = text.replace(f'{one}<app:target uri="#back"', f'{second}<app:target uri="#back"')
+    odd = "roof.tif</app:imageURI><app:wrapMode>odd</app:wrapMode>"
+    source.write_text(text.replace("roof.tif</app:imageURI>", odd))
+    target = convert(source, tmp_path / f"out/a{ending}", *more)
+    assert "left out: wrapMode 'odd' of a picture" in capsys.readouterr().out
+    assert spots_of(read_city_model(target, options=OPTIONS)) == expected()
+    written = target.read_text()
+    assert (written.count("clamp"), written.count("odd")) == (1, 0)
+    assert wraps(target)[2] == ""
+    assert set(read_city_model(target, options=OPTIONS).pictures.wraps) == {"wrap", "clamp", ""}  # type: ignore[union-attr]
+    assert len(list((target.parent / "a_pictures").iterdir())) == 2
+
+
+def test_meshes_tell_that_their_pictures_repeat(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = write_town(tmp_path)
+    source.write_text(
+        source.read_text().replace("</app:imageURI>", "</app:imageURI><app:wrapMode>clamp</app:wrapMode>")
+    )
+    convert(source, tmp_path / "out/a.glb")
+    assert "wrapMode of pictures, which repeat here" in capsys.readouterr().out

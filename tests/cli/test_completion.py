@@ -55,7 +55,7 @@ def in_shell(shell: str, script: str) -> list[str]:
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("lodbench loc", ["localize"]),
+        ("lodbench local", ["localize"]),
         # Bash parts words at "=": what is offered is what stands behind it.
         ("lodbench run method=con", ["contour_alignment"]),
         ("lodbench run meth", ["method="]),
@@ -74,7 +74,7 @@ def test_in_bash(line, expected):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ("lodbench loc", ["localize"]),
+        ("lodbench local", ["localize"]),
         ("lodbench run method=con", ["method=contour_alignment"]),
         ("lodbench run meth", ["method="]),
     ],

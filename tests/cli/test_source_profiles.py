@@ -8,9 +8,12 @@ from pathlib import Path
 import pytest
 
 from lodbench.citymodel import open_scene
+from lodbench.cli.run_dataset import with_date
 from lodbench.cli.source_profiles import option_pairs
 from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
+from lodbench.datasets.query import Dataset
 from lodbench.geometry import Camera, EulerAngles, Pose
+from tests.citymodel.gml_text import box_rings, city, member, polygon, solid, surface_members, write
 from tests.town import write_dataset
 
 from .test_faults import is_clear
@@ -158,3 +161,34 @@ def test_lists_of_words_in_options_need_no_quotes():
         "none": [],
         "text": "[a",
     }
+
+
+@pytest.mark.parametrize("end", ["2015-06-30", None])
+def test_a_run_writes_down_a_date_at_which_its_city_stood_if_any_building_ends(tmp_path, end):
+    """On any later day it reads the same city; without ends nothing of it depends on the day."""
+    box = solid(surface_members(map(polygon, box_rings())))
+    over = f"<core:terminationDate>{end}</core:terminationDate>" if end else ""
+    path = write(tmp_path / "a.gml", city(member(over + box, "old") + member(box, "new")))
+    source = {"name": "folder", "options": {"is_strict": True}}
+    given = Dataset("own", "1", tmp_path, path, None, (), (), {})
+    dataset, told = with_date(given, source)
+    assert told["options"] == {"is_strict": True} | ({"date": end} if end else {})
+    assert dataset.city_options.date == end
+    assert with_date(dataset, told) == (dataset, told)
+    if end is None:
+        assert (dataset is given, told is source) == (True, True)
+
+
+def test_date_is_an_option_of_every_command_that_reads_a_city(lodbench, tmp_path):
+    box = solid(surface_members(map(polygon, box_rings())))
+    over = "<core:terminationDate>2015-06-30</core:terminationDate>"
+    path = write(tmp_path / "a.gml", city(member(over + box, "old") + member(box, "new")))
+    counts = [
+        json.loads(lodbench("city", "info", str(path), "--json", *more).stdout)["buildings"]
+        for more in ((), ("--date", "2015-06-29"), ("--option", "date=2015-06-29"))
+    ]
+    assert counts == [1, 2, 2]
+    done = lodbench("city", "info", str(path), "--date", "29.6.2015")
+    assert (done.returncode, "--date 2015-06-30" in done.stderr) == (2, True)
+    for command in ("localize", "georeference", "track"):
+        assert "--date" in lodbench(command, "--help").stdout

@@ -90,3 +90,104 @@ def test_a_model_is_never_written_over_itself(models):
     with pytest.raises(DatasetError, match="is the model that is to be moved"):
         write_moved_colmap(models[1], MOVED, models[1] / ".." / models[1].name)
     assert (models[1] / "images.txt").read_bytes() == before
+
+
+def rig_model(pycolmap, has_rigs=True):
+    """A model of a rig of two cameras, the second 0.5 m beside the first; or the same without the rig."""
+    made = pycolmap.Reconstruction()
+    upright = pycolmap.Rotation3d(np.array([0, 0, 0, 1.0]))
+    for n in (1, 2):
+        camera = pycolmap.Camera.create_from_model_name(n, "PINHOLE", 100.0, 64, 48)
+        (made.add_camera if has_rigs else made.add_camera_with_trivial_rig)(camera)
+    places = (np.array([-1.0, 0, 0]), np.array([-0.5, 0, 0]))
+    images = [pycolmap.Image(name=f"cam{n}/x.jpg", camera_id=n, image_id=n) for n in (1, 2)]
+    if not has_rigs:
+        for image, place in zip(images, places, strict=True):
+            made.add_image_with_trivial_frame(image, pycolmap.Rigid3d(upright, place))
+        return made
+    sensors = [pycolmap.sensor_t(pycolmap.SensorType.CAMERA, n) for n in (1, 2)]
+    rig, frame = pycolmap.Rig(rig_id=7), pycolmap.Frame(frame_id=9, rig_id=7)
+    rig.add_ref_sensor(sensors[0])
+    rig.add_sensor(sensors[1], pycolmap.Rigid3d(upright, np.array([0.5, 0, 0])))
+    made.add_rig(rig)
+    frame.rig_from_world = pycolmap.Rigid3d(upright, places[0])
+    for n, sensor in enumerate(sensors, start=1):
+        frame.add_data_id(pycolmap.data_t(sensor, n))
+    made.add_frame(frame)
+    for image in images:
+        image.frame_id = 9
+        made.add_image(image)
+    made.register_frame(9)
+    return made
+
+
+@pytest.mark.parametrize("kind", ["binary", "text"])
+@pytest.mark.parametrize("has_rigs", [True, False])
+def test_rigs_and_frames_move_along_as_colmap_moves_them(tmp_path, kind, has_rigs):
+    """COLMAP takes the poses of frames before those of images: a former tool's were read instead of ours."""
+    pycolmap = pytest.importorskip("pycolmap")
+    made = rig_model(pycolmap, has_rigs)
+    source, target = tmp_path / "sparse", tmp_path / "placed"
+    source.mkdir()
+    getattr(made, f"write_{kind}")(str(source))
+    for shift in (0.0, 20.0):  # the second time COLMAP has saved there, rigs and frames with it
+        moved = Similarity(2.5, MOVED.rotation, MOVED.translation + shift)
+        write_moved_colmap(source, moved, target)
+        found, expected = pycolmap.Reconstruction(str(target)), pycolmap.Reconstruction(str(source))
+        turn = pycolmap.Rotation3d(Rotation.from_matrix(moved.rotation).as_quat())
+        expected.transform(pycolmap.Sim3d(moved.scale, turn, moved.translation))
+        assert (len(found.rigs), len(found.frames)) == ((1, 1) if has_rigs else (2, 2))
+        for pose in read_colmap(target):
+            n = int(pose.name[3])
+            for model in (found, expected):
+                np.testing.assert_allclose(model.images[n].projection_center(), pose.pose.center, atol=1e-6)
+        getattr(found, f"write_{kind}")(str(target))
+
+
+@pytest.mark.parametrize("kind", ["bin", "txt"])
+def test_a_model_of_before_rigs_gets_such_as_colmap_makes(models, tmp_path, kind):
+    pycolmap = pytest.importorskip("pycolmap")
+    old = tmp_path / "old"
+    old.mkdir()
+    for name in ("cameras", "images", "points3D"):
+        content = (models[kind == "txt"] / f"{name}.{kind}").read_bytes()
+        (old / f"{name}.{kind}").write_bytes(content)
+    write_moved_colmap(old, MOVED, tmp_path / "placed")
+    found = pycolmap.Reconstruction(str(tmp_path / "placed"))
+    expected = pycolmap.Reconstruction(str(old))
+    assert set(found.rigs) == set(expected.rigs)
+    assert {n: frame.rig_id for n, frame in found.frames.items()} == {
+        n: frame.rig_id for n, frame in expected.frames.items()
+    }
+
+
+def test_what_we_write_overrules_what_colmap_saved_there(tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
+    rig_model(pycolmap).write_text(str(tmp_path))
+    given = [each._replace(pose=MOVED.pose(each.pose)) for each in read_colmap(tmp_path)]
+    write_colmap(given, tmp_path)
+    found = pycolmap.Reconstruction(str(tmp_path))
+    centers = {image.name: image.projection_center() for image in found.images.values()}
+    for each in given:
+        np.testing.assert_allclose(centers[each.name], each.pose.center, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["rigs.bin", "frames.bin"])
+def test_binary_rigs_alone_are_in_the_way_of_text_too(models, tmp_path, name):
+    (tmp_path / name).write_bytes(bytes(8))
+    with pytest.raises(DatasetError, match=f"{name} would be read before"):
+        write_moved_colmap(models[1], MOVED, tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["binary", "text"])
+@pytest.mark.parametrize("name", ["rigs", "frames"])
+def test_rigs_cut_off_are_an_error_that_names_the_file(tmp_path, kind, name):
+    pycolmap = pytest.importorskip("pycolmap")
+    getattr(rig_model(pycolmap), f"write_{kind}")(str(tmp_path))
+    file = next(tmp_path.glob(f"{name}.*"))
+    content = file.read_bytes()
+    file.write_bytes(content[:-30] if kind == "binary" else content.rstrip()[:-12])
+    if kind == "text" and name == "frames":
+        file.write_bytes(content.rstrip().rsplit(b" ", 9)[0])
+    with pytest.raises(DatasetError, match=name):
+        write_moved_colmap(tmp_path, MOVED, tmp_path / "placed")

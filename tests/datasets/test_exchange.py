@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import struct
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,6 +15,9 @@ from lodbench.datasets.exchange.lines import read_lines, write_lines
 from lodbench.datasets.exchange.nerfstudio import read_nerfstudio, write_nerfstudio
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.exchange.tum import read_tum, write_tum
+from lodbench.datasets.own import write_dataset
+from lodbench.datasets.own_sources import images_from_poses
+from lodbench.datasets.pose_files import read_pose_file
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 
@@ -329,3 +334,54 @@ class TestKapture:
         (tmp_path / "sensors/rigs.txt").write_text("rig, camera0, 1, 0, 0, 0, 0, 0, 0\n")
         with pytest.raises(DatasetError, match="rigs"):
             list(read_kapture(tmp_path))
+
+
+CAMERAS = {"PINHOLE": "100 100 32 24", "NEW_MODEL": "1 2 3", "SIMPLE_PINHOLE": "100 32 24"}
+
+
+def text_model(folder, names, models=tuple(CAMERAS)):
+    """A model whose n-th image has the n-th of some camera models."""
+    rows = [f"{n} {model} 64 48 {CAMERAS[model]}" for n, model in enumerate(models, start=1)]
+    (folder / "cameras.txt").write_text("\n".join(rows) + "\n")
+    poses = [f"{n} 1 0 0 0 0 0 {n} {n} {name}\n\n" for n, name in enumerate(names, start=1)]
+    (folder / "images.txt").write_text("".join(poses))
+    return folder
+
+
+def test_a_camera_model_that_is_not_known_costs_its_own_images_alone(tmp_path):
+    found = list(read_colmap(text_model(tmp_path, ["a.jpg", "b.jpg", "c.jpg"])))
+    assert [pose.camera is None for pose in found] == [False, True, False]
+    assert "NEW_MODEL" in found[1].no_camera
+    images, left_out = images_from_poses(found)
+    assert [image.name for image in images] == ["a.jpg", "c.jpg"]
+    assert left_out == [("b.jpg", found[1].no_camera)]
+
+
+def test_in_a_binary_file_it_costs_those_behind_it_too(tmp_path):
+    head = [struct.pack("<iiQQ", n, model, 64, 48) for n, model in ((1, 1), (2, 99))]
+    content = struct.pack("<Q", 2) + head[0] + struct.pack("<4d", 100, 100, 32, 24) + head[1] + bytes(40)
+    (tmp_path / "cameras.bin").write_bytes(content)
+    rows = [
+        struct.pack("<i7di", n, 1, 0, 0, 0, 0, 0, n, n) + f"{n}.jpg".encode() + bytes(9) for n in (1, 2, 3)
+    ]
+    (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 3) + b"".join(rows))
+    found = list(read_colmap(tmp_path))
+    assert [pose.camera is None for pose in found] == [False, True, True]
+    assert all("99" in pose.no_camera for pose in found[1:])
+
+
+@pytest.mark.parametrize("slash", ["/", "\\"])
+def test_images_of_a_rig_keep_apart_and_are_found_under_names_of_windows(tmp_path, slash):
+    names = [f"cam1{slash}x.jpg", f"cam2{slash}x.jpg", f"cam2{slash}y.jpg"]
+    model = text_model(tmp_path, names, ("PINHOLE", "PINHOLE", "PINHOLE"))
+    for name in names:
+        photo = tmp_path / "photos" / name.replace("\\", "/")
+        photo.parent.mkdir(parents=True, exist_ok=True)
+        assert cv2.imwrite(str(photo), np.zeros((48, 64, 3), np.uint8))
+    kind, found = read_pose_file(model, "auto")
+    assert (kind, [pose.name for pose in found]) == ("colmap", ["cam1/x.jpg", "cam2/x.jpg", "cam2/y.jpg"])
+    images, left_out = images_from_poses(found, photos=tmp_path / "photos")
+    assert left_out == []
+    assert [image.photo.parent.name for image in images] == ["cam1", "cam2", "cam2"]
+    written = write_dataset(images, tmp_path / "data", {})
+    assert written.names == ("cam1_x.jpg", "cam2_x.jpg", "y.jpg")

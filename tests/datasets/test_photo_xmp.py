@@ -8,6 +8,7 @@ import pytest
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_pose import pose_from_photo
+from lodbench.datasets.photo_xmp import LaserRange
 from lodbench.errors import DatasetError
 from lodbench.geometry.angles import rotation_from_dji
 from tests.datasets.dji_photo import PROPERTIES, exif_of, packet_around, write_photo, xmp_packet
@@ -173,3 +174,44 @@ def test_past_straight_down_yaw_and_roll_turn_together(yaw):
     past = rotation_from_dji(yaw + 180.0, -89.9, 180.0)
     apart = np.degrees(np.arccos((np.trace(before @ past.T) - 1) / 2))
     assert apart == pytest.approx(0.2, abs=1e-6)
+
+
+LASER = {
+    "LRFStatus": "Normal",
+    "LRFTargetDistance": "123.400",
+    "LRFTargetLon": "5.8710000",
+    "LRFTargetLat": "51.0490000",
+    "LRFTargetAlt": "12.300",
+    "LRFTargetAbsAlt": "89.100",
+}
+
+
+@pytest.mark.parametrize("as_elements", [False, True])
+def test_a_laser_s_range_is_read(tmp_path, as_elements):
+    packet = xmp_packet({**PROPERTIES, **LASER}, as_elements)
+    laser = read_photo_metadata(write_photo(tmp_path / "a.jpg", exif=exif_of(), xmp=packet)).laser
+    assert laser == LaserRange(123.4, 51.049, 5.871, 89.1, 12.3)
+    assert laser.sigma_m == pytest.approx(0.2 + 0.0015 * 123.4)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"LRFStatus": "Too far"},
+        {"LRFStatus": ""},
+        {"LRFTargetDistance": "0.000"},
+        {"LRFTargetDistance": "far"},
+    ],
+    ids=str,
+)
+def test_a_laser_that_did_not_measure_is_not_believed(tmp_path, changed):
+    packet = xmp_packet({**PROPERTIES, **LASER, **changed})
+    assert read_photo_metadata(write_photo(tmp_path / "a.jpg", exif=exif_of(), xmp=packet)).laser is None
+
+
+def test_a_range_without_a_place_of_its_target_is_one(tmp_path):
+    packet = xmp_packet(
+        {"LRFStatus": "normal", "LRFTargetDistance": "80", "LRFTargetLat": "0", "LRFTargetLon": "0"}
+    )
+    laser = read_photo_metadata(write_photo(tmp_path / "a.jpg", exif=exif_of(), xmp=packet)).laser
+    assert laser == LaserRange(80.0)

@@ -120,7 +120,7 @@ def test_a_kill_keeps_the_finished_parts(tmp_path):
 
 @pytest.mark.parametrize("name", ["a/b", "../a", ".hidden", "", ".."])
 def test_names_stay_inside(tmp_path, name):
-    with pytest.raises(LodbenchError, match="cannot name a part"):
+    with pytest.raises(LodbenchError, match="cannot name a folder"):
         Workspace(tmp_path).part(name, lambda file: file.write_text(""))
 
 

@@ -7,12 +7,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from lodbench.datasets.exchange.posed import FoundPose, Place, content, numbers_of, require_plain_names
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.exchange.colmap_rigs import RIG_FILES, PosedImage, lone_cameras
+from lodbench.datasets.exchange.posed import (
+    FoundPose,
+    Place,
+    content,
+    numbers_of,
+    require_plain_names,
+    with_slashes,
+)
 from lodbench.datasets.pose_text import lines_to_text, parse_pose
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.camera import colmap_parameters
-from lodbench.storage import make_folder, write_text
+from lodbench.storage import make_folder, write_bytes, write_text
 
 _IMAGE_LAYOUT = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
 # COLMAP's number of each camera model in binary files.
@@ -35,7 +46,8 @@ _MODEL_NAMES = {
     15: "FISHEYE",
     16: "EUCM",
 }
-_BYTES_PER_POINT = 24
+_BYTES_PER_POINT, _BYTES_PER_TRACK = 24, 8
+_Cameras = Mapping[int, Camera | str]
 
 
 def is_colmap(folder: Path) -> bool:
@@ -56,6 +68,8 @@ def read_colmap(path: Path) -> Iterator[FoundPose]:
         path: The model's folder (binary files go before text, as in COLMAP), or its images file alone:
             cameras are then read where they lie beside it.
 
+    Images of a camera whose model is not known have none, and say so.
+
     Raises:
         DatasetError: A file is missing, cut off or malformed.
     """
@@ -74,11 +88,38 @@ def read_colmap(path: Path) -> Iterator[FoundPose]:
         (_binary_cameras, _binary_images) if path.suffix == ".bin" else (_text_cameras, _text_images)
     )
     cameras = read_cameras(cameras_file) if cameras_file.is_file() and cameras_file != path else None
+    faults = [camera for camera in (cameras or {}).values() if isinstance(camera, str)]
+    if cameras and len(faults) == len(cameras):
+        raise DatasetError(f"{cameras_file} has no camera that can be had: {faults[0]}.")
     return read_images(path, cameras)
 
 
+def read_colmap_points(folder: Path) -> NDArray[np.float64]:
+    """Returns (N, 3) the sparse points of a model; none where it has no file of them.
+
+    Raises:
+        DatasetError: The file is cut off or malformed.
+    """
+    path = folder / "points3D.bin"
+    if path.is_file():
+        data, points = _Bytes(path), []
+        for _ in range(data.take("<Q")[0]):
+            points.append(data.take("<Q3d3Bd")[1:4])
+            data.skip(data.take("<Q")[0] * _BYTES_PER_TRACK)
+        return np.array(points, np.float64).reshape(-1, 3)
+    path = folder / "points3D.txt"
+    if not path.is_file():
+        return np.zeros((0, 3))
+    found = []
+    for where, line in content(path):
+        with Place(where, "POINT3D_ID X Y Z R G B ERROR TRACK[]"):
+            _, x, y, z, *_ = line.split()
+            found.append([float(x), float(y), float(z)])
+    return np.array(found, np.float64).reshape(-1, 3)
+
+
 def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
-    """Writes a model without points as text; equal cameras are one.
+    """Writes a model without points as text; equal cameras are one, and each is a rig of its own.
 
     Reading it gives the same translations and intrinsics to the bit, and rotations to rounding.
 
@@ -88,12 +129,14 @@ def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
     require_no_binary(folder)
     require_plain_names([image.name for image in images], "\r\n", "a COLMAP model")
     numbers: dict[Camera, int] = {}
+    posed: list[PosedImage] = []
     image_lines = [f"# {_IMAGE_LAYOUT}, then a line of points (none here)"]
     for number, image in enumerate(images, start=1):
         if image.camera is None:
             raise DatasetError(f"{image.name} has no camera, and a COLMAP model needs one.")
         camera = numbers.setdefault(image.camera, len(numbers) + 1)
-        pose = " ".join(map(repr, numbers_of(image.pose)))
+        posed.append(PosedImage(number, tuple(numbers_of(image.pose)), camera))
+        pose = " ".join(map(repr, posed[-1].numbers))
         image_lines += [f"{number} {pose} {camera} {image.name}", ""]
     camera_lines = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"]
     for camera_model, number in numbers.items():
@@ -104,6 +147,8 @@ def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
     write_text(folder / "cameras.txt", lines_to_text(camera_lines))
     write_text(folder / "images.txt", lines_to_text(image_lines))
     write_text(folder / "points3D.txt", "# no points\n")
+    for name, content_of in zip(RIG_FILES, lone_cameras(posed, "txt"), strict=True):
+        write_bytes(folder / f"{name}.txt", content_of)
 
 
 def require_no_binary(folder: Path) -> None:
@@ -112,7 +157,8 @@ def require_no_binary(folder: Path) -> None:
     Raises:
         DatasetError: There are such.
     """
-    there = [name for name in ("cameras.bin", "images.bin", "points3D.bin") if (folder / name).exists()]
+    names = [f"{name}.bin" for name in ("cameras", "images", "points3D", *RIG_FILES)]
+    there = [name for name in names if (folder / name).exists()]
     if there:
         raise DatasetError(
             f"{folder / there[0]} would be read before the model as text that is to be written beside it.",
@@ -120,19 +166,26 @@ def require_no_binary(folder: Path) -> None:
         )
 
 
-def _text_cameras(path: Path) -> dict[int, Camera]:
-    cameras: dict[int, Camera] = {}
+def _text_cameras(path: Path) -> dict[int, Camera | str]:
+    """Returns cameras by number, or why one cannot be had."""
+    cameras: dict[int, Camera | str] = {}
     for where, line in content(path):
         with Place(where, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"):
             words = line.split()
             if len(words) < 5:
                 raise LodbenchError(f"{len(words)} values, too few for a camera")
             params = [float(word) for word in words[4:]]
-            cameras[int(words[0])] = Camera.from_colmap(words[1], int(words[2]), int(words[3]), params)
+            number, size = int(words[0]), (int(words[2]), int(words[3]))
+            is_known = words[1] in _MODEL_NAMES.values()
+            cameras[number] = Camera.from_colmap(words[1], *size, params) if is_known else _lacking(words[1])
     return cameras
 
 
-def _text_images(path: Path, cameras: Mapping[int, Camera] | None) -> Iterator[FoundPose]:
+def _lacking(model: object) -> str:
+    return f"its camera has the model {str(model)[:60]}, which is not known"
+
+
+def _text_images(path: Path, cameras: _Cameras | None) -> Iterator[FoundPose]:
     lines = content(path, keep_empty=True)
     for where, line in lines:
         if not line.strip():
@@ -142,19 +195,23 @@ def _text_images(path: Path, cameras: Mapping[int, Camera] | None) -> Iterator[F
             if len(words) != 10:
                 raise LodbenchError(f"{len(words)} values instead of 10")
             pose = parse_pose(words[1:8])
-            camera = None if cameras is None else _camera_of(cameras, int(words[8]))
+            camera, fault = _camera_of(cameras, int(words[8]))
         points_at, points = next(lines, (where, ""))
         with Place(points_at, "X Y POINT3D_ID of each point; the line may be empty, but is there"):
             # A file without these lines would lose every second image in silence.
             if len(points.split()) % 3:
                 raise LodbenchError(f"{len(points.split())} values are no list of points")
-        yield FoundPose(words[9].strip(), where, pose, camera)
+        yield FoundPose(with_slashes(words[9].strip()), where, pose, camera, no_camera=fault)
 
 
-def _camera_of(cameras: Mapping[int, Camera], number: int) -> Camera:
+def _camera_of(cameras: _Cameras | None, number: int) -> tuple[Camera | None, str]:
+    """Returns a camera, or None and why there is none."""
+    if cameras is None:
+        return None, ""
     if number not in cameras:
         raise LodbenchError(f"there is no camera {number}")
-    return cameras[number]
+    camera = cameras[number]
+    return (None, camera) if isinstance(camera, str) else (camera, "")
 
 
 class _Bytes:
@@ -193,21 +250,36 @@ class _Bytes:
         return self._data[self._at - count : self._at]
 
 
-def _binary_cameras(path: Path) -> dict[int, Camera]:
-    data, cameras = _Bytes(path), {}
+def _binary_cameras(path: Path) -> dict[int, Camera | str]:
+    """Returns cameras by number, or why one cannot be had: one of an unknown model, and all behind it."""
+    data, cameras = _Bytes(path), dict[int, Camera | str]()
     (count,) = data.take("<Q")
     for _ in range(count):
         with Place(data.where, "a camera of COLMAP's binary format"):
             number, model, width, height = data.take("<iiQQ")
             if model not in _MODEL_NAMES:
-                raise LodbenchError(f"the camera model number {model} is not known")
+                return _Lost(cameras | {number: _lacking(f"number {model}")}, model)
             name = _MODEL_NAMES[model]
             params = data.take(f"<{len(colmap_parameters(name))}d")
             cameras[number] = Camera.from_colmap(name, width, height, params)
     return cameras
 
 
-def _binary_images(path: Path, cameras: Mapping[int, Camera] | None) -> Iterator[FoundPose]:
+class _Lost(dict[int, Camera | str]):
+    """Cameras of a binary file up to one of an unknown model, whose length is not known, nor what follows."""
+
+    def __init__(self, cameras: dict[int, Camera | str], model: int) -> None:
+        super().__init__(cameras)
+        self._reason = f"its camera stands behind one of the model number {model}, which is not known"
+
+    def __contains__(self, number: object) -> bool:
+        return True
+
+    def __missing__(self, number: int) -> str:
+        return self._reason
+
+
+def _binary_images(path: Path, cameras: _Cameras | None) -> Iterator[FoundPose]:
     data = _Bytes(path)
     (count,) = data.take("<Q")
     for _ in range(count):
@@ -216,7 +288,7 @@ def _binary_images(path: Path, cameras: Mapping[int, Camera] | None) -> Iterator
             _, *numbers, camera_number = data.take("<i7di")
             name = data.take_text()
             pose = Pose.from_quaternion(numbers[:4], numbers[4:])
-            camera = None if cameras is None else _camera_of(cameras, camera_number)
+            camera, fault = _camera_of(cameras, camera_number)
             (num_points,) = data.take("<Q")
             data.skip(num_points * _BYTES_PER_POINT)
-        yield FoundPose(name, where, pose, camera)
+        yield FoundPose(with_slashes(name), where, pose, camera, no_camera=fault)

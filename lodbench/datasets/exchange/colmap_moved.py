@@ -10,9 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from lodbench.datasets.exchange.colmap import require_no_binary
+from lodbench.datasets.exchange.colmap_rigs import (
+    RIG_FILES,
+    lone_cameras,
+    moved_numbers,
+    movers,
+    posed_images,
+)
 from lodbench.datasets.exchange.posed import Place
 from lodbench.errors import DatasetError
-from lodbench.geometry import Pose
 from lodbench.geometry.similarity import Similarity
 from lodbench.storage import make_folder, write_bytes
 
@@ -22,8 +28,8 @@ _BYTES_PER_POINT, _BYTES_PER_TRACK = 24, 8
 def write_moved_colmap(model: Path, similarity: Similarity, folder: Path) -> None:
     """Writes a copy of a model, text or binary as it is, in the frame that a similarity leads to.
 
-    Tracks, colours, errors and points of pictures stay as they are. Rigs and frames of COLMAP 4 are left out:
-    without them COLMAP takes each image for a rig of its own.
+    Tracks, colours, errors and points of pictures stay as they are. Rigs and frames of COLMAP 4 move along; a
+    model without them gets such as COLMAP makes for it, each camera a rig of its own.
 
     Args:
         model: Folder of ``cameras``, ``images`` and, where there are points, ``points3D``.
@@ -47,7 +53,21 @@ def write_moved_colmap(model: Path, similarity: Similarity, folder: Path) -> Non
         if name == "images" or file.is_file():
             with Place(str(file), f"{name} of a COLMAP model"):
                 write_bytes(folder / file.name, _moved(file, move, similarity))
+    _write_rigs(model, similarity, folder, ending)
     shutil.copyfile(model / f"cameras.{ending}", folder / f"cameras.{ending}")
+
+
+def _write_rigs(model: Path, similarity: Similarity, folder: Path, ending: str) -> None:
+    """Writes rigs and frames: those left in the folder by another program would overrule the poses."""
+    files = [model / f"{name}.{ending}" for name in RIG_FILES]
+    if all(file.is_file() for file in files):
+        for file, move in zip(files, movers(ending), strict=True):
+            with Place(str(file), f"{file.stem} of a COLMAP model"):
+                write_bytes(folder / file.name, _moved(file, move, similarity))
+        return
+    images = (folder / f"images.{ending}").read_bytes()
+    for file, made in zip(files, lone_cameras(posed_images(images, ending), ending), strict=True):
+        write_bytes(folder / file.name, made)
 
 
 def _moved(file: Path, move: Callable[[bytes, Similarity], bytes], similarity: Similarity) -> bytes:
@@ -57,12 +77,6 @@ def _moved(file: Path, move: Callable[[bytes, Similarity], bytes], similarity: S
         raise DatasetError(f"{file} cannot be read: {error.strerror}.") from error
     except struct.error as error:
         raise DatasetError(f"{file} is cut off.", "Copy it again.") from error
-
-
-def _moved_numbers(numbers: list[float] | tuple[float, ...], similarity: Similarity) -> list[float]:
-    """Returns quaternion and translation, world to camera, after a similarity."""
-    moved = similarity.pose(Pose.from_quaternion(numbers[:4], numbers[4:7]))
-    return [*moved.quat_wxyz, *map(float, moved.translation)]
 
 
 def _text_images(content: bytes, similarity: Similarity) -> bytes:
@@ -75,7 +89,7 @@ def _text_images(content: bytes, similarity: Similarity) -> bytes:
             is_points = False
         else:
             words = line.split(maxsplit=8)
-            moved = _moved_numbers([float(word) for word in words[1:8]], similarity)
+            moved = moved_numbers([float(word) for word in words[1:8]], similarity)
             lines.append(" ".join([words[0], *map(repr, moved), words[8]]))
             is_points = True
     return "\n".join(lines).encode("utf-8")
@@ -97,7 +111,7 @@ def _binary_images(content: bytes, similarity: Similarity) -> bytes:
     (count,) = struct.unpack_from("<Q", content)
     for _ in range(count):
         numbers = struct.unpack_from("<7d", content, at + 4)
-        struct.pack_into("<7d", moved, at + 4, *_moved_numbers(numbers, similarity))
+        struct.pack_into("<7d", moved, at + 4, *moved_numbers(numbers, similarity))
         at = content.index(b"\0", at + 64) + 1
         (points,) = struct.unpack_from("<Q", content, at)
         at += 8 + points * _BYTES_PER_POINT

@@ -20,6 +20,7 @@ class FoundPose(NamedTuple):
         pose: World to camera.
         camera: Intrinsics of the picture, lens distortion included; None where the format has none.
         crs: Reference system of the pose as its file declares it; None where it declares none.
+        no_camera: Why ``camera`` is None, where the format has one for each image.
     """
 
     name: str
@@ -27,6 +28,12 @@ class FoundPose(NamedTuple):
     pose: Pose
     camera: Camera | None = None
     crs: str | None = None
+    no_camera: str = ""
+
+
+def with_slashes(name: str) -> str:
+    """Returns the name of an image with the folders that programs of Windows put backslashes between."""
+    return name.replace("\\", "/")
 
 
 def inverted(pose: Pose) -> Pose:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.checks import FAULT, OK, Check
-from lodbench.errors import ConfigError, LodbenchError
+from lodbench.errors import STOPPED, ConfigError, LodbenchError
 from lodbench.harness.conformance.city import fit_rules, reader_rules, renderer_rules
 from lodbench.harness.conformance.data import dataset_rules, metric_rules, pose_format_rules, prior_rules
 from lodbench.harness.conformance.export import export_rules
@@ -97,7 +97,9 @@ def require_settings(plug_in: PlugIn, config: Mapping[str, Any]) -> None:
         _params_of(params_type, config, CONFIGURED[plug_in.group])
     except ConfigError:
         raise
-    except Exception:  # a plug-in may raise anything: that is told with its answers
+    except STOPPED:
+        raise
+    except BaseException:  # a plug-in may raise anything: that is told with its answers
         return
 
 

@@ -14,7 +14,7 @@ from lodbench.checks import FAULT, OK, Check, fault_of
 from lodbench.citymodel.blocks import scene_of_blocks
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Dataset, Entry
-from lodbench.errors import LodbenchError
+from lodbench.errors import STOPPED, LodbenchError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.methods.conformance.rules import Violation
 from lodbench.methods.conformance.trial import BLOCKS, TRUTHS
@@ -70,7 +70,9 @@ def check_rules(rules: Rules) -> Iterator[Check]:
             continue
         except Violation as violation:
             yield Check("answers", title, FAULT, str(violation), violation.hint)
-        except (Exception, SystemExit) as error:  # a plug-in may raise anything: that is what is told
+        except STOPPED:
+            raise
+        except BaseException as error:  # a plug-in may raise anything: that is what is told
             yield fault_of(error, "answers", title)
         return
 
@@ -91,7 +93,9 @@ def refuses(call: Callable[[], object], what: str) -> str:
         call()
     except LodbenchError as error:
         return f"{type(error).__name__}: {error.message}"
-    except (Exception, SystemExit) as error:  # anything else ends a run with a traceback
+    except STOPPED:
+        raise
+    except BaseException as error:  # anything else ends a run with a traceback
         raise Violation(
             f"{what} raises {type(error).__name__}: {error}", "Raise an error of lodbench.errors."
         ) from error

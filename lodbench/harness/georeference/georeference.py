@@ -119,7 +119,7 @@ def _queries(
         for image in images:
             try:
                 if image.camera is None:
-                    raise DatasetError("it has no camera")
+                    raise DatasetError(image.no_camera or "it has no camera")
                 file = _file(request, image.name)
                 if file in shared:
                     raise DatasetError(f"{file} is of other images as well: keep the model's folders")

@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -15,12 +16,11 @@ from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import find_photo, shared_files
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_notes import place_notes
-from lodbench.datasets.photo_pose import pose_from_photo
+from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose
 from lodbench.geometry.similarity import FEWEST_POSES, Similarity, fit_similarity
-from lodbench.harness.georeference.request import GeoreferenceRequest
 
 # What rough places and directions are off by, each photo by itself, metres and degrees.
 ROUGH_M, ROUGH_DEG = np.array([3.0, 3.0, 5.0]), 5.0
@@ -50,9 +50,18 @@ class _StatedPoses:
     faults: list[LodbenchError]
 
 
-def rough_start(
-    request: GeoreferenceRequest, images: Sequence[FoundPose], frame: MapFrame | None
-) -> RoughStart:
+class Rough(Protocol):
+    """What is known of where a reconstruction is: see ``GeoreferenceRequest``."""
+
+    @property
+    def start(self) -> Path | None: ...  # noqa: D102
+    @property
+    def images(self) -> Path | None: ...  # noqa: D102
+    @property
+    def heights(self) -> HeightOptions: ...  # noqa: D102
+
+
+def rough_start(request: Rough, images: Sequence[FoundPose], frame: MapFrame | None) -> RoughStart:
     """Returns the similarity to start from.
 
     Args:
@@ -131,9 +140,7 @@ def _stated_similarity(values: object, path: Path) -> Similarity:
         return Similarity(scale, Pose.from_matrix(np.column_stack([turn, shift])).rotation, shift)
 
 
-def _stated_by_photos(
-    request: GeoreferenceRequest, images: Sequence[FoundPose], frame: MapFrame | None
-) -> _StatedPoses:
+def _stated_by_photos(request: Rough, images: Sequence[FoundPose], frame: MapFrame | None) -> _StatedPoses:
     """Returns where photos say they were taken, for those that say it."""
     if request.images is None:
         raise DatasetError(
@@ -142,7 +149,7 @@ def _stated_by_photos(
         )
     if frame is None:
         raise DatasetError(
-            f"{request.city.name} names no reference system, so GPS means nothing in it.",
+            "The city names no reference system, so GPS means nothing in it.",
             "Name it with --crs, or give --start FILE with rough poses.",
         )
     stated = _StatedPoses({}, [], [])

@@ -150,6 +150,7 @@ def write_answer(
         is_trusted=is_trusted(estimate.probability, estimate.score, has_mask),
         place=None if frame is None else frame.place_of(estimate.pose),
         camera=photo.pinhole,
+        stored_camera=photo.camera,
         camera_source=photo.camera_source,
         lens_percent=photo.lens_percent,
         camera_sigmas=photo.camera_sigmas,

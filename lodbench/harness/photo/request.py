@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.map_frame import Place
+from lodbench.datasets.pose_text import format_camera
 from lodbench.evaluation import PoseError
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.harness.requests import RoughRequest
@@ -60,6 +61,7 @@ class LocalizedPhoto:
         is_trusted: Whether the pose is more likely right than wrong, as far as can be told.
         place: Where on Earth, or None without a reference system.
         camera: Pinhole that was localised.
+        stored_camera: Of the photo as stored, lens included.
         camera_source: Where its numbers came from.
         lens_percent: Standard deviation of its focal length, percent; None for one that was calibrated.
         camera_sigmas: Standard deviations of all of the camera's numbers.
@@ -86,6 +88,7 @@ class LocalizedPhoto:
     is_trusted: bool
     place: Place | None
     camera: Camera
+    stored_camera: Camera
     camera_source: str
     lens_percent: float | None
     camera_sigmas: CameraSigmas
@@ -131,6 +134,7 @@ class LocalizedPhoto:
             "trust": self.trust,
             "camera": {
                 "colmap": [*self.camera.to_colmap()],
+                "as_stored": format_camera("", self.stored_camera).strip(),
                 "source": self.camera_source,
                 "lens_percent": self.lens_percent,
                 "sigmas": asdict(self.camera_sigmas),

@@ -26,7 +26,7 @@ from lodbench.errors import LodbenchError
 from lodbench.execution.one_blas_thread import on_one_blas_thread
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.remote.drawn import drawn_bytes
-from lodbench.harness.remote.wire import FAULTS, fault_told, packed, unpacked
+from lodbench.harness.remote.wire import MalformedMessage, fault_of, fault_told, numbered, packed, unpacked
 from lodbench.harness.runs.code_digest import code_digest, words_in
 from lodbench.methods.measured_calls import weight_files
 from lodbench.methods.protocol import Estimate, Method, SupportsFlights, SupportsPrepare, SupportsTrial
@@ -44,14 +44,15 @@ class Pipe:
 
     def __init__(self, source: BinaryIO, target: BinaryIO) -> None:
         self._source, self._target = source, target
+        self._number = 0
 
-    def send(self, message: Any) -> None:
-        """Sends a message."""
-        self._target.write(packed(message))
+    def send(self, message: dict[str, Any]) -> None:
+        """Sends a message, with the number of the one it answers."""
+        self._target.write(packed({"number": self._number, **message}))
         self._target.flush()
 
-    def receive(self) -> Any:
-        """Returns the next message; ends the process where there is none."""
+    def receive(self) -> dict[str, Any]:
+        """Returns the next message; ends the process where there is none, or not the one due."""
 
         def read(count: int) -> bytes:
             found = self._source.read(count)
@@ -62,14 +63,18 @@ class Pipe:
                 raise SystemExit(0)
             return found
 
-        return unpacked(read)
+        self._number += 1
+        try:
+            return numbered(unpacked(read), self._number)
+        except MalformedMessage as error:
+            raise SystemExit(error.message) from error
 
     def ask(self, *words: Any) -> Any:
         """Returns the other end's answer; raises what it says was raised."""
         self.send({"ask": list(words)})
         answer = self.receive()
         if "fault" in answer:
-            raise FAULTS.get(answer["kind"], LodbenchError)(answer["fault"], answer["hint"])
+            raise fault_of(answer)
         return answer["answer"]
 
 
@@ -175,7 +180,7 @@ class Served:
             "trial_params": asdict(method.params_for_trial()) if isinstance(method, SupportsTrial) else None,
             "answers_flights": isinstance(method, SupportsFlights),
             "prepares": isinstance(method, SupportsPrepare),
-            "weights": list(weight_files(method)),
+            "weights": [Path(file) for file in weight_files(method)],
             "code": [code_digest(method, names=names), sys.version, version("numpy")],
         }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import weakref
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,9 +25,10 @@ from lodbench.errors import (
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.remote.drawn import KINDS, drawn_bytes
 from lodbench.harness.remote.process import Child, ProcessFault, RunnerFault
-from lodbench.harness.remote.wire import FAULTS
+from lodbench.harness.remote.wire import MalformedMessage, fault_of
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.workspace import Workspace
+from lodbench.storage.paths import path_name
 
 HERE, SUBPROCESS = "here", "subprocess"
 _MODULE = "lodbench.harness.remote.child"
@@ -54,6 +55,44 @@ class RunnerParams:
         if self.name == SUBPROCESS and not self.python:
             raise ConfigError("runner=subprocess needs a Python.", "Set runner.python=PATH.")
         require_numbers(self, "runner", ("timeout_s", "prepare_timeout_s"), 0, 1e6, "(]")
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """What a child says of the method that it made, and what that offers."""
+
+    name: str
+    requires: list[str]
+    params: dict[str, Any]
+    trial_params: dict[str, Any] | None
+    answers_flights: bool
+    prepares: bool
+    weights: list[Path]
+    code: list[str]
+
+    @classmethod
+    def of(cls, said: object) -> About:
+        """Returns what was said.
+
+        Raises:
+            MalformedMessage: It is no such description.
+        """
+        lists = {"requires": str, "weights": Path, "code": str}
+        values = said if isinstance(said, dict) else {}
+        is_sound = (
+            values.keys() == {each.name for each in fields(cls)}
+            and isinstance(values["name"], str)
+            and isinstance(values["params"], dict)
+            and isinstance(values["trial_params"], dict | None)
+            and all(isinstance(values[name], bool) for name in ("answers_flights", "prepares"))
+            and all(
+                isinstance(values[name], list) and all(isinstance(item, kind) for item in values[name])
+                for name, kind in lists.items()
+            )
+        )
+        if not is_sound:
+            raise MalformedMessage("the method's process wrote no description of the method")
+        return cls(**values)
 
 
 class RemoteMethod:
@@ -84,14 +123,12 @@ class RemoteMethod:
         self._told: CityMap | None = None
         self._prepared_in: tuple[Sequence[Reference], Path] | None = None
         about = self._start()
-        self.name = str(about["name"])
-        self.requires = frozenset(about["requires"])
-        self.params: dict[str, Any] = about["params"]
-        self.remote_code: list[str] = about["code"]
-        self._weights = [Path(file) for file in about["weights"]]
-        self._prepares = bool(about["prepares"])
-        self.trial_params: dict[str, Any] | None = about["trial_params"]
-        if about["answers_flights"]:
+        self.name = path_name("method", about.name)
+        self.requires = frozenset(about.requires)
+        self.params, self.trial_params = about.params, about.trial_params
+        self.remote_code = about.code
+        self._weights, self._prepares = about.weights, about.prepares
+        if about.answers_flights:
             raise ConfigError(
                 f"method={self.name} answers whole flights, which go over no pipe.", "Leave out runner=."
             )
@@ -141,7 +178,7 @@ class RemoteMethod:
             self._child.close()
         self._child = None
 
-    def _start(self) -> dict[str, Any]:
+    def _start(self) -> About:
         """Starts a process and makes the method there; returns what there is to know of it."""
         # What this environment tells its Python is no matter of the other's.
         kept = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
@@ -153,8 +190,9 @@ class RemoteMethod:
             made = self._call(
                 ["make", self._settings, self._tilt], _nothing, max(_START_S, self._runner.timeout_s)
             )
-            return cast(dict[str, Any], made)
-        except ProcessFault as fault:
+            return About.of(made)
+        except (ProcessFault, MalformedMessage) as fault:
+            self.close()
             raise RunnerFault(
                 f"runner.python={self._runner.python}: {fault}.",
                 "lodbench must be installed there, and the method's package.",
@@ -185,8 +223,7 @@ class RemoteMethod:
             self._child = None
             raise
         if "fault" in said:
-            kind = FAULTS.get(str(said["kind"]), LodbenchError)
-            raise kind(str(said["fault"]), str(said.get("hint", "")))
+            raise fault_of(said)
         return said.get("done")
 
 

@@ -6,14 +6,13 @@ import os
 import select
 import signal
 import subprocess
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
 from lodbench.errors import ConfigError, LodbenchError, WorkersGone
-from lodbench.harness.remote.wire import MalformedMessage, fault_told, packed, unpacked
+from lodbench.harness.remote.wire import MalformedMessage, fault_told, numbered, packed, unpacked
 
 # Of what the child wrote to standard error, at most this much is told.
 _TAIL_BYTES = 4000
@@ -39,13 +38,14 @@ class Child:
     """
 
     def __init__(self, command: list[str], environment: dict[str, str]) -> None:
-        self._errors = tempfile.TemporaryFile()
+        # Messages that were sent, and the end of what the child wrote to standard error.
+        self._number, self._errors = 0, b""
         try:
             self._process = subprocess.Popen(  # noqa: S603 - the Python that the user names
                 command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=self._errors,
+                stderr=subprocess.PIPE,
                 env=environment,
                 bufsize=0,
                 process_group=0,
@@ -56,12 +56,18 @@ class Child:
             ) from error
         assert self._process.stdin is not None  # noqa: S101
         assert self._process.stdout is not None  # noqa: S101
+        assert self._process.stderr is not None  # noqa: S101
         self._in, self._out = self._process.stdin.fileno(), self._process.stdout.fileno()
-        os.set_blocking(self._in, False)
-        os.set_blocking(self._out, False)
+        self._err = self._process.stderr.fileno()
+        self._err_is_open = True
+        for stream in (self._in, self._out, self._err):
+            os.set_blocking(stream, False)
 
-    def call(self, message: Any, answer: Callable[[list[Any]], Any], timeout_s: float) -> Any:
+    def call(self, message: dict[str, Any], answer: Callable[[list[Any]], Any], timeout_s: float) -> Any:
         """Returns the child's last word to a message.
+
+        A child whose messages have other numbers than they should, or that says something before it is asked
+        (two processes write, where a method forked), is stopped: its answer would be to another message.
 
         Args:
             message: What it is to do.
@@ -74,11 +80,9 @@ class Child:
         """
         deadline = time.monotonic() + timeout_s
         try:
-            self._write(packed(message), deadline)
+            self._send(message, deadline)
             while True:
-                said = unpacked(lambda count: self._read(count, deadline))
-                if not isinstance(said, dict):
-                    raise MalformedMessage("a message is no word")
+                said = numbered(unpacked(lambda count: self._read(count, deadline)), self._number)
                 if "ask" not in said:
                     return said
                 try:
@@ -91,7 +95,7 @@ class Child:
                     told = fault_told(fault)
                 except Exception as error:  # it may ask with arguments of any kind
                     told = {"fault": f"{type(error).__name__}: {error}", "hint": "", "kind": "RenderingError"}
-                self._write(packed(told), deadline)
+                self._send(told, deadline)
         except (TimeoutError, EOFError, OSError, MalformedMessage) as error:
             raise self._fault(error, timeout_s) from None
 
@@ -101,9 +105,28 @@ class Child:
         if self._process.returncode is None:
             self._kill_group()
         self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout, self._errors):
+        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
             if stream is not None:
                 stream.close()
+
+    def _send(self, message: dict[str, Any], deadline: float) -> None:
+        """Sends a message with the next number."""
+        if self._has_said():
+            raise MalformedMessage("bytes that nobody had asked for")
+        self._number += 1
+        self._write(packed({"number": self._number, **message}), deadline)
+
+    def _has_said(self) -> bool:
+        """Tells whether bytes wait that were not asked for.
+
+        Raises:
+            EOFError: The pipe is closed.
+        """
+        if not select.select([self._out], [], [], 0)[0]:
+            return False
+        if not os.read(self._out, 1):
+            raise EOFError
+        return True
 
     def _read(self, count: int, deadline: float) -> bytes:
         parts, missing = [], count
@@ -123,11 +146,29 @@ class Child:
             self._wait([], [self._in], deadline)
             view = view[os.write(self._in, view[:_CHUNK]) :]
 
-    @staticmethod
-    def _wait(reading: list[int], writing: list[int], deadline: float) -> None:
-        left = deadline - time.monotonic()
-        if left <= 0 or not any(select.select(reading, writing, [], left)):
-            raise TimeoutError
+    def _wait(self, reading: list[int], writing: list[int], deadline: float) -> None:
+        """Returns when one of the pipes is ready; meanwhile takes what comes on standard error."""
+        while (left := deadline - time.monotonic()) > 0:
+            errors = [self._err] if self._err_is_open else []
+            ready, writable, _ = select.select([*reading, *errors], writing, [], left)
+            if self._err in ready:
+                self._take_errors()
+            if writable or set(ready) & set(reading):
+                return
+        raise TimeoutError
+
+    def _take_errors(self) -> None:
+        """Takes what is there of the child's standard error and keeps the end: it may write any amount."""
+        # Once around what a pipe holds: a child that never stops must not keep this from its deadline.
+        for _ in range(16):
+            try:
+                part = os.read(self._err, _CHUNK)
+            except BlockingIOError:
+                return
+            if not part:
+                self._err_is_open = False
+                return
+            self._errors = (self._errors + part)[-_TAIL_BYTES:]
 
     def _fault(self, error: Exception, timeout_s: float) -> ProcessFault:
         """Stops the child; returns why it gave no answer."""
@@ -137,9 +178,9 @@ class Child:
             reason = f"the method's process was stopped, for {error.message}"
         else:
             reason = f"the method's process ended with exit code {self._exit_code()}"
-        self._errors.seek(0, os.SEEK_END)
-        self._errors.seek(max(0, self._errors.tell() - _TAIL_BYTES))
-        errors = self._errors.read().decode(errors="replace").strip()
+        if self._err_is_open:
+            self._take_errors()
+        errors = self._errors.decode(errors="replace").strip()
         self.close()
         last = errors.splitlines()[-1].strip() if errors else ""
         fault = ProcessFault(f"{reason}: {last}" if last else reason)
@@ -150,6 +191,8 @@ class Child:
     def _exit_code(self) -> int | None:
         """Returns the code of a process that closed its pipe, or None where it does not end."""
         for _ in range(_LAST_WAITS):
+            if self._err_is_open:
+                self._take_errors()  # else it may wait for room, and not end
             if (code := self._ended_with()) is not None:
                 return code
             time.sleep(_WAIT_S)

@@ -1,12 +1,17 @@
 """What goes over the pipes: JSON, and arrays of numbers as they lie in memory; nothing is unpickled.
 
 A message is the length of its head (8 bytes, least first), the head in JSON, then the bytes of its arrays.
-Of classes only those of ``CLASSES`` are made, field by field.
+The head holds the values, the arrays' types and shapes, and their checksum: nothing that was cut off can be
+filled up by the next message. Of classes only those of ``CLASSES`` are made, field by field.
+
+The two ends take turns. A message is a dictionary whose ``number`` is, of the parent's, one more than of the
+last, and of the child's, that of the message it answers.
 """
 
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -50,6 +55,26 @@ def fault_told(fault: LodbenchError) -> dict[str, str]:
     return {"fault": fault.message, "hint": fault.hint, "kind": kind}
 
 
+def fault_of(said: dict[str, Any]) -> LodbenchError:
+    """Returns the fault that ``fault_told`` told of; of what has another shape, what there is."""
+    kind = FAULTS.get(str(said.get("kind")), LodbenchError)
+    return kind(str(said["fault"]), str(said.get("hint", "")))
+
+
+def numbered(message: Any, number: int) -> dict[str, Any]:
+    """Returns a message that is the one due.
+
+    Raises:
+        MalformedMessage: It is no dictionary, or has another number.
+    """
+    if not isinstance(message, dict):
+        raise MalformedMessage("a message is no word")
+    found = message.get("number")
+    if type(found) is not int or found != number:
+        raise MalformedMessage(f"a message has the number {str(found)[:20]} where {number} was due")
+    return message
+
+
 def packed(message: Any) -> bytes:
     """Returns a message as bytes: plain values, tuples, arrays, paths, and objects of ``CLASSES``.
 
@@ -61,8 +86,9 @@ def packed(message: Any) -> bytes:
     arrays: list[NDArray[Any]] = []
     tree = _plain(message, arrays)
     told = [[array.dtype.str, list(array.shape)] for array in arrays]
-    head = json.dumps([tree, told]).encode()
-    return b"".join([len(head).to_bytes(8, "little"), head, *(array.tobytes() for array in arrays)])
+    body = b"".join(array.tobytes() for array in arrays)
+    head = json.dumps([tree, told, zlib.crc32(body)]).encode()
+    return b"".join([len(head).to_bytes(8, "little"), head, body])
 
 
 def unpacked(read: Read) -> Any:
@@ -75,8 +101,13 @@ def unpacked(read: Read) -> Any:
     if length > _MOST_HEAD:
         raise MalformedMessage(f"the head of a message has {length} bytes")
     try:
-        tree, told = json.loads(read(length))
+        tree, told, wanted = json.loads(read(length))
         arrays = [_array(read, np.dtype(kind), [int(side) for side in shape]) for kind, shape in told]
+        found = 0
+        for array in arrays:
+            found = zlib.crc32(array.data if array.size else b"", found)
+        if found != wanted:
+            raise MalformedMessage("a message whose arrays have another checksum")
         return _whole(tree, arrays)
     except (MalformedMessage, OSError, EOFError):
         raise

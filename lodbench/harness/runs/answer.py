@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Entry, Query
-from lodbench.errors import ConfigError, InputChanged, LodbenchError, QueryFault, WorkersGone
+from lodbench.errors import STOPPED, ConfigError, InputChanged, LodbenchError, QueryFault, WorkersGone
 from lodbench.evaluation.predictions import Prediction, encoded_mask
 from lodbench.execution.same_folder import staying_here
 from lodbench.geometry import Pose
@@ -36,7 +36,7 @@ _MASK_WIDTH = 602
 # Those of a flight are held at most at this width, pixels: of 500 drone's photos the whole have 40 GB.
 _HELD_WIDTH = 2 * _MASK_WIDTH
 # No query is to blame for these. A plug-in's sys.exit is a fault like others: it would end a run silently.
-_ENDS_RUN = (ConfigError, InputChanged, WorkersGone)
+_ENDS_RUN = (ConfigError, InputChanged, WorkersGone, *STOPPED)
 
 
 @dataclass(slots=True)
@@ -119,7 +119,7 @@ def answer(
             )
         except _ENDS_RUN:
             raise
-        except (Exception, SystemExit) as error:  # one by one it shows which query it is
+        except BaseException as error:  # one by one it shows which query it is
             keep_traceback(folder, f"batch {ready[0][0].entry.key}", error)
         else:
             for (each, _), answer in zip(ready, answers, strict=True):
@@ -152,7 +152,7 @@ def _answer_flight(
         )
     except _ENDS_RUN:
         raise
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         keep_traceback(folder, first.key, error)
         for each, _ in ready:
             each.failure = words_of(error)
@@ -183,7 +183,7 @@ def _failing(each: Asked, folder: Path) -> Iterator[None]:
         raise
     except LodbenchError as fault:
         each.failure = fault.message if isinstance(fault, QueryFault) else fault.message.rstrip(".")
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         keep_traceback(folder, each.entry.key, error)
         each.failure = words_of(error)
 

@@ -12,7 +12,6 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError
 from lodbench.evaluation.evaluate import evaluate
 from lodbench.evaluation.pose_matching import match_poses, suspect_convention
 from lodbench.evaluation.predictions import Prediction, pose_numbers
@@ -24,6 +23,7 @@ from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.rendering import make_renderer
 from lodbench.segmentation import Segmenter
 from lodbench.storage import digest_of, make_folder, remove_leftovers
+from lodbench.storage.paths import path_name
 
 NO_POSE = "no pose in the pose file"
 # What a pose file does not say about how it was made.
@@ -80,7 +80,8 @@ def evaluate_poses(dataset: Dataset, settings: EvaluateSettings) -> Result:
         "renderer": UNSTATED,
         "seed": UNSTATED,
     }
-    folder = settings.runs_root / dataset.name / name / digest_of({"config": config, "inputs": inputs})
+    runs = settings.runs_root / path_name("dataset", dataset.name) / name
+    folder = runs / digest_of({"config": config, "inputs": inputs})
     make_folder(folder)
     remove_leftovers(folder)
     predictions = {entry.key: _prediction(matched.poses.get(entry.key)) for entry in entries}
@@ -105,12 +106,7 @@ def draw_scored(result: Result, segmenter: Segmenter, tilt: str) -> list[Path]:
 
 
 def _method_name(settings: EvaluateSettings) -> str:
-    name = settings.method_name or re.sub(r"[^\w.+-]+", "_", settings.poses.stem)
-    if not re.fullmatch(r"\w[\w.+-]*", name):
-        raise ConfigError(
-            f"method_name={name!r} cannot name a folder.", "Use letters, digits and any of _ . + -"
-        )
-    return name
+    return path_name("method", settings.method_name or re.sub(r"[^\w.+-]+", "_", settings.poses.stem))
 
 
 def _references(dataset: Dataset) -> dict[str, Pose]:

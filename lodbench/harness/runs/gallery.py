@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.query import Entry
+from lodbench.errors import STOPPED
 from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, is_answered
 from lodbench.execution.same_folder import staying_here
@@ -103,7 +104,9 @@ def _mask(segmenter: Segmenter, entry: Entry, prediction: Prediction) -> NDArray
     assert entry.camera is not None  # noqa: S101 - the caller has looked
     try:
         probability = check_mask(segmenter.segment(entry), entry.camera)
-    except (Exception, SystemExit):  # its query's row has the reason; a picture must not end a run
+    except STOPPED:
+        raise
+    except BaseException:  # its query's row has the reason; a picture must not end a run
         return None
     return binary_mask(probability, probability.shape[1], probability.shape[0])
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 
 from lodbench.citymodel.crs import is_same_plane
 from lodbench.citymodel.scene import Scene
+from lodbench.datasets.camera_faults import camera_fault
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.picture_faults import mask_fault, photo_fault
 from lodbench.datasets.pictures import picture_size
@@ -18,6 +19,7 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, QueryFault
 from lodbench.geometry import Pose
 from lodbench.harness.city import FURTHEST_M, distance_outside_m
+from lodbench.harness.contradictions import Views, same_photos, words_of
 from lodbench.harness.runs.requirements import needs_segmenter
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsFlights
@@ -26,6 +28,8 @@ from lodbench.segmentation import Segmenter
 from lodbench.segmentation.masks import MaskFiles
 
 _LOG = logging.getLogger(__name__)
+# Masks that a run looks at before it begins.
+_FEW = 24
 _TILE_HINT = "Is it the right tile, and its reference system right? lodbench city info says where it is."
 
 
@@ -102,6 +106,42 @@ def require_pictures(
         _tell_scaled(masked)
 
 
+def require_cameras(entries: Sequence[Entry]) -> None:
+    """Makes sure that some camera may be a photo's; of others, the queries fail.
+
+    Raises:
+        DatasetError: None may.
+    """
+    hint = "intrinsic.txt has pixels: fx, fy, cx, cy of PINHOLE."
+    _require_some([entry for entry in entries if entry.camera is not None], _camera_fault, hint)
+
+
+def doubts_of(
+    dataset: Dataset, entries: Sequence[Entry], scene: Scene, method: Method, segmenter: Segmenter
+) -> tuple[str, ...]:
+    """Returns what a few masks contradict, and photos that several queries have, as notes.
+
+    Raises:
+        DatasetError: All the masks that were looked at contradict camera, pose or city in the same way.
+    """
+    notes = [f"{copy.key} has the photo of {first.key}" for first, copy in same_photos(dataset, entries)]
+    if needs_segmenter(method) and isinstance(segmenter, MaskFiles):
+        masked = [entry for entry in entries if entry.mask is not None and entry.key in dataset.truth]
+        views = Views(dataset, masked[:: -(-len(masked) // _FEW) or 1], scene)
+        wrong = [(view, reading) for view, reading in views.wrong_masks() if reading.words]
+        if wrong and len(wrong) == len(views.masked()):
+            view, reading = wrong[0]
+            raise DatasetError(
+                f"The masks contradict the city, the cameras or the true poses; {view.entry.key}: "
+                f"{words_of(view, reading)}.",
+                "lodbench dataset check lists all.",
+            )
+        notes += [f"the mask of {view.entry.key}: {words_of(view, reading)}" for view, reading in wrong]
+    for note in notes:
+        _LOG.warning("%s", note)
+    return tuple(notes)
+
+
 def tell_flights(method: Method, entries: Sequence[Entry]) -> None:
     """Says which photos are taken for one flight because nothing names theirs: they may not be one."""
     unnamed = Counter(entry.split for entry in entries if not entry.sequence)
@@ -121,6 +161,11 @@ def _require_some(entries: Sequence[Entry], fault_of: Callable[[Entry], str], hi
     if first:
         count = f"None of {len(entries)} queries can be used" if len(entries) > 1 else "No query can be used"
         raise DatasetError(f"{count}; {first}.", hint)
+
+
+def _camera_fault(entry: Entry) -> str:
+    assert entry.camera is not None  # noqa: S101 - the caller has looked
+    return camera_fault(entry.camera)
 
 
 def _mask_fault(entry: Entry) -> str:

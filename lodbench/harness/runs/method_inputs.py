@@ -9,7 +9,7 @@ from pathlib import Path
 from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Dataset, Entry, Reference
-from lodbench.errors import ConfigError, LodbenchError
+from lodbench.errors import STOPPED, ConfigError, LodbenchError
 from lodbench.execution.one_blas_thread import on_one_blas_thread
 from lodbench.execution.same_folder import staying_here
 from lodbench.harness.tracebacks import keep_traceback, words_of
@@ -75,9 +75,9 @@ def prepare_method(
     local = [replace(r, pose=r.pose.shifted(-city_map.scene.origin)) for r in references]
     try:
         method.prepare(city_map, local, workspace)
-    except LodbenchError:
+    except (LodbenchError, *STOPPED):
         raise
-    except (Exception, SystemExit) as error:  # a plug-in's code may raise anything
+    except BaseException as error:  # a plug-in's code may raise anything
         file = keep_traceback(folder, "prepare", error)
         raise ConfigError(
             f"method={method.name} cannot prepare: {words_of(error)}", f"See {file}."

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
+from lodbench.datasets.camera_faults import camera_fault
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, QueryFault, nearest_names
@@ -89,6 +90,8 @@ class Preparation:
                 "the camera has lens distortion: undistort the image and the mask",
                 "lodbench dataset init and import do.",
             )
+        if fault := camera_fault(entry.camera):
+            raise QueryFault(fault)
         prior = self.prior(entry)
         if prior is None:
             raise QueryFault("no prior pose")

@@ -30,7 +30,9 @@ from lodbench.execution.same_code import own_digest
 from lodbench.harness.city import city_digests, open_city
 from lodbench.harness.runs.code_digest import code_digest, words_in
 from lodbench.harness.runs.input_checks import (
+    doubts_of,
     looks_at_photos,
+    require_cameras,
     require_pictures,
     require_same_place,
     tell_flights,
@@ -56,6 +58,7 @@ from lodbench.segmentation.registry import masks_digest
 from lodbench.storage import can_write, digest_of, make_folder, remove_leftovers, write_text
 from lodbench.storage.contents import known_contents, remembered_contents
 from lodbench.storage.disk import disk
+from lodbench.storage.paths import path_name
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +119,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     Raises:
         LodbenchError: A fault of the dataset or the settings, before any work is done.
     """
+    runs = settings.runs_root / path_name("dataset", dataset.name) / path_name("method", method.name)
     dataset, splits, entries, city_map, textured = _opened(method, dataset, segmenter, settings)
     needs = made_inputs(method) | ({Input.IMAGE} if looks_at_photos(method, segmenter) else set())
     preparation = Preparation(dataset, city_map.scene, segmenter, settings.tilt, needs, city_map)
@@ -123,7 +127,6 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         **_fixed_inputs(method, segmenter, dataset, entries, city_map.scene, textured, settings.names()),
         **_read_inputs(method, segmenter, dataset, entries),
     }
-    runs = settings.runs_root / dataset.name / method.name
     folder = runs / digest_of({"config": settings.config, "inputs": inputs})
     work = Work(
         # A worker prepares its own.
@@ -178,11 +181,14 @@ def _opened(
     dataset = with_inputs(dataset, required_inputs(method, segmenter))
     # Once more: what was made for single queries is theirs.
     entries = chosen_entries(dataset, splits, settings.limit)
+    require_cameras(entries)
     require_pictures(dataset, entries, method, segmenter)
     tell_flights(method, entries)
     scene, dataset = _open_city(dataset)
     require_same_place(dataset, entries, scene)
     require_direction(dataset, entries, scene)
+    doubts = doubts_of(dataset, entries, scene, method, segmenter)
+    dataset = replace(dataset, notes=dataset.notes + doubts)
     textured, dataset = _open_textured(dataset, scene)
     city_map = CityMap(scene, settings.renderer, settings.threads, textured)
     return dataset, splits, entries, city_map, textured

@@ -27,6 +27,7 @@ from lodbench.geometry import Camera
 from lodbench.harness.track.clocks import PHOTO_RATE, photo_clocks
 from lodbench.segmentation import Segmenter, check_mask
 from lodbench.segmentation.masks import read_mask
+from lodbench.storage.paths import require_regular
 
 Mask = NDArray[np.float32]
 
@@ -136,6 +137,7 @@ class Footage:
 
         if self.source.suffix.lower() in PHOTO_SUFFIXES:
             raise DatasetError(f"{self.source} is one photo.", "lodbench localize finds where it was taken.")
+        require_regular(self.source)
         with opencv_silenced():
             video = cv2.VideoCapture(str(self.source), _backend())
             if not video.isOpened():

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.checks import FAULT, OK, Check, fault_of
+from lodbench.errors import STOPPED
 from lodbench.methods.conformance import life
 from lodbench.methods.conformance.rules import (
     Violation,
@@ -69,7 +70,9 @@ def check_answers(make: Callable[[], Method]) -> Iterator[Check]:
                 method = make()
             trial = make_trial(Path(folder), method)
             answers = _collect(make, trial)
-        except (Exception, SystemExit) as error:  # a method may raise anything: that is what is told
+        except STOPPED:
+            raise
+        except BaseException as error:  # a method may raise anything: that is what is told
             yield fault_of(error, "answers", "answers", _NO_ANSWER)
             return
         first = _checked("answers", "answers", lambda: answered(answers))
@@ -123,7 +126,9 @@ def _checked(section: str, title: str, rule: Callable[[], str], on_purpose: str 
         return Check(section, title, OK, rule())
     except Violation as violation:
         return Check(section, title, FAULT, str(violation), violation.hint)
-    except (Exception, SystemExit) as error:  # of the method, or of values that are not what they should be
+    except STOPPED:
+        raise
+    except BaseException as error:  # of the method, or of values that are not what they should be
         return fault_of(error, section, title, on_purpose)
 
 

@@ -64,7 +64,7 @@ def untouched_queries(method: Method, answers: TrialAnswers) -> str:
     for query in answers.trial.queries:
         if query.building_probability is None:
             return "there is no mask to write to"
-        # A read-only array would make a careless method raise instead of being told what it did.
+        # Queries show it read-only; who makes it writable again is found here.
         mask = query.building_probability.copy()
         given = replace(query, building_probability=mask)
         with suppress(QueryFault):

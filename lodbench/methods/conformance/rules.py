@@ -11,11 +11,12 @@ import numpy as np
 
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.priors import UniformPrior
-from lodbench.errors import QueryFault
+from lodbench.errors import ConfigError, QueryFault
 from lodbench.geometry import Pose
 from lodbench.methods.conformance.trial import TrialAnswers
 from lodbench.methods.protocol import Estimate, Method, SupportsPriorWidth
 from lodbench.methods.sound_estimate import uncertainty_fault
+from lodbench.storage.paths import path_name
 
 # The priors are 9 m and 3 degrees off; answers beyond these are in another frame or turned round.
 _FURTHEST_M, _FURTHEST_DEG = 300.0, 60.0
@@ -45,7 +46,10 @@ def right_name(kind: Any, name: str) -> str:
     found = getattr(kind, "name", None)
     if found != name:
         raise Violation(f"the class says {found!r}", f"Set name = {name!r}, as the entry point does.")
-    return name
+    try:
+        return path_name("method", name)
+    except ConfigError as error:
+        raise Violation(error.message, error.hint) from error
 
 
 def frozen_parameters(kind: Any, name: str) -> str:

@@ -22,6 +22,7 @@ READ = "import os, sys, time; n = int.from_bytes(os.read(0, 8), 'little'); os.re
 
 
 HEAD = "h = {head!r}.encode(); os.write(1, len(h).to_bytes(8, 'little') + h); "
+DONE = '["number", 1], ["done", 2]'
 
 
 def child_that(code: str) -> Child:
@@ -41,7 +42,17 @@ def child_that(code: str) -> Child:
             20.0,
             r"stopped, for the head of a message has \d+ bytes",
         ),
-        (HEAD.format(head='["done", []]') + "time.sleep(60)", 20.0, "stopped, for a message is no word"),
+        (HEAD.format(head='["done", [], 0]') + "time.sleep(60)", 20.0, "stopped, for a message is no word"),
+        (
+            HEAD.format(head='[{"dict": [["number", 2], ["done", 0]]}, [], 0]') + "time.sleep(60)",
+            20.0,
+            "stopped, for a message has the number 2 where 1 was due",
+        ),
+        (
+            HEAD.format(head='[{"dict": [["done", 0]]}, [], 0]') + "time.sleep(60)",
+            20.0,
+            "stopped, for a message has the number None where 1 was due",
+        ),
         (HEAD.format(head="nonsense") + "time.sleep(60)", 20.0, "stopped, for a message cannot be read"),
     ],
 )
@@ -58,6 +69,30 @@ def test_a_child_that_does_not_read_is_stopped():
     child = Child([sys.executable, "-S", "-c", "import time; time.sleep(60)"], {})
     with pytest.raises(ProcessFault, match="gave no answer"):
         child.call({"do": [np.zeros(1 << 20)]}, lambda words: None, 0.5)
+
+
+def test_what_came_before_it_was_asked_for_is_no_answer():
+    """Two processes answer where a method forks: the second answer must not be the next query's."""
+    twice = 2 * HEAD.format(head=f'[{{"dict": [{DONE}]}}, [], 0]')
+    child = child_that(twice + "time.sleep(60)")
+    assert child.call({"do": []}, lambda words: None, 20.0)["done"] == 2
+    # By what comes first: the look before the question, or the number of what is read after it.
+    with pytest.raises(ProcessFault, match=r"that nobody had asked for|has the number 1 where 2 was due"):
+        child.call({"do": []}, lambda words: None, 20.0)
+    assert child._process.returncode is not None
+
+
+def test_standard_error_of_any_length_is_read_and_its_end_kept():
+    """Twenty million bytes: neither a disk nor the memory is filled, and nobody waits for room."""
+    flood = "[os.write(2, b'x' * 99999 + b'\\n') for _ in range(100)]; "
+    child = child_that(flood + HEAD.format(head=f'[{{"dict": [{DONE}]}}, [], 0]') + flood + "os._exit(5)")
+    tracemalloc.start()
+    assert child.call({"do": []}, lambda words: None, 60.0)["done"] == 2
+    with pytest.raises(ProcessFault, match="ended with exit code 5"):
+        child.call({"do": []}, lambda words: None, 60.0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 22
 
 
 def assert_ends(pid: int) -> None:
@@ -89,7 +124,7 @@ def test_what_a_child_started_ends_with_it(ending, timeout_s, reason, has_waitid
 
 def test_room_is_made_for_what_came_not_for_what_is_said_to_come():
     """A head that announces an array of 7 GB, and no such bytes."""
-    head = json.dumps([{"dict": [["done", {"array": 0}]]}, [["|u1", [7 << 30]]]])
+    head = json.dumps([{"dict": [["done", {"array": 0}]]}, [["|u1", [7 << 30]]], 0])
     child = child_that(HEAD.format(head=head) + "time.sleep(60)")
     tracemalloc.start()
     with pytest.raises(ProcessFault, match="gave no answer"):
@@ -100,7 +135,7 @@ def test_room_is_made_for_what_came_not_for_what_is_said_to_come():
 
 
 def test_what_goes_wrong_with_a_question_is_told_to_who_asked():
-    ask = HEAD.format(head='[{"dict": [["ask", ["draw", 3]]]}, []]')
+    ask = HEAD.format(head='[{"dict": [["number", 1], ["ask", ["draw", 3]]]}, [], 0]')
     again = "n = int.from_bytes(os.read(0, 8), 'little'); os.write(2, os.read(0, n)); os._exit(3)"
 
     def answer(words: list) -> None:
@@ -111,7 +146,7 @@ def test_what_goes_wrong_with_a_question_is_told_to_who_asked():
 
 
 def test_workers_that_are_gone_end_the_run_and_no_query():
-    ask = HEAD.format(head='[{"dict": [["ask", ["draw", 3]]]}, []]')
+    ask = HEAD.format(head='[{"dict": [["number", 1], ["ask", ["draw", 3]]]}, [], 0]')
 
     def answer(words: list) -> None:
         raise WorkersGone("they are gone")

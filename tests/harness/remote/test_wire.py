@@ -58,23 +58,25 @@ LENS = {"width": 4, "height": 3, "fx": 2.0, "fy": 2.0, "cx": 2.0, "cy": 1.5}
 
 
 @pytest.mark.parametrize(
-    "tree_and_arrays",
+    "head",
     [
-        [{"array": 0}, [["|O", [1]]]],
-        [{"array": 0}, [["<f8", [-1]]]],
-        [{"array": 0}, [["<f8", [1 << 40]]]],
-        [{"array": 3}, []],
-        [{"class": "Popen", "fields": {}}, []],
-        [{"class": "Camera", "fields": {"system": 1}}, []],
-        [{"class": "Camera", "fields": {**LENS, "distortion": {"tuple": [1.0]}}}, []],
-        [{"reduce": 1}, []],
-        [{"a": 1, "b": 2}, []],
+        [{"array": 0}, [["|O", [1]]], 0],
+        [{"array": 0}, [["<f8", [-1]]], 0],
+        [{"array": 0}, [["<f8", [1 << 40]]], 0],
+        [{"array": 3}, [], 0],
+        [{"class": "Popen", "fields": {}}, [], 0],
+        [{"class": "Camera", "fields": {"system": 1}}, [], 0],
+        [{"class": "Camera", "fields": {**LENS, "distortion": {"tuple": [1.0]}}}, [], 0],
+        [{"reduce": 1}, [], 0],
+        [{"a": 1, "b": 2}, [], 0],
+        [None, [["|u1", [0]]], 1],
+        [None, []],
         {"no": "list"},
         7,
     ],
 )
-def test_nonsense_is_told_and_makes_nothing(tree_and_arrays):
-    head = json.dumps(tree_and_arrays).encode()
+def test_nonsense_is_told_and_makes_nothing(head):
+    head = json.dumps(head).encode()
     with pytest.raises((MalformedMessage, EOFError)):
         unpacked(reader(len(head).to_bytes(8, "little") + head))
     deep = b"[" * 100_000
@@ -83,7 +85,9 @@ def test_nonsense_is_told_and_makes_nothing(tree_and_arrays):
 
 
 def test_a_hint_reaches_who_asked():
-    fault = io.BytesIO(packed({"fault": "no such lens", "hint": "undo it", "kind": "RenderingError"}))
+    fault = io.BytesIO(
+        packed({"number": 1, "fault": "no such lens", "hint": "undo it", "kind": "RenderingError"})
+    )
     with pytest.raises(RenderingError, match="no such lens") as caught:
         Pipe(fault, io.BytesIO()).ask("draw")
     assert caught.value.hint == "undo it"

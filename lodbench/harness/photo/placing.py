@@ -1,0 +1,272 @@
+"""Pixels and regions of a localised photo on the map: read what ``localize`` wrote, place, write GeoJSON."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from lodbench.citymap.places import (
+    PIXEL_SIGMA_PX,
+    LocatedPixel,
+    Uncertainty,
+    nowhere,
+    places_of,
+    require_pixels,
+    shifted,
+)
+from lodbench.citymap.surfaces import MAP_SIGMA_M, Surfaces
+from lodbench.citymodel.options import ReadOptions
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.datasets.pose_text import parse_camera
+from lodbench.errors import DatasetError
+from lodbench.execution import Progress
+from lodbench.geometry import Camera, Pose
+from lodbench.harness.city import open_city
+from lodbench.harness.photo.placed import KIND, Localized, PlacedFeature, PlacedPhoto, write_places
+from lodbench.segmentation import check_mask
+from lodbench.segmentation.mask_polygons import MaskPolygon, polygons_of
+from lodbench.segmentation.masks import read_mask
+from lodbench.storage import file_digest
+from lodbench.storage.json_text import parse_json
+
+Floats = NDArray[np.float64]
+
+# Sides of regions are cut to this share of the photo's width, that they follow the surfaces they cross;
+# corners nearer than this to a straight line are left out on the map, metres.
+_SIDE, _STRAIGHT_M = 0.02, 0.02
+# A mask's pixels are halved, so that outlines through their middles pass nearer to the true ones.
+_FINER = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlacesRequest:
+    """What to place.
+
+    Attributes:
+        photo: The photo, as it was localised.
+        found: Folder that ``localize`` wrote.
+        city: City model.
+        pixels: Columns and rows, in the photo as stored.
+        mask: Its white regions are placed; None for none.
+        out: GeoJSON to write; None for a file in ``found``.
+        lod: Level of detail, or None for the lowest.
+        options: How to read the city.
+        roof_height: Rule by which an absent level 1 is derived, or None.
+        pixel_sigma_px: As of ``locate``; so are the other sigmas.
+        map_sigma_m: See there.
+        ground_sigma_m: See there.
+    """
+
+    photo: Path
+    found: Path
+    city: Path
+    pixels: Sequence[tuple[float, float]] = ()
+    mask: Path | None = None
+    out: Path | None = None
+    lod: str | None = None
+    options: ReadOptions = field(default_factory=ReadOptions)
+    roof_height: str | None = None
+    pixel_sigma_px: float = PIXEL_SIGMA_PX
+    map_sigma_m: float = MAP_SIGMA_M
+    ground_sigma_m: float | None = None
+
+
+def place_photo(request: PlacesRequest) -> PlacedPhoto:
+    """Returns the places of pixels and regions, and writes them as GeoJSON.
+
+    Raises:
+        LodbenchError: The photo was not localised, the city is another or cannot be read, a pixel is outside
+            the photo or shows no place, or the mask is no mask of it.
+    """
+    localized = read_localized(request.photo, request.found)
+    stated = read_photo_metadata(request.photo)
+    pixels = np.array(request.pixels, dtype=np.float64).reshape(-1, 2)
+    require_pixels(localized.camera, pixels)
+    regions = [] if request.mask is None else _regions(request.mask, localized.camera)
+    scene = open_city(request.city, request.lod, request.options, request.roof_height).scene
+    if scene.crs != localized.crs:
+        raise DatasetError(
+            f"{request.city.name} is in {scene.crs or 'no reference system'}, the photo was localised in "
+            f"{localized.crs or 'none'}.",
+            "Give the --city, and the --crs, that it was localised with.",
+        )
+    frame = None if scene.crs is None else MapFrame(scene.crs)
+    out = request.out or localized.file.with_name(f"{localized.file.stem}_places.geojson")
+    _require_own(out)
+    placer = _Placer(
+        Surfaces(scene, request.map_sigma_m, request.ground_sigma_m),
+        localized,
+        Uncertainty(localized.covariance, pixel_sigma_px=request.pixel_sigma_px),
+        stated.laser,
+    )
+    features = placer.pixels(pixels)
+    notes = _notes(localized, stated.orientation, frame)
+    with Progress("regions", len(regions)) as progress:
+        for number, region in enumerate(regions, start=1):
+            placed = placer.region(f"region {number}", region)
+            features += [] if placed is None else [placed]
+            notes += [f"region {number} reaches the sky: left out"] if placed is None else []
+            progress.advance()
+    if not features:
+        raise DatasetError(f"All of {request.mask} shows the sky.", "Is it a mask of this photo?")
+    if frame is not None:
+        write_places(features, frame, localized, out)
+    return PlacedPhoto(localized, tuple(features), frame, None if frame is None else out, tuple(notes))
+
+
+def read_localized(photo: Path, folder: Path) -> Localized:
+    """Returns what ``localize`` wrote of a photo, which is known by its content.
+
+    Raises:
+        DatasetError: The photo or the folder is not there, there is no answer, or it is one of a version that
+            did not keep the camera.
+    """
+    if not photo.is_file():
+        raise DatasetError(f"The photo {photo} does not exist.", "Check the path.")
+    quoted = shlex.quote(str(photo)), shlex.quote(str(folder))
+    hint = f"Localise it first: lodbench localize {quoted[0]} --city FILE --out {quoted[1]}"
+    if not folder.is_dir():
+        raise DatasetError(f"There are no results of lodbench localize in {folder}.", hint)
+    digest = file_digest(photo)
+    for file in sorted(folder.glob("*.json")):
+        try:
+            values = parse_json(file.read_text(encoding="utf-8"))
+            if values["sha256"] != digest:
+                continue
+            pose, camera = values["pose"], values["camera"]["as_stored"]
+            covariance = values["covariance"]
+            return Localized(
+                file,
+                parse_camera(camera.split())[0],
+                Pose.from_quaternion(pose["quat_wxyz"], pose["translation_m"]),
+                None if covariance is None else np.array(covariance, dtype=np.float64),
+                values["crs"],
+                bool(values["trusted"]),
+                str(values["trust"]),
+            )
+        except KeyError as fault:
+            if fault.args[0] == "as_stored":
+                raise DatasetError(
+                    f"{file} does not say the photo's camera: an earlier version wrote it.",
+                    "Localise the photo again.",
+                ) from fault
+        except (OSError, ValueError, TypeError):
+            continue  # a file of somebody else's
+    raise DatasetError(f"{folder} holds no pose of {photo.name}.", hint)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Placer:
+    surfaces: Surfaces
+    localized: Localized
+    known: Uncertainty
+    laser: Any
+
+    def _places(self, pixels: Floats, known: Uncertainty | None = None) -> list[LocatedPixel | None]:
+        origin, where = self.surfaces.scene.origin, self.localized
+        pose = where.pose.shifted(-origin)
+        found = places_of(self.surfaces, where.camera, pose, pixels, known or self.known, self.laser)
+        return [None if each is None else shifted(each, origin) for each in found]
+
+    def pixels(self, pixels: Floats) -> list[PlacedFeature]:
+        """Returns the places of (N, 2) pixels.
+
+        Raises:
+            LodbenchError: One shows no place.
+        """
+        features = []
+        for pixel, found in zip(pixels, self._places(pixels), strict=True):
+            if found is None:
+                raise nowhere(pixel)
+            features.append(PlacedFeature(f"{pixel[0]:g} {pixel[1]:g}", pixel, found, shows=(found.shows,)))
+        return features
+
+    def region(self, name: str, region: shapely.Polygon) -> PlacedFeature | None:
+        """Returns a region of the photo on the map; None where it reaches the sky."""
+        inner = np.array(region.representative_point().coords)
+        middle = self._places(inner)[0]
+        outline = [self._ring(ring) for ring in (region.exterior, *region.interiors)]
+        rings = [ring for ring in outline if ring is not None]
+        if middle is None or len(rings) < len(outline):
+            return None
+        corners = [each for ring in rings for each in ring]
+        heights = [float(each.place[2]) for each in corners]
+        shape = shapely.make_valid(shapely.Polygon(*_shell_and_holes(rings)).simplify(_STRAIGHT_M))
+        shows = tuple(dict.fromkeys([middle.shows, *(each.shows for each in corners)]))
+        return PlacedFeature(name, inner[0], middle, shape, (min(heights), max(heights)), shows)
+
+    def _ring(self, ring: shapely.LinearRing) -> list[LocatedPixel] | None:
+        found = self._places(np.array(ring.coords), Uncertainty(None))
+        places = [each for each in found if each is not None]
+        return places if len(places) == len(found) else None
+
+
+def _shell_and_holes(rings: Sequence[Sequence[LocatedPixel]]) -> tuple[Floats, list[Floats]]:
+    first, *others = (np.array([each.place[:2] for each in ring]) for ring in rings)
+    return first, others
+
+
+def _regions(path: Path, camera: Camera) -> list[shapely.Polygon]:
+    """Returns the connected regions of a mask as polygons of the photo's pixels, largest first.
+
+    Raises:
+        QueryFault: It is no mask of the photo.
+        DatasetError: Nothing in it is white.
+    """
+    mask = check_mask(read_mask(path), camera) >= 0.5
+    finer = mask.repeat(_FINER, axis=0).repeat(_FINER, axis=1)
+    scale = np.array([camera.width, camera.height]) / finer.shape[::-1]
+    regions = [_polygon(part, scale, _SIDE * camera.width) for part in polygons_of(finer)]
+    if not regions:
+        raise DatasetError(f"The mask {path} is black.", "White is what is to be placed.")
+    return regions
+
+
+def _polygon(part: MaskPolygon, scale: Floats, side_px: float) -> shapely.Polygon:
+    outer, *holes = ((_simple(ring) + 0.5) * scale for ring in (part.outer, *part.holes))
+    return shapely.segmentize(shapely.Polygon(outer, holes), side_px)
+
+
+def _simple(ring: NDArray[np.int32]) -> NDArray[Any]:
+    """Returns a ring of pixels without the steps of slanted sides, where that leaves one."""
+    simple = np.asarray(cv2.approxPolyDP(ring[:, None], 1.0, True))[:, 0]
+    return simple if len(simple) > 2 else ring
+
+
+def _require_own(path: Path) -> None:
+    """Makes sure that no other program's file is replaced.
+
+    Raises:
+        DatasetError: It would be.
+    """
+    try:
+        features = parse_json(path.read_text(encoding="utf-8"))["features"]
+        is_own = all(each["properties"]["kind"] == KIND for each in features)
+    except FileNotFoundError:
+        return
+    except (OSError, ValueError, KeyError, TypeError):
+        is_own = False
+    if not is_own:
+        raise DatasetError(f"{path} is another file and would be written over.", "Name another: --out FILE")
+
+
+def _notes(localized: Localized, orientation: int, frame: MapFrame | None) -> list[str]:
+    notes = []
+    if not localized.is_trusted:
+        notes.append(f"the photo's pose is not to be trusted ({localized.file}): so are these places")
+    if localized.covariance is None:
+        notes.append("the method that localised the photo states no covariance: nor is there one here")
+    if orientation > 1:
+        notes.append("viewers turn this photo for display (EXIF): pixels count in it as it is stored")
+    if frame is None:
+        notes.append("the city names no reference system: no GeoJSON was written (--crs names it)")
+    return notes

@@ -1,0 +1,180 @@
+"""What a traced map is written as: a city model, and a benchmark of the photos that it has not used."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from shapely import Polygon, distance, get_coordinates, points
+
+from lodbench import __version__
+from lodbench.citymodel.convert import convert_city
+from lodbench.citymodel.derive import part_blocks
+from lodbench.citymodel.extrude import extrude
+from lodbench.citymodel.model import CityModel
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.polygons import finish_model
+from lodbench.citymodel.raw import RawCity, starts_of
+from lodbench.citymodel.read import read_city_model
+from lodbench.datasets.own import OwnImage, Written, find_photo, write_dataset
+from lodbench.datasets.priors import UniformPrior
+from lodbench.harness.tracing.solve import Building, TracedMap
+from lodbench.storage import random_stream
+
+# A building of another map is the same where the footprints overlap by so much of their union.
+_SAME_IOU = 0.2
+
+
+def map_of(buildings: Sequence[Building], crs: str | None) -> CityModel:
+    """Returns LoD1 prisms, a building each."""
+    rings = starts_of(np.array([len(building.roof.corners) for building in buildings]))
+    blocks = extrude(
+        np.concatenate([building.roof.corners for building in buildings]),
+        rings,
+        np.arange(len(buildings) + 1),
+        np.array([building.ground for building in buildings]),
+        np.array([building.roof.height for building in buildings]),
+    )
+    owner = blocks.footprint.astype(np.int32)
+    raw = RawCity(
+        source="traced",
+        format="traced",
+        srs_names=(crs,),
+        building_ids=tuple(building.roof.name for building in buildings),
+        lods=("1",),
+        points=blocks.points,
+        ring_starts=starts_of(blocks.ring_lengths),
+        polygon_starts=starts_of(blocks.ring_counts),
+        building=owner,
+        lod=np.zeros(len(owner), np.int16),
+        kind=blocks.kind,
+        srs=np.zeros(len(owner), np.int16),
+        axis_orders=("east_first",),
+    )
+    return finish_model(raw, ReadOptions(crs=crs))
+
+
+def write_benchmark(solved: TracedMap, model: CityModel, photos: Path, folder: Path, seed: int) -> Written:
+    """Writes the photos that the map has not used as a dataset in LoD-Loc's layout, the map as ``city.obj``.
+
+    The model's poses become the truth; priors are drawn around it by ``UniformPrior``.
+
+    Raises:
+        LodbenchError: The folder is not new, or no photo could be written.
+    """
+    prior = UniformPrior()
+    images = [
+        OwnImage(
+            image.name,
+            image.camera,
+            prior.draw(image.pose, random_stream(seed, "trace", image.name, "prior")),
+            image.pose,
+            find_photo(photos, image.name),
+        )
+        for image in solved.images
+        if image.name in solved.queries and image.camera is not None
+    ]
+    about = {
+        "made_by": f"lodbench {__version__}",
+        "from": "lodbench trace",
+        "crs": solved.placed.crs,
+        "city_model": "city.obj",
+        "prior": f"{prior.describe()}, seed {seed}",
+    }
+    return write_dataset(
+        images, folder, about, complete=lambda filling: convert_city(model, filling / "city.obj")
+    )
+
+
+class Footprint(NamedTuple):
+    """A building of another map: name, plan, and height of its roof, where that is lowest."""
+
+    name: str
+    plan: Polygon
+    roof: float
+
+
+def footprints_of(path: Path) -> list[Footprint]:
+    """Returns the blocks of a city model, in its own coordinates.
+
+    Raises:
+        CityModelError: It cannot be read.
+    """
+    model = read_city_model(path)
+    plans, owner, _, top = part_blocks(model, model.lods[0])
+    names = model.building_ids if model.objects is None else model.objects.ids
+    found = []
+    for plan, number in zip(plans, owner.tolist(), strict=True):
+        outline = Polygon(get_coordinates(plan.exterior) + model.origin[:2])
+        found.append(Footprint(names[number], outline, float(top[number] + model.origin[2])))
+    return found
+
+
+def compared(buildings: Sequence[Building], others: Sequence[Footprint]) -> list[dict[str, Any]]:
+    """Returns how far buildings are from those of another map, those that overlap.
+
+    Args:
+        buildings: Of the map.
+        others: Of the other map, in the same frame.
+
+    Returns:
+        For each building ``name``, ``other``, ``plan_m`` (root mean square distance of the outlines' corners
+        to the other outline, both ways), ``height_m`` (its roof above the other's) and ``iou`` of the
+        footprints; ``traced_plan_m`` and ``traced_height_m`` before it was snapped. Only ``name`` and
+        ``other``, None, where none overlaps.
+    """
+    rows: list[dict[str, Any]] = []
+    for building in buildings:
+        plan = building.footprint
+        overlaps = [plan.intersection(other.plan).area / plan.union(other.plan).area for other in others]
+        best = int(np.argmax(overlaps)) if overlaps else -1
+        if best < 0 or overlaps[best] < _SAME_IOU:
+            rows.append({"name": building.roof.name, "other": None})
+            continue
+        name, other, height = others[best]
+        rows.append(
+            {
+                "name": building.roof.name,
+                "other": name,
+                "plan_m": _apart(plan, other),
+                "height_m": building.roof.height - height,
+                "iou": float(overlaps[best]),
+                "traced_plan_m": _apart(Polygon(building.traced.corners), other),
+                "traced_height_m": building.traced.height - height,
+            }
+        )
+    return rows
+
+
+def _apart(one: Polygon, other: Polygon) -> float:
+    gaps = [
+        distance(points(get_coordinates(first.exterior)[:-1]), second.exterior)
+        for first, second in ((one, other), (other, one))
+    ]
+    return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)))
+
+
+def to_json(solved: TracedMap) -> list[dict[str, Any]]:
+    """Returns a row of plain numbers per building, metres and pixels."""
+    rows = []
+    for building in solved.buildings:
+        roof, (plan, up) = building.roof, building.moved
+        rows.append(
+            {
+                "name": roof.name,
+                "height_m": roof.height,
+                "height_sigma_m": roof.height_sigma,
+                "plan_sigma_m": roof.plan_sigma,
+                "ground_m": building.ground,
+                "ground_sigma_m": building.ground_sigma,
+                "residual_px": roof.residual_px,
+                "edges_found": roof.found,
+                "photos": roof.photos,
+                "moved_plan_m": plan,
+                "moved_height_m": up,
+                "traced_residual_px": building.traced.residual_px,
+            }
+        )
+    return rows

@@ -1,0 +1,178 @@
+"""From what was traced in the photos of a model to buildings: roofs, snapped, and the ground below them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatch
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely import Polygon, contains_xy
+
+from lodbench.datasets.exchange.colmap import read_colmap, read_colmap_points
+from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.errors import ConfigError, DatasetError
+from lodbench.geometry.similarity import Similarity
+from lodbench.harness.tracing.frame import PlacedModel, placed_model
+from lodbench.harness.tracing.request import TraceRequest
+from lodbench.harness.tracing.roofs import Roof, snapped_roof, traced_roof
+from lodbench.harness.tracing.tracing import Traced
+from lodbench.harness.tracing.views import View, posed_views
+
+Floats = NDArray[np.float64]
+
+# Points this near a wall are on it; they are taken from this far around, then from further, metres.
+_WALL_M, _AROUND_M, _FEWEST_POINTS = 1.0, (10.0, 20.0, 40.0, 80.0), 60
+# Ground is even to so much; so many points, and this share of those at the height with most, are a peak.
+_BAND_M, _PEAK_POINTS, _PEAK_SHARE, _POINT_M = 0.8, 4.0, 0.15, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Building:
+    """A building of the map.
+
+    Attributes:
+        roof: Snapped.
+        traced: The roof as it was traced.
+        ground: Height of the ground around it.
+        ground_sigma: Standard deviation of that.
+    """
+
+    roof: Roof
+    traced: Roof
+    ground: float
+    ground_sigma: float
+
+    @property
+    def footprint(self) -> Polygon:
+        """Returns its plan."""
+        return Polygon(self.roof.corners)
+
+    @property
+    def moved(self) -> tuple[float, float]:
+        """Returns how far snapping moved it: corners in plan, root mean square; the roof, upwards."""
+        gaps = self.roof.corners - self.traced.corners
+        plan = float(np.sqrt(np.mean(np.sum(gaps**2, axis=1))))
+        return plan, self.roof.height - self.traced.height
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TracedMap:
+    """A traced map.
+
+    Attributes:
+        buildings: Of it.
+        placed: Where the model is.
+        images: Of the model, in the map's coordinates.
+        queries: Names of photos that the map has not used.
+    """
+
+    buildings: tuple[Building, ...]
+    placed: PlacedModel
+    images: tuple[FoundPose, ...]
+    queries: tuple[str, ...]
+
+
+class Model:
+    """A COLMAP model and its photos, read once.
+
+    Args:
+        request: Where they are, and how the model is placed.
+
+    Raises:
+        DatasetError: The model cannot be read, or none of its photos is there.
+    """
+
+    def __init__(self, request: TraceRequest) -> None:
+        self.request = request
+        self.images = tuple(read_colmap(request.model))
+        if not self.images:
+            raise DatasetError(f"{request.model} holds no posed image.", "Name another model: sparse/1, ...")
+        self.points = read_colmap_points(request.model)
+        self.views = posed_views(self.images, request.images, Similarity(1.0, np.eye(3), np.zeros(3)))
+
+    def solved(self, traced: Sequence[Traced]) -> TracedMap:
+        """Returns the map of what was traced.
+
+        Raises:
+            LodbenchError: There is no roof, the model's scale is not known, a query was traced in, or the
+                corners of a roof do not fit each other.
+        """
+        roofs = [item for item in traced if item.kind == "roof"]
+        if not roofs:
+            raise DatasetError("No roof is traced.", "Outline one in two photos.")
+        queries = self._queries(traced)
+        placed = placed_model(self.request, self.images, self.points, traced, self.views)
+        views = {
+            name: View(name, view.camera, placed.similarity.pose(view.pose), view.photo, view.kept)
+            for name, view in self.views.items()
+        }
+        used = [view for name, view in views.items() if name not in queries]
+        pairs = [(traced_roof(item, views), item) for item in roofs]
+        snapped = [(snapped_roof(roof, used), roof) for roof, _ in pairs]
+        points = placed.similarity.points(self.points)
+        plans = [Polygon(roof.corners) for roof, _ in snapped]
+        buildings = [
+            Building(roof, start, *ground_height(points, plan, plans, roof.height))
+            for (roof, start), plan in zip(snapped, plans, strict=True)
+        ]
+        images = tuple(image._replace(pose=placed.similarity.pose(image.pose)) for image in self.images)
+        return TracedMap(tuple(buildings), placed, images, queries)
+
+    def _queries(self, traced: Sequence[Traced]) -> tuple[str, ...]:
+        patterns = self.request.queries
+        if patterns is None:
+            return ()
+        used = {name for item in traced for name in item.pixels}
+        if not patterns:
+            return tuple(name for name in self.views if name not in used)[1::2]
+        chosen = tuple(name for name in self.views if any(fnmatch(name, pattern) for pattern in patterns))
+        both = used.intersection(chosen)
+        if both:
+            raise ConfigError(
+                f"{min(both)} is traced in, so the map is not independent of it.",
+                "Leave it out of --queries.",
+            )
+        if not chosen:
+            raise ConfigError(f"--queries {' '.join(patterns)} fits no photo.", "A pattern: 'img_30*'.")
+        return chosen
+
+
+def ground_height(
+    points: Floats, plan: Polygon, plans: Sequence[Polygon], roof: float
+) -> tuple[float, float]:
+    """Returns the height of the ground around a footprint, and its standard deviation.
+
+    Of the sparse points around it and around no other building, those below its roof: the lowest height about
+    which many lie is the ground. Trees, cars and walls are above; a few points below are mismatches.
+
+    Args:
+        points: (P, 3) of the model, in the map.
+        plan: Its footprint.
+        plans: All of the map's.
+        roof: Height of its roof.
+
+    Raises:
+        DatasetError: There are too few points.
+    """
+    low = points[points[:, 2] < roof - 2.0]
+    for other in plans:
+        low = low[~contains_xy(other.buffer(_WALL_M), low[:, 0], low[:, 1])]
+    for around in _AROUND_M:
+        heights = np.sort(low[contains_xy(plan.buffer(around), low[:, 0], low[:, 1]), 2])
+        if len(heights) >= _FEWEST_POINTS:
+            break
+    else:
+        raise DatasetError(
+            f"{len(heights)} points of the model are around a building, too few for its ground.",
+            "The model's points3D file belongs beside its images.",
+        )
+    grid = np.arange(heights[0], heights[-1] + 2.0 * _BAND_M, 0.1 * _BAND_M)
+    many = np.exp(-0.5 * ((grid[:, None] - heights) / (0.5 * _BAND_M)) ** 2).sum(axis=1)
+    is_peak = np.r_[True, many[1:] >= many[:-1]] & np.r_[many[:-1] >= many[1:], True]
+    is_peak &= many >= max(_PEAK_POINTS, _PEAK_SHARE * many.max())
+    middle = grid[np.argmax(is_peak)] if is_peak.any() else heights[0]
+    band = heights[np.abs(heights - middle) <= _BAND_M]
+    sigma = float(np.hypot(band.std(), _POINT_M))
+    return float(np.median(band)), sigma

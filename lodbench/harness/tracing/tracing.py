@@ -1,0 +1,120 @@
+"""What was traced in photos: roofs, places on level ground, known lengths; as the page saves it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.exchange.posed import Place, read_json
+from lodbench.errors import DatasetError
+from lodbench.storage import write_text
+
+Floats = NDArray[np.float64]
+
+# Kind -> the fewest points of one.
+KINDS = {"roof": 3, "ground": 1, "length": 2}
+_LAYOUT = (
+    '{"traced": [{"kind": "roof", "name": "A1", "photos": {"a.jpg": [[u, v], ...], "b.jpg": [[u, v], ...]}}]}'
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Traced:
+    """One thing traced in two or more photos, its points in the same order in each.
+
+    Attributes:
+        kind: ``roof``: the corners of a level roof; ``ground``: places on level ground; ``length``: the two
+            ends of a known length.
+        name: Of the building, or of whatever it is.
+        pixels: By photo, (N, 2) column and row in the photo as stored, the first pixel's centre at 0.5.
+        metres: Of a ``length``.
+    """
+
+    kind: str
+    name: str
+    pixels: Mapping[str, Floats]
+    metres: float | None = None
+
+
+def read_tracing(path: Path, photos: Collection[str]) -> tuple[Traced, ...]:
+    """Returns what a file holds, as the page saves it.
+
+    Args:
+        path: JSON.
+        photos: Names of the model's images.
+
+    Raises:
+        DatasetError: It cannot be read, names a photo that the model lacks, or something in it is malformed.
+    """
+    return parse_tracing(read_json(path), str(path), photos)
+
+
+def is_tracing(path: Path) -> bool:
+    """Tells whether a file is a tracing, not a city model that is JSON too."""
+    return path.suffix == ".json" and "traced" in read_json(path)
+
+
+def parse_tracing(values: Mapping[str, Any], where: str, photos: Collection[str]) -> tuple[Traced, ...]:
+    """Returns what JSON values hold, see ``read_tracing``.
+
+    Raises:
+        DatasetError: Something is malformed; the message names the item.
+    """
+    with Place(where, _LAYOUT):
+        listed = values["traced"]
+        if not isinstance(listed, list):
+            raise ValueError("traced is no list")
+    found = []
+    for number, item in enumerate(listed, start=1):
+        with Place(f"{where}, item {number}", _LAYOUT):
+            found.append(_parsed(item, photos))
+    names = [item.name for item in found if item.kind == "roof"]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise DatasetError(f"{where}: two roofs are called {twice}.", "Give each building a name of its own.")
+    return tuple(found)
+
+
+def _parsed(item: Any, photos: Collection[str]) -> Traced:
+    if not isinstance(item, dict) or not isinstance(item["photos"], dict):
+        raise ValueError("it is no object with photos")
+    kind, name = str(item["kind"]), str(item["name"]).strip()
+    if kind not in KINDS:
+        raise ValueError(f"the kind {kind!r} is none of {', '.join(KINDS)}")
+    if not name:
+        raise ValueError("it has no name")
+    unknown = [photo for photo in item["photos"] if photo not in photos]
+    if unknown:
+        raise ValueError(f"{name}: the model has no image {unknown[0]!r}")
+    pixels = {photo: np.array(points, np.float64) for photo, points in item["photos"].items()}
+    shapes = {points.shape for points in pixels.values()}
+    if len(pixels) < 2 or len(shapes) != 1 or (shape := shapes.pop())[1:] != (2,):
+        counts = " and ".join(str(len(points)) for points in pixels.values())
+        raise ValueError(f"{name}: the same corners in two photos are needed, not {counts or 'none'}")
+    if shape[0] < KINDS[kind] or (kind == "length" and shape[0] != 2):
+        raise ValueError(f"{name}: {shape[0]} points are no {kind}")
+    metres = float(item["metres"]) if kind == "length" else None
+    if metres is not None and not metres > 0:
+        raise ValueError(f"{name}: a length is above 0 m, not {metres:g}")
+    return Traced(kind, name, pixels, metres)
+
+
+def write_tracing(traced: Sequence[Traced], path: Path) -> None:
+    """Writes what was traced, to the hundredth of a pixel."""
+    listed = [
+        {
+            "kind": item.kind,
+            "name": item.name,
+            **({} if item.metres is None else {"metres": item.metres}),
+            "photos": {photo: np.round(points, 2).tolist() for photo, points in item.pixels.items()},
+        }
+        for item in traced
+    ]
+    lines = ",\n  ".join(json.dumps(item, ensure_ascii=False) for item in listed)
+    write_text(path, f'{{"traced": [\n  {lines}\n]}}\n')

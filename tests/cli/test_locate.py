@@ -1,0 +1,227 @@
+"""Pixels and regions of a localised photo on the map: over a real city, from what localize wrote."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import shapely
+from pyproj import Transformer
+
+import lodbench
+from lodbench.cli import main
+from lodbench.cli.locate import main as locate
+from tests.cli.photo_case import DISTORTION, HEIGHT, PINHOLE, WIDTH, Case, make_case
+from tests.datasets.dji_photo import exif_of, write_photo, xmp_packet
+from tests.town import box_obj
+
+
+@dataclass
+class Found:
+    """A photo with lens distortion, and the folder that localize wrote."""
+
+    case: Case
+    folder: Path
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory, shared_data) -> Found:
+    folder = tmp_path_factory.mktemp("locate")
+    case = make_case(folder / "photo", shared_data, "nrw", distorted=True)
+    words = ["localize", str(case.photo), "--city", str(case.city), "--mask", str(case.mask)]
+    assert main([*words, "--out", str(folder / "found")]) == 0
+    return Found(case, folder / "found")
+
+
+def run(capsys, found: Found, *words: str, code: int = 0) -> dict:
+    capsys.readouterr()
+    where = [str(found.case.photo), "--city", str(found.case.city), "--found", str(found.folder), "--json"]
+    assert locate([*where, *words]) == code
+    return json.loads(capsys.readouterr().out)
+
+
+def image_of(found: Found, place: np.ndarray) -> np.ndarray:
+    """Returns the pixel of the photo as stored that shows a place, by the true pose and OpenCV's lens."""
+    pose = found.case.truth
+    at = (pose.rotation @ np.asarray(place) + pose.translation)[None]
+    k1, k2, p1, p2, k3 = DISTORTION
+    return cv2.projectPoints(at, np.zeros(3), np.zeros(3), PINHOLE.matrix, (k1, k2, p1, p2, k3))[0].ravel()
+
+
+def test_places_project_back_to_their_pixels(capsys, found):
+    pixels = [(340.0, 230.0), (60.5, 400.0), (600.0, 420.0)]
+    told = run(capsys, found, *(f"{w}" for u, v in pixels for w in ("--pixel", u, v)))
+    assert told["trusted"]
+    for pixel, place in zip(pixels, told["places"], strict=True):
+        at = np.array([place["east"], place["north"], place["height_m"]])
+        # The pose is 8 cm off, a pixel some 0.3 m.
+        np.testing.assert_allclose(image_of(found, at), pixel, atol=1.0)
+        lon, lat = Transformer.from_crs("EPSG:25832", "EPSG:4326", always_xy=True).transform(*at[:2])
+        assert (place["longitude_deg"], place["latitude_deg"]) == pytest.approx((lon, lat), abs=1e-8)
+        east, north, height = np.sqrt(np.diag(place["covariance_m2"]))
+        assert place["ellipse95_minor_m"] <= 2.4478 * min(east, north) + 1e-3
+        assert place["ellipse95_major_m"] >= 2.4477 * max(east, north) - 1e-3
+        assert place["height_sigma_m"] == pytest.approx(height, abs=1e-3)
+    features = json.loads(Path(told["map"]).read_text())["features"]
+    assert [each["geometry"]["type"] for each in features] == ["Point"] * 3
+    first = told["places"][0]
+    assert features[0]["geometry"]["coordinates"] == pytest.approx(
+        [first["longitude_deg"], first["latitude_deg"]], abs=1e-7
+    )
+    assert features[0]["properties"]["ellipse95_bearing_deg"] == first["ellipse95_bearing_deg"]
+
+
+def test_the_answer_is_that_of_python(capsys, found):
+    place = run(capsys, found, "--pixel", "340", "230")["places"][0]
+    values = json.loads((found.folder / "DJI_0001.json").read_text())
+    camera = lodbench.Camera.from_colmap(
+        "FULL_OPENCV", WIDTH, HEIGHT, [float(v) for v in values["camera"]["as_stored"].split()[3:]]
+    )
+    pose = lodbench.Pose.from_quaternion(values["pose"]["quat_wxyz"], values["pose"]["translation_m"])
+    scene = lodbench.open_scene(found.case.city)
+    one = lodbench.locate(scene, camera, pose, (340, 230), np.array(values["covariance"]))
+    np.testing.assert_allclose(one.place, [place["east"], place["north"], place["height_m"]], atol=1e-3)
+    np.testing.assert_allclose(one.covariance, place["covariance_m2"], atol=1e-5)
+
+
+def test_regions_become_polygons_of_the_right_size(capsys, found, tmp_path):
+    """A square on the ground with a hole, and a small one, drawn by the true pose; the map is laid back."""
+    flat = run(capsys, found, "--pixel", "420", "395")["places"][0]
+    middle = np.array([flat["east"], flat["north"], flat["height_m"]])
+    mask = np.zeros((2 * HEIGHT, 2 * WIDTH), np.uint8)
+    squares = [((0.0, 0.0), 6.0, 255), ((0.0, 0.0), 2.0, 0), ((-9.0, 6.0), 1.5, 255)]
+    for (east, north), half, value in squares:
+        corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
+        offsets = [np.array([east + x, north + y, 0.0]) for x, y in corners]
+        ring = [image_of(found, middle + offset) * 2 - 0.5 for offset in offsets]
+        cv2.fillPoly(mask, [np.rint(ring).astype(np.int32)], value)
+    cv2.imwrite(str(tmp_path / "mask.png"), mask)
+    out = tmp_path / "places.geojson"
+    told = run(capsys, found, "--mask", str(tmp_path / "mask.png"), "--out", str(out))
+    assert [each["name"] for each in told["places"]] == ["region 1", "region 2"]
+    large, small = told["places"]
+    assert large["area_m2"] == pytest.approx(144 - 16, rel=0.1)
+    assert small["area_m2"] == pytest.approx(9, rel=0.25)
+    assert large["shows"] == ["ground"]
+    features = json.loads(out.read_text())["features"]
+    polygon = shapely.geometry.shape(features[0]["geometry"])
+    assert isinstance(polygon, shapely.Polygon)
+    assert polygon.exterior.is_ccw
+    assert len(polygon.interiors) == 1
+    to_map = Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True)
+    on_map = shapely.transform(polygon, lambda at: np.stack(to_map.transform(*at.T), axis=1))
+    assert on_map.area == pytest.approx(large["area_m2"], rel=0.002)
+    assert np.hypot(*(np.array(on_map.centroid.coords[0]) - middle[:2])) < 0.5
+    # Again over its own file, and not over another's.
+    assert run(capsys, found, "--pixel", "340", "230", "--out", str(out))["map"] == str(out)
+
+
+def test_the_table_says_what_was_hit(capsys, found):
+    capsys.readouterr()
+    words = [str(found.case.photo), "--city", str(found.case.city), "--found", str(found.folder)]
+    assert locate([*words, "--pixel", "340", "230", "--mask", str(found.case.mask)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split()[:4] == ["latitude", "longitude", "east", "north"]
+    assert lines[1].startswith("340 230 ")
+    assert lines[1].endswith("ground")
+    assert lines[2].startswith("region 1")
+    assert " more" in lines[2]
+    assert lines[-1] == f"map: {found.folder / 'DJI_0001_places.geojson'}"
+
+
+def test_what_cannot_be_placed_is_one_line(capsys, found, tmp_path):
+    photo, city = str(found.case.photo), str(found.case.city)
+    (tmp_path / "empty").mkdir()
+    cv2.imwrite(str(tmp_path / "black.png"), np.zeros((HEIGHT, WIDTH), np.uint8))
+    cv2.imwrite(str(tmp_path / "tall.png"), np.full((WIDTH, HEIGHT), 255, np.uint8))
+    old = json.loads((found.folder / "DJI_0001.json").read_text())
+    del old["camera"]["as_stored"]
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old/DJI_0001.json").write_text(json.dumps(old))
+    (tmp_path / "other.geojson").write_text('{"type": "FeatureCollection", "features": [{"properties": {}}]}')
+    (tmp_path / "other.obj").write_text(box_obj())
+    here = ["--city", city, "--found", str(found.folder)]
+    one = ["--pixel", "10", "10"]
+    cases = [
+        ([photo, *here], "nothing to place"),
+        ([photo, *here, "--pixel", "700", "10"], "outside the photo of 684 x 456"),
+        ([photo, *here, *one, "--ground-sigma", "-1"], "--ground-sigma=-1"),
+        ([str(tmp_path / "no.jpg"), *here, *one], "does not exist"),
+        (
+            [photo, "--city", city, "--found", str(tmp_path / "nowhere"), *one],
+            "no results of lodbench localize",
+        ),
+        ([photo, "--city", city, "--found", str(tmp_path / "empty"), *one], "holds no pose of DJI_0001.JPG"),
+        ([photo, "--city", city, "--found", str(tmp_path / "old"), *one], "an earlier version"),
+        ([photo, *here, *one, "--out", str(tmp_path / "other.geojson")], "would be written over"),
+        ([photo, "--city", str(tmp_path / "other.obj"), *here[2:], *one], "in no reference system"),
+        ([photo, *here, "--mask", str(tmp_path / "black.png")], "is black"),
+        ([photo, *here, "--mask", str(tmp_path / "tall.png")], "another aspect"),
+    ]
+    for words, said in cases:
+        capsys.readouterr()
+        assert main(["locate", *words]) == 2, words
+        lines = capsys.readouterr().err.splitlines()
+        assert said in lines[0], lines
+        assert len(lines) <= 2
+
+
+class TestWithoutReferenceSystem:
+    """A local city, a photo that is not trusted, the sky, and a laser: what localize wrote is made up."""
+
+    @pytest.fixture
+    def local(self, tmp_path) -> list[str]:
+        from lodbench.storage import file_digest
+
+        (tmp_path / "city.obj").write_text(box_obj())
+        packet = xmp_packet({"LRFStatus": "Normal", "LRFTargetDistance": "40.5"})
+        photo = write_photo(tmp_path / "a.jpg", np.full((480, 640), 99, np.uint8), exif_of(), packet)
+        pose = lodbench.Pose.from_euler(lodbench.EulerAngles(60, 0, 0), (5.0, -100.0, 60.0))
+        (tmp_path / "found").mkdir()
+        values = {
+            "sha256": file_digest(photo),
+            "crs": None,
+            "pose": {"quat_wxyz": pose.quat_wxyz, "translation_m": pose.translation.tolist()},
+            "covariance": np.diag([0.5, 0.5, 0.5, 0.02, 0.02, 0.02]).tolist(),
+            "camera": {"as_stored": "PINHOLE 640 480 400 400 320 240"},
+            "trusted": False,
+            "trust": "do not trust",
+        }
+        (tmp_path / "found/a.json").write_text(json.dumps(values))
+        return [
+            "locate",
+            str(photo),
+            "--city",
+            str(tmp_path / "city.obj"),
+            "--found",
+            str(tmp_path / "found"),
+        ]
+
+    def test_places_are_local_and_not_trusted(self, local, capsys):
+        assert main([*local, "--pixel", "320", "240"]) == 3
+        told = capsys.readouterr().out
+        assert "latitude" not in told
+        assert "not to be trusted" in told
+        assert "no GeoJSON was written" in told
+        assert not list(Path(local[-1]).glob("*.geojson"))
+
+    def test_the_laser_contradicts_aloud(self, local, capsys):
+        assert main([*local, "--pixel", "320", "240"]) == 3
+        assert "the laser measured 40.5 m" in capsys.readouterr().out
+
+    def test_the_sky_is_one_line_for_a_pixel_and_a_note_for_a_region(self, local, capsys, tmp_path):
+        assert main([*local, "--pixel", "320", "1"]) == 2
+        assert "pixel 320 1 meets neither" in capsys.readouterr().err
+        mask = np.zeros((480, 640), np.uint8)
+        mask[:40, :200] = 255
+        cv2.imwrite(str(tmp_path / "m.png"), mask)
+        assert main([*local, "--mask", str(tmp_path / "m.png")]) == 2
+        assert "shows the sky" in capsys.readouterr().err
+        mask[300:330, 300:330] = 255
+        cv2.imwrite(str(tmp_path / "m.png"), mask)
+        assert main([*local, "--mask", str(tmp_path / "m.png")]) == 3
+        assert "region 1 reaches the sky: left out" in capsys.readouterr().out
