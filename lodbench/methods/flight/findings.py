@@ -41,6 +41,8 @@ _NAMES = (
     ("roofs higher than the map", "m"),
     ("feet of walls higher than the map", "m"),
 )
+# A finding about a building rests on no fewer photos.
+_FEWEST_WITNESSES = 2
 # Where photos narrow a number by less than this, they do not tell it.
 _TOLD = 0.7
 # A focal length that is not told, and whose error goes with the height's by more than this, is left alone.
@@ -112,7 +114,8 @@ def _buildings(heights: Mapping[int, BuildingHeight], aligned: Aligned, scene: S
             "higher_m": height.higher_m,
             "sigma_m": height.sigma_m,
             "photos": max(photos[row], height.photos),
-            "doubt": height.is_in_doubt,
+            # One photo may show something else there: a tree, a crane.
+            "doubt": height.is_in_doubt and max(photos[row], height.photos) >= _FEWEST_WITNESSES,
         }
         for row, height in heights.items()
     ]
