@@ -154,7 +154,7 @@ def write_dataset(
     about: Mapping[str, Any],
     advance: Callable[[], None] = lambda: None,
     left_out: Sequence[tuple[str, str]] = (),
-    complete: Callable[[Path], None] = lambda folder: None,
+    complete: Callable[[Path], object] = lambda folder: None,
 ) -> Written:
     """Writes a dataset folder: poses, cameras, photos and masks, undistorted where a lens has distortion.
 
