@@ -24,6 +24,7 @@ from lodbench.harness.remote.wire import MalformedMessage
 from lodbench.methods.conformance.rules import Violation, right_name
 from lodbench.methods.registry import ConfiguredMethod
 from lodbench.plugins import blaming
+from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.polygon_files import read_polygons
 from lodbench.storage.paths import path_name
 
@@ -139,8 +140,14 @@ def test_a_video_that_is_a_pipe_is_not_waited_for(tmp_path, capsys, name):
     assert "is no regular file" in capsys.readouterr().err
 
 
-def test_poses_and_polygons_that_are_pipes_are_not_waited_for(tmp_path):
+def test_poses_polygons_and_masks_that_are_pipes_are_not_waited_for(tmp_path, capsys):
     os.mkfifo(tmp_path / "x.json")
+    words = [str(tmp_path), "--images", str(tmp_path)]
+    for flag in ("--polygons", "--compare", "--start", "--save"):
+        assert main(["trace", *words, flag, str(tmp_path / "x.json")]) == 2
+        assert "is no regular file" in capsys.readouterr().err
+    with pytest.raises(DatasetError, match="is no regular file"):
+        read_mask(tmp_path / "x.json")
     with pytest.raises(DatasetError, match="is no regular file"):
         read_polygons(tmp_path / "x.json", "P.jpg", 4, 4)
     with pytest.raises(DatasetError, match="is no regular file"):

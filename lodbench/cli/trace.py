@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import add_height_options, height_flags, height_options
 from lodbench.errors import ConfigError, DatasetError, require_within
+from lodbench.storage.paths import require_regular
 
 if TYPE_CHECKING:
     from lodbench.harness.tracing.outputs import Footprint
@@ -127,9 +128,11 @@ def _require_given(asked: argparse.Namespace) -> None:
     for folder in (asked.model, asked.images):
         if not folder.is_dir():
             raise DatasetError(f"{folder} is no folder.", "Check the path.")
-    for file in (asked.polygons, asked.compare, asked.start):
-        if file is not None and not file.exists():
+    for file in filter(None, (asked.polygons, asked.compare, asked.start)):
+        if not file.exists():
             raise DatasetError(f"{file} does not exist.", "Check the path.")
+        require_regular(file)
+    require_regular(asked.save)
     require_within("--port", asked.port, 0, 65535)
     if asked.scale is not None and not 0 < asked.scale < 1e9:
         raise ConfigError(f"--scale {asked.scale:g} is no scale.", "Metres per unit of the model, above 0.")

@@ -114,10 +114,10 @@ def images_from_poses(
             own = OwnImage(image.name, camera, None, image.pose, photo, find_mask(masks, image.name, photo))
             own = replace(own, camera_sigmas=sigmas)
             images.append(own if frame is None else _with_stated_prior(own, frame, heights))
-    return _named_apart(images), left_out
+    return named_apart(images), left_out
 
 
-def _named_apart(images: Sequence[OwnImage]) -> list[OwnImage]:
+def named_apart(images: Sequence[OwnImage]) -> list[OwnImage]:
     """Returns images that have their folders in their names where these tell them apart: ``cam1_x.jpg``."""
     stems = Counter(Path(image.file_name).stem for image in images)
     return [replace(image, keeps_folders=stems[Path(image.file_name).stem] > 1) for image in images]

@@ -15,6 +15,7 @@ from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
 from lodbench.storage import digest_of
 from lodbench.storage.contents import content_digest, read_content
+from lodbench.storage.paths import require_regular
 
 # What a mask is.
 _WHITE = "A mask is a grey picture, PNG for example: buildings are white, all else is black."
@@ -28,7 +29,9 @@ def read_mask(path: str | Path) -> NDArray[np.float32]:
     Raises:
         QueryFault: The file is missing, is no image or has too many pixels, its channels differ
             (colours or class labels, an overlay), or its largest value is 1 (labels 0 and 1).
+        DatasetError: It is a pipe or a device.
     """
+    require_regular(Path(path))
     try:
         content = read_content(Path(path))
     except OSError as error:

@@ -1,6 +1,7 @@
 """Roofs traced in two photos of a drawn flight: triangulated, snapped, placed, compared, written."""
 
 import json
+import shutil
 import struct
 from dataclasses import replace
 from http.client import HTTPConnection
@@ -137,6 +138,20 @@ def test_another_tracing_and_the_known_map_are_compared_with(case, tmp_path, cap
             assert abs(row["height_m"]) < 0.15
             assert row["iou"] > 0.97
     assert len(read_city_model(tmp_path / "map.gml").building_ids) == 7
+
+
+def test_an_image_of_an_unknown_camera_is_left_out_and_named(case, tmp_path):
+    sparse = shutil.copytree(case / "sparse" / "0", tmp_path / "sparse")
+    (sparse / "rigs.txt").unlink(missing_ok=True)
+    (sparse / "frames.txt").unlink(missing_ok=True)
+    with (sparse / "cameras.txt").open("a") as stream:
+        stream.write("2 MADE_UP 960 720 800\n")
+    images = (sparse / "images.txt").read_text()
+    (sparse / "images.txt").write_text(images.replace(" 1 view_11.jpg", " 2 view_11.jpg"))
+    model = Model(TraceRequest(model=sparse, images=case / "photos", start=case / "rough.txt"))
+    assert len(model.views) == 11
+    notes = model.solved(read_tracing(case / "traced.json", model.views)).placed.notes
+    assert [note for note in notes if note.startswith("view_11.jpg is left out: ") and "MADE_UP" in note]
 
 
 def test_the_benchmark_holds_photos_that_the_map_has_not_used(case, tmp_path, capsys):

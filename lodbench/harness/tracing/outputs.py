@@ -19,6 +19,7 @@ from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import RawCity, starts_of
 from lodbench.citymodel.read import read_city_model
 from lodbench.datasets.own import OwnImage, Written, find_photo, write_dataset
+from lodbench.datasets.own_sources import named_apart
 from lodbench.datasets.priors import UniformPrior
 from lodbench.harness.tracing.solve import Building, TracedMap
 from lodbench.storage import random_stream
@@ -84,7 +85,7 @@ def write_benchmark(solved: TracedMap, model: CityModel, photos: Path, folder: P
         "prior": f"{prior.describe()}, seed {seed}",
     }
     return write_dataset(
-        images, folder, about, complete=lambda filling: convert_city(model, filling / "city.obj")
+        named_apart(images), folder, about, complete=lambda filling: convert_city(model, filling / "city.obj")
     )
 
 

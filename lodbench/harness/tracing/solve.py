@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 
 import numpy as np
@@ -89,6 +89,7 @@ class Model:
         self.images = tuple(read_colmap(request.model))
         if not self.images:
             raise DatasetError(f"{request.model} holds no posed image.", "Name another model: sparse/1, ...")
+        self.notes = tuple(f"{i.name} is left out: {i.no_camera}" for i in self.images if i.camera is None)
         self.points = read_colmap_points(request.model)
         self.views = posed_views(self.images, request.images, Similarity(1.0, np.eye(3), np.zeros(3)))
 
@@ -104,6 +105,7 @@ class Model:
             raise DatasetError("No roof is traced.", "Outline one in two photos.")
         queries = self._queries(traced)
         placed = placed_model(self.request, self.images, self.points, traced, self.views)
+        placed = replace(placed, notes=(*placed.notes, *self.notes))
         views = {
             name: View(name, view.camera, placed.similarity.pose(view.pose), view.photo, view.kept)
             for name, view in self.views.items()

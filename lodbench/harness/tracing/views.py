@@ -78,18 +78,20 @@ class View:
 
 
 def posed_views(images: Sequence[FoundPose], photos: Path, similarity: Similarity) -> dict[str, View]:
-    """Returns the model's photos in the frame that a similarity leads to, by name; those without a file not.
+    """Returns the model's photos in the frame that a similarity leads to, by name.
+
+    Those without a file, or a camera that is known here, are left out.
 
     Raises:
-        DatasetError: No image has a file, or an image has no camera.
+        DatasetError: No image has both.
     """
     views = {}
     for image in images:
-        if image.camera is None:
-            raise DatasetError(f"{image.name} has no camera.", "A COLMAP model has images and cameras.")
         file = find_photo(photos, image.name)
-        if file is not None:
+        if image.camera is not None and file is not None:
             views[image.name] = View(image.name, image.camera, similarity.pose(image.pose), file)
+    if all(image.camera is None for image in images):
+        raise DatasetError(f"No image of the model can be used; {images[0].name}: {images[0].no_camera}")
     if not views:
         raise DatasetError(
             f"{photos} holds no photo of the model; the first is looked for as {images[0].name}.",
