@@ -256,6 +256,7 @@ class TestTheMethodNeverSeesTheTruth:
             "sequence",
             "reconstructed",  # in a frame of its own
             "lens_percent",
+            "camera_sigmas",
             "true_pixels",  # for oracles alone
         }
         assert Input.TRUE_PIXELS not in made_inputs(LodLocV2())

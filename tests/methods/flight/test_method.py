@@ -148,18 +148,24 @@ def random_problem(generator, photos=4):
     terms = []
     for _ in range(photos):
         parts = np.sort(generator.choice(6, 3, replace=False))
-        root = generator.normal(size=(6 + LENS + 3, 6 + LENS + 3))
-        terms.append(PhotoTerms(root @ root.T, generator.normal(size=len(root)), parts, 0.5, 1.0, 100))
+        buildings = np.unique(roofs.building[parts])
+        size = 6 + LENS + 3 + 2 * len(buildings)
+        root = generator.normal(size=(size, size))
+        gradient = generator.normal(size=size)
+        terms.append(PhotoTerms(root @ root.T, gradient, parts, buildings, 0.5, 1.0, 100))
     return state, terms, params
 
 
 def dense_solution(state, terms, params):
-    """Returns the whole problem's curvature inverted and its step: photos first, then what they share."""
+    """Returns the problem's curvature inverted, its step, and how all moves with the buildings' places.
+
+    Photos come first, then what they share.
+    """
     photos = len(terms)
     constants, buildings, parts = len(state.constants), 3, 6
     size = 6 * photos + constants + buildings + parts
     matrix, gradient = np.zeros((size, size)), np.zeros(size)
-    base = 6 * photos
+    base, pulls = 6 * photos, np.zeros((size, 2 * buildings))
     own = np.diag(params.own_sigmas() ** -2.0)
     for k, term in enumerate(terms):
         pose, offset = np.arange(6 * k, 6 * k + 6), np.arange(base, base + 6)
@@ -170,8 +176,13 @@ def dense_solution(state, terms, params):
                 base + constants + buildings + term.parts,
             ]
         )
-        matrix[np.ix_(rows, rows)] += state.weights[k] * term.information
-        gradient[rows] += state.weights[k] * term.gradient
+        known = slice(0, len(rows))
+        matrix[np.ix_(rows, rows)] += state.weights[k] * term.information[known, known]
+        gradient[rows] += state.weights[k] * term.gradient[known]
+        for number, building in enumerate(term.buildings):
+            places = len(rows) + 2 * number + np.arange(2)
+            mixed = state.weights[k] * term.information[known, places]
+            pulls[np.ix_(rows, 2 * building + np.arange(2))] += mixed
         tie = np.zeros((6, size))
         tie[np.arange(6), pose], tie[np.arange(6), offset] = 1.0, -1.0
         gap = state.vectors[k] - state.priors[k] - state.offset
@@ -198,19 +209,20 @@ def dense_solution(state, terms, params):
         matrix += precision * np.outer(row, row)
         gradient += precision * row * gap
     inverse = np.linalg.inv(matrix)
-    return inverse, -inverse @ gradient
+    return inverse, -inverse @ gradient, -inverse @ pulls
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_eliminating_photos_gives_what_the_dense_problem_does(seed):
     state, terms, params = random_problem(np.random.default_rng(seed))
-    inverse, step = dense_solution(state, terms, params)
+    inverse, step, by_places = dense_solution(state, terms, params)
     solution = solve(state, terms, params)
     poses = step[:24].reshape(4, 6)
     longest = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0])
     limited = poses / np.maximum(1.0, np.abs(poses / longest).max(axis=1))[:, None]
     np.testing.assert_allclose(solution.photo_steps, limited, rtol=1e-6, atol=1e-8)
     np.testing.assert_allclose(solution.shared_step, step[24:], rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(solution.moved_by_places(), by_places, rtol=1e-6, atol=1e-8)
     for k in range(4):
         np.testing.assert_allclose(
             photo_covariance(solution, k),

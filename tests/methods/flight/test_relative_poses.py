@@ -159,7 +159,10 @@ def test_two_views_are_what_their_points_say():
     first, second = ((ray / ray[:, 2:])[:, :2] + generator.normal(0, 0.3 / 900, (300, 2)) for ray in rays)
     second[:40] += generator.normal(0, 0.1, (40, 2))
     tie = true_tie(VECTORS)
-    rotation, direction, information, per_focal = two_view(first, second, 900.0, tie.rotation)
+    rotation, direction, information, per_focal, agrees = two_view(first, second, 900.0, tie.rotation)
+    assert agrees.shape == (300,)
+    assert agrees[40:].mean() > 0.95
+    assert agrees[:40].mean() < 0.2
     error = np.concatenate([rotation_vector(rotation @ tie.rotation.T), tangents(tie.direction) @ direction])
     assert np.degrees(np.abs(error)).max() < 0.4
     assert (error @ information @ error) / 5 < 6.0
@@ -207,7 +210,13 @@ def test_text_burned_into_both_photos_says_no_turn_and_photos_from_one_place_are
         cv2.imwrite(str(tmp_path / f"{k}.png"), view)
         pose = pose_from_vector(vector)
         queries.append(Query(f"{k}.png", "all", camera, pose, image=tmp_path / f"{k}.png"))
-    (tie,) = relative_poses(queries, vectors)
+    (tie,), (shared,) = relative_poses(queries, vectors)
+    assert (shared.first, shared.second) == (0, 1)
+    # Rays are those of its pixels, and all but a few move where the camera did.
+    back = shared.rays * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    np.testing.assert_allclose(back, shared.pixels, atol=1e-3)
+    moves = np.linalg.norm(shared.pixels[0] - shared.pixels[1], axis=1)
+    assert (np.median(moves) > 2.0) == has_moved
     truth = pose_from_vector(vectors[1]).rotation @ pose_from_vector(vectors[0]).rotation.T
     assert np.degrees(np.linalg.norm(rotation_vector(tie.rotation @ truth.T))) < 0.5
 

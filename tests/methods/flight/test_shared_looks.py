@@ -109,4 +109,4 @@ def test_what_is_not_known_is_refused_and_what_is_needed_is_said():
     with pytest.raises(ConfigError, match=r"method\.single=regions is not known"):
         Params(single="regions")
     faults = [QueryFault("there is no photo")] * 2
-    assert FlightMethod(Params(single="region"))._solve_by_looks([], faults, None).estimates == faults
+    assert FlightMethod(Params(single="region"))._solve_by_edges([], faults, None).estimates == faults

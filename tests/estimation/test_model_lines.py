@@ -1,0 +1,118 @@
+"""Points on the model's lines: where a view shows them, and how they move with camera, lens and map."""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+
+from lodbench.citymap import CityMap
+from lodbench.citymodel import open_scene
+from lodbench.estimation.model_lines import (
+    CAMERA,
+    LensErrors,
+    lens_camera,
+    lines_in_view,
+    project_lines,
+    rise_shares,
+)
+from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from tests.town import BOXES, box_obj, true_poses
+from tests.town import CAMERA as TOWN_CAMERA
+
+LENS = LensErrors(0.02, 0.04, -0.01, 0.006)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("town") / "city.obj"
+    # Beside the boxes one outline without any height.
+    path.write_text(box_obj([*BOXES, (75, 20, 90, 40, 2, 2)]))
+    return open_scene(path)
+
+
+@pytest.fixture(scope="module")
+def city_map(scene):
+    return CityMap(scene, threads=1)
+
+
+@pytest.fixture(scope="module")
+def pose():
+    return next(iter(true_poses(1).values()))
+
+
+@pytest.fixture(scope="module")
+def lines(city_map, pose):
+    return lines_in_view(city_map, TOWN_CAMERA, pose, 4.0)
+
+
+@pytest.mark.parametrize("lens", [LensErrors(), LENS])
+def test_slopes_are_differences_along_the_normals(lines, pose, lens):
+    vector, numbers = vector_from_pose(pose), np.array(astuple(lens))
+    laid = project_lines(lines.points, lines.along, TOWN_CAMERA, vector, lens)
+    assert laid.by_camera.shape == (len(lines), CAMERA)
+
+    def moved(step, place=(0.0, 0.0, 0.0)):
+        errors = LensErrors(*(numbers + step[6:]))
+        points = lines.points + np.array(place)
+        return project_lines(points, lines.along, TOWN_CAMERA, vector + step[:6], errors).pixels
+
+    def slope(size, **change):
+        away = moved(size * change["step"], size * change["place"])
+        back = moved(-size * change["step"], -size * change["place"])
+        return ((away - back) * laid.normals).sum(axis=1) / (2.0 * size)
+
+    for number, step in enumerate(np.eye(CAMERA)):
+        expected = slope(1e-5, step=step, place=np.zeros(3))
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(laid.by_camera[:, number], expected, atol=1e-5 * scale)
+    for axis, place in enumerate(np.eye(3)):
+        expected = slope(1e-4, step=np.zeros(CAMERA), place=place)
+        np.testing.assert_allclose(laid.by_place[:, axis], expected, atol=1e-6)
+
+
+def test_a_lens_without_distortion_is_the_camera_it_is_drawn_with(lines, pose):
+    lens = LensErrors(focal=0.03, right=0.01, down=-0.02)
+    laid = project_lines(lines.points, lines.along, TOWN_CAMERA, vector_from_pose(pose), lens)
+    np.testing.assert_allclose(laid.pixels, lens_camera(TOWN_CAMERA, lens).project_from(pose, lines.points))
+
+
+def test_points_lie_evenly_on_lines_that_the_view_shows(lines, city_map, scene, pose):
+    (view,) = city_map.edges(TOWN_CAMERA, pose.rotation[None], pose.center[None], 25.0)
+    lengths = np.linalg.norm(view.pixels[:, 1] - view.pixels[:, 0], axis=1)
+    shown = view.is_visible & (lengths > 6.0)
+    # All of the lines' length is spoken for, by building and by whether something ends there.
+    for kind in (True, False):
+        mine = shown & ((view.kind == 1) == kind)
+        expected = np.bincount(view.building[mine], lengths[mine], scene.num_buildings)
+        of_kind = lines.is_contour == kind
+        found = np.bincount(lines.buildings[of_kind], lines.lengths_px[of_kind], scene.num_buildings)
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert lines.lengths_px.min() >= 4.0
+    assert lines.lengths_px.max() < 8.0
+    # Neighbours on a line are as far apart as each stands for, up to perspective.
+    laid = project_lines(lines.points, lines.along, TOWN_CAMERA, vector_from_pose(pose), LensErrors())
+    together = np.flatnonzero(np.diff(lines.lines) == 0)
+    apart = np.linalg.norm(laid.pixels[together + 1] - laid.pixels[together], axis=1)
+    assert np.abs(apart / lines.lengths_px[together] - 1.0).max() < 0.3
+    # A normal is across its line.
+    steps = laid.pixels[together + 1] - laid.pixels[together]
+    assert np.abs((steps * laid.normals[together]).sum(axis=1)).max() < 1e-3
+    some = lines.of(lines.rises > 0.5)
+    assert 0 < len(some) == np.count_nonzero(lines.rises > 0.5)
+
+
+def test_points_rise_by_their_share_of_the_height_and_flat_outlines_with_the_roof(scene):
+    boxes = [*BOXES, (75, 20, 90, 40, 2, 2)]
+    low, high = np.array([box[4:] for box in boxes], dtype=np.float64).T
+    buildings = np.repeat(np.arange(len(boxes)), 4)
+    shares = np.tile([-0.2, 0.0, 0.25, 1.0], len(boxes))
+    heights = low[buildings] + shares * (high - low)[buildings]
+    expected = np.where((high > low)[buildings], np.clip(shares, 0.0, 1.0), 1.0)
+    np.testing.assert_allclose(rise_shares(scene, heights, buildings), expected, atol=1e-6)
+
+
+def test_lines_far_away_are_none(city_map, pose):
+    vector = vector_from_pose(pose) + [5000.0, 0, 0, 0, 0, 0]
+    assert len(lines_in_view(city_map, TOWN_CAMERA, pose_from_vector(vector), 4.0)) == 0
