@@ -1,8 +1,8 @@
 """Mutated files for every reader, over all cores: ``python -m tests.fuzz [COUNT] [SEED]``.
 
-Half of the files are cities, half of all other kinds. A seed is drawn and printed; with it the same files
-come again. What raises anything but a ``LodbenchError``, dies, does not end or takes more memory than a small
-file is worth is a failure, told with the number of its file.
+Half of the files are cities, half of all other kinds; some are well-formed trees of the wrong shape. A seed
+is drawn and printed; with it the same files come again. What raises anything but a ``LodbenchError``, dies,
+does not end or takes more memory than a small file is worth is a failure, told with the number of its file.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import IO, Any
 
-from tests import fuzz_readers
+from tests import fuzz_readers, fuzz_trees
 from tests.citymodel import test_fuzz as cities
 
 # The files have some kilobytes, the largest 2 MB: what takes longer has found a loop, what takes more a bomb.
@@ -53,7 +53,17 @@ def _try_others(numbers: Iterable[int], seed: int) -> tuple[int, int]:
     return seen["read"], seen["refused"]
 
 
-KINDS = {"cities": _try_cities, "sidecars of Shapefiles": _try_sidecars, "all other files": _try_others}
+def _try_trees(numbers: Iterable[int], seed: int) -> tuple[int, int]:
+    seen = fuzz_trees.fuzz(numbers, seed)
+    return seen["read"], seen["refused"]
+
+
+KINDS = {
+    "cities": _try_cities,
+    "sidecars of Shapefiles": _try_sidecars,
+    "trees": _try_trees,
+    "all other files": _try_others,
+}
 
 
 def _try_share(kind: str, numbers: range, seed: int, at: Any, counts: Any) -> None:
@@ -103,5 +113,6 @@ def fuzz(kind: str, count: int, seed: int) -> bool:
 if __name__ == "__main__":
     COUNT = int(sys.argv[1]) if len(sys.argv) > 1 else 100_000
     SEED = int(sys.argv[2]) if len(sys.argv) > 2 else secrets.randbelow(1 << 31)
-    PARTS = dict(zip(KINDS, (COUNT // 2 - COUNT // 100, COUNT // 100, COUNT // 2), strict=True))
+    FEW = COUNT // 100
+    PARTS = dict(zip(KINDS, (COUNT // 2 - FEW, FEW, 3 * FEW, COUNT // 2 - 3 * FEW), strict=True))
     sys.exit(not all([fuzz(kind, part, SEED) for kind, part in PARTS.items()]))

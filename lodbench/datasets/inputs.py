@@ -69,10 +69,13 @@ def declared_inputs(part: object, attribute: str, default: Collection[str] = ())
         ConfigError: It declares something that is no input.
     """
     found = getattr(part, attribute, default)
-    known = [item.value for item in Input]
+    known, name = [item.value for item in Input], getattr(part, "name", part)
+    if not isinstance(found, Collection):
+        raise ConfigError(
+            f"{name} says {attribute} {found!r}, which are no inputs.", f"It is a set of {', '.join(known)}."
+        )
     for word in found:
         if word not in known:
-            name = getattr(part, "name", part)
             raise ConfigError(
                 f"{name} says {attribute} {word!r}, which is no input.", nearest_names(str(word), known)
             )
