@@ -105,8 +105,7 @@ def _stored(folder: Path) -> Iterator[tuple[str, Any, Try]]:
     found = fuzz_readers.targets(folder)
     for name, file, read in found:
         if file.suffix in (".json", ".yaml"):
-            dump = yaml.safe_dump if file.suffix == ".yaml" else json.dumps
-            yield name, yaml.safe_load(file.read_text()), _written(file, dump, lambda _, read=read: read())
+            yield name, yaml.safe_load(file.read_text()), _written(file, lambda _, read=read: read())
     root, city = folder / "town" / "data", folder / "town" / "city.obj"
     about = {
         "city_model": "../city.obj",
@@ -116,17 +115,17 @@ def _stored(folder: Path) -> Iterator[tuple[str, Any, Try]]:
         "seal": "x",
     }
     check, params = ("dataset", "check", str(root), "--city", str(city)), FolderParams(str(root))
-    yield "dataset.json", about, _written(root / ABOUT_FILE, json.dumps, lambda _: open_folder(params))
-    yield "dataset check", about, _written(root / ABOUT_FILE, json.dumps, lambda _: _command(*check))
+    yield "dataset.json", about, _written(root / ABOUT_FILE, lambda _: open_folder(params))
+    yield "dataset check", about, _written(root / ABOUT_FILE, lambda _: _command(*check))
 
 
-def _written(file: Path, dump: Callable[[Any], str], read: Callable[[Path], object]) -> Try:
-    """Returns what writes a tree to a file, reads it, and leaves the file as it was."""
+def _written(file: Path, read: Callable[[Path], object]) -> Try:
+    """Returns what writes a tree as JSON, which YAML holds, reads it, and leaves the file as it was."""
 
     def try_(tree: Any) -> object:
         before = file.read_bytes() if file.exists() else None
         try:
-            file.write_bytes(dump(tree).encode("utf-8", "surrogatepass"))
+            file.write_bytes(json.dumps(tree).encode("utf-8", "surrogatepass"))
             return read(file)
         finally:
             file.unlink() if before is None else file.write_bytes(before)
@@ -196,7 +195,7 @@ def _polygons(folder: Path) -> Iterator[tuple[str, Any, Try]]:
     for name in ("labelme", "coco"):
         tree = json.loads(json.dumps(FORMATS[name](mask, "p.jpg")))
         file = folder / f"p.{name}.json"
-        yield name, tree, _written(file, json.dumps, lambda path: read_polygons(path, "p.jpg", 40, 60))
+        yield name, tree, _written(file, lambda path: read_polygons(path, "p.jpg", 40, 60))
     frames = {"fl_x": 50.0, "fl_y": 50.0, "cx": 32.0, "cy": 24.0, "w": 64, "h": 48}
     frame = {"file_path": "images/a.jpg", "transform_matrix": np.eye(4).tolist(), **frames}
     tree = {
@@ -209,7 +208,7 @@ def _polygons(folder: Path) -> Iterator[tuple[str, Any, Try]]:
     yield (
         "transforms.json",
         tree,
-        _written(file, json.dumps, lambda path: list(read_pose_file(path, "nerfstudio"))),
+        _written(file, lambda path: list(read_pose_file(path, "nerfstudio"))),
     )
 
 

@@ -34,7 +34,7 @@ def test_trees_of_the_wrong_shape_are_read_or_refused():
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.slow
 def test_whole_commands_over_trees_of_the_wrong_shape():
-    assert fuzz(range(90), seed=4, without={RUNNER}).total() == 90
+    assert fuzz(range(90), seed=5, without={RUNNER}).total() == 90
 
 
 @pytest.mark.parametrize("declared", [None, 3, object()])

@@ -25,6 +25,7 @@ from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.gallery import chosen_queries, overlay_name, write_overlays
 from lodbench.harness.runs.prepare import require_choices
 from lodbench.harness.runs.requirements import SEGMENTED, segmented_inputs
+from lodbench.harness.runs.run import required_queries
 from lodbench.harness.tracebacks import traceback_file
 from lodbench.params import to_params
 from lodbench.plugins import load_plugin
@@ -106,7 +107,7 @@ def run_config(values: dict[str, Any]) -> Run:
     named = named_segmenter(section(values, "segmenter"))
     opener, dataset_params = dataset_opener(section(values, "dataset"))
     source = section(values, "source")
-    dataset, source = with_date(with_source(opener(dataset_params), source), source)
+    dataset = with_source(opener(dataset_params), source)
     segmenter, segmenter_params = named or default_segmenter(
         dataset, segmented_inputs(method), tuple(options.split)
     )
@@ -118,7 +119,6 @@ def run_config(values: dict[str, Any]) -> Run:
         # Left out where it is the process itself, as in all runs before there was a choice.
         **({} if runner.name == HERE else {"runner": runner.name}),
         "segmenter": asdict(segmenter_params),
-        **data_identity(dataset_params, source),
     }
     settings = RunSettings(
         runs_root=Path(paths.runs).expanduser(),
@@ -132,6 +132,9 @@ def run_config(values: dict[str, Any]) -> Run:
         retries_failed=RETRY in _flags,
         executor=executor,
     )
+    required_queries(method, dataset, segmenter, settings)  # before the city is read
+    dataset, source = with_date(dataset, source)
+    config |= data_identity(dataset_params, source)
     run = run_method(method, dataset, segmenter, settings)
     write_artefacts(run, OmegaConf.to_yaml(OmegaConf.create(config), sort_keys=True))
     write_overlays(run, run.preparation, run.scorer)

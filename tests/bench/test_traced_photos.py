@@ -100,7 +100,7 @@ def test_traced_masks_are_perfect_masks(photos, capsys):
     [
         (["--photos", "PHOTOS", "--city", "city.gml"], "makes its own map"),
         (["--photos", "PHOTOS", "--map-error", "-1"], "--map-error"),
-        (["--query", "PHOTOS"], "needs a city model"),
+        (["--query", "PHOTOS"], "holds no GT_pose.txt"),
     ],
 )
 def test_what_is_refused(photos, words, said, capsys):

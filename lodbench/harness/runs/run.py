@@ -164,20 +164,32 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     )
 
 
-def _opened(
+def required_queries(
     method: Method, dataset: Dataset, segmenter: Segmenter, settings: RunSettings
-) -> tuple[Dataset, tuple[str, ...], tuple[Entry, ...], CityMap, TexturedMesh | None]:
-    """Returns the dataset with all that is required, its splits and queries, and the map, all checked."""
+) -> tuple[tuple[str, ...], tuple[Entry, ...]]:
+    """Returns splits and queries, the settings and their inputs checked: all that needs no file read.
+
+    Raises:
+        LodbenchError: A fault of the settings, or an input that the dataset lacks.
+    """
     require_choices(settings.tilt, settings.limit)
     require_writable(settings.runs_root)
-    if settings.executor.name == PROCESS:
-        # Workers import while this process opens the city.
-        expect_workers((predict.__module__, type(method).__module__, type(segmenter).__module__))
     splits = select_splits(dataset, settings.splits)
     entries = chosen_entries(dataset, splits, settings.limit)
     require_tilt(settings.tilt, dataset)
     load_plugin("renderers", settings.renderer)
     require_run_inputs(method, segmenter, dataset, entries)
+    return splits, entries
+
+
+def _opened(
+    method: Method, dataset: Dataset, segmenter: Segmenter, settings: RunSettings
+) -> tuple[Dataset, tuple[str, ...], tuple[Entry, ...], CityMap, TexturedMesh | None]:
+    """Returns the dataset with all that is required, its splits and queries, and the map, all checked."""
+    splits, entries = required_queries(method, dataset, segmenter, settings)
+    if settings.executor.name == PROCESS:
+        # Workers import while this process opens the city.
+        expect_workers((predict.__module__, type(method).__module__, type(segmenter).__module__))
     dataset = with_inputs(dataset, required_inputs(method, segmenter))
     # Once more: what was made for single queries is theirs.
     entries = chosen_entries(dataset, splits, settings.limit)
