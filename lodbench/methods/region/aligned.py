@@ -58,6 +58,12 @@ class Aligned(NamedTuple):
         """Returns the (N,) logarithm of the likelihood of such, (N, 10), of a share of the photo's nats."""
         return _nats(self.lines, self.regions, vectors, share)
 
+    def worse_by(self, vector: Floats) -> float:
+        """Returns by how many nats lines, regions and prior are less likely at a vector, (10,), than here."""
+        both = np.stack([self.vector, vector])
+        whole = self.nats(both) + self.regions.log_prior(both)
+        return float(whole[0] - whole[1])
+
     def lead_over(self, other: Aligned) -> float:
         """Returns by how many nats its lines are likelier than another's, at least in the eyes of either."""
         both = np.stack([self.vector, other.vector])
@@ -95,6 +101,7 @@ class Alignment:
         around: How the outline moves.
         params: The method's.
         streams: Of random numbers.
+        has_bases: Whether lines where walls end count too.
     """
 
     def __init__(
@@ -105,7 +112,9 @@ class Alignment:
         around: Surroundings,
         params: Params,
         streams: Streams,
+        has_bases: bool = False,
     ) -> None:
+        self._has_bases = has_bases
         self._levels_at, self._query, self._regions_of = levels_at, query, regions_of
         self._around, self._params, self._streams = around, params, streams
 
@@ -154,7 +163,7 @@ class Alignment:
         levels, regions = self._levels_at(blur_px), self._regions_of(roofs)
 
         def begin(start: Floats) -> _Round | None:
-            lines = LineFit(levels, self._query, roofs, start, self._params)
+            lines = LineFit(levels, self._query, roofs, start, self._params, self._has_bases)
             prior = regions.prior_information(_ROOFS_APART_M)
             cloud = self._around.cloud(start[:OUTLINES], regions.at(start[ROOFS]), spread_px, prior)
             return _Round(start, lines, regions, cloud) if len(lines) and cloud is not None else None

@@ -30,6 +30,8 @@ _APART_PX = 1.5
 _PULLED = 0.7
 # The deviation of a lens, percent, under which it was learnt how far a probability can be trusted.
 _TOLD_PERCENT = 0.2
+# Where roofs alone are less likely by so many nats, lines where walls end lead astray.
+_CONTRADICTED = 5.0
 # Of (N, 10) vectors, and of a share of the photo's nats.
 Nats = Callable[[Floats, float], Floats]
 
@@ -114,13 +116,17 @@ class Answering:
     def _best_aligned(self, starts: Floats, streams: Streams) -> Aligned | None:
         """Returns the lines on the edges as all is told, or with another tilt or lens where that is plain.
 
-        Another tilt first, and only where the photo pulls at the one that is told (docs/adr/0064); another
-        lens only beside an exact map: elsewhere roofs make up for it (docs/adr/0061).
+        Where walls end counts only as far as roofs, which nothing hides, do not contradict it (docs/adr/0068).
+        Another tilt only where the photo pulls at the one that is told (docs/adr/0064); another lens only beside
+        an exact map: elsewhere roofs make up for it (docs/adr/0061).
         """
         params = self._params
         found = self._alignment(params, streams).from_best(starts, self._roofs)
         if found is None:
             return None
+        with_bases = self._alignment(params, streams, has_bases=True).from_aligned(found, self._roofs)
+        if with_bases is not None and found.worse_by(with_bases.vector) < _CONTRADICTED:
+            found = with_bases
         if self._pulls_at_tilt(found):
             wide = replace(params, range_tilt_deg=2.0 * params.tilt_doubt_deg)
             other = self._alignment(wide, streams).from_aligned(found, self._roofs, is_far=True)
@@ -144,11 +150,13 @@ class Answering:
     def _is_plain(self, other: Aligned | None, found: Aligned) -> TypeGuard[Aligned]:
         return other is not None and other.lead_over(found) >= self._params.doubt_nats
 
-    def _alignment(self, params: Params, streams: Streams) -> Alignment:
+    def _alignment(self, params: Params, streams: Streams, has_bases: bool = False) -> Alignment:
         """Returns what lays the model's lines on the photo's edges, tilt and lens known so well."""
         # Lines say what edges say, and more: the regions join them without.
         regions_of = partial(RoofEvidence, self._query, fit=self._fit.with_edges(0.0), params=params)
-        return Alignment(self._photo.levels, self._query, regions_of, self._around, params, streams)
+        return Alignment(
+            self._photo.levels, self._query, regions_of, self._around, params, streams, has_bases
+        )
 
     def _by_regions(self, vector: Floats, signs: LineSigns, evidence: Floats) -> Answer:
         """Returns the mean of what regions and outlines leave around (10,), of a wider photo."""

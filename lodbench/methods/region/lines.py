@@ -75,6 +75,7 @@ class LineFit:
         roofs: The map, which says what lines are seen.
         vector: (10,) the pose that they are seen from, and what else of ``unknowns`` then is.
         params: The method's.
+        has_bases: Whether lines where walls end count too.
 
     Attributes:
         buildings: Those of the map whose lines are seen.
@@ -87,12 +88,13 @@ class LineFit:
         roofs: RaisedRoofs,
         vector: Floats,
         params: Params,
+        has_bases: bool = False,
     ) -> None:
         camera = query.camera.scaled(levels.shape[1], levels.shape[0])
         self._intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
         self._levels = levels
         step = int(step_of(vector[ROOFS]))
-        points, spacing_px = points_on_lines(roofs, step, camera, vector[POSE])
+        points, spacing_px = points_on_lines(roofs, step, camera, vector[POSE], has_bases)
         self.buildings, buildings = np.unique(points.buildings, return_inverse=True)
         self._points = points._replace(buildings=buildings)
         self._roofs = roofs
@@ -187,9 +189,13 @@ class LineFit:
 
 
 def points_on_lines(
-    roofs: RaisedRoofs, step: int, camera: Camera, vector: Floats
+    roofs: RaisedRoofs, step: int, camera: Camera, vector: Floats, has_bases: bool = False
 ) -> tuple[LinePoints, float]:
-    """Returns points evenly along the lines seen from a pose, (6,), and their distance, pixels."""
+    """Returns points evenly along the lines seen from a pose, (6,), and their distance, pixels.
+
+    Lines where walls end are left out, or not: hedges, cars and slopes hide them, and of a map the ground
+    errs most. On two real flights bases show 1 to 2.5 m above the map's (docs/adr/0068).
+    """
     pose = pose_from_vector(vector)
     (seen,) = roofs.at(step).edges(camera, pose.rotation[None], pose.center[None], _CREASE_DEG)
     lengths = np.linalg.norm(seen.pixels[:, 1] - seen.pixels[:, 0], axis=1)
@@ -201,13 +207,10 @@ def points_on_lines(
     which = np.searchsorted(ends, stations)
     rows = lines[which]
     place = 1.0 - (ends[which] - stations) / lengths[rows]
-    # Where walls end says nothing: hedges, cars and slopes hide it, and of a map the ground errs most. On two
-    # real flights bases show 1 to 2.5 m above the map's, and drag cameras down by 0.5 to 1 % (docs/adr/0068).
-    middle = seen.points[rows, :, 2].mean(axis=1)
-    kept = (roofs.shares(middle, seen.building[rows], step) > _LOWEST_SHARE) | ~roofs.is_tall[
-        seen.building[rows]
-    ]
-    rows, which, place = rows[kept], which[kept], place[kept]
+    if not has_bases:
+        middle, owners = seen.points[rows, :, 2].mean(axis=1), seen.building[rows]
+        kept = (roofs.shares(middle, owners, step) > _LOWEST_SHARE) | ~roofs.is_tall[owners]
+        rows, which, place = rows[kept], which[kept], place[kept]
     starts, along = seen.points[rows, 0], seen.points[rows, 1] - seen.points[rows, 0]
     points = starts + place[:, None] * along
     # Halfway to the end of the line, its direction is the same.
