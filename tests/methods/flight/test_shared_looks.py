@@ -22,9 +22,9 @@ from tests.town import CAMERA
 PAINT = np.array([[70, 110, 80], [60, 70, 150], [150, 150, 145]], dtype=np.float64)
 
 
-def painted(city_map, pose, gain, generator):
+def painted(city_map, pose, gain, generator, camera=CAMERA):
     """Returns a photo of the town in three colours with noise, brighter by a factor."""
-    (normals,) = city_map.normals(CAMERA, pose.rotation[None], pose.center[None])
+    (normals,) = city_map.normals(camera, pose.rotation[None], pose.center[None])
     kinds = np.where((normals != 0).any(axis=-1), np.where(normals[..., 2] > 0.5, 1, 2), 0)
     noise = cv2.GaussianBlur(generator.normal(0.0, 60.0, (*kinds.shape, 3)), (0, 0), 1.5)
     return np.clip((PAINT[kinds] + noise) * gain, 0, 255).astype(np.uint8)
