@@ -153,7 +153,7 @@ def resolve_crs(name: str) -> KnownCrs | None:
     lost = ""
     try:
         crs = CRS.from_user_input(label)
-    except CRSError:
+    except (CRSError, ValueError):
         label, lost = _plane_of(label)
         if not lost:
             return None
