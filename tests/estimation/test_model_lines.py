@@ -115,9 +115,4 @@ def test_points_rise_by_their_share_of_the_height_and_flat_outlines_with_the_roo
 
 
 def test_lines_far_away_are_none(city_map, pose):
-<<<<<<< HEAD
-    vector = vector_from_pose(pose) + np.array([5000.0, 0, 0, 0, 0, 0])
-    assert len(lines_in_view(city_map, TOWN_CAMERA, pose_from_vector(vector), 4.0)) == 0
-=======
     assert len(lines_in_view(city_map, TOWN_CAMERA, pose.shifted([5000.0, 0.0, 0.0]), 4.0)) == 0
->>>>>>> methodtests

@@ -1,8 +1,4 @@
-<<<<<<< HEAD
-"""Bundle adjustment: a block from points that photos share, up to a similarity; wrong matches left out."""
-=======
 """Bundle adjustment: a block of what photos share, right up to a similarity; wrong matches left out."""
->>>>>>> methodtests
 
 from __future__ import annotations
 
@@ -138,15 +134,8 @@ def test_features_that_match_through_others_are_one_point_and_two_in_a_photo_are
     assert sorted(by_point) == [0, 1, 2]
     # A match of 0's 11 with 2's 30 makes one track of two, which has both 10 and 11 in photo 0.
     seen = observations_of([*chain, matches(0, 2, [(11, 30)])])
-<<<<<<< HEAD
-    assert sorted(zip(seen.photos.tolist(), np.rint(seen.rays[:, 0] * FOCAL_PX).tolist(), strict=False)) == [
-        (0, 12.0),
-        (2, 32.0),
-    ]
-=======
     np.testing.assert_array_equal(seen.photos, [0, 2])
     np.testing.assert_allclose(seen.rays[:, 0] * FOCAL_PX, [12.0, 32.0])
->>>>>>> methodtests
 
 
 def test_points_of_one_photo_alone_are_left_out():
