@@ -19,6 +19,7 @@ from lodbench.methods.flight.aligning import Aligned, align, mean_iou, side_by_s
 from lodbench.methods.flight.bundle import block_of
 from lodbench.methods.flight.consensus import flight_error
 from lodbench.methods.flight.findings import cannot_tell_focal, findings_of
+from lodbench.methods.flight.footprints import footprint_covariance
 from lodbench.methods.flight.joint import photo_covariance, solve
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import LENS
@@ -208,18 +209,29 @@ class FlightMethod:
         ends = self._ends(queries, start, aligned, city_map)
         aligned.state.shift(*ends.middle)
         of_pose, of_constants = ends.covariances
-        # What footprints of the map are wrong about no photo tells: cameras go aside with a building.
-        moved = self.params.footprint_m * aligned.solution.moved_by_places()
-        shared = moved[6 * len(queries) :][: len(of_constants)]
+        of_footprints = self._footprint_covariances(aligned, len(of_constants))
 
         def estimate(row: int) -> Estimate:
-            own = moved[6 * row : 6 * row + 6]
-            return self._estimate(aligned, row, of_pose + own @ own.T)
+            return self._estimate(aligned, row, of_pose + of_footprints[row])
 
         # Each takes the longer the more photos there are: of hundreds, all of them take as long as the steps.
         with side_by_side(city_map.threads) as threads:
             estimates = list((map if threads is None else threads.map)(estimate, range(len(queries))))
-        return FlightEstimate(estimates, {"of_constants": of_constants + shared @ shared.T})
+        return FlightEstimate(estimates, {"of_constants": of_constants + of_footprints[-1]})
+
+    def _footprint_covariances(self, aligned: Aligned, constants: int) -> list[Floats]:
+        """Returns what footprints of the map are wrong about: (6, 6) of each photo, and of constants last.
+
+        No photo tells it: cameras go aside with a building. Outlines of masks lie on all buildings alike;
+        of edges a few may outweigh all others: each building's error is followed through the solution.
+        """
+        photos, footprint_m = len(aligned.terms), self.params.footprint_m
+        if self.params.single != "region":
+            terms = aligned.terms, aligned.state.roofs, footprint_m
+            return [footprint_covariance(*terms, size) for size in (*[6] * photos, constants)]
+        moved = footprint_m * aligned.solution.moved_by_places()
+        blocks = [moved[6 * k : 6 * k + 6] for k in range(photos)]
+        return [block @ block.T for block in (*blocks, moved[6 * photos :][:constants])]
 
     def _ends(self, queries: Sequence[Query], start: State, aligned: Aligned, city_map: CityMap) -> Ends:
         """Returns where the flight ends from other starts around its answer.
