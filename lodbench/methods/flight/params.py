@@ -20,6 +20,8 @@ RELATIVE_POSES = ("auto", "reconstruction", "tracks", "none")
 _AS_TOLD: Floats = np.ones(6)
 # Standard deviations of heights beside edges, metres: of all roofs alike, each roof, and parts of one.
 _EDGES_ROOFS_M, _EDGES_ROOF_M, _EDGES_PART_M = 0.5, 0.7, 0.5
+# The same of the principal point, shares of the width: masks alone do not tell it from the tilt.
+_EDGES_CENTER = 0.0035
 # Of a Gaussian: its deviation per median absolute one; fewer photos say nothing of how they scatter.
 _MAD, _FEWEST_TO_SCATTER = 1.4826, 5
 
@@ -81,7 +83,7 @@ class Params:
     own_yaw_deg: float = 2.5
     focal: float = 0.01
     distortion: float = 0.01
-    center: float = 0.0035
+    center: float = 0.0
     mask_px: float = 0.5
     roofs_m: float = 1.5
     roof_m: float = 2.0
@@ -174,6 +176,7 @@ class Params:
         """
         return replace(
             self,
+            center=max(self.center, _EDGES_CENTER),
             roofs_m=min(self.roofs_m, _EDGES_ROOFS_M),
             roof_m=min(self.roof_m, _EDGES_ROOF_M),
             part_m=min(self.part_m, _EDGES_PART_M),
