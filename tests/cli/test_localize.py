@@ -127,8 +127,15 @@ class TestFromPixels:
         # A method that was named, and an answer that is to be trusted, have no second one.
         region_says(0.1)
         assert localize(capsys, case, tmp_path / "named", "--method", "region", code=3)["moved_m"] == 0.0
+        region_says(0.6, moved_m=right.center - prior.center, like=right)
+        sure = localize(capsys, case, tmp_path / "sure")
+        assert sure["probability"] == pytest.approx(0.6)
+        assert not any("efficient_unet" in note for note in sure["notes"])
+        # Of a pose that the photo's edges contradict nothing above an even chance is believed.
         region_says(0.6)
-        assert localize(capsys, case, tmp_path / "sure")["moved_m"] == 0.0
+        contradicted = localize(capsys, case, tmp_path / "contradicted", "--method", "region", code=3)
+        assert contradicted["probability"] < 0.5
+        assert any("the photo contradicts this pose" in note for note in contradicted["notes"])
 
     @pytest.mark.slow
     def test_a_photo_of_something_else_is_not_trusted(self, capsys, tmp_path, shared_data):

@@ -84,4 +84,5 @@ def test_a_second_search_finds_what_regions_do_not_see(city_map, drawn, truths):
         for more, found in errors.items():
             estimate = Region(replace(regions_alone, more_starts=more)).localize(query, city_map, STREAMS)
             found.append(pose_error(estimate.pose, truth).translation_m)
-    assert max(errors[2]) < 2.0 < max(errors[1])
+    # The last bits of sums differ between machines, and the search with them.
+    assert max(errors[2]) < 3.0 < 10.0 < max(errors[1])
