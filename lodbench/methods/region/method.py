@@ -15,7 +15,7 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
-from lodbench.geometry.pose_vector import pose_from_vector
+from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment.outline import edges_of, scene_in_reach
 from lodbench.methods.contour_alignment.uncertainty import beyond_range, probability_within
 from lodbench.methods.fits import query_photo
@@ -26,6 +26,7 @@ from lodbench.methods.region.evidence import Evidence
 from lodbench.methods.region.line_search import line_starts
 from lodbench.methods.region.params import Params
 from lodbench.methods.region.photo import Photo
+from lodbench.methods.region.refinement import surer_by_edges
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.search import Surroundings, climbed, grid_starts, judged, modes_of
 from lodbench.methods.region.trust import TRUSTED, Signs, trust_of
@@ -60,7 +61,7 @@ class Region:
         """Returns the mean of the poses around the most probable one, weighed by photo and prior.
 
         Where that is not to be trusted, a second search begins from more samples (docs/adr/0055), and from
-        where the map's lines lie along edges (docs/adr/0057).
+        where the map's lines lie along edges (docs/adr/0057). Edges of roofs refine it (docs/adr/0070).
 
         Raises:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
@@ -74,17 +75,30 @@ class Region:
         seen = _Seen(query, photo, city_map, RaisedRoofs(city_map, part, params.pitched_lower_m), around)
         found = _found(seen, params, streams)
         if _probability(found) >= TRUSTED or params.more_starts == 1:
-            return found
+            return _refined(found, seen, params)
         again = _found(
             seen,
             params.with_more_starts(),
             lambda stage, step: streams(f"{stage} again", step),
             by_lines=True,
         )
-        best = max(found, again, key=_probability)
-        return replace(
-            best, seconds={stage: found.seconds[stage] + again.seconds[stage] for stage in best.seconds}
-        )
+        best, first = max(found, again, key=_probability), found.estimate.seconds
+        seconds = {stage: first[stage] + taken for stage, taken in again.estimate.seconds.items()}
+        return _refined(best._replace(estimate=replace(best.estimate, seconds=seconds)), seen, params)
+
+
+class _Found(NamedTuple):
+    """An answer, and what its probability comes from.
+
+    Attributes:
+        estimate: The answer.
+        signs: That it is right.
+        share: Of the evidence that its mode has.
+    """
+
+    estimate: Estimate
+    signs: Signs
+    share: float
 
 
 class _Seen(NamedTuple):
@@ -109,7 +123,7 @@ class _Seen(NamedTuple):
         return Evidence(self.query, self.city_map, self.photo.fit(width, is_coarse), params)
 
 
-def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False) -> Estimate:
+def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False) -> _Found:
     """Returns the answer that one search leads to, by regions or by the map's lines as well."""
     started, query, around = time.perf_counter(), seen.query, seen.around
     search = seen.evidence(params, params.coarse_width, is_coarse=True)
@@ -130,7 +144,8 @@ def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False
     ranked = [k for k in np.argsort(-answer.evidence, kind="stable") if np.isfinite(answer.evidence[k])]
     top, *others = (modes[k].cloud.mean for k in ranked)
     signs = _signs(answer, judge, top, params)
-    return Estimate(
+    share = share_of_best(answer.evidence)
+    estimate = Estimate(
         pose=pose_from_vector(answer.vector),
         score=float(final.fits(answer.vector[None])[0]),
         seconds={"coarse": searched - started, "fine": time.perf_counter() - searched},
@@ -140,7 +155,7 @@ def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False
             "signs [as of trust_of]": tuple(signs),
         },
         covariance=answer.covariance,
-        probability=share_of_best(answer.evidence) * trust_of(signs),
+        probability=share * trust_of(signs),
         alternatives=tuple(pose_from_vector(other) for other in others),
         notes=(
             *_lens_notes(answer.lens_percent, params),
@@ -149,6 +164,26 @@ def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False
             ),
         ),
     )
+    return _Found(estimate, signs, share)
+
+
+def _refined(found: _Found, seen: _Seen, params: Params) -> Estimate:
+    """Returns an answer refined by the edges of roofs where these are surer, as probable as that makes it."""
+    estimate, started = found.estimate, time.perf_counter()
+    if not params.edges or estimate.covariance is None:
+        return estimate
+    vector = vector_from_pose(estimate.pose)
+    surer = surer_by_edges(vector, estimate.covariance, seen.query, seen.city_map, params)
+    if surer is not None:
+        within = max(found.signs.probability, probability_within(surer.covariance, surer.vector))
+        probability = found.share * trust_of(found.signs._replace(probability=within))
+        estimate = replace(
+            estimate,
+            pose=pose_from_vector(surer.vector),
+            covariance=surer.covariance,
+            probability=probability,
+        )
+    return replace(estimate, seconds=estimate.seconds | {"edges": time.perf_counter() - started})
 
 
 def _signs(answer: Answer, judge: Evidence, top: NDArray[np.float64], params: Params) -> Signs:
@@ -171,8 +206,8 @@ def _lens_notes(percent: float, params: Params) -> tuple[str, ...]:
     return (f"by this photo the focal length is {abs(percent):.1f} % {longer} than told: found with that",)
 
 
-def _probability(estimate: Estimate) -> float:
-    return estimate.probability or 0.0
+def _probability(found: _Found) -> float:
+    return found.estimate.probability or 0.0
 
 
 def _reach(params: Params) -> tuple[float, float]:

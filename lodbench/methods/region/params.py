@@ -91,6 +91,7 @@ class Params:
         lines_weight: What a pixel of line is worth, independent pixels; 0 leaves lines out.
         least_sharpness: How sharply edges must fall off beside the lines for lines to count, 0 to 1: where a
             map is far from what the photo shows they lead astray.
+        edges: Whether the edges of roofs refine the answer where they are surer of the place.
     """
 
     name: str = "region"
@@ -133,6 +134,7 @@ class Params:
     lines_width: int = 960
     lines_weight: float = 0.07
     least_sharpness: float = 0.3
+    edges: bool = True
 
     def __post_init__(self) -> None:
         widths = ("coarse_width", "fine_width", "mean_width", "lines_width")

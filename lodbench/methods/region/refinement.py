@@ -1,0 +1,42 @@
+"""The pose that the edges of roofs make most probable, where these are surer of the place (docs/adr/0070)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymap import CityMap
+from lodbench.datasets.query import Query
+from lodbench.estimation.edge_alignment import EdgeAlignment, EdgeLikelihood
+from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.methods.fits import query_photo
+from lodbench.methods.region.params import Params
+
+Floats = NDArray[np.float64]
+
+# Edges that are likelier than background by fewer nats may lie there by chance.
+_LEAST_EVIDENCE = 10.0
+
+
+def surer_by_edges(
+    vector: Floats, covariance: Floats, query: Query, city_map: CityMap, params: Params
+) -> EdgeAlignment | None:
+    """Returns an answer refined by the edges of roofs, or None where these are no surer of the place.
+
+    Edges have to be likelier there, plainly likelier than background, and leave the smaller variance.
+
+    Args:
+        vector: (6,) the answer, metres and degrees.
+        covariance: (6, 6) of its error.
+        query: Whose photo it answers.
+        city_map: The map.
+        params: For the prior's width and the lens.
+    """
+    k1 = 0.0 if query.camera_sigmas is None else query.camera_sigmas.k1
+    pose_sigmas = np.array(params.half_widths()) / np.sqrt(3.0)
+    sigmas = np.array([*pose_sigmas, 0.01 * params.lens_percent, k1, 0.0, 0.0])
+    prior = vector_from_pose(query.prior)
+    found = EdgeLikelihood(query_photo(query), query.camera, city_map, prior, sigmas).refined(vector)
+    if found is None or found.gain <= 0.0 or found.evidence < _LEAST_EVIDENCE:
+        return None
+    return found if np.trace(found.covariance[:3, :3]) < np.trace(covariance[:3, :3]) else None
