@@ -50,7 +50,7 @@ class EdgeAlignment(NamedTuple):
 
     Attributes:
         vector: (6,) metres and degrees.
-        covariance: (6, 6) of its error, the lens as it was refined.
+        covariance: (6, 6) of its error, what the lens leaves open included.
         evidence: Nats by which edges and prior are likelier than the photo's background.
         gain: Nats by which they are likelier than where it began.
     """
@@ -71,7 +71,7 @@ class EdgeLikelihood:
         camera: Pinhole, of any size.
         city_map: Whose roof lines are compared.
         prior: (6,) metres and degrees.
-        sigmas: (10,) standard deviations of the prior, and of ``LensErrors``; what has 0 is held.
+        sigmas: (10,) standard deviations of the prior, none 0, and of ``LensErrors``, held where 0.
     """
 
     def __init__(
@@ -93,14 +93,14 @@ class EdgeLikelihood:
             vector: (6,) where to begin, within some pixels of the edges.
         """
         start = np.append(vector, np.zeros(CAMERA - POSE))
-        refined, information = start, np.eye(CAMERA)
+        refined, information = start, np.diag(self._sigmas**-2.0)
         for sigma_px in _SIGMAS_PX:
             lines = self._lines(refined)
             if len(lines) < _FEWEST_POINTS:
                 return None
             for _ in range(_STEPS):
                 refined, information = self._step(lines, refined, sigma_px)
-        covariance = np.asarray(_SPREAD * np.linalg.inv(information[:POSE, :POSE]))
+        covariance = np.asarray(_SPREAD * np.linalg.inv(information)[:POSE, :POSE])
         evidence = self.log_posterior(refined)
         return EdgeAlignment(refined[:POSE], covariance, evidence, evidence - self.log_posterior(start))
 
@@ -112,16 +112,16 @@ class EdgeLikelihood:
         return prior + float((lines.lengths_px * np.log(1.0 - _SHOWN + ratios)).sum()) / _TOGETHER_PX
 
     def _step(self, lines: ModelLines, vector: Floats, sigma_px: float) -> tuple[Floats, Floats]:
-        """Returns the next (10,), and the information (10, 10) before."""
+        """Returns the next (10,), and the information on what is free of it."""
         laid = self._laid(lines, vector)
         ratios, distances = self._ratios(laid, sigma_px)
         shown = ratios / (ratios + 1.0 - _SHOWN)
         weighed = laid.by_camera * (shown * lines.lengths_px / (_TOGETHER_PX * sigma_px**2))[:, None]
-        information, free = np.zeros((CAMERA, CAMERA)), np.ix_(self._free, self._free)
-        information[free] = (weighed.T @ laid.by_camera)[free] + np.diag(self._sigmas**-2.0)
+        information = (weighed.T @ laid.by_camera)[np.ix_(self._free, self._free)]
+        information += np.diag(self._sigmas**-2.0)
         gradient = (weighed.T @ distances)[self._free] - self._away(vector) / self._sigmas**2
         stepped = vector.copy()
-        stepped[self._free] += np.linalg.solve(information[free], gradient)
+        stepped[self._free] += np.linalg.solve(information, gradient)
         return stepped, information
 
     def _ratios(self, laid: Projected, sigma_px: float) -> tuple[Floats, Floats]:
