@@ -7,6 +7,7 @@ maximisation over a narrowing deviation; docs/adr/0070).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,6 +40,8 @@ _SHOWN, _TOGETHER_PX = 0.7, 120.0
 _SPREAD = 1.7
 # Numbers of a pose, which those of the lens follow.
 POSE = 6
+# In a dense city not all points are compared: towards the horizon lines have tens of thousands.
+_MOST_POINTS = 3000
 # How far beside lines the background is measured, pixels.
 _BESIDE_PX = 30.0
 # Bases of walls are no evidence (docs/adr/0068).
@@ -149,7 +152,12 @@ class EdgeLikelihood:
         lines = lines.of((lines.rises > _LOWEST_RISE) & self._is_flat[lines.buildings])
         pixels = self._laid(lines, vector).pixels
         is_inside = (pixels > _BORDER_PX) & (pixels < self._size - _BORDER_PX)
-        return lines.of(np.asarray(is_inside.all(axis=1)))
+        lines = lines.of(np.asarray(is_inside.all(axis=1)))
+        every = -(-len(lines) // _MOST_POINTS)
+        if every < 2:
+            return lines
+        lines = lines.of(np.arange(len(lines)) % every == 0)
+        return replace(lines, lengths_px=every * lines.lengths_px)
 
     def _laid(self, lines: ModelLines, vector: Floats) -> Projected:
         lens = LensErrors(*(float(v) for v in vector[POSE:]))

@@ -25,6 +25,8 @@ _STEP_PX = 1.0
 # An edge is stronger than this, mean strengths around it, and no stronger one counts for more; most of its
 # change goes across the line: within 26 degrees of it.
 _WEAKEST, _STRONGEST, _PARALLEL = 0.8, 4.0, 0.8
+# Rows of a picture that OpenCV interpolates in one call.
+_MOST_ROWS = 30_000
 # What a point of a line weighs that shows no edge: an edge of middling strength two deviations off.
 _NO_EDGE = float(np.exp(-2.0))
 
@@ -97,8 +99,7 @@ class PhotoEdges:
         steps = int(np.ceil(reach_px / _STEP_PX)) + 1
         offsets = _STEP_PX * np.arange(-steps, steps + 1)
         places = (pixels[:, None] + offsets[:, None] * normals[:, None] - 0.5).astype(np.float32)
-        columns, rows = (np.ascontiguousarray(places[..., axis]) for axis in (0, 1))
-        forms = cv2.remap(self._forms, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        forms = self._forms_at(places)
         x, y = normals[:, None, 0], normals[:, None, 1]
         squares = forms[..., 0] * x**2 + 2.0 * forms[..., 1] * x * y + forms[..., 2] * y**2
         is_parallel = squares > _PARALLEL * (forms[..., 0] + forms[..., 2])
@@ -111,3 +112,13 @@ class PhotoEdges:
         shift = 0.5 * (one - other) / np.minimum(one - 2.0 * middle + other, -1e-12)
         distances = offsets[peaks + 1] + _STEP_PX * np.clip(shift, -0.5, 0.5)
         return Candidates(points, distances, np.minimum(middle, _STRONGEST))
+
+    def _forms_at(self, places: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Returns (N, S, 3) the forms at (N, S, 2), pixel centres whole; OpenCV takes no N of 0 or 2^15."""
+        forms = np.empty((*places.shape[:2], 3), dtype=np.float32)
+        for first in range(0, len(places), _MOST_ROWS):
+            columns, rows = (np.ascontiguousarray(places[first : first + _MOST_ROWS, :, k]) for k in (0, 1))
+            forms[first : first + _MOST_ROWS] = cv2.remap(
+                self._forms, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
+            )
+        return forms

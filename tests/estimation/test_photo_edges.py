@@ -111,3 +111,13 @@ def test_colours_of_one_brightness_make_an_edge_and_an_even_photo_none():
     # Nor does one begin where the picture ends, within reach of a line outside.
     outside, across = line_beside(turned(0.0), 0.0, 3.0)
     assert len(even.across(outside, across, 8.0).points) == 0
+
+
+@pytest.mark.parametrize("count", [0, 70_000])
+def test_any_number_of_points(count):
+    photo = np.zeros((60, 80), np.uint8)
+    photo[:, 40:] = 200
+    pixels, normals = np.tile([36.5, 30.5], (count, 1)), np.tile([1.0, 0.0], (count, 1))
+    found = PhotoEdges(photo, (80, 60)).across(pixels, normals, 8.0)
+    np.testing.assert_array_equal(np.unique(found.points), np.arange(count))
+    np.testing.assert_allclose(found.distances, 3.5, atol=0.3)
