@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lodbench.bench.figures import Progress, Report, no_progress
 from lodbench.bench.real_report import report_real
 from lodbench.citymap import CityMap
-from lodbench.citymap.places import ground_errors
+from lodbench.citymap.place_errors import ground_errors
 from lodbench.citymap.surfaces import Surfaces
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
