@@ -72,8 +72,8 @@ def with_date(dataset: Dataset, values: dict[str, Any]) -> tuple[Dataset, dict[s
     if period is None:
         return dataset, values
     day = date_in(period)
-    told = {**values, "options": {**(values.get("options") or {}), "date": day}}
-    return replace(dataset, city_options=replace(options, date=day)), told
+    dated = {**values, "options": {**(values.get("options") or {}), "date": day}}
+    return replace(dataset, city_options=replace(options, date=day)), dated
 
 
 def _without(values: dict[str, Any], names: set[str]) -> dict[str, Any]:

@@ -228,13 +228,13 @@ class TestLaser:
 
     def test_a_contradiction_is_said_and_not_used(self, surfaces):
         pose = pose_of(NUMBERS)
-        plain, told = (
+        plain, measured = (
             located(surfaces, CAMERA, pose, [[500, 400]], Uncertainty(COVARIANCE), laser)[0]
             for laser in (None, LaserRange(60.0))
         )
-        np.testing.assert_array_equal(told.place, plain.place)
-        assert "60.0 m" in told.notes[0]
-        assert "not used" in told.notes[0]
+        np.testing.assert_array_equal(measured.place, plain.place)
+        assert "60.0 m" in measured.notes[0]
+        assert "not used" in measured.notes[0]
 
 
 class TestGround:
