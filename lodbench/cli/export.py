@@ -23,14 +23,19 @@ from lodbench.harness.export.export import (
     ExportFormat,
     export_run,
     make_format,
+    wanted_by,
 )
 from lodbench.harness.runs.stored import StoredRun, read_whole_run, require_writable
 from lodbench.plugins import blaming, plugin_names
 from lodbench.reporting.aligned_text import count_of
 
 _EPILOG = """\
-Poses are written in the dataset's coordinates; queries without one are named, not written (in GeoJSON they
-are features without a place). COLMAP, kapture and nerfstudio hold cameras, which come from the dataset.
+csv is the table for people: easting, northing, height, latitude, longitude, heading, pitch, roll, standard
+deviations, probability and trust of each photo. queries is the run's own table, with quaternions (world to
+camera) and covariances; parquet the same, typed. geojson and gpkg (GeoPackage) are maps.
+
+Poses are written in the dataset's coordinates; queries without one are named, not written (in tables and maps
+they have no place). COLMAP, kapture and nerfstudio hold cameras, which come from the dataset.
 For the Rerun viewer the city, the priors, the truth, photos and masks are written too, in the city's local
 frame; `rerun FILE` opens it. Of files that are there only earlier exports in the format are replaced.
 """
@@ -56,22 +61,22 @@ def _require_heard(asked: argparse.Namespace, form: ExportFormat) -> None:
         LodbenchError: It has none, or poses in metres cannot be in the system told.
     """
     if asked.crs is not None:
-        if CRS not in form.requires:
+        if CRS not in wanted_by(form):
             raise ConfigError(f"--format {asked.format} states no reference system.", "Leave --crs out.")
         MapFrame(asked.crs)  # the poses are in metres, and stay as they are
-    if not form.requires and (asked.dataset_root or asked.city_model):
+    if not wanted_by(form) and (asked.dataset_root or asked.city_model):
         raise ConfigError(
             f"--format {asked.format} needs poses alone.", "Leave --dataset-root and --city out."
         )
 
 
 def _opened(asked: argparse.Namespace, run: StoredRun, form: ExportFormat) -> Export:
-    """Returns a run with what the format requires of it.
+    """Returns a run with what the format requires, or takes if it is known.
 
     Raises:
         LodbenchError: It cannot be had, or the poses are in another system than is told.
     """
-    kept, needs = run.provenance.get("crs"), set(form.requires)
+    kept, needs = run.provenance.get("crs"), wanted_by(form)
     is_asked = CRS in needs and (kept is None or asked.city_model is not None)
     is_placed = asked.dataset_root is not None or asked.city_model is not None
     dataset = city = None
@@ -81,7 +86,7 @@ def _opened(asked: argparse.Namespace, run: StoredRun, form: ExportFormat) -> Ex
         if dataset is not None and (CITY in needs or (is_asked and dataset.city_model is not None)):
             city = _city_of(dataset)
     except LodbenchError:
-        if is_placed or needs - {CRS} or asked.crs is None:
+        if is_placed or needs - {CRS} or (asked.crs is None and CRS in form.requires):
             raise
     # A run of an older version keeps no system: its city and its dataset tell it, where they are there.
     told = [kept, None if city is None else city.crs, None if dataset is None else dataset.crs, asked.crs]

@@ -45,10 +45,10 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
             "" if answers.flights else " say so if they may be farther off (--prior-range, --prior-yaw);"
         )
         lines.append(f"Look at the overlays of those not to be trusted;{farther} {helps} helps most.")
-    files = [("table", answers.table), ("map", answers.map)]
+    files = [("table", answers.table), ("map", answers.map), ("", answers.geopackage)]
     files += [("page", answers.page(flight)) for flight in answers.flights]
     files += [("in 3D", answers.view)] if answers.found else []
-    return "\n".join([*lines, *(f"{name + ':':<9} {path}" for name, path in files)]) + "\n"
+    return "\n".join([*lines, *(f"{name + ':' if name else '':<9} {path}" for name, path in files)]) + "\n"
 
 
 def _photo_table(answers: Answers) -> str:

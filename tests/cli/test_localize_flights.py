@@ -67,6 +67,9 @@ def write(photo: Path, pose: Pose, clock: str, mask: np.ndarray, **changed: str)
     write_photo(photo, (90 + mask // 3).astype(np.uint8), exif, packet)
 
 
+PLACE = ("easting_m", "northing_m", "height_m")
+
+
 def localize(capsys, *words: object) -> tuple[int, str]:
     code = main(["localize", *map(str, words)])
     return code, capsys.readouterr().out
@@ -75,12 +78,10 @@ def localize(capsys, *words: object) -> tuple[int, str]:
 def errors_m(out: Path, truth: dict[str, Pose]) -> dict[str, float]:
     """Returns how far each photo of a table was found from its truth, metres."""
     with (out / "localized.csv").open() as stream:
-        rows = [row for row in csv.DictReader(stream) if row["east"]]
+        rows = [row for row in csv.DictReader(stream) if row["easting_m"]]
     return {
         Path(row["photo"]).name: float(
-            np.linalg.norm(
-                [float(row[axis]) for axis in ("east", "north", "up")] - truth[Path(row["photo"]).name].center
-            )
+            np.linalg.norm([float(row[axis]) for axis in PLACE] - truth[Path(row["photo"]).name].center)
         )
         for row in rows
     }
