@@ -55,8 +55,8 @@ taken. The search covers 10 m around the rough pose, 30 m up and down and 7.5 de
 Several photos, or a folder, are taken as flights, told apart by camera and by the clock in EXIF, and each is
 solved as a whole (--method flight). Masks come from --masks, else from a folder named masks in it, else from
 a network (efficient_unet), or with --method-option single=region from the photos' own pixels, without a
-network. localized.csv, localized.geojson and localized.gpkg list all photos; flights.json holds the errors found
-of drone and map, map_findings.geojson the buildings concerned. --each-alone localises each photo by itself.
+network. localized.csv, .geojson and .gpkg list all photos; flights.json holds the errors found of drone and
+map, map_findings.geojson the buildings concerned. --each-alone localises each photo by itself.
 
 Exit code: 3 if a pose is more likely wrong than right, or a photo has none; 1 if none of many photos could be
 localised; 2 for wrong options or data; else 0.
@@ -75,7 +75,25 @@ examples:
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    asked = _parser().parse_args(argv)
+    from lodbench.harness.photo.request import LocalizedPhoto
+
+    asked = parser().parse_args(argv)
+    found = localized(asked)
+    if not isinstance(found, LocalizedPhoto):
+        return _tell_many(found, asked)
+    sys.stdout.write((_json(found.to_json()) if asked.json else describe(found)) + "\n")
+    return 0 if found.is_trusted else NOT_TRUSTED
+
+
+def localized(asked: argparse.Namespace) -> LocalizedPhoto | Answers:
+    """Returns the answer to one photo, or to several, and writes all of it but what is printed.
+
+    Args:
+        asked: As ``parser`` returns it.
+
+    Raises:
+        LodbenchError: An option is wrong, the city cannot be read, or the one photo cannot be localised.
+    """
     from lodbench.datasets.own import require_some_mask
     from lodbench.harness.photo.flights import localize_flights
     from lodbench.harness.photo.localize import localize_photo, open_map
@@ -100,9 +118,8 @@ def main(argv: Sequence[str]) -> int:
     if is_one:
         found = localize_photo(request)
         write_view(found.view, request, [found])
-        sys.stdout.write((_json(found.to_json()) if asked.json else describe(found)) + "\n")
         _write_sidecars([(photos[0], found)], asked)
-        return 0 if found.is_trusted else NOT_TRUSTED
+        return found
     if isinstance(method, SupportsFlights) and not asked.each_alone:
         answers = localize_flights(request, photos, masks, asked.reconstruction)
     elif asked.reconstruction is not None:
@@ -111,9 +128,8 @@ def main(argv: Sequence[str]) -> int:
         answers = localize_photos(request, photos, masks)
     if answers.found:
         write_view(answers.view, request, answers.found)
-    code = _tell_many(answers, asked)
     _write_sidecars([(each.photo, each.found) for each in answers.photos if each.found is not None], asked)
-    return code
+    return answers
 
 
 def _tell_unused(photos: Sequence[Path], asked: argparse.Namespace) -> None:
@@ -238,7 +254,8 @@ def _json(values: Any) -> str:
     return json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False)
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> Parser:
+    """Returns the parser of the command's words."""
     parser = Parser("lodbench localize", _ABOUT, _EXAMPLES)
     add = parser.add_argument
     add(

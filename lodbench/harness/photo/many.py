@@ -64,9 +64,11 @@ class PhotoAnswer:
         values["flight"] = values["flight"] or None
         if self.found is not None:
             values |= survey_row(self.found.pose, self.found.place, self.found.covariance)
-            values |= {"crs": self.found.crs, "score": self.found.score}
+            values |= {"crs": self.found.crs, "score": round(self.found.score, 4)}
             values["notes"] = "; ".join(self.found.method_notes)
-            values |= {"probability": self.found.probability, "moved_m": self.found.moved.translation_m}
+            values["moved_m"] = round(self.found.moved.translation_m, 3)
+            if self.found.probability is not None:
+                values["probability"] = round(self.found.probability, 4)
         return values
 
 

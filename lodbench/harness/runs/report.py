@@ -41,6 +41,7 @@ _SCORED_COLUMNS = (
     ("prior deg", PRIOR_ERROR[1], ".2f"),
 )  # fmt: skip
 # Where there is no truth: the answers themselves, as surveyors have them, and their standard deviations.
+_SURE_COLUMNS = (("probability", "probability", ".2f"), ("trust", "trust", ""))
 _ANSWER_COLUMNS = (
     ("easting m", "easting_m", ".2f"), ("northing m", "northing_m", ".2f"), ("height m", "height_m", ".2f"),
     ("latitude", "latitude_deg", ".7f"), ("longitude", "longitude_deg", ".7f"),
@@ -51,8 +52,8 @@ _ANSWER_COLUMNS = (
     ("from the prior m", "moved_m", ".2f"),
 )  # fmt: skip
 _LAST_COLUMNS = (
-    ("score", "score", ".3f"), ("mask IoU", "mask_iou", ".3f"), ("probability", "probability", ".2f"),
-    ("trust", "trust", ""), ("hypotheses", "hypotheses", ".0f"), ("failure", "failure", ""),
+    ("score", "score", ".3f"), ("mask IoU", "mask_iou", ".3f"), ("hypotheses", "hypotheses", ".0f"),
+    ("failure", "failure", ""),
 )  # fmt: skip
 
 
@@ -143,7 +144,11 @@ def _query_table(verdict: Verdict, tilt: str, crs: str | None) -> str:
         frame["failure"] = frame["failure"].map(own_failure)
         frame = frame.join(_answers(verdict, tilt, crs))
     first = (("query", "query", ""),) + ((("split", "split", ""),) if queries["split"].nunique() > 1 else ())
-    columns = [*first, *(_SCORED_COLUMNS if is_scored else _ANSWER_COLUMNS), *_LAST_COLUMNS]
+    last = _LAST_COLUMNS
+    if not is_scored and queries["probability"].notna().any():
+        last = last[-1:]  # a score has no unit, and the probability says what it is worth
+    middle = (*_SCORED_COLUMNS, *_SURE_COLUMNS) if is_scored else (*_SURE_COLUMNS, *_ANSWER_COLUMNS)
+    columns = [*first, *middle, *last]
     kept = [column for column in columns if _holds_anything(frame[column[1]])]
     rows = list(zip(map(str, frame.index), frame.to_dict("records"), strict=True))
     return rendered("queries.html.jinja", rows=rows, columns=kept, isfinite=math.isfinite, number=number)

@@ -41,7 +41,8 @@ def survey_table(run: StoredRun, crs: str | None) -> pd.DataFrame:
         row = dict.fromkeys(_COLUMNS) | {"photo": query["query"], "split": query["split"]}
         if pose is not None:
             row |= survey_row(pose, None if frame is None else frame.place_of(pose), found.covariance)
-        row |= {"probability": found.probability, "trust": trust_of(found), "crs": crs}
+        probability = None if found.probability is None else round(found.probability, 4)
+        row |= {"probability": probability, "trust": trust_of(found), "crs": crs}
         rows.append(row | {"failure": own_failure(query["failure"])})
     numbers = dict.fromkeys((*SURVEY_COLUMNS, "probability"), float)
     return pd.DataFrame(rows, index=run.queries.index, columns=list(_COLUMNS)).astype(numbers)
