@@ -24,6 +24,7 @@ from lodbench.cli.place_options import (
 from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
 from lodbench.cli.source_profiles import option_pairs
 from lodbench.errors import ConfigError, DatasetError
+from lodbench.execution import Progress
 from lodbench.segmentation.choice import FOR_PHOTOS
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def localized(asked: argparse.Namespace) -> LocalizedPhoto | Answers:
     """
     from lodbench.datasets.own import require_some_mask
     from lodbench.harness.photo.flights import localize_flights
-    from lodbench.harness.photo.localize import localize_photo, open_map
+    from lodbench.harness.photo.localize import STEPS, localize_photo, open_map
     from lodbench.harness.photo.many import localize_photos, photos_of
     from lodbench.harness.photo.sidecars import require_sidecars
     from lodbench.harness.photo.view import write_view
@@ -116,7 +117,8 @@ def localized(asked: argparse.Namespace) -> LocalizedPhoto | Answers:
     if asked.sidecars:
         require_sidecars(open_map(request).scene.crs, {photo.parent for photo in photos})
     if is_one:
-        found = localize_photo(request)
+        with Progress(photos[0].name, STEPS, unit="steps") as progress:
+            found = localize_photo(request, progress.advance)
         write_view(found.view, request, [found])
         _write_sidecars([(photos[0], found)], asked)
         return found

@@ -42,6 +42,7 @@ class PhotoAnswer:
         photo: The file.
         found: The answer, or None.
         failure: Why there is none, or "".
+        hint: What would help, or "".
         flight: It was taken on, where that was looked for.
     """
 
@@ -49,6 +50,7 @@ class PhotoAnswer:
     found: LocalizedPhoto | None
     failure: str = ""
     flight: str = ""
+    hint: str = ""
 
     @property
     def trust(self) -> str:
@@ -220,7 +222,7 @@ def _answer(request: PhotoRequest, masks: Path | None) -> PhotoAnswer:
             raise DatasetError(f"{masks} holds no mask of it")
         return PhotoAnswer(request.photo, localize_photo(request))
     except LodbenchError as fault:
-        return PhotoAnswer(request.photo, None, fault.message.rstrip("."))
+        return PhotoAnswer(request.photo, None, fault.message.rstrip("."), hint=fault.hint)
 
 
 def _write_table(path: Path, answers: Sequence[PhotoAnswer]) -> None:
