@@ -10,6 +10,7 @@ from pathlib import Path
 from lodbench.citymodel.crs import is_same_plane, require_crs
 from lodbench.citymodel.scene import Scene
 from lodbench.cli.parser import Parser
+from lodbench.cli.run_folders import run_folders
 from lodbench.cli.verify import add_path_options, reopen_dataset
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.query import Dataset
@@ -44,14 +45,15 @@ frame; `rerun FILE` opens it. Of files that are there only earlier exports in th
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
-    require_writable(asked.out, [asked.run], may_be_folder=True)
-    run = read_whole_run(asked.run)
+    folders = run_folders(asked.runs, asked.out)
+    require_writable(asked.out, folders, may_be_folder=True)
     form = make_format(asked.format)
     _require_heard(asked, form)
-    export = _opened(asked, run, form)
-    with blaming("export_formats", asked.format, "write the run"):
-        done = export_run(export, form, asked.out)
-    return _report(done)
+    for folder in folders:
+        export = _opened(asked, read_whole_run(folder), form)
+        with blaming("export_formats", asked.format, "write the run"):
+            _report(export_run(export, form, asked.out))
+    return 0
 
 
 def _require_heard(asked: argparse.Namespace, form: ExportFormat) -> None:
@@ -82,7 +84,7 @@ def _opened(asked: argparse.Namespace, run: StoredRun, form: ExportFormat) -> Ex
     dataset = city = None
     try:
         if is_placed or is_asked or needs - {CRS}:
-            dataset = reopen_dataset(asked.run, asked.dataset_root, asked.city_model)
+            dataset = reopen_dataset(run.folder, asked.dataset_root, asked.city_model)
         if dataset is not None and (CITY in needs or (is_asked and dataset.city_model is not None)):
             city = _city_of(dataset)
     except LodbenchError:
@@ -113,13 +115,12 @@ def _one_system(told: Sequence[object], asked: str | None) -> str | None:
     return asked or (named[0] if named else None)
 
 
-def _report(done: Exported) -> int:
-    """Says what was written; returns the exit code."""
+def _report(done: Exported) -> None:
+    """Says what was written."""
     sys.stdout.write(f"{done.path}: {done.count} pose{'s' * (done.count != 1)}\n")
     if done.without_pose:
         names = ", ".join(done.without_pose[:3]) + (", ..." if len(done.without_pose) > 3 else "")
         sys.stdout.write(f"  without a pose: {count_of(len(done.without_pose), 'queries')}: {names}\n")
-    return 0
 
 
 def _city_of(dataset: Dataset) -> Scene:
@@ -138,10 +139,12 @@ def _city_of(dataset: Dataset) -> Scene:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("lodbench export", "Write a run's poses for another program.", _EPILOG)
-    parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run folders")
     names = ", ".join(plugin_names("export_formats"))
     parser.add_argument("--format", required=True, metavar="FORMAT", help=names)
-    parser.add_argument("--out", type=Path, metavar="PATH", help="file or folder to write (RUN/export/...)")
+    parser.add_argument(
+        "--out", type=Path, metavar="PATH", help="file or folder to write, of one run (RUN/export/...)"
+    )
     parser.add_argument(
         "--crs", help="reference system of the poses, for formats that state one, where the run keeps none"
     )
