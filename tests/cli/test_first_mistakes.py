@@ -68,7 +68,11 @@ CASES: list[tuple[Words, str, str]] = [
     (lambda f: [*_at(f), "--mask", f.black], "holds no building", "white (255)"),
     (lambda f: [*_at(f), "--mask", f.empty], "Is a directory", "Check the path"),
     (lambda f: [*_at(f), "--lat", "120", "--lon", "51"], "--lat=120 is not within -90 to 90", ""),
-    (lambda f: [*_at(f), "--lat", "-33.9", "--lon", "151.2"], ",4", "Is it the right tile?"),
+    (
+        lambda f: [*_at(f), "--lat", "-33.9", "--lon", "151.2"],
+        "14,902 km outside the city model",
+        "Is it the right tile?",
+    ),
     (lambda f: [*_at(f), "--takeoff", "nan"], "--takeoff=nan is not finite", ""),
     (lambda f: [*_at(f), "--takeoff", "61", "--heights", "sea_level"], "--takeoff is not used", "Leave --t"),
     (lambda f: [*_at(f), "--takeoff", "61", "--geoid", "46"], "--geoid is not used with --takeoff", "Leave"),
