@@ -23,7 +23,7 @@ from yaml.tokens import (
 )
 
 from lodbench.cli.parser import OldName, Parser
-from lodbench.cli.run_dataset import with_prior, with_source
+from lodbench.cli.run_dataset import with_masks, with_prior, with_source
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_settings, open_dataset
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
@@ -243,6 +243,7 @@ def _reopen(folder: Path, config: dict[str, Any], root: str | None, city: str | 
     paths = {"root": root, "city_model": city}
     section.update({key: path for key, path in paths.items() if key in known})
     dataset = with_source(open_dataset(section), config["source"])
+    dataset = with_masks(dataset, config.get("segmenter", {}))
     prior = config.get("prior", {"name": "file"})
     if _keeps_priors(config):
         prior = {"name": "file", "path": str(folder / "priors.txt")}
