@@ -71,7 +71,7 @@ def _localized(
         if name not in known or name in ("help", "json"):
             raise ConfigError(f"localize has no option {name}.", nearest_names(name, known))
         words += _words(known[name].option_strings[-1], value, known[name])
-    return localized(command.parse_args([*words, "--", *map(fspath, photos)]))
+    return localized(command.parse_args([*words, "--", *(fspath(photo) for photo in photos)]))
 
 
 def _words(flag: str, value: Any, action: argparse.Action) -> list[str]:

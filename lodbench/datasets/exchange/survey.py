@@ -44,13 +44,12 @@ def survey_row(
 
     Pitch is 0 at the horizon and -90 straight down, as gimbals state it.
     """
-    if place is None:
-        pitch, roll, yaw = pose.euler
-        earth, angles = (None, None), (heading_from_yaw(yaw), pitch - 90.0, roll)
-    else:
-        earth = place.latitude_deg, place.longitude_deg
+    pitch, roll, yaw = pose.euler
+    values: tuple[float | None, ...] = (None, None, heading_from_yaw(yaw), pitch - 90.0, roll)
+    if place is not None:
         angles = place.heading_deg, place.pitch_deg, place.roll_deg
-    values = (*map(float, pose.center), *earth, *angles)
+        values = (place.latitude_deg, place.longitude_deg, *angles)
+    values = (*map(float, pose.center), *values)
     row: dict[str, float | None] = dict.fromkeys(SURVEY_COLUMNS)
     for (name, decimals), value in zip(POSE_DECIMALS.items(), values, strict=True):
         # Adding 0 turns the -0.0 of a rounded small number into 0.0.

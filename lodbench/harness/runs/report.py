@@ -144,7 +144,7 @@ def _query_table(verdict: Verdict, tilt: str, crs: str | None) -> str:
         frame["failure"] = frame["failure"].map(own_failure)
         frame = frame.join(_answers(verdict, tilt, crs))
     first = (("query", "query", ""),) + ((("split", "split", ""),) if queries["split"].nunique() > 1 else ())
-    last = _LAST_COLUMNS
+    last: Sequence[tuple[str, str, str]] = _LAST_COLUMNS
     if not is_scored and queries["probability"].notna().any():
         last = last[-1:]  # a score has no unit, and the probability says what it is worth
     middle = (*_SCORED_COLUMNS, *_SURE_COLUMNS) if is_scored else (*_SURE_COLUMNS, *_ANSWER_COLUMNS)
