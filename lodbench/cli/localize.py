@@ -96,12 +96,9 @@ def localized(asked: argparse.Namespace) -> LocalizedPhoto | Answers:
         LodbenchError: An option is wrong, the city cannot be read, or the one photo cannot be localised.
     """
     from lodbench.datasets.own import require_some_mask
-    from lodbench.harness.photo.flights import localize_flights
-    from lodbench.harness.photo.localize import STEPS, localize_photo, open_map
-    from lodbench.harness.photo.many import localize_photos, photos_of
+    from lodbench.harness.photo.localize import open_map
+    from lodbench.harness.photo.many import photos_of
     from lodbench.harness.photo.sidecars import require_sidecars
-    from lodbench.harness.photo.view import write_view
-    from lodbench.methods.protocol import SupportsFlights
 
     is_one = len(asked.photos) == 1 and asked.photos[0].is_file()
     _require_options(asked, is_one)
@@ -116,13 +113,35 @@ def localized(asked: argparse.Namespace) -> LocalizedPhoto | Answers:
     _tell_unused(photos, asked)
     if asked.sidecars:
         require_sidecars(open_map(request).scene.crs, {photo.parent for photo in photos})
-    if is_one:
-        with Progress(photos[0].name, STEPS, unit="steps") as progress:
-            found = localize_photo(request, progress.advance)
-        write_view(found.view, request, [found])
-        _write_sidecars([(photos[0], found)], asked)
-        return found
-    if isinstance(method, SupportsFlights) and not asked.each_alone:
+    return _one(request, asked) if is_one else _several(request, photos, masks, asked)
+
+
+def _one(request: PhotoRequest, asked: argparse.Namespace) -> LocalizedPhoto:
+    """Returns the answer to one photo, and writes it."""
+    from lodbench.harness.photo.localize import STEPS, localize_photo
+    from lodbench.harness.photo.view import write_view
+
+    with Progress(request.photo.name, STEPS, unit="steps") as progress:
+        found = localize_photo(request, progress.advance)
+    write_view(found.view, request, [found])
+    _write_sidecars([(request.photo, found)], asked)
+    return found
+
+
+def _several(
+    request: PhotoRequest, photos: Sequence[Path], masks: Path | None, asked: argparse.Namespace
+) -> Answers:
+    """Returns the answers to several photos, as flights or each alone, and writes them.
+
+    Raises:
+        ConfigError: There is a reconstruction, and no flight is solved.
+    """
+    from lodbench.harness.photo.flights import localize_flights
+    from lodbench.harness.photo.many import localize_photos
+    from lodbench.harness.photo.view import write_view
+    from lodbench.methods.protocol import SupportsFlights
+
+    if isinstance(request.method, SupportsFlights) and not asked.each_alone:
         answers = localize_flights(request, photos, masks, asked.reconstruction)
     elif asked.reconstruction is not None:
         raise ConfigError("--reconstruction ties a flight's photos.", "Leave --each-alone and --method out.")
