@@ -26,6 +26,8 @@ _PUBLIC = {
     "leaderboard": "lodbench.harness.results",
     "load_run": "lodbench.harness.results",
     "localize": "lodbench.methods.localize",
+    "localize_flight": "lodbench.cli.localize_python",
+    "localize_photo": "lodbench.cli.localize_python",
     "locate": "lodbench.citymap.places",
     "make_renderer": "lodbench.rendering",
     "open_scene": "lodbench.citymodel",

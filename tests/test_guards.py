@@ -180,8 +180,8 @@ def coco(tmp_path, *polygons):
     file = tmp_path / "c.json"
     image = {"id": 1, "file_name": "P.jpg", "width": 800, "height": 400}
     found = [{"image_id": 1, "category_id": 1, "segmentation": [ring]} for ring in rings]
-    told = {"images": [image], "categories": [{"id": 1, "name": "building"}], "annotations": found}
-    file.write_text(json.dumps(told))
+    annotations = {"images": [image], "categories": [{"id": 1, "name": "building"}], "annotations": found}
+    file.write_text(json.dumps(annotations))
     return file
 
 
@@ -210,9 +210,9 @@ def test_polygons_that_are_lost_are_counted(tmp_path, caplog, write, polygons, w
     with caplog.at_level(logging.WARNING):
         try:
             mask = read_polygons(write(tmp_path, *polygons), "P.jpg", 400, 800)
-            told = caplog.text
+            text = caplog.text
         except DatasetError as error:
-            mask, told = None, f"{error.message} {error.hint}"
-    assert re.search(words, told) if words else not told
+            mask, text = None, f"{error.message} {error.hint}"
+    assert re.search(words, text) if words else not text
     if SQUARE in polygons:
         assert mask[60:340, 610:770].all()

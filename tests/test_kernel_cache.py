@@ -11,6 +11,7 @@ import pytest
 
 import lodbench
 from lodbench.kernel_cache import keep_kernels_apart
+from lodbench.rendering.compiled import say_if_compiling
 
 INNER = "from numba import njit\n\n@njit\ndef inner():\n    return {value}\n"
 OUTER = (
@@ -135,6 +136,20 @@ def test_a_folder_the_user_has_set_stays(package, monkeypatch, tmp_path):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     assert keep_kernels_apart(package) is None
     assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path)
+
+
+def test_the_first_use_says_that_it_compiles(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    for lines in (1, 0):
+        caplog.clear()
+        say_if_compiling.cache_clear()
+        for _ in range(2):
+            say_if_compiling()
+        assert [record.getMessage() for record in caplog.records] == [
+            "First use: compiling takes about a minute, once."
+        ] * lines
+        # As numba names what it keeps.
+        (tmp_path / "engine_kernel.draw_view-1.py311.nbi").touch()
 
 
 def test_all_compiled_functions_stand_where_they_are_looked_for():

@@ -78,7 +78,7 @@ def test_a_flight_of_one_s_own(tmp_path, shared_data):
         off = ((east - pose.center[0]) ** 2 + (north - pose.center[1]) ** 2) ** 0.5
         assert off < 2.0 or row["trust"] == "do not trust"
     assert sum(row["trust"] == "good" for row in rows) >= 4
-    for name in ("compared.html", "flight.csv", "flight.geojson", "metashape.txt", "geo.txt"):
+    for name in ("compared.html", "flight.csv", "flight.geojson", "flight.gpkg", "metashape.txt", "geo.txt"):
         assert (tmp_path / name).stat().st_size > 100
     assert (tmp_path / "geo.txt").read_text().startswith("EPSG:25832")
 

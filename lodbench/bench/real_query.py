@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lodbench.bench.figures import Progress, Report, no_progress
 from lodbench.bench.real_report import report_real
 from lodbench.citymap import CityMap
-from lodbench.citymap.places import ground_errors
+from lodbench.citymap.place_errors import ground_errors
 from lodbench.citymap.surfaces import Surfaces
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
@@ -139,7 +139,7 @@ def measure_real(
 
     Args:
         sets: Photos with poses; masks are made once per photo and method that wants them.
-        methods: What to measure, by name; told the width of the prior.
+        methods: What to measure, by name, made for the width of the prior.
         options: Which priors.
         progress: Called after each answer.
 
@@ -254,7 +254,7 @@ def _prior(shot: _Shot, label: str, options: RealOptions) -> Pose:
 def _answers(
     method: Method, shots: Sequence[_Shot], label: str, options: RealOptions, city_map: CityMap
 ) -> Iterator[tuple[_Shot, Query, Answer, tuple[float, float]]]:
-    """Yields each photo with the query that was put, the answer, and seconds by the clock and of CPU."""
+    """Yields each photo with the query, the answer, and seconds by the clock and of CPU."""
     flights: dict[Any, list[_Shot]] = {}
     for shot in shots:
         flights.setdefault(shot.flight if isinstance(method, SupportsFlights) else shot.key, []).append(shot)
@@ -315,7 +315,7 @@ def _note(
 def _row(
     shot: _Shot, query: Query, answer: Answer, taken: tuple[float, float], city_map: CityMap
 ) -> dict[str, Any]:
-    """Returns the measurements of one answer; no answer is one that nobody will trust."""
+    """Returns the measurements of one answer; a query without an answer has score and probability 0."""
     ends, errors = np.full(3, np.nan), FAILED
     row: dict[str, Any] = {"score": 0.0, "probability": 0.0, "surprise": math.nan, "failure": ""}
     edges, ground = (math.nan, math.nan), (math.inf, math.nan)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.cityjson_geometry import GeometryReader
 from lodbench.citymodel.cityjson_parents import parents_of, roots_of
 from lodbench.citymodel.cityjson_textures import TextureReader
-from lodbench.citymodel.cityjson_values import declared_system, points_of
+from lodbench.citymodel.cityjson_values import declared_system, list_or_empty, points_of
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
 from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.crs import crs_label, is_in_degrees
@@ -202,7 +202,7 @@ class _Reader:
             (self._objects.building[part], str(shape.get("lod")))
             for object_id, part in numbers.items()
             if part not in storeys and objects[object_id].get("type") not in INTERIOR_NAMES
-            for shape in _list_of(objects[object_id].get("geometry"))
+            for shape in list_or_empty(objects[object_id].get("geometry"))
             if isinstance(shape, dict)
         }
 
@@ -264,13 +264,13 @@ class _Reader:
         left_out = set()
         for object_id, item in objects.items():
             type_, root = str(item.get("type")), str(objects[roots[object_id]].get("type"))
-            told = item.get("attributes")
+            attributes = item.get("attributes")
             if root not in self._wanted and not _is_building(root):
                 continue
             if type_.startswith("+") and not any(word in type_ for word in _CONSTRUCTIONS):
                 self._others[type_] += 1
                 left_out.add(object_id)
-            elif isinstance(told, dict) and not self._lifespans.stands(object_id, told):
+            elif isinstance(attributes, dict) and not self._lifespans.stands(object_id, attributes):
                 left_out.add(object_id)
         return left_out
 
@@ -278,16 +278,16 @@ class _Reader:
         """Returns the number of a new object, which is a building of its own where it has no parent."""
         table = self._objects
         building = table.building[parent] if parent >= 0 else self._add_building(object_id, has_geometry)
-        told = item.get("attributes")
-        told = told if isinstance(told, dict) else {}
+        stated = item.get("attributes")
+        stated = stated if isinstance(stated, dict) else {}
         attributes = None
         if table.has_details:
-            attributes = dict(told)
+            attributes = dict(stated)
             if item.get("address"):
                 attributes["address"] = item["address"]
-        type_, height_m = str(item.get("type")), overall_height(told)
+        type_, height_m = str(item.get("type")), overall_height(stated)
         height_m = height_m if parent < 0 or type_ == "BuildingPart" else None
-        return table.add(object_id, type_, parent, building, attributes, roof_type_of(told), height_m)
+        return table.add(object_id, type_, parent, building, attributes, roof_type_of(stated), height_m)
 
     def _add_building(self, building_id: str, has_geometry: bool) -> int:
         findings = self._collector.findings
@@ -329,10 +329,6 @@ def _require_scale(vertices: NDArray[np.float64], scale: NDArray[np.float64], so
             "the program that wrote it lost the coordinates.",
             "Export it again, or with another program.",
         )
-
-
-def _list_of(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else []
 
 
 def _is_building(kind: str) -> bool:

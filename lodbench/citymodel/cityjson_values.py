@@ -19,6 +19,11 @@ def listed(value: Any) -> list[Any]:
     return value if isinstance(value, list) else [value]
 
 
+def list_or_empty(value: Any) -> list[Any]:
+    """Returns a list as it is, and an empty one for anything else."""
+    return value if isinstance(value, list) else []
+
+
 def fitting(key: str, value: Any) -> Any:
     """Returns an attribute of the type that CityJSON asks for, where it asks for one and it can be."""
     if key in ONE_TEXT:

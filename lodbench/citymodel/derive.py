@@ -202,7 +202,7 @@ def _flat(plans: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64], 
 
 
 def _finer_level(model: CityModel) -> str:
-    """Returns the lowest level above 1; where there is none, and heights are told, the next that could be."""
+    """Returns the lowest level above 1; without one, "2" if heights of flat buildings are known."""
     finer = [name for name in model.lods if name and name[0] in "234"]
     if not finer and is_flat(model).any():
         return "2"

@@ -1,4 +1,4 @@
-"""Buildings with a footprint and a height: told where they are flat, drawn up where level 1 is derived."""
+"""Buildings with a footprint and a known height: reported if drawn flat, extruded if level 1 is derived."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FLAT = "0"  # what names of levels without walls begin with
 
 
 def is_flat(model: CityModel) -> NDArray[np.bool_]:
-    """Tells which buildings have a height, as the source tells, and outlines at level 0 alone; (B,)."""
+    """Tells which buildings have a known height, and outlines at level 0 alone; (B,)."""
     if model.measured_m is None:
         return np.zeros(len(model.building_ids), np.bool_)
     polygons = model.polygons

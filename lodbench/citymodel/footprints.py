@@ -201,7 +201,7 @@ def _of_their_own(polygons: WkbPolygons) -> str:
 def _heights(
     columns: Columns, options: ReadOptions, unit_m: float, ids: list[str], findings: Findings
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Returns (N,) heights of tops, NaN for footprints to leave out, and of bottoms above the ground."""
+    """Returns (N,) heights of roofs and of undersides above the ground; NaN for footprints to leave out."""
     heights, names = columns.heights(options, unit_m)
     bottoms, bottom_names = columns.bottoms(options, unit_m)
     is_below = columns.underground()
@@ -209,8 +209,8 @@ def _heights(
     is_turned = ~is_missing & (bottoms >= heights)
     code = HEIGHT_MISSING if options.default_height_m is None else HEIGHT_DEFAULTED
     for i in np.flatnonzero((is_missing | is_turned) & ~is_below):
-        told = [*names, *(bottom_names if is_turned[i] else ())]
-        findings.add(code, ids[i], columns.written(told, int(i)))
+        named = [*names, *(bottom_names if is_turned[i] else ())]
+        findings.add(code, ids[i], columns.written(named, int(i)))
     for i in np.flatnonzero(is_below):
         findings.add(UNDERGROUND, ids[i])
     is_missing |= is_turned

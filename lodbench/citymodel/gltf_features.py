@@ -1,4 +1,4 @@
-"""What glTF may ask for and is not read: told before a reader passes over it and returns another shape."""
+"""Features of glTF that are not supported: refused before a reader ignores them and returns another shape."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import struct
 from typing import Any
 
+from lodbench.citymodel.cityjson_values import list_or_empty
 from lodbench.errors import CityModelError
 
 _CHUNK = struct.Struct("<4sIII4s")  # of a binary file: magic, version, length; then of the first chunk
@@ -38,7 +39,7 @@ def require_readable(content: bytes, source: str) -> None:
                 "Export it again without, as plain triangles: no compression, no instances.",
             )
     _require_counts(document, source)
-    accessors = _list_of(document.get("accessors"))
+    accessors = list_or_empty(document.get("accessors"))
     for number in sorted(_of_triangles(document)):
         if number < len(accessors) and isinstance(accessors[number], dict) and "sparse" in accessors[number]:
             raise CityModelError(
@@ -53,7 +54,7 @@ def _require_counts(document: dict[str, Any], source: str) -> None:
         ("accessors", {"count": 1, "byteOffset": 0}),
         ("bufferViews", {"byteLength": 1, "byteOffset": 0}),
     ):
-        for number, entry in enumerate(_list_of(document.get(table))):
+        for number, entry in enumerate(list_or_empty(document.get(table))):
             for name, lowest in least.items():
                 value = entry.get(name, lowest) if isinstance(entry, dict) else lowest
                 if type(value) is not int or value < lowest:
@@ -66,8 +67,8 @@ def _require_counts(document: dict[str, Any], source: str) -> None:
 def _of_triangles(document: dict[str, Any]) -> set[int]:
     """Returns the numbers of the accessors that hold corners, places on pictures and indices."""
     found: set[int] = set()
-    for mesh in _list_of(document.get("meshes")):
-        for primitive in _list_of(mesh.get("primitives")) if isinstance(mesh, dict) else ():
+    for mesh in list_or_empty(document.get("meshes")):
+        for primitive in list_or_empty(mesh.get("primitives")) if isinstance(mesh, dict) else ():
             if isinstance(primitive, dict):
                 attributes = primitive.get("attributes")
                 values = [
@@ -88,7 +89,3 @@ def _document(content: bytes) -> dict[str, Any] | None:
     except (ValueError, RecursionError, struct.error):
         return None
     return document if isinstance(document, dict) else None
-
-
-def _list_of(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else []

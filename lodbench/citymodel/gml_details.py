@@ -97,23 +97,23 @@ def _take_measured_height(values: dict[str, Any]) -> None:
 
 
 def measured_height(element: Element) -> float | None:
-    """Returns the height of an object above the ground in metres, as it tells, or that of its storeys."""
-    told: dict[str, Any] = {}
+    """Returns the height of an object above the ground in metres: the stated one, or that of its storeys."""
+    found: dict[str, Any] = {}
     for child in element.iterchildren(*("{*}" + name for name in ("height", *_HEIGHTS))):
         metres = _metres(child)
         if local_name(child.tag) == "height":
-            told["height"] = _value(child, 0)
+            found["height"] = _value(child, 0)
         elif metres is not None:
-            told[local_name(child.tag)] = [float(word) * metres for word in _numbers(child)]
-    if "measuredHeight" not in told:
-        _take_measured_height(told)
-    return overall_height(told)
+            found[local_name(child.tag)] = [float(word) * metres for word in _numbers(child)]
+    if "measuredHeight" not in found:
+        _take_measured_height(found)
+    return overall_height(found)
 
 
-def overall_height(told: Mapping[str, Any]) -> float | None:
+def overall_height(attributes: Mapping[str, Any]) -> float | None:
     """Returns the measured height among an object's attributes, else that of its storeys above the ground."""
     for name in ("measuredHeight", "storeyHeightsAboveGround"):
-        values = told[name] if isinstance(told.get(name), list) else [told.get(name)]
+        values = attributes[name] if isinstance(attributes.get(name), list) else [attributes.get(name)]
         if values and all(type(value) in (int, float) for value in values):
             return float(sum(values))
     return None

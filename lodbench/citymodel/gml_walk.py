@@ -179,8 +179,8 @@ class GeometryWalk:
 
     def stands(self, element: Element) -> bool:
         """Tells whether a city object stands at the date that counts; one that does not is a finding."""
-        told = {local_name(child.tag): child.text or "" for child in element.iterchildren(*_DAYS)}
-        return not told or self._lifespans.stands(gml_id(element) or local_name(element.tag), told)
+        dates = {local_name(child.tag): child.text or "" for child in element.iterchildren(*_DAYS)}
+        return not dates or self._lifespans.stands(gml_id(element) or local_name(element.tag), dates)
 
     def _leave_out_storeys(
         self, building: Element, part_of: dict[Element, int], first: int, first_reference: int

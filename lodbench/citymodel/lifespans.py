@@ -1,4 +1,4 @@
-"""Which city objects stand at a date: what CityGML and CityJSON tell of their beginnings and ends."""
+"""Which city objects exist at a date, by the dates of creation and demolition in CityGML and CityJSON."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def today() -> str:
 
 
 class Lifespans:
-    """Tells of one object after the other whether it stands, and for how long that holds of all of them.
+    """Decides which objects exist at a date, and collects the period in which that set does not change.
 
     Args:
         day: The date that counts, ``YYYY-MM-DD``; None for today.
@@ -43,12 +43,12 @@ class Lifespans:
         self._findings = findings
         self._events: set[str] = set()
 
-    def stands(self, object_id: str, told: Mapping[str, Any]) -> bool:
+    def stands(self, object_id: str, attributes: Mapping[str, Any]) -> bool:
         """Tells whether an object stands, by what it says under any of ``NAMES``; what does not is a finding.
 
-        A creation date may be that of the record: one that comes later is told, and leaves nothing out.
+        A creation date may be that of the record: a later one is a finding, and the object stays.
         """
-        days = {name: _day_of(name, told[name]) for name in NAMES if told.get(name) is not None}
+        days = {name: _day_of(name, attributes[name]) for name in NAMES if attributes.get(name) is not None}
         end = min(((day, name) for name in ENDS if (day := days.get(name))), default=None)
         begin = max(((day, name) for name in BEGINNINGS if (day := days.get(name))), default=None)
         self._events.update(event[0] for event in (end, begin) if event is not None)
@@ -58,9 +58,11 @@ class Lifespans:
         elif begin is not None and begin[0] > self.day:
             name = begin[1]
         if name is not None:
-            self._findings.add(NOT_STANDING, object_id, f"{name} {str(told[name]).strip()[:40]}")
+            self._findings.add(NOT_STANDING, object_id, f"{name} {str(attributes[name]).strip()[:40]}")
         elif (days.get("creationDate") or "") > self.day:
-            self._findings.add(CREATED_LATER, object_id, f"creationDate {str(told['creationDate'])[:40]}")
+            self._findings.add(
+                CREATED_LATER, object_id, f"creationDate {str(attributes['creationDate'])[:40]}"
+            )
         return name is None
 
     def none_stands(self) -> str:
@@ -97,8 +99,8 @@ def common_period(periods: Iterable[Period | None]) -> Period | None:
         >>> common_period([("2015-06-30", "9999-12-31"), None, ("0001-01-01", "2031-01-01")])
         ('2015-06-30', '2031-01-01')
     """
-    told = [period for period in periods if period is not None]
-    return (max(first for first, _ in told), min(last for _, last in told)) if told else None
+    known = [period for period in periods if period is not None]
+    return (max(first for first, _ in known), min(last for _, last in known)) if known else None
 
 
 def holds_on(period: Period | None, day: str | None) -> bool:
@@ -106,20 +108,20 @@ def holds_on(period: Period | None, day: str | None) -> bool:
     return period is None or period[0] <= (day or today()) < period[1]
 
 
-def period_of(told: Any) -> Period | None:
+def period_of(stored: Any) -> Period | None:
     """Returns a period as it is stored, a list of two days or None.
 
     Raises:
         TypeError, ValueError: It is none.
     """
-    if told is None:
+    if stored is None:
         return None
-    first, end = (date.fromisoformat(day).isoformat() for day in told)
+    first, end = (date.fromisoformat(day).isoformat() for day in stored)
     return first, end
 
 
 def date_in(period: Period) -> str:
-    """Returns a date in a period that does not depend on when it was asked for.
+    """Returns a date in a period that does not depend on when it was computed.
 
     Example:
         >>> date_in(("2015-06-30", "9999-12-31")), date_in(("0001-01-01", "2031-01-01"))

@@ -1,4 +1,4 @@
-"""Heights that stand for no data (-9999, -2^31, 3.4e38): told, and replaced by the ground near them."""
+"""Heights that stand for no data (-9999, -2^31, 3.4e38): reported, and replaced by the ground near them."""
 
 from __future__ import annotations
 

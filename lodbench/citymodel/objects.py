@@ -94,7 +94,7 @@ class ObjectTable:
         roof_type: str = "",
         height_m: float | None = None,
     ) -> int:
-        """Returns the index of a new object; what is told of its roof and height counts for its building."""
+        """Returns the index of a new object; its roof type and height count for its building."""
         if roof_type:
             self.roof_types.append((building, roof_type))
         if height_m is not None and 0 < height_m < TALLEST_M:  # of parts the highest
@@ -114,8 +114,8 @@ class ObjectTable:
 
     def heights(self, count: int) -> NDArray[np.float64] | None:
         """Returns (count,) measured heights of buildings, metres, NaN for none; None where no one has any."""
-        told = [self.measured_m.get(building, np.nan) for building in range(count)]
-        return np.asarray(told) if self.measured_m else None
+        heights = [self.measured_m.get(building, np.nan) for building in range(count)]
+        return np.asarray(heights) if self.measured_m else None
 
     def finish(self) -> CityObjects:
         """Returns the objects."""

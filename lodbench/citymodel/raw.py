@@ -146,15 +146,15 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
 
 
 def joined(cities: Sequence[tuple[NDArray[Scalar] | None, int]], lack: Any) -> NDArray[Scalar] | None:
-    """Returns (B,) what is told of the buildings of several cities in a row, None where nothing is.
+    """Returns (B,) an attribute of the buildings of several cities in a row; None if no city has it.
 
     Args:
-        cities: What is told of each one's, and how many buildings there are.
-        lack: What stands for nothing.
+        cities: The attribute of each, or None, and how many buildings it has.
+        lack: Value for buildings of cities without it.
     """
-    if all(told is None for told, _ in cities):
+    if all(values is None for values, _ in cities):
         return None
-    return np.concatenate([np.full(n, lack) if told is None else told for told, n in cities])
+    return np.concatenate([np.full(n, lack) if values is None else values for values, n in cities])
 
 
 def _taken_points(cities: list[RawCity]) -> NDArray[np.float64]:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import gzip
 import re
+import sqlite3
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path, PurePath, PurePosixPath
@@ -37,6 +39,8 @@ _NO_NESTING = "Archives inside an archive are not read"
 # ``city convert --tiles``, findings, and what was found of photos.
 OWN_GEOJSON = {"type": "FeatureCollection", "lodbench": "result"}
 TILE_INDEX = {**OWN_GEOJSON, "lodbench": "tile index"}
+# What a GeoPackage of lodbench's own has as the description of its layers.
+OWN_GEOPACKAGE = "lodbench result"
 _OWN = re.compile(rb'\s*\{\s*"type"\s*:\s*"FeatureCollection"\s*,\s*"lodbench"\s*:\s*"([^"]*)"')
 
 
@@ -149,6 +153,7 @@ def _folder_sources(folder: Path, layers: Sequence[str]) -> tuple[Source, ...]:
         and file.is_file()
         and _may_hold_buildings(file.relative_to(folder))
         and own_geojson(file_source(file)) is None
+        and not is_own_geopackage(file)
     ]
     chosen = _of_layers([(file.relative_to(folder), file) for file in files], layers)
     sources = tuple(source for file in chosen for source in _sources_among(file, layers))
@@ -204,6 +209,18 @@ def own_geojson(source: Source) -> str | None:
     except (OSError, CityModelError):
         return None  # whoever reads it says what is wrong with it
     return None if found is None else found[1].decode("utf-8", "replace")
+
+
+def is_own_geopackage(path: Path) -> bool:
+    """Tells whether a file is a GeoPackage of poses that lodbench wrote."""
+    if path.suffix.lower() != ".gpkg":
+        return False
+    try:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
+            rows = database.execute("SELECT description FROM gpkg_contents LIMIT 1").fetchall()
+    except sqlite3.Error:
+        return False  # whoever reads it says what is wrong with it
+    return rows == [(OWN_GEOPACKAGE,)]
 
 
 def _gzip_source(path: Path) -> Source:

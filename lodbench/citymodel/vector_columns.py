@@ -92,7 +92,7 @@ class Columns:
         return values, [name for name in (height, storeys) if name is not None]
 
     def bottoms(self, options: ReadOptions, unit_m: float = 1.0) -> tuple[NDArray[np.float64], list[str]]:
-        """Returns (N,) heights above ground at which footprints begin, 0 unless told, and the columns.
+        """Returns (N,) heights above ground at which footprints begin, 0 by default, and the columns.
 
         Args:
             options: The height of a storey, metres.
@@ -104,8 +104,8 @@ class Columns:
         if level is not None:
             from_levels = self._numbers(level) * (options.storey_height_m / unit_m)
             values = np.where(np.isfinite(values), values, from_levels)
-        told = [name for name in (height, level) if name is not None]
-        return np.where(np.isfinite(values) & (values > 0), values, 0.0), told
+        named = [name for name in (height, level) if name is not None]
+        return np.where(np.isfinite(values) & (values > 0), values, 0.0), named
 
     def underground(self) -> NDArray[np.bool_]:
         """Returns (N,) which footprints lie below the ground, as a column says; one of numbers does not."""

@@ -51,6 +51,8 @@ def task(config: DictConfig) -> None:
         {key: values.pop(key) for key in ("ranges", "yaw_ranges", "limits", "maps")}, BasinOptions, ""
     )
     steps = basin_steps(options.ranges, options.yaw_ranges, options.limits or [values["limit"]])
+    # Apart from other runs, of which a pattern such as runs/demo/*/* is.
+    values["paths"] = {**values["paths"], "runs": str(Path(values["paths"]["runs"]) / "basin")}
     # Every step's configuration is made before the first one runs: a fault stops before any work.
     jobs = [(step, _configuration(values, step)) for step in steps]
     is_told = isinstance(configure_method(section(values, "method")).make(), SupportsPriorWidth)

@@ -118,7 +118,7 @@ def _require_known(kind: Any, values: Mapping[str, Any]) -> None:
         raise
     except STOPPED:
         raise
-    except BaseException:  # a method may raise anything: that is told with its answers
+    except BaseException:  # a method may raise anything: reported with its answers
         return
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from lodbench.cli.parser import Parser
+from lodbench.cli.run_folders import run_folders
 from lodbench.cli.verify import read_config
 from lodbench.errors import ConfigError
 from lodbench.evaluation.queries import has_truth
@@ -39,6 +40,7 @@ _EPILOG = """\
 Runs share a table if dataset, queries, city, masks, tilt, segmenter and seed agree; --free lets some of
 these differ, and the rows then say which they have. Examples:
   lodbench compare RUN RUN                               # side by side, and whether they differ
+  lodbench compare runs/demo/*/*                         # all of a dataset; what is no run is passed over
   lodbench compare RUN RUN --format html --out page.html # a page with curves
   lodbench compare runs/demo/lodlocv2/* --over-seeds     # mean and spread over seeds
   lodbench compare RUN ... --free lod --columns details  # levels of detail in one table
@@ -49,6 +51,7 @@ these differ, and the rows then say which they have. Examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = _parser().parse_args(argv)
+    options.runs = run_folders(options.runs)
     require_writable(options.out, options.runs, endings=_ENDINGS[options.format])
     configs = [read_config(folder) for folder in options.runs]
     runs = [read_whole_run(folder) for folder in options.runs]

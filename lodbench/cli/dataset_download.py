@@ -15,7 +15,7 @@ from lodbench.storage.paths import data_root
 
 
 def main(argv: Sequence[str]) -> int:
-    """Runs the command; returns the exit code.
+    """Runs the command; returns the exit code: 1 if nothing of the dataset can be fetched.
 
     Raises:
         LodbenchError: The dataset is unknown, or a file cannot be fetched.
@@ -35,10 +35,10 @@ def main(argv: Sequence[str]) -> int:
             path, is_new = fetch(download, root, progress)
         lines.append(f"{path}: {'fetched' if is_new else 'there already'}, SHA-256 as published")
     if not spec.downloads:
-        lines.append(f"Nothing of {spec.title} has an address to fetch it from without a person.")
+        lines.append(f"{spec.title} cannot be downloaded automatically: nothing was fetched.")
     missing = survey(spec, str(root), None).missing()
     lines += [f"missing: {line}" for line in missing]
     if missing:
         lines += [f"by hand: {host.what}: {host.url}\n         {host.how}" for host in spec.hosts]
     sys.stdout.write("\n".join(lines) + "\n")
-    return 0
+    return 0 if spec.downloads else 1

@@ -10,6 +10,7 @@ from pathlib import Path
 from lodbench.citymodel.crs import is_same_plane, require_crs
 from lodbench.citymodel.scene import Scene
 from lodbench.cli.parser import Parser
+from lodbench.cli.run_folders import run_folders
 from lodbench.cli.verify import add_path_options, reopen_dataset
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.query import Dataset
@@ -23,14 +24,19 @@ from lodbench.harness.export.export import (
     ExportFormat,
     export_run,
     make_format,
+    wanted_by,
 )
 from lodbench.harness.runs.stored import StoredRun, read_whole_run, require_writable
 from lodbench.plugins import blaming, plugin_names
 from lodbench.reporting.aligned_text import count_of
 
 _EPILOG = """\
-Poses are written in the dataset's coordinates; queries without one are named, not written (in GeoJSON they
-are features without a place). COLMAP, kapture and nerfstudio hold cameras, which come from the dataset.
+csv is the table for people: easting, northing, height, latitude, longitude, heading, pitch, roll, standard
+deviations, probability and trust of each photo. queries is the run's own table, with quaternions (world to
+camera) and covariances; parquet the same, typed. geojson and gpkg (GeoPackage) are maps.
+
+Poses are written in the dataset's coordinates; queries without one are named, not written (in tables and maps
+they have no place). COLMAP, kapture and nerfstudio hold cameras, which come from the dataset.
 For the Rerun viewer the city, the priors, the truth, photos and masks are written too, in the city's local
 frame; `rerun FILE` opens it. Of files that are there only earlier exports in the format are replaced.
 """
@@ -39,14 +45,15 @@ frame; `rerun FILE` opens it. Of files that are there only earlier exports in th
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
-    require_writable(asked.out, [asked.run], may_be_folder=True)
-    run = read_whole_run(asked.run)
+    folders = run_folders(asked.runs, asked.out)
+    require_writable(asked.out, folders, may_be_folder=True)
     form = make_format(asked.format)
     _require_heard(asked, form)
-    export = _opened(asked, run, form)
-    with blaming("export_formats", asked.format, "write the run"):
-        done = export_run(export, form, asked.out)
-    return _report(done)
+    for folder in folders:
+        export = _opened(asked, read_whole_run(folder), form)
+        with blaming("export_formats", asked.format, "write the run"):
+            _report(export_run(export, form, asked.out))
+    return 0
 
 
 def _require_heard(asked: argparse.Namespace, form: ExportFormat) -> None:
@@ -56,32 +63,32 @@ def _require_heard(asked: argparse.Namespace, form: ExportFormat) -> None:
         LodbenchError: It has none, or poses in metres cannot be in the system told.
     """
     if asked.crs is not None:
-        if CRS not in form.requires:
+        if CRS not in wanted_by(form):
             raise ConfigError(f"--format {asked.format} states no reference system.", "Leave --crs out.")
         MapFrame(asked.crs)  # the poses are in metres, and stay as they are
-    if not form.requires and (asked.dataset_root or asked.city_model):
+    if not wanted_by(form) and (asked.dataset_root or asked.city_model):
         raise ConfigError(
             f"--format {asked.format} needs poses alone.", "Leave --dataset-root and --city out."
         )
 
 
 def _opened(asked: argparse.Namespace, run: StoredRun, form: ExportFormat) -> Export:
-    """Returns a run with what the format requires of it.
+    """Returns a run with what the format requires, or takes if it is known.
 
     Raises:
         LodbenchError: It cannot be had, or the poses are in another system than is told.
     """
-    kept, needs = run.provenance.get("crs"), set(form.requires)
+    kept, needs = run.provenance.get("crs"), wanted_by(form)
     is_asked = CRS in needs and (kept is None or asked.city_model is not None)
     is_placed = asked.dataset_root is not None or asked.city_model is not None
     dataset = city = None
     try:
         if is_placed or is_asked or needs - {CRS}:
-            dataset = reopen_dataset(asked.run, asked.dataset_root, asked.city_model)
+            dataset = reopen_dataset(run.folder, asked.dataset_root, asked.city_model)
         if dataset is not None and (CITY in needs or (is_asked and dataset.city_model is not None)):
             city = _city_of(dataset)
     except LodbenchError:
-        if is_placed or needs - {CRS} or asked.crs is None:
+        if is_placed or needs - {CRS} or (asked.crs is None and CRS in form.requires):
             raise
     # A run of an older version keeps no system: its city and its dataset tell it, where they are there.
     told = [kept, None if city is None else city.crs, None if dataset is None else dataset.crs, asked.crs]
@@ -108,13 +115,12 @@ def _one_system(told: Sequence[object], asked: str | None) -> str | None:
     return asked or (named[0] if named else None)
 
 
-def _report(done: Exported) -> int:
-    """Says what was written; returns the exit code."""
+def _report(done: Exported) -> None:
+    """Says what was written."""
     sys.stdout.write(f"{done.path}: {done.count} pose{'s' * (done.count != 1)}\n")
     if done.without_pose:
         names = ", ".join(done.without_pose[:3]) + (", ..." if len(done.without_pose) > 3 else "")
         sys.stdout.write(f"  without a pose: {count_of(len(done.without_pose), 'queries')}: {names}\n")
-    return 0
 
 
 def _city_of(dataset: Dataset) -> Scene:
@@ -133,10 +139,12 @@ def _city_of(dataset: Dataset) -> Scene:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("lodbench export", "Write a run's poses for another program.", _EPILOG)
-    parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run folders")
     names = ", ".join(plugin_names("export_formats"))
     parser.add_argument("--format", required=True, metavar="FORMAT", help=names)
-    parser.add_argument("--out", type=Path, metavar="PATH", help="file or folder to write (RUN/export/...)")
+    parser.add_argument(
+        "--out", type=Path, metavar="PATH", help="file or folder to write, of one run (RUN/export/...)"
+    )
     parser.add_argument(
         "--crs", help="reference system of the poses, for formats that state one, where the run keeps none"
     )

@@ -36,6 +36,7 @@ PATH_KEYS = frozenset(
         "val_data",
         "init",
         "segmenter.weights",
+        "segmenter.folder",
         "segmenter.encoder_weights",
         "method.weights",
         "texture_model",

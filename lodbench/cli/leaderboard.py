@@ -9,6 +9,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from lodbench.cli.parser import Parser
+from lodbench.cli.run_folders import run_folders
 from lodbench.cli.verify import add_path_options, describe, read_config, verify_folder
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.errors import DatasetError
@@ -33,6 +34,7 @@ def main(argv: Sequence[str]) -> int:
     options = _parser().parse_args(argv)
     if options.action == "build":
         return _build(options.root, options.check)
+    options.runs = run_folders(options.runs)
     for run in options.runs:
         read_config(run)  # all of them are runs, or nothing is stored
     return max(_add(run, options) for run in options.runs)

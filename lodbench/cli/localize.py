@@ -24,6 +24,7 @@ from lodbench.cli.place_options import (
 from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
 from lodbench.cli.source_profiles import option_pairs
 from lodbench.errors import ConfigError, DatasetError
+from lodbench.execution import Progress
 from lodbench.segmentation.choice import FOR_PHOTOS
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ taken. The search covers 10 m around the rough pose, 30 m up and down and 7.5 de
 Several photos, or a folder, are taken as flights, told apart by camera and by the clock in EXIF, and each is
 solved as a whole (--method flight). Masks come from --masks, else from a folder named masks in it, else from
 a network (efficient_unet), or with --method-option single=region from the photos' own pixels, without a
-network. localized.csv and localized.geojson list all photos; flights.json holds the errors found of drone and
+network. localized.csv, .geojson and .gpkg list all photos; flights.json holds the errors found of drone and
 map, map_findings.geojson the buildings concerned. --each-alone localises each photo by itself.
 
 Exit code: 3 if a pose is more likely wrong than right, or a photo has none; 1 if none of many photos could be
@@ -75,14 +76,29 @@ examples:
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    asked = _parser().parse_args(argv)
+    from lodbench.harness.photo.request import LocalizedPhoto
+
+    asked = parser().parse_args(argv)
+    found = localized(asked)
+    if not isinstance(found, LocalizedPhoto):
+        return _tell_many(found, asked)
+    sys.stdout.write((_json(found.to_json()) if asked.json else describe(found)) + "\n")
+    return 0 if found.is_trusted else NOT_TRUSTED
+
+
+def localized(asked: argparse.Namespace) -> LocalizedPhoto | Answers:
+    """Returns the answer to one photo, or to several, and writes all of it but what is printed.
+
+    Args:
+        asked: As ``parser`` returns it.
+
+    Raises:
+        LodbenchError: An option is wrong, the city cannot be read, or the one photo cannot be localised.
+    """
     from lodbench.datasets.own import require_some_mask
-    from lodbench.harness.photo.flights import localize_flights
-    from lodbench.harness.photo.localize import localize_photo, open_map
-    from lodbench.harness.photo.many import localize_photos, photos_of
+    from lodbench.harness.photo.localize import open_map
+    from lodbench.harness.photo.many import photos_of
     from lodbench.harness.photo.sidecars import require_sidecars
-    from lodbench.harness.photo.view import write_view
-    from lodbench.methods.protocol import SupportsFlights
 
     is_one = len(asked.photos) == 1 and asked.photos[0].is_file()
     _require_options(asked, is_one)
@@ -97,13 +113,35 @@ def main(argv: Sequence[str]) -> int:
     _tell_unused(photos, asked)
     if asked.sidecars:
         require_sidecars(open_map(request).scene.crs, {photo.parent for photo in photos})
-    if is_one:
-        found = localize_photo(request)
-        write_view(found.view, request, [found])
-        sys.stdout.write((_json(found.to_json()) if asked.json else describe(found)) + "\n")
-        _write_sidecars([(photos[0], found)], asked)
-        return 0 if found.is_trusted else NOT_TRUSTED
-    if isinstance(method, SupportsFlights) and not asked.each_alone:
+    return _one(request, asked) if is_one else _several(request, photos, masks, asked)
+
+
+def _one(request: PhotoRequest, asked: argparse.Namespace) -> LocalizedPhoto:
+    """Returns the answer to one photo, and writes it."""
+    from lodbench.harness.photo.localize import STEPS, localize_photo
+    from lodbench.harness.photo.view import write_view
+
+    with Progress(request.photo.name, STEPS, unit="steps") as progress:
+        found = localize_photo(request, progress.advance)
+    write_view(found.view, request, [found])
+    _write_sidecars([(request.photo, found)], asked)
+    return found
+
+
+def _several(
+    request: PhotoRequest, photos: Sequence[Path], masks: Path | None, asked: argparse.Namespace
+) -> Answers:
+    """Returns the answers to several photos, as flights or each alone, and writes them.
+
+    Raises:
+        ConfigError: There is a reconstruction, and no flight is solved.
+    """
+    from lodbench.harness.photo.flights import localize_flights
+    from lodbench.harness.photo.many import localize_photos
+    from lodbench.harness.photo.view import write_view
+    from lodbench.methods.protocol import SupportsFlights
+
+    if isinstance(request.method, SupportsFlights) and not asked.each_alone:
         answers = localize_flights(request, photos, masks, asked.reconstruction)
     elif asked.reconstruction is not None:
         raise ConfigError("--reconstruction ties a flight's photos.", "Leave --each-alone and --method out.")
@@ -111,9 +149,8 @@ def main(argv: Sequence[str]) -> int:
         answers = localize_photos(request, photos, masks)
     if answers.found:
         write_view(answers.view, request, answers.found)
-    code = _tell_many(answers, asked)
     _write_sidecars([(each.photo, each.found) for each in answers.photos if each.found is not None], asked)
-    return code
+    return answers
 
 
 def _tell_unused(photos: Sequence[Path], asked: argparse.Namespace) -> None:
@@ -238,7 +275,8 @@ def _json(values: Any) -> str:
     return json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False)
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> Parser:
+    """Returns the parser of the command's words."""
     parser = Parser("lodbench localize", _ABOUT, _EXAMPLES)
     add = parser.add_argument
     add(

@@ -31,6 +31,7 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
         for a in answers.photos
         if a.found is None
     ]
+    lines += [f"hint: {hint}" for hint in dict.fromkeys(filter(None, (a.hint for a in answers.photos)))]
     shared = [set(found.notes) for found in answers.found]
     lines += [f"note: {note}" for note in sorted(set.intersection(*shared))] if shared else []
     lines += _doubt_lines(answers)
@@ -45,10 +46,10 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
             "" if answers.flights else " say so if they may be farther off (--prior-range, --prior-yaw);"
         )
         lines.append(f"Look at the overlays of those not to be trusted;{farther} {helps} helps most.")
-    files = [("table", answers.table), ("map", answers.map)]
+    files = [("table", answers.table), ("map", answers.map), ("", answers.geopackage)]
     files += [("page", answers.page(flight)) for flight in answers.flights]
     files += [("in 3D", answers.view)] if answers.found else []
-    return "\n".join([*lines, *(f"{name + ':':<9} {path}" for name, path in files)]) + "\n"
+    return "\n".join([*lines, *(f"{name + ':' if name else '':<9} {path}" for name, path in files)]) + "\n"
 
 
 def _photo_table(answers: Answers) -> str:
@@ -85,14 +86,13 @@ def describe(found: LocalizedPhoto) -> str:
     """Returns what a reader is told."""
     x, y, z = (float(v) for v in found.pose.center)
     pitch, roll, yaw = found.pose.euler
-    score = finite_text(found.score, ".3f")
     lens = "" if found.lens_percent is None else f", its focal length good to {found.lens_percent:.1f} %"
     rows = [
         ("local", f"{x:.2f} {y:.2f} {z:.2f} m in {found.crs or 'the frame of the city model'}"),
         ("", f"pitch {pitch:.2f}  roll {roll:.2f}  yaw {yaw:.2f} deg (0 looks down; yaw from grid north)"),
         ("prior", f"{found.moved.translation_m:.2f} m and {found.moved.rotation_deg:.2f} deg away"),
-        ("score", f"{score}  (LoD {found.lod or 'unnamed'}; camera: {found.camera_source}{lens})"),
         *_trust_rows(found),
+        ("with", f"LoD {found.lod or 'unnamed'} of the map; camera: {found.camera_source}{lens}"),
         ("overlay", str(found.overlay)),
         ("in 3D", str(found.view)),
     ]
@@ -116,6 +116,9 @@ def _trust_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
     rows = []
     if found.probability is None:
         rows.append(("sure", "this method does not say"))
+        rows.append(
+            ("score", f"{finite_text(found.score, '.3f')}, the method's own measure: higher is better")
+        )
     else:
         percent = f"{100 * found.probability:.0f} % within 2 m and 2 deg"
         rows.append(("sure", f"{percent}: {trust_word(found.probability)}"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -12,6 +13,7 @@ from typing import Any, NoReturn
 
 from lodbench.errors import ConfigError, nearest_names
 
+_NEGATIVE = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$", re.IGNORECASE)
 # Set while words are completed: receives the parser instead of its parsing anything.
 seen: list[Callable[[argparse.ArgumentParser], None]] = []
 
@@ -26,6 +28,8 @@ class Parser(argparse.ArgumentParser):
             named.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         # An abbreviation that works today is another flag's name tomorrow.
         super().__init__(prog, description=description, epilog=epilog, **{"allow_abbrev": False, **named})
+        # Python's own pattern takes -1.5e-3 for an option.
+        self._negative_number_matcher = _NEGATIVE
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parses words; a flag that there is none of is told before what else is missing.

@@ -12,7 +12,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
-from lodbench.cli.run_dataset import data_identity, with_date, with_prior, with_source
+from lodbench.cli.run_dataset import data_identity, with_date, with_masks, with_prior, with_source
 from lodbench.cli.runner import made_method, offer_methods
 from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.datasets.registry import dataset_opener
@@ -108,6 +108,7 @@ def run_config(values: dict[str, Any]) -> Run:
     opener, dataset_params = dataset_opener(section(values, "dataset"))
     source = section(values, "source")
     dataset = with_source(opener(dataset_params), source)
+    dataset = with_masks(dataset, section(values, "segmenter"))
     segmenter, segmenter_params = named or default_segmenter(
         dataset, segmented_inputs(method), tuple(options.split)
     )
@@ -118,7 +119,8 @@ def run_config(values: dict[str, Any]) -> Run:
         "method": params,
         # Left out where it is the process itself, as in all runs before there was a choice.
         **({} if runner.name == HERE else {"runner": runner.name}),
-        "segmenter": asdict(segmenter_params),
+        # So is the folder of masks where it is the dataset's own.
+        "segmenter": {k: v for k, v in asdict(segmenter_params).items() if (k, v) != ("folder", None)},
     }
     settings = RunSettings(
         runs_root=Path(paths.runs).expanduser(),

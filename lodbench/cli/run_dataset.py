@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 from lodbench.citymodel.lifespans import date_in
 from lodbench.cli.source_profiles import profile_of
+from lodbench.datasets.own import find_mask, require_some_mask
 from lodbench.datasets.prior_sources import FilePrior, prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import draw_priors, make_priors
@@ -57,6 +59,22 @@ def with_source(dataset: Dataset, values: dict[str, Any]) -> Dataset:
     return replace(dataset, lod=lod, city_options=options)
 
 
+def with_masks(dataset: Dataset, segmenter: dict[str, Any]) -> Dataset:
+    """Returns a dataset with the masks of ``segmenter.folder`` in place of its own, where that is set.
+
+    Raises:
+        DatasetError: There is no mask of any photo.
+    """
+    if segmenter.get("name") != "masks" or not segmenter.get("folder"):
+        return dataset
+    folder, entries = Path(segmenter["folder"]).expanduser(), dataset.entries
+    require_some_mask(folder, [entry.name for entry in entries], [entry.image for entry in entries])
+    return replace(
+        dataset,
+        entries=tuple(replace(e, mask=find_mask(folder, e.name, e.image)) for e in entries),
+    )
+
+
 def with_date(dataset: Dataset, values: dict[str, Any]) -> tuple[Dataset, dict[str, Any]]:
     """Returns a dataset and its source with the date at which its city stood, where any building has an end.
 
@@ -72,8 +90,8 @@ def with_date(dataset: Dataset, values: dict[str, Any]) -> tuple[Dataset, dict[s
     if period is None:
         return dataset, values
     day = date_in(period)
-    told = {**values, "options": {**(values.get("options") or {}), "date": day}}
-    return replace(dataset, city_options=replace(options, date=day)), told
+    dated = {**values, "options": {**(values.get("options") or {}), "date": day}}
+    return replace(dataset, city_options=replace(options, date=day)), dated
 
 
 def _without(values: dict[str, Any], names: set[str]) -> dict[str, Any]:

@@ -68,8 +68,8 @@ def load_profile(
     values = read_config("source", name)
     if values is None:
         raise ConfigError(f"There is no source {name!r}.", nearest_names(name, config_files("source")))
-    told = {} if day is None else {"date": day}
-    options = {**(values.get("options") or {}), **option_pairs(words), **told}
+    dated = {} if day is None else {"date": day}
+    options = {**(values.get("options") or {}), **option_pairs(words), **dated}
     return profile_of({**values, "options": options}, crs)
 
 

@@ -23,7 +23,7 @@ from yaml.tokens import (
 )
 
 from lodbench.cli.parser import OldName, Parser
-from lodbench.cli.run_dataset import with_prior, with_source
+from lodbench.cli.run_dataset import with_masks, with_prior, with_source
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_settings, open_dataset
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
@@ -155,7 +155,7 @@ _OPENING = (
     FlowMappingStartToken,
     FlowSequenceStartToken,
 )
-_CONFIG_FILE = "config.yaml"
+CONFIG_FILE = "config.yaml"
 
 
 def read_config(folder: Path) -> dict[str, Any]:
@@ -164,7 +164,7 @@ def read_config(folder: Path) -> dict[str, Any]:
     Raises:
         DatasetError: There is none, it is not one of a run, or the run is not finished.
     """
-    path = folder / _CONFIG_FILE
+    path = folder / CONFIG_FILE
     # The one is there from a run's start, the other from its end.
     if (folder / PLAN_FILE).is_file() and not (folder / "summary.json").exists():
         raise DatasetError(
@@ -205,10 +205,10 @@ def _no_run(folder: Path) -> DatasetError:
     if not folder.is_dir():
         return DatasetError(f"{folder} is no folder.", "Name a run folder.")
     # runs/<dataset>/<method>/<digest>, from any of them; whole disks are not looked through.
-    below = (path for depth in (1, 2, 3) for path in folder.glob(f"{'*/' * depth}{_CONFIG_FILE}"))
+    below = (path for depth in (1, 2, 3) for path in folder.glob(f"{'*/' * depth}{CONFIG_FILE}"))
     run = next((each.parent for each in below if (each.parent / "summary.json").is_file()), None)
     hint = "Name a run folder." if run is None else f"Name a run folder, as {shlex.quote(str(run))}"
-    return DatasetError(f"{folder} is no run folder: it holds no {_CONFIG_FILE}.", hint)
+    return DatasetError(f"{folder} is no run folder: it holds no {CONFIG_FILE}.", hint)
 
 
 def describe(verdict: Verdict) -> str:
@@ -243,6 +243,7 @@ def _reopen(folder: Path, config: dict[str, Any], root: str | None, city: str | 
     paths = {"root": root, "city_model": city}
     section.update({key: path for key, path in paths.items() if key in known})
     dataset = with_source(open_dataset(section), config["source"])
+    dataset = with_masks(dataset, config.get("segmenter", {}))
     prior = config.get("prior", {"name": "file"})
     if _keeps_priors(config):
         prior = {"name": "file", "path": str(folder / "priors.txt")}

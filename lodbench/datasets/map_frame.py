@@ -83,7 +83,7 @@ class MapFrame:
         if not (math.isfinite(east) and math.isfinite(north)):
             raise DatasetError(
                 f"The place {latitude_deg:.6f}, {longitude_deg:.6f} has no coordinates in {self.crs}.",
-                "Is the city's reference system right? --crs names another.",
+                "It is far from the city: is it the right tile? If so, --crs names another reference system.",
             )
         return float(east), float(north)
 

@@ -201,8 +201,7 @@ def pose_from_photo(
     """
     given = given or RoughPlace()
     require_stated(photo, heights, given)
-    latitude = cast(float, _first(given.latitude_deg, photo.latitude_deg))
-    longitude = cast(float, _first(given.longitude_deg, photo.longitude_deg))
+    latitude, longitude = latitude_longitude_of(photo, given)
     east, north = frame.east_north(latitude, longitude)
     height = given.height_m
     options = heights or HeightOptions()
@@ -210,6 +209,12 @@ def pose_from_photo(
         height = _height(photo, frame, options, latitude, longitude)
     height += options.offset_m
     return pose_at((east, north, height), frame.convergence_deg(east, north), photo, given)
+
+
+def latitude_longitude_of(photo: PhotoMetadata, given: RoughPlace) -> tuple[float, float]:
+    """Returns latitude and longitude of a photo of which both are stated or given, degrees, WGS 84."""
+    latitude = cast(float, _first(given.latitude_deg, photo.latitude_deg))
+    return latitude, cast(float, _first(given.longitude_deg, photo.longitude_deg))
 
 
 def pose_at(

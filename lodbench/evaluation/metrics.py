@@ -30,7 +30,7 @@ Metric = Callable[["pd.DataFrame"], Mapping[str, float]]
 _TAKEN = re.compile(
     r"(AUC )?[\d.e+-]+m-[\d.e+-]+deg|.+ (low|high|spread|printed|of answered)|is_printed"
     r"|median_(translation_m|rotation_deg)|(hypotheses|seconds)_per_query|queries|failed"
-    r"|source|rank|group|method|variant|map|condition|split|protocol|tilt|segmenter|renderer|lod|seeds|evaluator"
+    r"|source|rank|group|method|variant|settings|map|condition|split|protocol|tilt|segmenter|renderer|lod|seeds|evaluator"
     r"|code|table|row|run|kept apart because|notes"
 )
 

@@ -11,6 +11,7 @@ from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.stored_city import OpenCity
+from lodbench.datasets.map_frame import MapFrame
 from lodbench.errors import DatasetError
 from lodbench.execution import ProgressCallback
 from lodbench.geometry import Pose
@@ -19,6 +20,8 @@ from lodbench.storage import digest_of
 # A camera further from the city's outline than this sees none of it; nor one further below it than rough
 # heights are off.
 FURTHEST_M, _DEEPEST_M = 2000.0, 50.0
+# From here on distances on the map are not those on the ground, or there is no place on the map at all.
+_OTHER_REGION_M = 300_000.0
 _TILE_HINT = "Is it the right tile, and its reference system right? lodbench city info says where it is."
 HEIGHT_HINT = (
     "Its height counts from another zero than the city's: --takeoff METRES or --heights says from which."
@@ -83,9 +86,35 @@ def far_words(poses: Sequence[Pose], scene: Scene) -> tuple[str, str] | None:
     """
     away = float(np.median([distance_outside_m(pose, scene) for pose in poses]))
     if away > FURTHEST_M:
-        return f"{away / 1000:.1f} km outside the city model", _TILE_HINT
+        return f"{_km(away)} outside the city model", _TILE_HINT
     below = -float(np.median([height_above_m(pose, scene) for pose in poses]))
     return (f"{below:.0f} m below the city model", HEIGHT_HINT) if below > _DEEPEST_M else None
+
+
+def _km(metres: float) -> str:
+    return f"{metres / 1000:,.0f} km" if metres > 1e5 else f"{metres / 1000:.1f} km"
+
+
+def require_same_region(what: str, latitude_deg: float, longitude_deg: float, scene: Scene) -> None:
+    """Makes sure that a place is where a city's coordinates mean anything: projections end far away.
+
+    Args:
+        what: It is, and did: "By its position DJI_0001.JPG was taken".
+        latitude_deg: WGS 84.
+        longitude_deg: WGS 84.
+        scene: The city, with a reference system.
+
+    Raises:
+        DatasetError: It is hundreds of kilometres off.
+    """
+    from pyproj import Geod
+
+    east, north = (float(value) for value in np.mean(scene.extent_m, axis=0)[:2] + scene.origin[:2])
+    latitude, longitude = MapFrame(str(scene.crs)).latitude_longitude(east, north)
+    away = Geod(ellps="WGS84").inv(longitude, latitude, longitude_deg, latitude_deg)[2]
+    if away > _OTHER_REGION_M:
+        hint = f"Is it the right tile? It is at latitude {latitude:.4f}, longitude {longitude:.4f}."
+        raise DatasetError(f"{what} {_km(away)} outside the city model.", hint)
 
 
 def require_near_city(what: str, poses: Sequence[Pose], scene: Scene) -> None:

@@ -103,7 +103,7 @@ class View:
 
 
 class Views:
-    """The queries of a dataset that have a camera and a true pose from which the city can be told apart.
+    """The queries of a dataset whose true view shows both buildings and something else.
 
     Args:
         dataset: The dataset.

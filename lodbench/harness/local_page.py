@@ -60,14 +60,14 @@ class LocalServer(ThreadingHTTPServer):
 
 
 def saved_or_why(save: Callable[[], str]) -> dict[str, Any]:
-    """Returns what a page is told of a save: ``told`` and ``saved``."""
+    """Returns what a page says of a save: ``message`` and ``saved``."""
     try:
-        return {"told": save(), "saved": True}
+        return {"message": save(), "saved": True}
     except OSError as error:
         reason = f"{final_name(error.filename) or 'a file'}: {error.strerror or error}"
-        return {"told": f"NOT saved: {reason}", "saved": False}
+        return {"message": f"NOT saved: {reason}", "saved": False}
     except LodbenchError as fault:
-        return {"told": f"NOT saved: {fault.message} {fault.hint}".rstrip(), "saved": False}
+        return {"message": f"NOT saved: {fault.message} {fault.hint}".rstrip(), "saved": False}
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -91,15 +91,15 @@ class _Handler(BaseHTTPRequestHandler):
             if not isinstance(content, dict):
                 raise ValueError
             with self._server.lock:
-                told = None if asked is None else self._server.done(asked, content)
+                answer = None if asked is None else self._server.done(asked, content)
         except (ValueError, KeyError, TypeError, OverflowError):
             self.send_error(HTTPStatus.BAD_REQUEST)
             return
-        if told is None:
+        if answer is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
-        self._send(json.dumps(told).encode(), "application/json")
-        if told.get("closes"):
+        self._send(json.dumps(answer).encode(), "application/json")
+        if answer.get("closes"):
             Thread(target=self.server.shutdown).start()
 
     @property

@@ -218,8 +218,8 @@ def _extra(
     findings: Findings, lods: tuple[str, ...], skipped: str | None = None, period: Period | None = None
 ) -> dict[str, Any]:
     counts = {"findings": findings.counts(), "finding_objects": findings.objects()}
-    told = {} if period is None else {"period": list(period)}
-    return {**counts, "area_m2": 0.0, "lost_m2": 0.0, "lods": list(lods), "skipped": skipped, **told}
+    dated = {} if period is None else {"period": list(period)}
+    return {**counts, "area_m2": 0.0, "lost_m2": 0.0, "lods": list(lods), "skipped": skipped, **dated}
 
 
 def _period(folder: Path) -> Period | None:

@@ -50,7 +50,7 @@ _NEWS_M = 1.0
 def assessed(
     estimate: Estimate, query: Query, city_map: CityMap, params: Any = None, is_camera_solved: bool = False
 ) -> Estimate:
-    """Returns an answer with what the camera leaves open in its covariance, and a probability that holds.
+    """Returns an answer with the uncertainty of the camera in its covariance, and a calibrated probability.
 
     Args:
         estimate: A method's answer, scene frame.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.bits import Words, count_bits, pack_mask, unpack_mask, words_per_row
+from lodbench.rendering.compiled import say_if_compiling
 from lodbench.rendering.engine_arrays import Scratch, View, blank_scratch
 from lodbench.rendering.engine_kernel import draw_view, draw_views, score_views
 from lodbench.rendering.engine_layout import moved_arrays
@@ -56,6 +57,7 @@ class SilhouetteRenderer:
     name = "silhouette"
 
     def __init__(self, scene: Scene, threads: int | None = None) -> None:
+        say_if_compiling()
         self.scene = scene
         self.threads = max(1, threads or os.cpu_count() or 1)
         self._arrays = open_arrays(scene)

@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from lodbench.datasets.real_flights import BOARD_HEAD
 from lodbench.datasets.real_flights import NAME as REAL_FLIGHTS
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
 from lodbench.reporting.page import facts, markup, rendered
+from lodbench.reporting.run_names import settings_apart
 from lodbench.reporting.safe_text import csv_cell, plain_text
 from lodbench.reporting.split_numbers import common_photos, numbers_of
 from lodbench.reporting.table_columns import (
@@ -28,7 +30,7 @@ from lodbench.reporting.table_columns import (
     segmenter_columns,
 )
 from lodbench.reporting.table_formats import format_html, format_latex, format_markdown
-from lodbench.reporting.tables import Line, RecallTable
+from lodbench.reporting.tables import PRIOR_METHOD, Line, RecallTable
 from lodbench.storage import digest_of
 
 if TYPE_CHECKING:
@@ -110,7 +112,7 @@ def best_of(blocks: Sequence[Block]) -> list[dict[str, Any]]:
         }
         # Tables that print no recall, as those of masks alone, name nobody best.
         if any(text != "-" for text in recalls.values()):
-            line = _line(best, None)
+            line = _line(best, None, settings_apart(block.entries)[block.entries.index(best)])
             name = f"{line.group_text()} {line.label}".removesuffix(" -").strip()
             rows.append({"title": block.title, "name": name, "label": label, "recalls": recalls})
     return rows
@@ -141,9 +143,11 @@ def leaderboard_frame(blocks: Sequence[Block]) -> pd.DataFrame:
     import pandas as pd
 
     rows = [
-        _row_of(entry, rank, name, split) | _protocol_of(entry, block)
+        _row_of(entry, rank, name, split) | _protocol_of(entry, block) | {"settings": settings}
         for block in blocks
-        for entry, rank in zip(block.entries, block.ranks, strict=True)
+        for entry, rank, settings in zip(
+            block.entries, block.ranks, settings_apart(block.entries), strict=True
+        )
         for name, split in entry["splits"].items()
     ]
     # Recalls, medians and counts first; then whatever metrics there are; then where it comes from.
@@ -160,7 +164,7 @@ def format_leaderboard_csv(blocks: Sequence[Block]) -> str:
 
 
 _NUMBERS = (
-    "source", "rank", "method", "variant", "map", "condition", "split",
+    "source", "rank", "method", "variant", "settings", "map", "condition", "split",
     *LABELS, *(f"{label} {end}" for label in LABELS for end in ("low", "high")),
     "median_translation_m", "median_rotation_deg", "mask_iou", "queries", "failed", "hypotheses_per_query",
     "seconds_per_query",
@@ -242,8 +246,9 @@ def _standing(entry: Entry) -> tuple[float | str, ...]:
 
 
 def _table(block: Block) -> RecallTable:
-    lines = [_line(entry, rank) for entry, rank in zip(block.entries, block.ranks, strict=True)]
-    names = [_line(entry, None).label for entry in block.entries]
+    settings = settings_apart(block.entries)
+    lines = [_line(*each) for each in zip(block.entries, block.ranks, settings, strict=True)]
+    names = [_line(*each).label for each in zip(block.entries, repeat(None), settings)]
     lines = [
         line if line.group or names.count(name) == 1 else line._replace(label=f"{line.label} [{_own(entry)}]")
         for line, name, entry in zip(lines, names, block.entries, strict=True)
@@ -281,14 +286,21 @@ def _columns(block: Block) -> tuple[Column, ...]:
     return tuple(column for head, column in columns.items() if head in printed)
 
 
-def _line(entry: Entry, rank: int | None) -> Line:
-    """Returns an entry's line; reported ones stand in groups of one method and map, as in the paper."""
+def _line(entry: Entry, rank: int | None, settings: str = "") -> Line:
+    """Returns an entry's line; reported ones stand in groups of one method and map, as in the paper.
+
+    Args:
+        entry: The entry.
+        rank: Its rank in its block, None for none.
+        settings: What sets it apart from others of its method there.
+    """
     splits = {name: numbers_of(split) for name, split in entry["splits"].items()}
     method, condition = entry["method"], entry["protocol"]["condition"]
     variant = method["variant"].replace("_", " ")
     if entry["source"] == "reported" and method["map"]:
         label = " ".join(filter(None, [variant, condition])) or "-"
         return Line(plain_text(label), splits, f"{plain_text(method['name'])} | {method['map']}")
-    words = [f"{rank}." if rank else "", method["name"], variant]
+    words = [f"{rank}." if rank else "", method["name"], variant, settings]
     words += [f"({method['map']})" if method["map"] else "", condition]
-    return Line(plain_text(" ".join(filter(None, words))), splits)
+    is_prior = method["name"] in (PRIOR_METHOD, "Prior")
+    return Line(plain_text(" ".join(filter(None, words))), splits, is_prior=is_prior)

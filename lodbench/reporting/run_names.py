@@ -99,6 +99,14 @@ def method_name(member: dict[str, Any]) -> str:
     return " ".join(filter(None, [method["name"], method.get("variant", "").replace("_", " ")]))
 
 
+def settings_apart(members: Sequence[dict[str, Any]]) -> list[str]:
+    """Returns for each run the settings of its method that other runs of that method have otherwise."""
+    labels = labels_of(members, ())
+    return [
+        label.removeprefix(method_name(member)).strip() for label, member in zip(labels, members, strict=True)
+    ]
+
+
 def labels_of(members: Sequence[dict[str, Any]], free: Collection[str]) -> list[str]:
     """Returns a name for each run: method, variant, and whatever else differs between runs of that method."""
     names = [method_name(member) for member in members]

@@ -28,9 +28,13 @@ class Column(NamedTuple):
     has_bounds: bool = False
 
     def value(self, row: Mapping[str, Any]) -> float:
-        """Returns the first number, NaN where there is none: what rows are sorted and compared by."""
-        value = row.get(self.numbers[0])
-        return math.nan if value is None else float(value)
+        """Returns the first number, NaN where there is none: what rows are sorted by."""
+        return self.values(row)[0]
+
+    def values(self, row: Mapping[str, Any]) -> tuple[float, ...]:
+        """Returns its numbers, NaN for those that are not there."""
+        found = (row.get(name) for name in self.numbers)
+        return tuple(math.nan if value is None else float(value) for value in found)
 
     def text(self, row: Mapping[str, Any] | None) -> str:
         """Returns a cell: what a paper printed where it did, a dash where there is nothing."""

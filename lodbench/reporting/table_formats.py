@@ -7,6 +7,8 @@ import math
 import re
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.page import rendered
 from lodbench.reporting.safe_text import csv_cell, plain_text
@@ -114,17 +116,21 @@ def tex(text: str) -> str:
 
 
 def _best(table: RecallTable) -> set[tuple[int, int]]:
-    """Returns the line and place of the best numbers of each column, where there is anything to compare."""
-    places = [list(table.cells(line)) for line in table.lines]
+    """Returns the line and place of the best cells of each column, where there is anything to compare.
+
+    The prior is no method; a recall of 0 is nobody's best; a cell of two numbers is best if both are.
+    """
+    places = [(n, list(table.cells(line))) for n, line in enumerate(table.lines) if not line.is_prior]
     found: set[tuple[int, int]] = set()
-    for i in range(len(places[0]) if places else 0):
-        column: Column = places[0][i][0]
-        known = {number: cells[i][1] for number, cells in enumerate(places)}
-        values = {n: column.better * column.value(row) for n, row in known.items() if row is not None}
-        values = {number: value for number, value in values.items() if math.isfinite(value)}
-        if column.better and len(values) > 1:
-            most = max(values.values())
-            found |= {(number, i) for number, value in values.items() if value == most}
+    for i in range(len(places[0][1]) if places else 0):
+        column: Column = places[0][1][i][0]
+        rows = {n: cells[i][1] for n, cells in places}
+        values = {n: np.multiply(column.better, column.values(row)) for n, row in rows.items() if row}
+        known = {n: value for n, value in values.items() if np.isfinite(value).all()}
+        if column.better and len(known) > 1:
+            most = np.max(list(known.values()), axis=0)
+            is_any = column.better < 0 or most[0] > 0
+            found |= {(n, i) for n, value in known.items() if is_any and np.array_equal(value, most)}
     return found
 
 

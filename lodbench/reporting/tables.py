@@ -28,6 +28,10 @@ _LABEL = re.compile(r"[\d.e+-]+m-[\d.e+-]+deg")
 _WORDS = ("group", "method", "split", "is_printed")
 
 
+# The method that answers with the prior.
+PRIOR_METHOD = "prior_only"
+
+
 class Line(NamedTuple):
     """A method in a table.
 
@@ -36,12 +40,14 @@ class Line(NamedTuple):
         splits: Numbers by split, in the format of ``numbers_of``.
         group: What lines next to each other have in common: ``method | map``, or "".
         link: Where a page's label leads, or "".
+        is_prior: Whether it is what methods start from: never the best of them.
     """
 
     label: str
     splits: dict[str, dict[str, Any]]
     group: str = ""
     link: str = ""
+    is_prior: bool = False
 
     def group_text(self) -> str:
         """Returns ``name (map)`` of a group ``name | map``."""
@@ -195,7 +201,8 @@ def _table(title: str, members: list[dict[str, Any]], free: set[str], over_seeds
     rows = []
     priors = [member["prior"] for member in members]
     if all(prior == priors[0] for prior in priors):
-        rows.append(Line("Prior", {split: numbers_of(value) for split, value in priors[0].items()}))
+        numbers = {split: numbers_of(value) for split, value in priors[0].items()}
+        rows.append(Line("Prior", numbers, is_prior=True))
     labelled: dict[str, list[dict[str, Any]]] = {}
     labels = labels_of(members, free - {"seed"} if over_seeds else free)
     for label, member in zip(labels, members, strict=True):
@@ -205,7 +212,8 @@ def _table(title: str, members: list[dict[str, Any]], free: set[str], over_seeds
         require_one_run_a_seed(label, runs)
         require_seeds_alone(label, runs)
         shown = label.split("\0")[0] + (f" ({count_of(len(runs), 'seeds')})" if over_seeds else "")
-        found.append(Line(shown, {name: mean_numbers(runs, name) for name in runs[0]["splits"]}))
+        numbers = {name: mean_numbers(runs, name) for name in runs[0]["splits"]}
+        found.append(Line(shown, numbers, is_prior=runs[0]["method"]["name"] == PRIOR_METHOD))
     if len({method_name(member) for member in members}) == 1:
         # One method under several settings: in their order, whatever the order of the folders.
         found.sort(key=lambda row: natural(row.label))

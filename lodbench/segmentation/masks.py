@@ -1,4 +1,4 @@
-"""``segmenter=masks``: masks made beforehand, read from the dataset's ``masks`` folder."""
+"""``segmenter=masks``: masks made beforehand, from the dataset's ``masks`` folder or another one."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.inputs import Input
+from lodbench.datasets.own import find_mask
 from lodbench.datasets.pictures import decoded, has_too_many_pixels
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
@@ -70,9 +71,14 @@ def _grey(image: NDArray[Any], name: str) -> NDArray[Any]:
 
 @dataclass(frozen=True, slots=True)
 class MasksParams:
-    """Settings of ``segmenter=masks``: none."""
+    """Settings of ``segmenter=masks``.
+
+    Attributes:
+        folder: Of masks named as the photos; None for the dataset's own.
+    """
 
     name: str = "masks"
+    folder: str | None = None
 
 
 class MaskFiles:
@@ -92,10 +98,16 @@ class MaskFiles:
         Raises:
             QueryFault: There is no mask for this query, or it cannot be read.
         """
-        if entry.mask is None:
-            raise QueryFault("no mask in the masks folder")
-        return read_mask(entry.mask)
+        mask = self._file(entry)
+        if mask is None:
+            raise QueryFault(f"no mask in {self.params.folder or 'the masks folder'}")
+        return read_mask(mask)
 
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns a digest of the mask files' names and contents."""
-        return digest_of([[entry.key, content_digest(entry.mask)] for entry in entries])
+        return digest_of([[entry.key, content_digest(self._file(entry))] for entry in entries])
+
+    def _file(self, entry: Entry) -> Path | None:
+        if self.params.folder is None:
+            return entry.mask
+        return find_mask(Path(self.params.folder).expanduser(), entry.name, entry.image)

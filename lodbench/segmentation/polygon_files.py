@@ -265,12 +265,12 @@ class _Canvas:
 
     def _lost(self) -> str:
         """Returns in words what was lost of the polygons."""
-        told = []
+        notes = []
         if self.outside:
-            told.append(f"{self.outside} of {self.points} points lie outside the photo")
+            notes.append(f"{self.outside} of {self.points} points lie outside the photo")
         if self.lost:
-            told.append(f"{self.lost} of {self.polygons} polygons without an area in it are left out")
-        return f": {'; '.join(told)}" if told else ""
+            notes.append(f"{self.lost} of {self.polygons} polygons without an area in it are left out")
+        return f": {'; '.join(notes)}" if notes else ""
 
     def _hint(self) -> str:
         """Returns what may be wrong with the points."""

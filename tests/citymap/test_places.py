@@ -10,13 +10,10 @@ import pytest
 
 import lodbench
 from lodbench.citymap.ground import Ground
-from lodbench.citymap.places import (
-    LocatedPixel,
-    Uncertainty,
-    ground_errors,
-    laser_residual,
-    places_of,
-)
+from lodbench.citymap.laser import LaserResidual, at_centre, laser_residual
+from lodbench.citymap.linear_places import Uncertainty
+from lodbench.citymap.place_errors import ground_errors
+from lodbench.citymap.places import LocatedPixel, places_of
 from lodbench.citymap.surfaces import Surfaces
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.scene import Scene, build_scene
@@ -74,6 +71,10 @@ def moved_camera(camera: Camera, focal: float, cx: float, cy: float, k1: float) 
     numbers = {"fx": camera.fx * (1 + focal), "fy": camera.fy * (1 + focal), "cx": camera.cx + cx}
     lens = camera.distortion and (camera.distortion[0] + k1, *camera.distortion[1:])
     return replace(camera, **numbers, cy=camera.cy + cy, distortion=lens)
+
+
+def residual(surfaces, pose, range_m) -> LaserResidual | None:
+    return laser_residual(at_centre(surfaces, CAMERA, pose), pose, LaserRange(range_m))
 
 
 def located(surfaces, camera, pose, pixels, known=None, laser=None) -> list[LocatedPixel | None]:
@@ -194,18 +195,15 @@ class TestLaser:
         pose = pose_of(NUMBERS)
         place = located(surfaces, CAMERA, pose, [[500.0, 400.0]])[0].place
         truth = float(np.linalg.norm(place - pose.center))
-        found = laser_residual(surfaces, CAMERA, pose, LaserRange(truth - 0.7))
+        found = residual(surfaces, pose, truth - 0.7)
         assert found.residual_m == pytest.approx(0.7)
         for k in range(6):
             step = 1e-4 * np.eye(6)[k]
-            one, other = (
-                laser_residual(surfaces, CAMERA, pose_of(NUMBERS + s), LaserRange(100.0))
-                for s in (step, -step)
-            )
+            one, other = (residual(surfaces, pose_of(NUMBERS + s), 100.0) for s in (step, -step))
             slope = (one.residual_m - other.residual_m) / 2e-4
             assert found.jacobian[k] == pytest.approx(slope, abs=1e-5)
         up = Pose.from_euler(EulerAngles(150, 0, 0), (0.0, 0.0, 100.0))
-        assert laser_residual(surfaces, CAMERA, up, LaserRange(100.0)) is None
+        assert residual(surfaces, up, 100.0) is None
 
     def test_it_is_weighed_in_as_least_squares_would(self, town):
         # Straight above a roof: of height of camera and roof the range knows the difference alone.
@@ -230,13 +228,13 @@ class TestLaser:
 
     def test_a_contradiction_is_said_and_not_used(self, surfaces):
         pose = pose_of(NUMBERS)
-        plain, told = (
+        plain, measured = (
             located(surfaces, CAMERA, pose, [[500, 400]], Uncertainty(COVARIANCE), laser)[0]
             for laser in (None, LaserRange(60.0))
         )
-        np.testing.assert_array_equal(told.place, plain.place)
-        assert "60.0 m" in told.notes[0]
-        assert "not used" in told.notes[0]
+        np.testing.assert_array_equal(measured.place, plain.place)
+        assert "60.0 m" in measured.notes[0]
+        assert "not used" in measured.notes[0]
 
 
 class TestGround:

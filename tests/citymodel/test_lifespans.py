@@ -40,7 +40,7 @@ def core(**days: str) -> str:
     return "".join(f"<core:{name}>{day}</core:{name}>" for name, day in days.items())
 
 
-def told(
+def two_buildings(
     tmp_path: Path, old: str, new: str = "", date: str | None = "2020-01-01", **options: str
 ) -> CityModel:
     text = city(box(40.0, old, "old") + box(10.0, new, "new"), **options)
@@ -61,7 +61,7 @@ def told(
 )
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_what_ended_or_has_not_begun_is_left_out_and_counted(tmp_path, days, version):
-    model = told(tmp_path, days, core(creationDate="2016-01-01"), version=version)
+    model = two_buildings(tmp_path, days, core(creationDate="2016-01-01"), version=version)
     assert model.building_ids == ("new",)
     assert codes(model) == {"LB412": 1}
     assert float(model.polygons.points[:, 2].max()) == 60.0
@@ -76,14 +76,14 @@ def test_what_ended_or_has_not_begun_is_left_out_and_counted(tmp_path, days, ver
     ],
 )
 def test_the_day_counts_and_a_creation_date_only_informs(tmp_path, day, ids, found):
-    model = told(tmp_path, core(terminationDate="2015-06-30"), core(creationDate="2016-01-01"), day)
+    model = two_buildings(tmp_path, core(terminationDate="2015-06-30"), core(creationDate="2016-01-01"), day)
     assert model.building_ids == ids
     assert codes(model) == found
 
 
 @pytest.mark.parametrize("day", ["9999-12-31", "soon", "2015-02-30", ""])
 def test_what_is_no_end_ends_nothing(tmp_path, day):
-    model = told(tmp_path, core(terminationDate=day))
+    model = two_buildings(tmp_path, core(terminationDate=day))
     assert (model.building_ids, model.period, codes(model)) == (("old", "new"), None, {})
 
 
@@ -159,7 +159,7 @@ def test_what_is_stored_tells_the_days_it_holds_for(tmp_path, monkeypatch):
 
 
 def test_a_city_without_ends_has_no_period(tmp_path):
-    model = told(tmp_path, core(creationDate="1970-01-01"))
+    model = two_buildings(tmp_path, core(creationDate="1970-01-01"))
     assert (model.period, codes(model)) == (None, {})
 
 

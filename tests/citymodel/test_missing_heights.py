@@ -44,7 +44,7 @@ def row_of_houses(
 
 
 @pytest.mark.parametrize("lost", [-9999.0, -2147483.648, -32768.0, -3.4e38, -1e20, 9999.0, -999.0, 99999.0])
-def test_a_base_at_no_data_is_told_with_its_height_and_stands_on_the_ground(tmp_path, lost):
+def test_a_base_at_no_data_is_reported_with_its_height_and_stands_on_the_ground(tmp_path, lost):
     """A block of Paris was 2,147,629 m high, without a word."""
     model = row_of_houses(tmp_path, base=lost, top=520.0)
     (found,) = model.findings.items
@@ -156,11 +156,11 @@ def test_what_begins_above_its_top_has_no_height(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "told",
+    "columns",
     [{"underground": "yes"}, {"is_underground": True}, {"location": "underground"}, {"underground": 1}],
 )
-def test_what_lies_underground_is_left_out_and_told(tmp_path, told):
-    path = footprints(tmp_path, {"height": 5.0, **told}, {"height": 9.0, **dict.fromkeys(told, None)})
+def test_what_lies_underground_is_left_out_and_reported(tmp_path, columns):
+    path = footprints(tmp_path, {"height": 5.0, **columns}, {"height": 9.0, **dict.fromkeys(columns, None)})
     model = read_city_model(path)
     assert codes(model) == {"LB410": 1, "LB416": 1}
     assert spans(model) == [(0.0, 9.0)]
@@ -178,10 +178,10 @@ def test_footprints_below_the_ground_alone_are_no_city(tmp_path):
         read_city_model(footprints(tmp_path, {"height": 5.0, "underground": "yes"}))
 
 
-def outline(prop: str, told: str, z: float = 500.0) -> str:
+def outline(prop: str, height: str, z: float = 500.0) -> str:
     ring = polygon(box_rings(z=z)[0])
     surfaces = f"<gml:MultiSurface>{surface_members([ring])}</gml:MultiSurface>"
-    return city(member(f"{told}<bldg:{prop}>{surfaces}</bldg:{prop}>"))
+    return city(member(f"{height}<bldg:{prop}>{surfaces}</bldg:{prop}>"))
 
 
 MEASURED = '<bldg:measuredHeight uom="m">12</bldg:measuredHeight>'
@@ -189,7 +189,7 @@ CON = "xmlns:con='http://www.opengis.net/citygml/construction/3.0'"
 
 
 @pytest.mark.parametrize(
-    ("prop", "told", "span"),
+    ("prop", "height", "span"),
     [
         ("lod0FootPrint", MEASURED, (500.0, 512.0)),
         ("lod0RoofEdge", MEASURED, (488.0, 500.0)),
@@ -208,8 +208,8 @@ CON = "xmlns:con='http://www.opengis.net/citygml/construction/3.0'"
     ],
 )
 @pytest.mark.parametrize("rule", ["median", "max", "eave"])
-def test_a_footprint_of_known_height_is_told_and_a_block_on_request(tmp_path, prop, told, span, rule):
-    model = read_city_model(write(tmp_path / "a.gml", outline(prop, told)))
+def test_a_footprint_of_known_height_is_reported_and_a_block_on_request(tmp_path, prop, height, span, rule):
+    model = read_city_model(write(tmp_path / "a.gml", outline(prop, height)))
     assert city_info(model)["findings"] == {"LB414 STAYS_FLAT": 1}
     block = mesh_model(model, "1", roof_height=rule)
     low, high = block.scene.extent_m

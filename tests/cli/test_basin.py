@@ -48,7 +48,7 @@ def test_a_basin_leaves_tables_maps_and_runs_that_verify(lodbench, tmp_path, dat
         assert [float(best[name]) for name in ("x_m", "y_m", "z_m", "yaw_deg")] == [0, 0, 0, 0]
     # Queries done on one grid of offsets are not taken for those of another.
     assert (folder / f"cost_ledger_{digest_of(asdict(CostGrid()))}.jsonl").is_file()
-    verified = lodbench("verify", str(folder.parent.parent / "lodlocv2" / lines[0]["run"]))
+    verified = lodbench("verify", str(folder.parent / "lodlocv2" / lines[0]["run"]))
     assert verified.returncode == 0, verified.stdout + verified.stderr
     # The same command again finds every query done, and writes the same bytes.
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -62,10 +62,12 @@ def test_a_row_is_the_run_with_the_same_settings(lodbench, tmp_path, data):
     assert done.returncode == 0, done.stderr
     # It cannot be told how far off priors are: it searches as it is.
     assert "search: as the method is set, whatever Delta" in done.stdout
-    (folder,) = (tmp_path / "runs" / "folder" / "basin").iterdir()
+    # Apart from other runs: runs/folder/*/* names none of them.
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["basin"]
+    (folder,) = (tmp_path / "runs" / "basin" / "folder").glob("prior_only-*")
     (line,) = csv.DictReader((folder / "basin.csv").open())
     widths = [f"prior.{axis}_m=20" for axis in "xyz"]
-    run = lodbench("run", *data, "method=prior_only", "prior=uniform", *widths)
+    run = lodbench("run", *data, "method=prior_only", "prior=uniform", *widths, "paths.runs=runs/basin")
     assert f"/{line['run']} (2 queries were there already)" in run.stdout, run.stdout + run.stderr
 
 

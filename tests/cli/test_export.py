@@ -11,7 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
+import pyproj
 import pytest
+import shapely
 
 from lodbench.citymodel.cache import open_cached_scene
 from lodbench.cli import main
@@ -149,14 +151,14 @@ def _numbers(line: str) -> list[float]:
     return found if len(found) == 11 else []
 
 
-@pytest.mark.parametrize("name", ["csv", "parquet"])
+@pytest.mark.parametrize("name", ["queries", "parquet"])
 def test_the_table_of_queries_holds_the_poses(capsys, tmp_path, run, name):
     path = tmp_path / f"queries.{name}"
     if name == "parquet":
         pytest.importorskip("pyarrow")
     assert main(["export", str(run), "--format", name, "--out", str(path)]) == 0
     assert "2 poses" in capsys.readouterr().out
-    frame = pd.read_csv(path) if name == "csv" else pd.read_parquet(path)
+    frame = pd.read_csv(path) if name == "queries" else pd.read_parquet(path)
     expected = read_poses(run / "poses.txt")
     found = frame.set_index("query")[["tx", "ty", "tz"]]
     assert found.isna().any(axis=1).to_dict() == {
@@ -166,6 +168,64 @@ def test_the_table_of_queries_holds_the_poses(capsys, tmp_path, run, name):
     }
     for key, pose in expected.items():
         np.testing.assert_allclose(found.loc[key], pose.translation, atol=1e-9)
+
+
+PLACE = ["easting_m", "northing_m", "height_m"]
+
+
+@pytest.mark.parametrize("crs", [None, CRS])
+def test_the_surveyors_table(capsys, tmp_path, run, crs):
+    """Coordinates, compass heading and gimbal pitch, by formulas written down here again."""
+    path, place = tmp_path / "poses.csv", [] if crs is None else ["--crs", crs]
+    assert main(["export", str(run), "--format", "csv", "--out", str(path), *place]) == 0
+    table = pd.read_csv(path).set_index("photo")
+    assert list(table)[1:9] == [
+        "easting_m", "northing_m", "height_m", "latitude_deg", "longitude_deg", "heading_deg", "pitch_deg",
+        "roll_deg",
+    ]  # fmt: skip
+    for name, pose in read_poses(run / "poses.txt").items():
+        row, ahead = table.loc[name], pose.rotation[2]
+        np.testing.assert_allclose(row[PLACE].astype(float), pose.center, atol=6e-4)
+        assert row["pitch_deg"] == pytest.approx(np.degrees(np.arcsin(ahead[2])), abs=1e-2)
+        heading = np.degrees(np.arctan2(*pose.rotation[0, :2])) - 90  # the right side, turned to the front
+        if crs is None:
+            assert np.isnan(row["latitude_deg"])
+        else:
+            projection = pyproj.Proj(crs)
+            longitude, latitude = projection(*pose.center[:2], inverse=True)
+            assert row["longitude_deg"] == pytest.approx(longitude, abs=1e-7)
+            assert row["latitude_deg"] == pytest.approx(latitude, abs=1e-7)
+            heading += projection.get_factors(longitude, latitude).meridian_convergence
+        assert (row["heading_deg"] - heading + 180) % 360 == pytest.approx(180, abs=2e-3)
+    assert table.loc["view_02.png", ["easting_m", "trust", "failure"]].fillna("").tolist() == [
+        "", "failed", "no mask in the masks folder",
+    ]  # fmt: skip
+
+
+def test_a_geopackage_is_read_by_gdal_and_replaces_no_other(capsys, tmp_path, run):
+    pyogrio = pytest.importorskip("pyogrio", reason="GDAL reads what was written")
+    path = tmp_path / "poses.gpkg"
+    words = ["export", str(run), "--format", "gpkg", "--crs", CRS, "--out", str(path)]
+    assert main(words) == 0
+    first = path.read_bytes()
+    assert main(words) == 0
+    assert path.read_bytes() == first
+    assert pyogrio.read_info(path)["crs"] == "EPSG:4326"
+    meta, _, geometries, values = pyogrio.raw.read(path)
+    rows = dict(zip(meta["fields"], values, strict=True))
+    points = shapely.from_wkb(geometries)
+    assert points[2] is None
+    assert [point.x for point in points[:2]] == rows["longitude_deg"][:2].tolist()
+    assert [point.y for point in points[:2]] == rows["latitude_deg"][:2].tolist()
+    assert rows["height_m"].dtype == np.float64
+    pyogrio.raw.write(
+        tmp_path / "theirs.gpkg", geometries[:2], [rows["height_m"][:2]], ["h"], geometry_type="Point",
+        crs="EPSG:4326",
+    )  # fmt: skip
+    whole = (tmp_path / "theirs.gpkg").read_bytes()
+    assert main([*words[:-1], str(tmp_path / "theirs.gpkg")]) == 2
+    assert "is there already, and is no such export" in capsys.readouterr().err
+    assert (tmp_path / "theirs.gpkg").read_bytes() == whole
 
 
 def test_an_answer_without_a_truth_has_not_failed():

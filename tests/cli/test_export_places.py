@@ -65,7 +65,7 @@ def test_another_reference_system_is_refused(capsys, tmp_path, run, name, is_kep
     ("name", "content"),
     [
         ("csv", "<CityModel/>\n"),
-        ("csv", "query,mine\n1,2\n"),
+        ("csv", "photo,mine\n1,2\n"),
         ("geojson", '{\n "type": "FeatureCollection",\n "features": []\n}\n'),
         ("visuallocalization", "view_00.png 1 0 0 0 0 0 0\n"),
         ("tum", "1 2 3 4 5 6 7 8\n"),

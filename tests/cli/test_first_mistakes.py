@@ -68,6 +68,11 @@ CASES: list[tuple[Words, str, str]] = [
     (lambda f: [*_at(f), "--mask", f.black], "holds no building", "white (255)"),
     (lambda f: [*_at(f), "--mask", f.empty], "Is a directory", "Check the path"),
     (lambda f: [*_at(f), "--lat", "120", "--lon", "51"], "--lat=120 is not within -90 to 90", ""),
+    (
+        lambda f: [*_at(f), "--lat", "-33.9", "--lon", "151.2"],
+        "14,902 km outside the city model",
+        "Is it the right tile?",
+    ),
     (lambda f: [*_at(f), "--takeoff", "nan"], "--takeoff=nan is not finite", ""),
     (lambda f: [*_at(f), "--takeoff", "61", "--heights", "sea_level"], "--takeoff is not used", "Leave --t"),
     (lambda f: [*_at(f), "--takeoff", "61", "--geoid", "46"], "--geoid is not used with --takeoff", "Leave"),
@@ -219,7 +224,7 @@ def test_a_method_without_a_score_says_so(files, capsys, tmp_path):
     assert len(written) == 2
     assert all(parse_json(path.read_text(), is_strict=True) for path in written)
     assert main(words) == 0
-    assert "score      -  (LoD" in capsys.readouterr().out
+    assert "  score      -, the method's own measure" in capsys.readouterr().out
     assert main([*words, "--each-alone", files.flight, "--json"]) == 0
     answers = parse_json(capsys.readouterr().out, is_strict=True)
     assert {answer["score"] for answer in answers} == {None}

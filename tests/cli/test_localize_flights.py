@@ -67,6 +67,9 @@ def write(photo: Path, pose: Pose, clock: str, mask: np.ndarray, **changed: str)
     write_photo(photo, (90 + mask // 3).astype(np.uint8), exif, packet)
 
 
+PLACE = ("easting_m", "northing_m", "height_m")
+
+
 def localize(capsys, *words: object) -> tuple[int, str]:
     code = main(["localize", *map(str, words)])
     return code, capsys.readouterr().out
@@ -75,12 +78,10 @@ def localize(capsys, *words: object) -> tuple[int, str]:
 def errors_m(out: Path, truth: dict[str, Pose]) -> dict[str, float]:
     """Returns how far each photo of a table was found from its truth, metres."""
     with (out / "localized.csv").open() as stream:
-        rows = [row for row in csv.DictReader(stream) if row["east"]]
+        rows = [row for row in csv.DictReader(stream) if row["easting_m"]]
     return {
         Path(row["photo"]).name: float(
-            np.linalg.norm(
-                [float(row[axis]) for axis in ("east", "north", "up")] - truth[Path(row["photo"]).name].center
-            )
+            np.linalg.norm([float(row[axis]) for axis in PLACE] - truth[Path(row["photo"]).name].center)
         )
         for row in rows
     }
@@ -88,15 +89,15 @@ def errors_m(out: Path, truth: dict[str, Pose]) -> dict[str, float]:
 
 @pytest.mark.slow
 def test_a_flight_is_solved_as_a_whole(capsys, flight, tmp_path):
-    code, told = localize(
+    code, output = localize(
         capsys, flight.photos, "--city", flight.city, "--masks", flight.masks, "--out", tmp_path
     )
     assert code == 0
     assert (
         f"flight 1: {COUNT} photos, DJI_0001.JPG to DJI_0004.JPG, FC6310R 400 x 300, 2023-10-18 11:46:10"
-        in told
+        in output
     )
-    assert f"heights are stated {OFF_M[2]:.0f}" in told
+    assert f"heights are stated {OFF_M[2]:.0f}" in output
     errors = errors_m(tmp_path, flight.truth)
     assert len(errors) == COUNT
     assert max(errors.values()) < 1.0
@@ -116,11 +117,11 @@ def test_a_flight_is_solved_as_a_whole(capsys, flight, tmp_path):
 @pytest.mark.slow
 def test_a_flight_is_solved_by_its_pixels(capsys, flight, tmp_path):
     words = ["--city", flight.city, "--method-option", "single=region", "--out", tmp_path / "out"]
-    code, told = localize(capsys, flight.photos, *words)
+    code, output = localize(capsys, flight.photos, *words)
     assert code in (0, 3)
     # The photos have two tones: none of the edges within roofs that photos are posed by.
     assert max(errors_m(tmp_path / "out", flight.truth).values()) < 1.5
-    assert "masks made with the map agree with it" not in told
+    assert "masks made with the map agree with it" not in output
     for option, said in (("singel=region", "single"), ("single=regoin", "region"), ("name", "no value")):
         words = ["--city", flight.city, "--method-option", option, "--out", tmp_path / "no"]
         assert main(["localize", *map(str, (flight.photos, *words))]) == 2
@@ -142,10 +143,10 @@ def test_a_reconstruction_ties_the_photos_and_xmp_is_written_beside_them(capsys,
     words = ["--city", flight.city, "--masks", flight.masks, "--out", tmp_path / "out"]
     more = ["--reconstruction", tmp_path / "sparse", "--sidecars"]
     code = main(["localize", *map(str, (photos, *words, *more))])
-    told = capsys.readouterr()
+    output = capsys.readouterr()
     assert code == 0
     assert max(errors_m(tmp_path / "out", flight.truth).values()) < 0.7
-    assert "3 written beside the photos; 1 of other programs left alone: DJI_0002.xmp" in told.err
+    assert "3 written beside the photos; 1 of other programs left alone: DJI_0002.xmp" in output.err
     assert "GimbalYawDegree" in (photos / "DJI_0001.xmp").read_text()
     assert (photos / "DJI_0001.JPG").read_bytes() == (flight.photos / "DJI_0001.JPG").read_bytes()
     write_colmap([image._replace(name="other.jpg") for image in model[:1]], tmp_path / "other")
@@ -174,7 +175,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_solved(capsys, flight, tmp
     write(folder / "b" / "DJI_0004.JPG", pose, "11:48:00", mask)
     # The clock jumps, and jumps back.
     write(folder / "a" / "DJI_0003.JPG", flight.truth["DJI_0003.JPG"], "03:00:00", mask)
-    code, told = localize(capsys, folder, "--city", flight.city, "--out", tmp_path / "out")
+    code, output = localize(capsys, folder, "--city", flight.city, "--out", tmp_path / "out")
     assert code == 3
     for line in (
         "town.JPG: By its position town.JPG was taken",
@@ -186,8 +187,8 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_solved(capsys, flight, tmp
         "the clock jumps at photos that are placed by name: DJI_0003.JPG",
         "flight 1: 3 photos",
     ):
-        assert line in told
-    assert "flight 2" not in told
+        assert line in output
+    assert "flight 2" not in output
     errors = errors_m(tmp_path / "out", flight.truth)
     assert sorted(errors) == ["DJI_0001.JPG", "DJI_0002.JPG", "DJI_0003.JPG"]
     assert max(errors.values()) < 1.5
@@ -203,11 +204,11 @@ def test_photos_of_one_wall_are_not_trusted_and_the_rest_of_the_command_works(ca
     wall[:, CAMERA.width // 2 :] = 255
     for mask in flight.masks.iterdir():
         cv2.imwrite(str(masks / mask.name), wall)
-    code, told = localize(
+    code, output = localize(
         capsys, flight.photos, "--city", flight.city, "--masks", masks, "--out", tmp_path / "out"
     )
     assert code == 3
-    assert "flight 1: 4 photos" in told
+    assert "flight 1: 4 photos" in output
     with (tmp_path / "out" / "localized.csv").open() as stream:
         assert all(row["trust"] == UNTRUSTED for row in csv.DictReader(stream))
 

@@ -54,9 +54,9 @@ def image_of(found: Found, place: np.ndarray) -> np.ndarray:
 
 def test_places_project_back_to_their_pixels(capsys, found):
     pixels = [(340.0, 230.0), (60.5, 400.0), (600.0, 420.0)]
-    told = run(capsys, found, *(f"{w}" for u, v in pixels for w in ("--pixel", u, v)))
-    assert told["trusted"]
-    for pixel, place in zip(pixels, told["places"], strict=True):
+    output = run(capsys, found, *(f"{w}" for u, v in pixels for w in ("--pixel", u, v)))
+    assert output["trusted"]
+    for pixel, place in zip(pixels, output["places"], strict=True):
         at = np.array([place["east"], place["north"], place["height_m"]])
         # The pose is 8 cm off, a pixel some 0.3 m.
         np.testing.assert_allclose(image_of(found, at), pixel, atol=1.0)
@@ -66,9 +66,9 @@ def test_places_project_back_to_their_pixels(capsys, found):
         assert place["ellipse95_minor_m"] <= 2.4478 * min(east, north) + 1e-3
         assert place["ellipse95_major_m"] >= 2.4477 * max(east, north) - 1e-3
         assert place["height_sigma_m"] == pytest.approx(height, abs=1e-3)
-    features = json.loads(Path(told["map"]).read_text())["features"]
+    features = json.loads(Path(output["map"]).read_text())["features"]
     assert [each["geometry"]["type"] for each in features] == ["Point"] * 3
-    first = told["places"][0]
+    first = output["places"][0]
     assert features[0]["geometry"]["coordinates"] == pytest.approx(
         [first["longitude_deg"], first["latitude_deg"]], abs=1e-7
     )
@@ -101,9 +101,9 @@ def test_regions_become_polygons_of_the_right_size(capsys, found, tmp_path):
         cv2.fillPoly(mask, [np.rint(ring).astype(np.int32)], value)
     cv2.imwrite(str(tmp_path / "mask.png"), mask)
     out = tmp_path / "places.geojson"
-    told = run(capsys, found, "--mask", str(tmp_path / "mask.png"), "--out", str(out))
-    assert [each["name"] for each in told["places"]] == ["region 1", "region 2"]
-    large, small = told["places"]
+    output = run(capsys, found, "--mask", str(tmp_path / "mask.png"), "--out", str(out))
+    assert [each["name"] for each in output["places"]] == ["region 1", "region 2"]
+    large, small = output["places"]
     assert large["area_m2"] == pytest.approx(144 - 16, rel=0.1)
     assert small["area_m2"] == pytest.approx(9, rel=0.25)
     assert large["shows"] == ["ground"]
@@ -203,10 +203,10 @@ class TestWithoutReferenceSystem:
 
     def test_places_are_local_and_not_trusted(self, local, capsys):
         assert main([*local, "--pixel", "320", "240"]) == 3
-        told = capsys.readouterr().out
-        assert "latitude" not in told
-        assert "not to be trusted" in told
-        assert "no GeoJSON was written" in told
+        output = capsys.readouterr().out
+        assert "latitude" not in output
+        assert "not to be trusted" in output
+        assert "no GeoJSON was written" in output
         assert not list(Path(local[-1]).glob("*.geojson"))
 
     def test_the_laser_contradicts_aloud(self, local, capsys):

@@ -156,7 +156,7 @@ class TestPage:
         assert json.loads(self.ask(server, "POST", "undo")[1])["undone"] is True
         assert np.array_equal(server.session.mask, before)
         assert json.loads(self.ask(server, "POST", "save", "{}")[1]) == {
-            "told": "saved: mask.png",
+            "message": "saved: mask.png",
             "saved": True,
         }
         assert server.kept == [1]
@@ -168,7 +168,7 @@ class TestPage:
         # A page that was loaded again knows of no strokes.
         told = json.loads(self.ask(server, "POST", "stop", "{}")[1])
         assert told["closes"] is False
-        assert "NOT closed" in told["told"]
+        assert "NOT closed" in told["message"]
         assert self.ask(server, "GET", "mask.png")[0] == 200
         assert json.loads(self.ask(server, "POST", "stop", '{"sure": true}')[1])["closes"] is True
 
@@ -195,7 +195,7 @@ class TestPage:
         server.save, before = full, server.session.mask
         status, told = self.ask(server, "POST", "save", "{}")
         assert status == 200
-        assert json.loads(told) == {"told": "NOT saved: mask.png: No space left on device", "saved": False}
+        assert json.loads(told) == {"message": "NOT saved: mask.png: No space left on device", "saved": False}
         assert np.array_equal(server.session.mask, before)
         assert "Traceback" not in capsys.readouterr().err
 
@@ -206,7 +206,7 @@ class TestPage:
         server.save = refused
         told = json.loads(self.ask(server, "POST", "save", "{}")[1])
         words = "NOT saved: mask.png was written by another program. Keep a copy."
-        assert told == {"told": words, "saved": False}
+        assert told == {"message": words, "saved": False}
 
     def test_others_are_kept_out(self, server):
         for options in ({"token": "guess"}, {"token": ""}, {"host": "evil.example:80"}):

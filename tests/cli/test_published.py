@@ -66,3 +66,10 @@ def test_masks_that_are_not_there_stop_before_the_work(lodbench, tmp_path):
     assert done.returncode == 2
     assert "segmenter=masks needs masks, and the dataset has none" in done.stderr
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_download_that_fetches_nothing_is_no_success(lodbench, tmp_path):
+    done = lodbench("dataset", "download", "swiss_epfl", "--root", str(tmp_path))
+    assert done.returncode == 1
+    assert "cannot be downloaded automatically" in done.stdout
+    assert "by hand: " in done.stdout

@@ -129,7 +129,9 @@ def test_without_a_truth_the_page_has_the_answers_and_no_empty_table(lodbench, t
         assert len(heads) == len(cells)
         # No column without anything in it.
         assert not {"", "-"} & set(cells)
-        assert {"x m", "from the prior m", "probability", "trust"} <= {head.split(" ↕")[0] for head in heads}
+        assert {"easting m", "height m", "heading deg", "from the prior m", "probability", "trust"} <= {
+            head.split(" ↕")[0] for head in heads
+        }
         assert page.locator("main img").count() == page.locator("g.spot").count() == 3
         assert complaints == []
 

@@ -7,6 +7,8 @@ import json
 import shutil
 from dataclasses import replace
 
+import cv2
+import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
@@ -178,3 +180,25 @@ class TestNoneNamed:
         settings = ["ranges=[10]", "yaw_ranges=[]", "maps=false", "limit=1"]
         assert main(["basin", "dataset=folder", *words, *settings]) == 0
         assert "segmenter=masks: 2 of 2 queries" in capsys.readouterr().out
+
+
+def test_masks_of_another_folder_and_what_verify_reads_again(tmp_path, capsys):
+    """Shifted ones: the run must see these, verify must hash these, and the dataset's own must not count."""
+    root, city = write_dataset(tmp_path / "town", count=2)
+    theirs = tmp_path / "theirs"
+    shutil.copytree(root / "masks", theirs)
+    for path in theirs.iterdir():
+        cv2.imwrite(str(path), np.roll(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), 40, axis=1))
+    words = ["segmenter=masks", f"segmenter.folder={theirs}"]
+    assert run((root, city), tmp_path / "own", "segmenter=masks", "method.steps=1") == 0
+    assert run((root, city), tmp_path / "runs", *words, "method.steps=1") == 0
+    assert max(float(row["mask_iou"]) for row in rows_of(tmp_path / "runs")) < 0.95
+    assert min(float(row["mask_iou"]) for row in rows_of(tmp_path / "own")) == 1.0
+    (folder,) = (path.parent for path in (tmp_path / "runs").rglob("summary.json"))
+    assert main(["verify", str(folder)]) == 0, capsys.readouterr()
+    capsys.readouterr()
+    cv2.imwrite(str(next(iter(sorted(theirs.iterdir())))), np.zeros((240, 320), np.uint8))
+    assert main(["verify", str(folder)]) == 1
+    assert "masks" in capsys.readouterr().out
+    assert run((root, city), tmp_path / "none", "segmenter=masks", f"segmenter.folder={tmp_path}") == 2
+    assert "holds no mask of any image" in capsys.readouterr().err

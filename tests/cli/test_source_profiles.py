@@ -171,12 +171,12 @@ def test_a_run_writes_down_a_date_at_which_its_city_stood_if_any_building_ends(t
     path = write(tmp_path / "a.gml", city(member(over + box, "old") + member(box, "new")))
     source = {"name": "folder", "options": {"is_strict": True}}
     given = Dataset("own", "1", tmp_path, path, None, (), (), {})
-    dataset, told = with_date(given, source)
-    assert told["options"] == {"is_strict": True} | ({"date": end} if end else {})
+    dataset, dated = with_date(given, source)
+    assert dated["options"] == {"is_strict": True} | ({"date": end} if end else {})
     assert dataset.city_options.date == end
-    assert with_date(dataset, told) == (dataset, told)
+    assert with_date(dataset, dated) == (dataset, dated)
     if end is None:
-        assert (dataset is given, told is source) == (True, True)
+        assert (dataset is given, dated is source) == (True, True)
 
 
 def test_date_is_an_option_of_every_command_that_reads_a_city(lodbench, tmp_path):

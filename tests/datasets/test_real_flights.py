@@ -84,9 +84,9 @@ def test_true_poses_are_compared_with_the_reconstruction(tmp_path):
 def test_check_compares_with_the_card(flight, capsys):
     root, _ = flight
     assert lodbench(["dataset", "check", "real_flights", "--root", str(root)]) == 0
-    told = capsys.readouterr().out
-    assert "ochota: 3 queries, 3 with a true pose (its card says 17)" in told
-    assert "COUNT_UNEXPECTED" in told
+    output = capsys.readouterr().out
+    assert "ochota: 3 queries, 3 with a true pose (its card says 17)" in output
+    assert "COUNT_UNEXPECTED" in output
     assert lodbench(["dataset", "card", "real_flights"]) == 0
     card = capsys.readouterr().out
     assert "CC BY 3.0" in card

@@ -175,9 +175,9 @@ def test_a_run_warns_of_single_ones_and_notes_them(sound, tmp_path, capsys, capl
     code, _ = run(root, tmp_path, sound, capsys)
     assert code == 0
     (summary,) = (tmp_path / "runs").rglob("summary.json")
-    for told in (caplog.text, summary.read_text()):
-        assert "the mask of data/view_00.png: IoU" in told
-        assert "data/view_01.png has the photo of data/view_00.png" in told
+    for text in (caplog.text, summary.read_text()):
+        assert "the mask of data/view_00.png: IoU" in text
+        assert "data/view_01.png has the photo of data/view_00.png" in text
 
 
 def test_poses_as_regular_as_a_plan_are_called_so():

@@ -179,3 +179,9 @@ def test_an_extra_of_extras_is_as_ready_as_they_are() -> None:
     lines += ["lodbench[cluster,torch]; extra == 'all'", "onnx; extra == 'other'"]
     found = _wanted_by("all", [Requirement(line) for line in lines])
     assert [requirement.name for requirement in found] == ["dask", "torch"]
+
+
+def test_only_extras_that_users_can_want_are_listed() -> None:
+    extras = {check.name for check in doctor._packages() if check.section == "extras"}
+    assert {"vector", "torch", "rerun"} <= extras
+    assert not extras & {"all", "docs", "test"}

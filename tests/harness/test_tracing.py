@@ -179,7 +179,7 @@ def test_the_benchmark_holds_photos_that_the_map_has_not_used(case, tmp_path, ca
 
 
 @pytest.mark.parametrize(
-    ("item", "told"),
+    ("item", "message"),
     [
         ({"kind": "tower"}, "the kind 'tower' is none of"),
         ({"name": " "}, "it has no name"),
@@ -194,21 +194,21 @@ def test_the_benchmark_holds_photos_that_the_map_has_not_used(case, tmp_path, ca
         ),
     ],
 )
-def test_a_malformed_tracing_is_refused_by_item(item, told):
+def test_a_malformed_tracing_is_refused_by_item(item, message):
     good = {
         "kind": "roof",
         "name": "A",
         "photos": {f"view_0{k}.jpg": [[1, 2], [3, 4], [5, 1]] for k in (1, 2)},
     }
     assert len(parse_tracing({"traced": [good]}, "t.json", poses())) == 1
-    with pytest.raises(DatasetError, match=f"t.json, item 2: .*{told}"):
+    with pytest.raises(DatasetError, match=f"t.json, item 2: .*{message}"):
         parse_tracing({"traced": [good, {**good, "name": "B", **item}]}, "t.json", poses())
     with pytest.raises(DatasetError, match="two roofs are called A"):
         parse_tracing({"traced": [good, good]}, "t.json", poses())
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("--polygons", "{}/none.json"), "none.json does not exist"),
         (("--polygons", "{}/traced.json", "--scale", "-1"), "--scale -1 is no scale"),
@@ -221,12 +221,12 @@ def test_a_malformed_tracing_is_refused_by_item(item, told):
         (("--polygons", "{}/rough.txt"), "rough.txt"),
     ],
 )
-def test_wrong_words_are_refused_in_one_line(case, tmp_path, capsys, words, told):
+def test_wrong_words_are_refused_in_one_line(case, tmp_path, capsys, words, message):
     roofs_alone = json.loads((case / "traced.json").read_text())
     roofs_alone["traced"] = [item for item in roofs_alone["traced"] if item["kind"] == "roof"]
     (case / "roofs.json").write_text(json.dumps(roofs_alone))
     assert trace(case, tmp_path / "map.obj", *(word.format(case) for word in words)) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "map.obj").exists()
 
 
@@ -262,17 +262,17 @@ class TestPage:
         assert self.asked(server, "photo99.jpg")[0] == 404
         assert self.asked(server, "", token="x")[0]  # noqa: S106 == 404
         tracing = json.loads((case / "traced.json").read_text())
-        told = json.loads(self.asked(server, "save", tracing)[1])
-        assert told == {"told": "saved: traced.json", "saved": True}
+        answer = json.loads(self.asked(server, "save", tracing)[1])
+        assert answer == {"message": "saved: traced.json", "saved": True}
         assert len(read_tracing(server.file, poses())) == len(tracing["traced"])
         tracing["traced"] = tracing["traced"][:1]
-        told = json.loads(self.asked(server, "solve", tracing)[1])
-        assert told["told"].startswith("block 1: roof 1")
+        answer = json.loads(self.asked(server, "solve", tracing)[1])
+        assert answer["message"].startswith("block 1: roof 1")
         view = poses()["view_05.jpg"]
         exact = CAMERA.project(roofs()["block 1"] @ view.rotation.T + view.translation)
-        assert np.array(told["outlines"]["view_05.jpg"][0]) == pytest.approx(exact, abs=1.0)
+        assert np.array(answer["outlines"]["view_05.jpg"][0]) == pytest.approx(exact, abs=1.0)
         refused = json.loads(self.asked(server, "save", {"traced": [{"kind": "roof"}]})[1])
-        assert refused["told"].startswith("NOT saved: the page, item 1")
+        assert refused["message"].startswith("NOT saved: the page, item 1")
 
     def test_a_ray_passes_through_the_place_in_the_other_photo(self, server):
         corner = roofs()["block 5"][:1]

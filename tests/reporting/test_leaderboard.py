@@ -211,3 +211,25 @@ def test_an_entry_under_another_dataset_or_malformed_is_refused(tmp_path):
         moved.write_text(text)
         with pytest.raises(DatasetError, match="not readable as JSON"):
             build_leaderboard(tmp_path)
+
+
+def test_runs_of_one_method_are_named_by_the_settings_that_differ(tmp_path):
+    """In all four formats, as `compare` names them; the CSV has them in a column."""
+    entries = [entry("shake", 50.0), entry("shake", 90.0), entry("steady", 70.0)]
+    for each, tries in zip(entries, (64, 1024, 9), strict=True):
+        each["method"]["params"] = {"name": each["method"]["name"], "tries": tries, "sigma_m": 3.0}
+        each["provenance"]["run"] = f"{tries:012d}"
+        path = entry_path(tmp_path, each)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(entry_text(each))
+    texts = {path.suffix: text for path, text in build_leaderboard(tmp_path).items() if path.stem == "town"}
+    for suffix in (".md", ".tex", ".html"):
+        for name in ("1. shake tries=1024", "2. steady", "3. shake tries=64"):
+            assert f"{name}<" in texts[suffix] or f"{name} " in texts[suffix], suffix
+        assert "sigma" not in texts[suffix]
+    rows = list(csv.DictReader(io.StringIO(texts[".csv"])))
+    assert [(row["method"], row["settings"]) for row in rows] == [
+        ("shake", "tries=1024"), ("steady", ""), ("shake", "tries=64"),
+    ]  # fmt: skip
+    index = next(text for path, text in build_leaderboard(tmp_path).items() if path.stem == "index")
+    assert "shake tries=1024" in index

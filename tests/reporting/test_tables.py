@@ -2,6 +2,7 @@ import copy
 import csv
 import io
 import json
+import re
 
 import pytest
 
@@ -272,6 +273,36 @@ def test_best_numbers_are_bold_in_latex():
     (table,) = tables_of([summary("no_refine", 11.68), summary("full", 97.9)])
     assert r"\textbf{97.90}" in FORMATS["latex"](table)
     assert r"\textbf{11.68}" not in FORMATS["latex"](table)
+
+
+def bold(*runs: dict) -> list[str]:
+    """Returns what a table of runs has in bold."""
+    (table,) = tables_of(list(runs))
+    return re.findall(r"\\textbf\{(.*?)\}", FORMATS["latex"](table))
+
+
+def test_a_recall_of_zero_and_the_prior_are_never_bold():
+    runs = [summary("no_refine", 0.0), summary("full", 0.0)]
+    for run in (*runs, runs[0]):
+        for split in run["splits"].values():
+            split["recall"]["5m-5deg"] = 0.0
+    assert bold(*runs) == []
+    prior = copy.deepcopy(runs[0])
+    prior["method"] = {"name": "prior_only", "variant": ""}
+    for split in prior["splits"].values():
+        split["recall"]["2m-2deg"] = 99.0
+    runs[1]["splits"]["in_place"]["recall"]["2m-2deg"] = 5.0
+    assert bold(*runs, prior) == ["5.00"]
+
+
+@pytest.mark.parametrize(("rotation_deg", "found"), [(0.1, ["0.50/0.10"] * 2), (0.3, [])])
+def test_a_cell_of_two_numbers_is_bold_if_both_are_best(rotation_deg, found):
+    runs = [summary("no_refine", 0.0), summary("full", 0.0)]
+    for run, numbers in zip(runs, ((0.725, 0.2), (0.5, rotation_deg)), strict=True):
+        for split in run["splits"].values():
+            split["median_translation_m"], split["median_rotation_deg"] = numbers
+            split["recall"] = {"2m-2deg": 0.0}
+    assert bold(*runs) == found
 
 
 def test_runs_of_another_schema_are_refused(tmp_path):

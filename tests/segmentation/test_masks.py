@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -121,6 +122,18 @@ class TestMaskFiles:
     def test_without_a_mask_the_query_fails(self):
         with pytest.raises(QueryFault, match="no mask"):
             MaskFiles(MasksParams()).segment(entry_with(None))
+
+    def test_another_folder_takes_the_place_of_the_datasets(self, tmp_path):
+        own = save(tmp_path / "own.png", np.zeros((2, 3), np.uint8))
+        entry = replace(entry_with(own), name="DJI_0001.JPG")
+        (tmp_path / "theirs").mkdir()
+        masks = MaskFiles(MasksParams(folder=str(tmp_path / "theirs")))
+        with pytest.raises(QueryFault, match="no mask in"):
+            masks.segment(entry)
+        without = masks.fingerprint((entry,))
+        save(tmp_path / "theirs" / "DJI_0001.png", np.full((2, 3), 255, np.uint8))
+        assert (masks.segment(entry) == 1).all()
+        assert masks.fingerprint((entry,)) != without
 
     def test_the_fingerprint_follows_the_content(self, tmp_path):
         masks = MaskFiles(MasksParams())

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.exchange.colmap_rigs import RIG_FILES, PosedImage, lone_cameras
+from lodbench.datasets.exchange.colmap_rigs import BYTES_PER_POINT, RIG_FILES, PosedImage, lone_cameras
 from lodbench.datasets.exchange.posed import (
     FoundPose,
     Place,
@@ -46,7 +46,7 @@ _MODEL_NAMES = {
     15: "FISHEYE",
     16: "EUCM",
 }
-_BYTES_PER_POINT, _BYTES_PER_TRACK = 24, 8
+_BYTES_PER_TRACK = 8
 _Cameras = Mapping[int, Camera | str]
 
 
@@ -290,5 +290,5 @@ def _binary_images(path: Path, cameras: _Cameras | None) -> Iterator[FoundPose]:
             pose = Pose.from_quaternion(numbers[:4], numbers[4:])
             camera, fault = _camera_of(cameras, camera_number)
             (num_points,) = data.take("<Q")
-            data.skip(num_points * _BYTES_PER_POINT)
+            data.skip(num_points * BYTES_PER_POINT)
         yield FoundPose(with_slashes(name), where, pose, camera, no_camera=fault)

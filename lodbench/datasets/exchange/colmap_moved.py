@@ -11,6 +11,7 @@ import numpy as np
 
 from lodbench.datasets.exchange.colmap import require_no_binary
 from lodbench.datasets.exchange.colmap_rigs import (
+    BYTES_PER_POINT,
     RIG_FILES,
     lone_cameras,
     moved_numbers,
@@ -22,7 +23,7 @@ from lodbench.errors import DatasetError
 from lodbench.geometry.similarity import Similarity
 from lodbench.storage import make_folder, write_bytes
 
-_BYTES_PER_POINT, _BYTES_PER_TRACK = 24, 8
+_BYTES_PER_TRACK = 8
 
 
 def write_moved_colmap(model: Path, similarity: Similarity, folder: Path) -> None:
@@ -114,7 +115,7 @@ def _binary_images(content: bytes, similarity: Similarity) -> bytes:
         struct.pack_into("<7d", moved, at + 4, *moved_numbers(numbers, similarity))
         at = content.index(b"\0", at + 64) + 1
         (points,) = struct.unpack_from("<Q", content, at)
-        at += 8 + points * _BYTES_PER_POINT
+        at += 8 + points * BYTES_PER_POINT
     return bytes(moved)
 
 

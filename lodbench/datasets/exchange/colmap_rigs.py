@@ -12,7 +12,7 @@ from lodbench.geometry.similarity import Similarity
 RIG_FILES = ("rigs", "frames")
 _Move = Callable[[bytes, Similarity], bytes]
 _CAMERA = "CAMERA"  # of the kinds of sensors, 0 in binary files
-_BYTES_PER_POINT = 24
+BYTES_PER_POINT = 24  # of an image, in images.bin
 
 
 class PosedImage(NamedTuple):
@@ -55,7 +55,7 @@ def _binary_posed(content: bytes) -> Iterator[PosedImage]:
         number, *numbers, camera = struct.unpack_from("<i7di", content, at)
         at = content.index(b"\0", at + 64) + 1
         (points,) = struct.unpack_from("<Q", content, at)
-        at += 8 + points * _BYTES_PER_POINT
+        at += 8 + points * BYTES_PER_POINT
         yield PosedImage(number, tuple(numbers), camera)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.source import OWN_GEOJSON
+from lodbench.datasets.exchange.survey import survey_row
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.geometry import Camera, Pose
 from lodbench.storage import write_text
@@ -27,19 +28,24 @@ _SIDE, _FURTHEST_M = 8, 600.0
 _DIGITS = 8
 
 
-def camera_feature(frame: MapFrame, pose: Pose, properties: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns a camera as a point feature: its place, heights and angles among the properties."""
-    place = frame.place_of(pose)
-    stated = {
-        **properties,
-        "height_m": round(place.height_m, 3),
-        "heading_deg": round(place.heading_deg, 3),
-        "pitch_deg": round(place.pitch_deg, 3),
-        "roll_deg": round(place.roll_deg, 3),
-        "crs": frame.crs,
-    }
-    point = [round(place.longitude_deg, _DIGITS), round(place.latitude_deg, _DIGITS)]
-    return _feature({"type": "Point", "coordinates": point}, stated)
+def camera_feature(
+    frame: MapFrame,
+    pose: Pose,
+    properties: Mapping[str, Any],
+    covariance: Sequence[float] | NDArray[np.float64] | None = None,
+) -> dict[str, Any]:
+    """Returns a camera as a point feature, with ``SURVEY_COLUMNS`` that are known among the properties.
+
+    Args:
+        frame: The map's coordinates.
+        pose: In these.
+        properties: More of the feature's.
+        covariance: As of ``survey_row``.
+    """
+    row = survey_row(pose, frame.place_of(pose), covariance)
+    stated = {**properties, **{name: value for name, value in row.items() if value is not None}}
+    point = [row["longitude_deg"], row["latitude_deg"]]
+    return _feature({"type": "Point", "coordinates": point}, {**stated, "crs": frame.crs})
 
 
 def view_feature(frame: MapFrame, pose: Pose, properties: Mapping[str, Any]) -> dict[str, Any]:

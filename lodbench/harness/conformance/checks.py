@@ -99,7 +99,7 @@ def require_settings(plug_in: PlugIn, config: Mapping[str, Any]) -> None:
         raise
     except STOPPED:
         raise
-    except BaseException:  # a plug-in may raise anything: that is told with its answers
+    except BaseException:  # a plug-in may raise anything: reported with its answers
         return
 
 

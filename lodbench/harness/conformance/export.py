@@ -8,7 +8,7 @@ from pathlib import Path
 from lodbench.evaluation.evaluate import evaluate
 from lodbench.evaluation.predictions import Prediction
 from lodbench.harness.conformance.trial import Rules, Tried, require
-from lodbench.harness.export.export import CITY, CRS, DATASET, Export, ExportFormat, export_run
+from lodbench.harness.export.export import CITY, CRS, DATASET, Export, ExportFormat, export_run, wanted_by
 from lodbench.harness.runs.stored import StoredRun
 
 # Where the blocks could stand.
@@ -20,7 +20,7 @@ def export_rules(tried: Tried) -> Rules:
 
     def declared() -> str:
         form: ExportFormat = tried.part()
-        unknown = sorted(set(form.requires) - {DATASET, CITY, CRS})
+        unknown = sorted(wanted_by(form) - {DATASET, CITY, CRS})
         require(not unknown, f"requires {', '.join(unknown)}", f"Of {DATASET}, {CITY} and {CRS}.")
         require(Path(form.file_name).name == form.file_name, f"file_name {form.file_name!r} is no name")
         return f"{form.file_name}; requires {', '.join(form.requires) or 'nothing'}"
@@ -31,7 +31,7 @@ def export_rules(tried: Tried) -> Rules:
             run,
             tried.dataset if DATASET in form.requires else None,
             tried.scene if CITY in form.requires else None,
-            _CRS if CRS in form.requires else None,
+            _CRS if CRS in wanted_by(form) else None,
         )
         before = run.queries.copy(deep=True)
         contents = []

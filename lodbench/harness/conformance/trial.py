@@ -72,7 +72,7 @@ def check_rules(rules: Rules) -> Iterator[Check]:
             yield Check("answers", title, FAULT, str(violation), violation.hint)
         except STOPPED:
             raise
-        except BaseException as error:  # a plug-in may raise anything: that is what is told
+        except BaseException as error:  # a plug-in may raise anything: that is the finding
             yield fault_of(error, "answers", title)
         return
 

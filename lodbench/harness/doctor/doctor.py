@@ -29,6 +29,8 @@ _PROBE_TIMEOUT_S = 120.0
 
 # Renderers, and whether they come with the base install.
 RENDERER_TRIALS = {"silhouette": True, "reference": True, "raster": True, "pyrender": False, "open3d": False}
+# Extras of those who work on lodbench, and the sum of the others.
+_NOT_FOR_USERS = ("all", "docs", "test")
 # Segmenters whose weights come with the base install.
 NETWORKS = ("compact", "compact_instances", "efficient_unet")
 # How the line begins that a trial answers with.
@@ -141,6 +143,8 @@ def _packages() -> Iterator[Check]:
             found = fault or version(requirement.name)
             yield Check("packages", requirement.name, BROKEN if fault else OK, found, hint, is_base=True)
     for extra in distribution("lodbench").metadata.get_all("Provides-Extra") or []:
+        if extra in _NOT_FOR_USERS:
+            continue
         wanted = _wanted_by(extra, requirements)
         faults = {r.name: fault for r in wanted if (fault := _fault(r))}
         detail = ", ".join(f"{name} {fault}" for name, fault in faults.items())

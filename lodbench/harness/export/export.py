@@ -54,7 +54,7 @@ class ExportFormat(Protocol):
         requires: Of ``dataset``, ``city`` and ``crs``, what the export must hold.
 
     Offered if the class has it: ``require_room(path)``, which raises where programs would not read what is
-    written there.
+    written there; ``optional``, of the same names as ``requires``, what the export holds if it is known.
     """
 
     file_name: str
@@ -82,6 +82,11 @@ class Exported:
     without_pose: tuple[str, ...]
 
 
+def wanted_by(form: ExportFormat) -> set[str]:
+    """Returns what a format requires, and what it takes where it is known."""
+    return {*form.requires, *getattr(form, "optional", ())}
+
+
 def make_format(name: str) -> ExportFormat:
     """Returns the format of a name.
 
@@ -91,7 +96,7 @@ def make_format(name: str) -> ExportFormat:
     kind = load_plugin("export_formats", name)
     with blaming("export_formats", name, "be made"):
         made: ExportFormat = kind()
-        Path(made.file_name), set(made.requires)
+        Path(made.file_name), wanted_by(made)
     return made
 
 

@@ -1,4 +1,4 @@
-"""The formats that come with lodbench, but for Rerun's: poses, GeoJSON, and the table of queries."""
+"""The formats that come with lodbench, but for Rerun's: poses, maps, and tables."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from lodbench.citymodel.source import is_own_geopackage
 from lodbench.datasets.exchange.colmap import require_no_binary, write_colmap
 from lodbench.datasets.exchange.geojson import camera_feature, nowhere_feature, write_geojson
+from lodbench.datasets.exchange.geopackage import write_geopackage
 from lodbench.datasets.exchange.kapture import write_kapture
 from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.nerfstudio import write_nerfstudio
@@ -18,6 +20,8 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.queries import own_failure, queries_csv
 from lodbench.harness.export.export import CRS, DATASET, Export
 from lodbench.harness.runs.stored import StoredRun
+from lodbench.harness.runs.survey import survey_csv
+from lodbench.reporting.answers import trust_of
 from lodbench.storage import write_bytes, write_text
 
 if TYPE_CHECKING:
@@ -101,6 +105,7 @@ class GeoJson:
 
     file_name = "poses.geojson"
     requires = (CRS,)
+    writer: ClassVar[Any] = write_geojson
 
     def write(self, export: Export, path: Path) -> None:
         """Writes the features.
@@ -113,11 +118,38 @@ class GeoJson:
                 "The run's poses have no reference system, so they are nowhere on a map.",
                 "Name the city model with --city, or the system with --crs.",
             )
-        write_geojson(_features(export.run, MapFrame(export.crs)), path)
+        type(self).writer(_features(export.run, MapFrame(export.crs)), path)
+
+
+class GeoPackage(GeoJson):
+    """The same features as a layer of a GeoPackage."""
+
+    file_name, writer = "poses.gpkg", write_geopackage
+
+    def require_room(self, path: Path) -> None:
+        """Makes sure that no other GeoPackage is replaced.
+
+        Raises:
+            ConfigError: One would be.
+        """
+        if path.is_file() and not is_own_geopackage(path):
+            raise ConfigError(f"{path} is there already, and is no such export.", "Name another with --out.")
 
 
 class Csv:
-    """The table of queries, with the poses as columns."""
+    """The surveyor's table: coordinates, angles, standard deviations, probability and trust of each query."""
+
+    file_name = "poses.csv"
+    requires = ()
+    optional = (CRS,)
+
+    def write(self, export: Export, path: Path) -> None:
+        """Writes a row per query, without latitude and longitude where nobody knows the reference system."""
+        write_text(path, survey_csv(export.run, export.crs))
+
+
+class Queries:
+    """The table of queries as the run has it, with quaternions, translations and covariances."""
 
     file_name = "queries.csv"
     requires = ()
@@ -128,7 +160,7 @@ class Csv:
 
 
 class Parquet:
-    """The same table, typed and small."""
+    """The table of ``Queries``, typed and small."""
 
     file_name = "queries.parquet"
     requires = ()
@@ -160,7 +192,8 @@ def queries_with_poses(run: StoredRun) -> pd.DataFrame:
 def _features(run: StoredRun, frame: MapFrame) -> list[dict[str, Any]]:
     features = []
     for key, row in run.queries.iterrows():
-        stated: dict[str, Any] = {"name": row["query"], "split": row["split"]}
+        found = run.predictions[str(key)]
+        stated: dict[str, Any] = {"name": row["query"], "split": row["split"], "trust": trust_of(found)}
         numbers = (
             ("score", "probability", "translation_error_m", "rotation_error_deg")
             if key in run.poses
@@ -170,5 +203,8 @@ def _features(run: StoredRun, frame: MapFrame) -> list[dict[str, Any]]:
         if reason := own_failure(row["failure"]):
             stated["failure"] = reason
         pose = run.poses.get(str(key))
-        features.append(nowhere_feature(stated) if pose is None else camera_feature(frame, pose, stated))
+        if pose is None:
+            features.append(nowhere_feature(stated))
+        else:
+            features.append(camera_feature(frame, pose, stated, found.covariance))
     return features

@@ -1,4 +1,4 @@
-"""The page on which a mask is corrected: served to this machine alone, until it is told to stop."""
+"""The page on which a mask is corrected: served to this machine alone, until it is closed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class MaskServer(LocalServer):
     Args:
         session: What is corrected.
         name: Of the photo, for the page's title.
-        save: Called to keep the mask; returns what the reader is told.
+        save: Called to keep the mask; returns the message for the reader.
         port: To listen at; 0 for any that is free.
     """
 
@@ -66,18 +66,18 @@ class MaskServer(LocalServer):
                 # The session knows; a page that was loaded again knows of no strokes.
                 if session.is_changed and content.get("sure") is not True:
                     return {
-                        "told": "NOT closed: what was drawn since the last Save is lost.",
+                        "message": "NOT closed: what was drawn since the last Save is lost.",
                         "closes": False,
                     }
-                return {"told": "Closed. This page may be left.", "closes": True}
+                return {"message": "Closed. This page may be left.", "closes": True}
         return None
 
     def _saved(self) -> dict[str, Any]:
         """Returns what was saved, or why nothing was: the page stays, and what was drawn with it."""
-        told = saved_or_why(self.save)
-        if told["saved"]:
+        answer = saved_or_why(self.save)
+        if answer["saved"]:
             self.session.is_changed = False
-        return told
+        return answer
 
 
 def _page(name: str, session: MaskSession) -> bytes:

@@ -71,7 +71,8 @@ def localize_flights(
     place = open_map(request)
     names = names_of(photos)
     own_masks, failures = masks_of(photos, masks)
-    ready = _ready(request, photos, own_masks, place, failures)
+    hints: dict[int, str] = {}
+    ready = _ready(request, photos, own_masks, place, failures, hints)
     rows = list(ready)
     city_map = CityMap(place.scene)
     flights: list[FlightAnswer] = []
@@ -97,7 +98,8 @@ def localize_flights(
             if row in estimates:
                 prepared, prior = ready[row]
                 located = write_answer(prepared, prepared.view(), place, prior, estimates[row])
-            answers.append(PhotoAnswer(photo, located, failures.get(row, ""), _flight_of(photo, flights)))
+            reason, flight_name = failures.get(row, ""), _flight_of(photo, flights)
+            answers.append(PhotoAnswer(photo, located, reason, flight_name, hints.get(row, "")))
             progress.advance()
     written = write_answers(request.out, answers, flights)
     _write_findings(written, place.scene, place.frame)
@@ -113,8 +115,12 @@ def _ready(
     masks: Sequence[Path | None],
     place: OpenMap,
     failures: dict[int, str],
+    hints: dict[int, str],
 ) -> dict[int, tuple[PreparedPhoto, Pose]]:
-    """Returns the photos that can be used, with their rough poses, by row; fills in why others cannot."""
+    """Returns the photos that can be used, with their rough poses, by row; fills in why others cannot.
+
+    ``hints`` receives what would help these.
+    """
     assert request.method is not None  # noqa: S101 - the caller has chosen
     requires = inputs_of(request.method)
     ready: dict[int, tuple[PreparedPhoto, Pose]] = {}
@@ -126,7 +132,7 @@ def _ready(
                     prepared = with_small_mask(prepare_photo(wanted, requires))
                     ready[row] = prepared, prepared.prior(place.scene, place.frame)
                 except LodbenchError as fault:
-                    failures[row] = fault.message.rstrip(".")
+                    failures[row], hints[row] = fault.message.rstrip("."), fault.hint
             progress.advance()
     return ready
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -40,8 +41,15 @@ from lodbench.storage.json_text import parse_json
 _GIVEN = frozenset({Input.MASK, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP})
 
 
-def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
+STEPS = 3
+
+
+def localize_photo(request: PhotoRequest, advance: Callable[[], None] = lambda: None) -> LocalizedPhoto:
     """Returns the pose of a photo, and writes its overlay and map.
+
+    Args:
+        request: What to localise, and how.
+        advance: Called after each of ``STEPS`` steps: photo and mask, city, search.
 
     Raises:
         LodbenchError: The photo, its metadata, mask or camera, or the city is missing or not fit, or a
@@ -51,8 +59,10 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
     requires = inputs_of(method)
     photo = prepare_photo(request, requires)
     view = photo.view()
+    advance()
     place = open_map(request)
     prior = photo.prior(place.scene, place.frame)
+    advance()
     with TemporaryDirectory() as folder:
         image = undistorted_photo(view, Path(folder)) if Input.IMAGE in requires else None
         told = told_as_fault(f"method {method.name}", request.out, request.photo.name)
@@ -69,6 +79,7 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
                 camera_sigmas=photo.camera_sigmas,
             )
     answered, estimate = more_probable(photo, place.scene, prior, estimate)
+    advance()
     return write_answer(answered, view if answered is photo else answered.view(), place, prior, estimate)
 
 

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.exchange.geojson import nowhere_feature, write_geojson
+from lodbench.datasets.exchange.geopackage import write_geopackage
+from lodbench.datasets.exchange.survey import SURVEY_COLUMNS, survey_row
 from lodbench.datasets.own import find_mask
 from lodbench.datasets.photo_files import find_photos, require_photos
 from lodbench.errors import DatasetError, LodbenchError
@@ -25,10 +27,10 @@ from lodbench.storage.atomic import writable
 
 _LOG = logging.getLogger(__name__)
 TABLE_FILE, MAP_FILE, VIEW_FILE = "localized.csv", "localized.geojson", "localized_3d.html"
+GEOPACKAGE_FILE = "localized.gpkg"
 FLIGHTS_FILE, FINDINGS_FILE = "flights.json", "map_findings.geojson"
 COLUMNS = (
-    "photo", "latitude_deg", "longitude_deg", "height_m", "heading_deg", "pitch_deg", "roll_deg", "crs",
-    "east", "north", "up", "score", "probability", "trust", "moved_m", "failure", "flight", "notes",
+    "photo", *SURVEY_COLUMNS, "probability", "trust", "crs", "moved_m", "score", "failure", "flight", "notes",
 )  # fmt: skip
 
 
@@ -40,6 +42,7 @@ class PhotoAnswer:
         photo: The file.
         found: The answer, or None.
         failure: Why there is none, or "".
+        hint: What would help, or "".
         flight: It was taken on, where that was looked for.
     """
 
@@ -47,6 +50,7 @@ class PhotoAnswer:
     found: LocalizedPhoto | None
     failure: str = ""
     flight: str = ""
+    hint: str = ""
 
     @property
     def trust(self) -> str:
@@ -61,11 +65,12 @@ class PhotoAnswer:
         values |= {name: writable(text) for name, text in texts.items()} | {"trust": self.trust}
         values["flight"] = values["flight"] or None
         if self.found is not None:
-            values |= {} if self.found.place is None else self.found.place._asdict()
-            values |= dict(zip(("east", "north", "up"), map(float, self.found.pose.center), strict=True))
-            values |= {"crs": self.found.crs, "score": self.found.score}
+            values |= survey_row(self.found.pose, self.found.place, self.found.covariance)
+            values |= {"crs": self.found.crs, "score": round(self.found.score, 4)}
             values["notes"] = "; ".join(self.found.method_notes)
-            values |= {"probability": self.found.probability, "moved_m": self.found.moved.translation_m}
+            values["moved_m"] = round(self.found.moved.translation_m, 3)
+            if self.found.probability is not None:
+                values["probability"] = round(self.found.probability, 4)
         return values
 
 
@@ -97,6 +102,11 @@ class Answers:
     def map(self) -> Path:
         """Returns the file with all cameras on a map."""
         return numbered(self.folder / MAP_FILE, self.number)
+
+    @property
+    def geopackage(self) -> Path:
+        """Returns the same as a GeoPackage."""
+        return numbered(self.folder / GEOPACKAGE_FILE, self.number)
 
     def page(self, flight: FlightAnswer) -> Path:
         """Returns the page of a flight."""
@@ -131,7 +141,7 @@ def _is_below(path: Path, folder: Path) -> bool:
 
 
 def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path | None) -> Answers:
-    """Returns what became of each photo, and writes ``localized.csv`` and ``localized.geojson``.
+    """Returns what became of each photo, and writes them as table and maps, see ``write_answers``.
 
     Where it is stopped, they are written of the photos that are done.
 
@@ -166,7 +176,7 @@ def _keeping(out: Path, answers: Sequence[PhotoAnswer], photos: Sequence[Path]) 
 def write_answers(
     out: Path, answers: Sequence[PhotoAnswer], flights: Sequence[FlightAnswer] | None = None
 ) -> Answers:
-    """Writes ``localized.csv`` and ``localized.geojson``, numbered where those of other photos are there.
+    """Writes ``localized.csv``, ``.geojson`` and ``.gpkg``, numbered where those of other photos are there.
 
     So they are where flights were looked for then and are not now (``flights`` None): what is said of these
     would stand beside other answers.
@@ -180,7 +190,9 @@ def write_answers(
     )
     written = Answers(tuple(answers), tuple(flights or ()), out, number)
     _write_table(written.table, answers)
-    _write_map(written.map, answers)
+    features = _features(answers)
+    write_geojson(features, written.map)
+    write_geopackage(features, written.geopackage)
     return written
 
 
@@ -193,7 +205,7 @@ def _is_free(out: Path, number: int, photos: set[str]) -> bool:
     """Tells whether files of a number may be written: there are none, or their table is of these photos."""
     table, *others = (
         numbered(out / name, number)
-        for name in (TABLE_FILE, MAP_FILE, VIEW_FILE, FLIGHTS_FILE, FINDINGS_FILE)
+        for name in (TABLE_FILE, MAP_FILE, GEOPACKAGE_FILE, VIEW_FILE, FLIGHTS_FILE, FINDINGS_FILE)
     )
     if not table.exists():
         return not any(other.exists() for other in others)
@@ -210,7 +222,7 @@ def _answer(request: PhotoRequest, masks: Path | None) -> PhotoAnswer:
             raise DatasetError(f"{masks} holds no mask of it")
         return PhotoAnswer(request.photo, localize_photo(request))
     except LodbenchError as fault:
-        return PhotoAnswer(request.photo, None, fault.message.rstrip("."))
+        return PhotoAnswer(request.photo, None, fault.message.rstrip("."), hint=fault.hint)
 
 
 def _write_table(path: Path, answers: Sequence[PhotoAnswer]) -> None:
@@ -222,14 +234,14 @@ def _write_table(path: Path, answers: Sequence[PhotoAnswer]) -> None:
     write_text(path, str(frame.to_csv(index=False, lineterminator="\n")))
 
 
-def _write_map(path: Path, answers: Sequence[PhotoAnswer]) -> None:
+def _features(answers: Sequence[PhotoAnswer]) -> list[dict[str, Any]]:
     features: list[dict[str, Any]] = []
     for answer in answers:
         if answer.found is None:
             features.append(nowhere_feature({"name": answer.photo.name, "failure": answer.failure}))
         else:
             features += [{**f, "properties": _stated(answer, f)} for f in answer.found.features]
-    write_geojson(features, path)
+    return features
 
 
 def _stated(answer: PhotoAnswer, feature: dict[str, Any]) -> dict[str, Any]:

@@ -84,7 +84,7 @@ def photo_features(
         frame, camera, estimate.pose, ground_below_m(scene, estimate.pose), {"name": name}
     )
     features = [
-        camera_feature(frame, estimate.pose, stated),
+        camera_feature(frame, estimate.pose, stated, estimate.covariance),
         view_feature(frame, estimate.pose, {"name": name}),
         footprint,
         camera_feature(frame, prior, {"name": name, "kind": "prior"}),

@@ -13,15 +13,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from lodbench.citymap.places import (
-    PIXEL_SIGMA_PX,
-    LocatedPixel,
-    Uncertainty,
-    nowhere,
-    places_of,
-    require_pixels,
-    shifted,
-)
+from lodbench.citymap.linear_places import PIXEL_SIGMA_PX, Uncertainty
+from lodbench.citymap.places import LocatedPixel, nowhere, places_of, require_pixels, shifted
 from lodbench.citymap.surfaces import MAP_SIGMA_M, Surfaces
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.map_frame import MapFrame

@@ -19,13 +19,13 @@ from lodbench.datasets.photo_camera import (
     require_photo_size,
 )
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_pose import pose_at, pose_from_photo, require_stated
+from lodbench.datasets.photo_pose import latitude_longitude_of, pose_at, pose_from_photo, require_stated
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Entry
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, CameraSigmas, Pose
-from lodbench.harness.city import require_near_city
+from lodbench.harness.city import require_near_city, require_same_region
 from lodbench.harness.photo.outputs import PhotoView
 from lodbench.harness.photo.request import PhotoRequest
 from lodbench.harness.tracebacks import told_as_fault
@@ -69,8 +69,12 @@ class PreparedPhoto:
         Raises:
             DatasetError: Nobody states it, or it is far outside the city, or below.
         """
+        what = f"By its position {self.stated.name} was taken"
+        if frame is not None and self.request.center is None:
+            place = latitude_longitude_of(self.stated, self.request.given)
+            require_same_region(what, *place, scene)
         prior = _prior(self.request, self.stated, frame)
-        require_near_city(f"By its position {self.stated.name} was taken", [prior], scene)
+        require_near_city(what, [prior], scene)
         return prior
 
 

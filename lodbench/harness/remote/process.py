@@ -86,16 +86,20 @@ class Child:
                 if "ask" not in said:
                     return said
                 try:
-                    told = {"answer": answer(list(said["ask"]))}
+                    reply = {"answer": answer(list(said["ask"]))}
                 except WorkersGone:
                     # The run ends, and no query fails: nothing to tell the child.
                     self.close()
                     raise
                 except LodbenchError as fault:
-                    told = fault_told(fault)
+                    reply = fault_told(fault)
                 except Exception as error:  # it may ask with arguments of any kind
-                    told = {"fault": f"{type(error).__name__}: {error}", "hint": "", "kind": "RenderingError"}
-                self._send(told, deadline)
+                    reply = {
+                        "fault": f"{type(error).__name__}: {error}",
+                        "hint": "",
+                        "kind": "RenderingError",
+                    }
+                self._send(reply, deadline)
         except (TimeoutError, EOFError, OSError, MalformedMessage) as error:
             raise self._fault(error, timeout_s) from None
 

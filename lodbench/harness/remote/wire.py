@@ -56,7 +56,7 @@ def fault_told(fault: LodbenchError) -> dict[str, str]:
 
 
 def fault_of(said: dict[str, Any]) -> LodbenchError:
-    """Returns the fault that ``fault_told`` told of; of what has another shape, what there is."""
+    """Returns the fault of a message from ``fault_told``; of a malformed one, its text."""
     kind = FAULTS.get(str(said.get("kind")), LodbenchError)
     return kind(str(said["fault"]), str(said.get("hint", "")))
 
@@ -85,9 +85,9 @@ def packed(message: Any) -> bytes:
     """
     arrays: list[NDArray[Any]] = []
     tree = _plain(message, arrays)
-    told = [[array.dtype.str, list(array.shape)] for array in arrays]
+    kinds = [[array.dtype.str, list(array.shape)] for array in arrays]
     body = b"".join(array.tobytes() for array in arrays)
-    head = json.dumps([tree, told, zlib.crc32(body)]).encode()
+    head = json.dumps([tree, kinds, zlib.crc32(body)]).encode()
     return b"".join([len(head).to_bytes(8, "little"), head, body])
 
 
@@ -101,8 +101,8 @@ def unpacked(read: Read) -> Any:
     if length > _MOST_HEAD:
         raise MalformedMessage(f"the head of a message has {length} bytes")
     try:
-        tree, told, wanted = json.loads(read(length))
-        arrays = [_array(read, np.dtype(kind), [int(side) for side in shape]) for kind, shape in told]
+        tree, kinds, wanted = json.loads(read(length))
+        arrays = [_array(read, np.dtype(kind), [int(side) for side in shape]) for kind, shape in kinds]
         found = 0
         for array in arrays:
             found = zlib.crc32(array.data if array.size else b"", found)

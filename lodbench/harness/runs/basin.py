@@ -65,7 +65,7 @@ def write_basin(basin: Basin, grid: CostGrid | None) -> Path:
     """
     first = basin.steps[0][1]
     name = digest_of([run.folder.name for _, run in basin.steps])
-    folder = first.folder.parent.parent / "basin" / f"{first.folder.parent.name}-{name}"
+    folder = first.folder.parent.with_name(f"{first.folder.parent.name}-{name}")
     make_folder(folder)
     write_text(folder / "protocol.txt", "\n".join(basin.protocol) + "\n")
     write_text(folder / "basin.csv", _basin_csv(basin))

@@ -16,7 +16,7 @@ _NAMED = {
     "segmenter": ("weights", "encoder_weights"),
 }
 # More of them, sealed where they are set: seals of older versions stay good. No run writes the last two.
-_NAMED_LATER = {"segmenter": ("mask_weights",), "prior": ("path",), "source.options": ("terrain",)}
+_NAMED_LATER = {"segmenter": ("mask_weights", "folder"), "prior": ("path",), "source.options": ("terrain",)}
 # Sections that may be of a plug-in: which of its settings are paths only its author knows.
 _GROUPS = {"dataset": "datasets", "segmenter": "segmenters", "prior": "priors"}
 

@@ -18,6 +18,7 @@ from lodbench.harness.runs.flight_pages import flight_findings
 from lodbench.harness.runs.places import draw_places
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.query_pictures import query_pictures
+from lodbench.harness.runs.survey import survey_table
 from lodbench.harness.runs.trace_pictures import evidence_pictures, score_pictures
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.aligned_text import count_of
@@ -39,14 +40,20 @@ _SCORED_COLUMNS = (
     ("up m", PARTS[1], ".2f"), ("yaw deg", PARTS[2], ".2f"), ("prior m", PRIOR_ERROR[0], ".2f"),
     ("prior deg", PRIOR_ERROR[1], ".2f"),
 )  # fmt: skip
-# Where there is no truth: the answers themselves, in the dataset's coordinates.
+# Where there is no truth: the answers themselves, as surveyors have them, and their standard deviations.
+_SURE_COLUMNS = (("probability", "probability", ".2f"), ("trust", "trust", ""))
 _ANSWER_COLUMNS = (
-    ("x m", "x_m", ".2f"), ("y m", "y_m", ".2f"), ("z m", "z_m", ".2f"), ("pitch deg", "pitch_deg", ".2f"),
-    ("yaw deg", "answer_yaw_deg", ".2f"), ("from the prior m", "moved_m", ".2f"),
+    ("easting m", "easting_m", ".2f"), ("northing m", "northing_m", ".2f"), ("height m", "height_m", ".2f"),
+    ("latitude", "latitude_deg", ".7f"), ("longitude", "longitude_deg", ".7f"),
+    ("heading deg", "heading_deg", ".2f"), ("pitch deg", "pitch_deg", ".2f"), ("roll deg", "roll_deg", ".2f"),
+    ("± east m", "sigma_easting_m", ".2f"), ("± north m", "sigma_northing_m", ".2f"),
+    ("± height m", "sigma_height_m", ".2f"), ("± heading deg", "sigma_heading_deg", ".2f"),
+    ("± pitch deg", "sigma_pitch_deg", ".2f"), ("± roll deg", "sigma_roll_deg", ".2f"),
+    ("from the prior m", "moved_m", ".2f"),
 )  # fmt: skip
 _LAST_COLUMNS = (
-    ("score", "score", ".3f"), ("mask IoU", "mask_iou", ".3f"), ("probability", "probability", ".2f"),
-    ("trust", "trust", ""), ("hypotheses", "hypotheses", ".0f"), ("failure", "failure", ""),
+    ("score", "score", ".3f"), ("mask IoU", "mask_iou", ".3f"), ("hypotheses", "hypotheses", ".0f"),
+    ("failure", "failure", ""),
 )  # fmt: skip
 
 
@@ -70,7 +77,7 @@ def run_report(verdict: Verdict, tilt: str, scene: Scene | None, view: str = "")
         ("calibration", "How sure it was", "", _calibration(stored.queries, splits) if is_scored else []),
         ("flights", "What flights say", _flights(verdict), []),
         ("places", "From above", draw_places(verdict, scene, tilt, view), []),
-        ("queries", "Every query", _query_table(verdict, tilt), []),
+        ("queries", "Every query", _query_table(verdict, tilt, _crs_of(verdict, scene)), []),
         ("pictures", _pictures_title(len(pictures), len(stored.queries)), "", pictures),
         ("traces", "How the score rose", "", score_pictures(stored.folder, stored.queries, splits)),
         ("evidence", "What else was found", "", evidence_pictures(stored.folder, stored.queries, splits)),
@@ -122,7 +129,7 @@ def _pictures_title(shown: int, count: int) -> str:
     return "Pictures" if shown == count else f"Pictures of {shown} of {count} queries: the worst and the best"
 
 
-def _query_table(verdict: Verdict, tilt: str) -> str:
+def _query_table(verdict: Verdict, tilt: str, crs: str | None) -> str:
     """Returns one line per query, sortable by every column that holds anything."""
 
     def number(value: float, spec: str) -> str:
@@ -135,12 +142,21 @@ def _query_table(verdict: Verdict, tilt: str) -> str:
     if not is_scored:
         # That there is no truth is no failure of an answer.
         frame["failure"] = frame["failure"].map(own_failure)
-        frame = frame.join(_answers(verdict, tilt))
+        frame = frame.join(_answers(verdict, tilt, crs))
     first = (("query", "query", ""),) + ((("split", "split", ""),) if queries["split"].nunique() > 1 else ())
-    columns = [*first, *(_SCORED_COLUMNS if is_scored else _ANSWER_COLUMNS), *_LAST_COLUMNS]
+    last: Sequence[tuple[str, str, str]] = _LAST_COLUMNS
+    if not is_scored and queries["probability"].notna().any():
+        last = last[-1:]  # a score has no unit, and the probability says what it is worth
+    middle = (*_SCORED_COLUMNS, *_SURE_COLUMNS) if is_scored else (*_SURE_COLUMNS, *_ANSWER_COLUMNS)
+    columns = [*first, *middle, *last]
     kept = [column for column in columns if _holds_anything(frame[column[1]])]
     rows = list(zip(map(str, frame.index), frame.to_dict("records"), strict=True))
     return rendered("queries.html.jinja", rows=rows, columns=kept, isfinite=math.isfinite, number=number)
+
+
+def _crs_of(verdict: Verdict, scene: Scene | None) -> str | None:
+    """Returns the reference system of a run's poses; a run of an older version does not keep it."""
+    return verdict.stored.provenance.get("crs") or (None if scene is None else scene.crs)
 
 
 def _holds_anything(cells: pd.Series[Any]) -> bool:
@@ -162,20 +178,16 @@ def _trust(verdict: Verdict, key: str) -> str:
     return "-" if found is None else trust_of(found)
 
 
-def _answers(verdict: Verdict, tilt: str) -> pd.DataFrame:
+def _answers(verdict: Verdict, tilt: str, crs: str | None) -> pd.DataFrame:
     """Returns where each query was found, by key: columns of ``_ANSWER_COLUMNS``."""
-    import pandas as pd
-
-    names = [name for _, name, _ in _ANSWER_COLUMNS]
-    priors = {}
+    table, priors = survey_table(verdict.stored, crs), {}
     if verdict.dataset is not None:
         priors = {entry.key: prior_of(entry, verdict.dataset, tilt) for entry in verdict.entries}
-    rows = {}
+    table["moved_m"] = math.nan
     for key, pose in verdict.stored.poses.items():
-        prior = priors.get(key)
-        moved = math.nan if prior is None else pose_error(pose, prior).translation_m
-        rows[key] = [*map(float, pose.center), pose.euler.pitch_deg, pose.euler.yaw_deg, moved]
-    return pd.DataFrame.from_dict(rows, orient="index", columns=names, dtype=float)
+        if (prior := priors.get(key)) is not None:
+            table.loc[key, "moved_m"] = pose_error(pose, prior).translation_m
+    return table[[name for _, name, _ in _ANSWER_COLUMNS]]
 
 
 def _error_curves(queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:

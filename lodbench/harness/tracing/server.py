@@ -64,7 +64,7 @@ class TraceServer(LocalServer):
             case "line":
                 return {"line": self._line(content["photo"], content["pixel"], content["other"])}
             case "stop":
-                return {"told": "Closed. This page may be left.", "closes": True}
+                return {"message": "Closed. This page may be left.", "closes": True}
         return None
 
     def _save(self, content: dict[str, Any]) -> str:

@@ -176,7 +176,7 @@ class Footage:
 
 
 def _backend() -> int:
-    """Returns FFmpeg, told to be silent, where OpenCV has it: others take pictures for videos, and print."""
+    """Returns OpenCV's FFmpeg, silenced, if available: other backends print, and read pictures as videos."""
     import cv2
 
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")

@@ -72,7 +72,7 @@ def check_answers(make: Callable[[], Method]) -> Iterator[Check]:
             answers = _collect(make, trial)
         except STOPPED:
             raise
-        except BaseException as error:  # a method may raise anything: that is what is told
+        except BaseException as error:  # a method may raise anything: that is the finding
             yield fault_of(error, "answers", "answers", _NO_ANSWER)
             return
         first = _checked("answers", "answers", lambda: answered(answers))

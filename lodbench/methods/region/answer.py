@@ -117,7 +117,7 @@ class Answering:
         """Returns the lines on the edges as all is told, or with another tilt or lens where that is plain.
 
         Where walls end counts only as far as roofs, which nothing hides, do not contradict it
-        (docs/adr/0068); another tilt only where the photo pulls at the one that is told (docs/adr/0064);
+        (docs/adr/0068); another tilt only where the photo disagrees with the stated one (docs/adr/0064);
         another lens only beside an exact map: elsewhere roofs make up for it (docs/adr/0061).
         """
         params = self._params

@@ -118,7 +118,7 @@ def open_flights(params: FlightsParams) -> Dataset:
     """
     city = Path(params.city_model).expanduser()
     if not city.exists():
-        raise DatasetError(f"The city model {city} does not exist.", "Set dataset.city_model=FILE.")
+        raise DatasetError(f"The city model {city} does not exist.", "Set city=FILE.")
     if city.name == _MAP_FOLDER and (city.parent / MAP_TRUTH_FILE).is_file():
         # A run that is opened again names the wrong map it was given: its flights lie around it.
         return _opened(params, city.parent)
