@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.bench.edge_bound import EdgeBound
 from lodbench.bench.figures import Progress, Report, no_progress
 from lodbench.bench.real_report import report_real
 from lodbench.citymap import CityMap
@@ -58,6 +59,7 @@ class RealOptions:
         is_shared: Whether photos of a flight err together, see ``shared_and_own``.
         is_published_too: Whether the set's own priors are measured besides.
         is_published_only: Whether none is drawn.
+        is_bounded: Whether what edges leave open from the true poses is measured besides.
         seed: Of what is drawn.
     """
 
@@ -66,6 +68,7 @@ class RealOptions:
     is_shared: bool = False
     is_published_too: bool = True
     is_published_only: bool = False
+    is_bounded: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -150,14 +153,15 @@ def measure_real(
 
     trials, truths = _Trials(), []
     counts = [sum(entry.key in photos.dataset.truth for entry in photos.dataset.entries) for photos in sets]
-    total = sum(counts) * len(methods) * len(options.labels())
+    total = sum(counts) * (len(methods) + options.is_bounded) * len(options.labels())
     for photos, count in zip(sets, counts, strict=True):
         if not count:
             name = photos.dataset.name
             raise DatasetError(f"None of the {len(photos.dataset.entries)} photos of {name} has a true pose.")
         city_map, edges = CityMap(photos.scene), _photo_edges(photos)
         truths += list(_at_truth(photos, edges, city_map))
-        for label, method in methods.items():
+        bound = {EdgeBound.name: _bound(photos, options)} if options.is_bounded else {}
+        for label, method in {**methods, **bound}.items():
             shots = _shots(photos, method, edges, city_map)
             for prior in options.labels():
                 found = _answers(method, shots, prior, options, city_map)
@@ -166,6 +170,16 @@ def measure_real(
     title = f"{', '.join(photos.dataset.name for photos in sets)}: priors {options.describe()}"
     report = report_real(pd.DataFrame(trials.rows), title, pd.DataFrame(truths))
     return replace(report, draw=lambda: report.draw() | _overlays(trials))
+
+
+def _bound(photos: RealSet, options: RealOptions) -> EdgeBound:
+    dataset, origin = photos.dataset, photos.scene.origin
+    truths = {
+        entry.name: dataset.truth[entry.key].shifted(-origin)
+        for entry in dataset.entries
+        if entry.key in dataset.truth
+    }
+    return EdgeBound(truths, options.prior)
 
 
 def shared_and_own(prior: UniformPrior) -> tuple[SensorErrors, SensorErrors]:

@@ -67,6 +67,7 @@ def add_real(actions: Any) -> argparse.ArgumentParser:
     add("--prior-tilt", type=float, default=1.0, metavar="DEG", help="+- pitch and roll (1)")
     add("--shared-priors", choices=("yes", "no"), help=_SHARED)
     add("--published-priors", action="store_true", help="the sets' own priors only")
+    add("--bound", action="store_true", help="also where roof edges lead from the true poses")
     add("--pictures", type=Path, metavar="DIR", help="folder for a picture of the basins")
     add("--seed", type=int, default=0, help="random seed (default: 0)")
     return parser
@@ -127,12 +128,21 @@ def _asked(options: argparse.Namespace, width: UniformPrior, methods: Mapping[st
                 "--published-priors takes the sets' own priors: none of --photos, none drawn.",
                 "Leave it out, or --photos, --shared-priors and --prior-* out.",
             )
-        return RealOptions(options.priors, width, is_published_only=True, seed=options.seed)
+        return RealOptions(
+            options.priors, width, is_published_only=True, is_bounded=options.bound, seed=options.seed
+        )
     solves_flights = any(isinstance(method, SupportsFlights) for method in methods.values())
     is_shared = options.shared_priors == "yes" if options.shared_priors else solves_flights
     # Priors of another kind than the dataset's own leave its own out; traced photos have none.
     has_own = options.photos is None and width == UniformPrior() and not is_shared
-    return RealOptions(options.priors, width, is_shared, is_published_too=has_own, seed=options.seed)
+    return RealOptions(
+        options.priors,
+        width,
+        is_shared,
+        is_published_too=has_own,
+        is_bounded=options.bound,
+        seed=options.seed,
+    )
 
 
 def _photos_and_maps(options: argparse.Namespace) -> list[tuple[Dataset, Scene]]:
