@@ -96,7 +96,8 @@ class FlightMethod:
         self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
     ) -> FlightEstimate:
         """Returns what ``localize_flight`` does, given what ``localize_alone`` found."""
-        joint = self._solve_by_edges if self.params.single == "region" else self.solve_jointly
+        method = FlightMethod(self.params.with_cameras([query.camera_sigmas for query in queries]))
+        joint = method._solve_by_edges if self.params.single == "region" else method.solve_jointly
         return joint(queries, alone, city_map)
 
     def solve_jointly(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError, nearest_names, require_numbers
+from lodbench.geometry.camera_sigmas import STATED, CameraSigmas
 from lodbench.methods.contour_alignment import Params as PhotoParams
 from lodbench.methods.region import Params as RegionParams
 
@@ -145,6 +147,22 @@ class Params:
             own_tilt_deg=max(self.own_tilt_deg, float(widths[3:5].max())),
             own_yaw_deg=max(self.own_yaw_deg, float(widths[5])),
         )
+
+    def with_cameras(self, cameras: Sequence[CameraSigmas | None]) -> Params:
+        """Returns the parameters with the camera as well known as a flight's photos have it, if that is less.
+
+        Deviations that a person states are taken as they are, smaller ones too; the principal point is held
+        where masks place the photos, which do not show it.
+        """
+        known = [camera for camera in cameras if camera is not None]
+        if not known:
+            return self
+        worst = max(known, key=lambda camera: camera.focal_percent)
+        focal, distortion = 0.01 * worst.focal_percent, worst.k1
+        if worst.source != STATED:
+            focal, distortion = max(self.focal, focal), max(self.distortion, distortion)
+        center = 0.01 * worst.center_percent if self.single == "region" else 0.0
+        return replace(self, focal=focal, distortion=distortion, center=max(self.center, center))
 
     def constant_sigmas(self, scales: Floats = _AS_TOLD) -> Floats:
         """Returns (13,) standard deviations beforehand of what photos share, in the order of ``joint``.
