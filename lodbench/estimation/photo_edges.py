@@ -81,10 +81,13 @@ class PhotoEdges:
         if small.ndim == 2:
             small = np.repeat(small[..., None], 3, axis=2)
         lab = cv2.GaussianBlur(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), (0, 0), blur_px)
-        across, down = (cv2.Sobel(lab, cv2.CV_32F, *axis, scale=0.125) for axis in ((1, 0), (0, 1)))
+        # Channels apart: sums over an axis of three take ten times as long.
+        across, down = (
+            cv2.split(cv2.Sobel(lab, cv2.CV_32F, *axis, scale=0.125)) for axis in ((1, 0), (0, 1))
+        )
         pairs = ((across, across), (across, down), (down, down))
-        xx, xy, yy = ((one * other).sum(axis=2) for one, other in pairs)
-        around = mean_around(np.sqrt(xx + yy), size[0] / _AROUND_SHARE) + np.float32(_LEAST_MEAN)
+        xx, xy, yy = (sum(a * b for a, b in zip(one, other, strict=True)) for one, other in pairs)
+        around = mean_around(np.sqrt(np.asarray(xx + yy)), size[0] / _AROUND_SHARE) + np.float32(_LEAST_MEAN)
         # The strength along a direction is a quadratic form of it: three numbers say all.
         self._forms = np.stack([xx, xy, yy], axis=2) / (around**2)[..., None]
 
