@@ -45,7 +45,8 @@ class Shot(NamedTuple):
     Attributes:
         name: Of the frame.
         time_s: When it was taken, seconds.
-        pixels: (H, W, 3) BGR, or None where they cannot be decoded, or are of a photo whose mask is there.
+        pixels: (H, W, 3) BGR, of a photo as stored, of a video as shown; None where they cannot be decoded,
+            or are of a photo whose mask is there.
         size: Width and height, None where they are not known.
         file: The photo, None of a video.
     """
@@ -107,7 +108,7 @@ class Footage:
         return map(_frame_name, itertools.count(step=self.every))
 
     def video_size(self) -> tuple[int, int] | None:
-        """Returns width and height of a video's first frame, None where that cannot be decoded.
+        """Returns width and height of a video's first frame as shown, None where that cannot be decoded.
 
         Raises:
             DatasetError: It is no video, or has no frames.
@@ -149,6 +150,9 @@ class Footage:
     def _frames_of(self, video: Any) -> Iterator[Shot]:
         import cv2
 
+        # As players and FFmpeg show the frames, so that masks made of extracted ones fit, too.
+        video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1.0)
+        turn_deg = float(video.get(cv2.CAP_PROP_ORIENTATION_META))
         stated = float(video.get(cv2.CAP_PROP_FPS))
         # Some containers say 0, -1 or no number at all.
         rate = self.rate or (stated if 0 < stated < math.inf else _VIDEO_RATE)
@@ -169,6 +173,11 @@ class Footage:
             video.release()
         if number == 0:
             raise DatasetError(f"{self.source} holds no frames.", "Copy it again.")
+        if turn_deg:
+            self.notes.append(
+                f"the video is stored turned, and shown turned by {turn_deg:.0f} degrees clockwise: camera "
+                "and masks are of its frames as shown"
+            )
         if number < _LEAST_READ * count:
             self.notes.append(
                 f"{number} of the video's {count:.0f} frames can be read: it is cut off or damaged"
