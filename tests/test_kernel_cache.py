@@ -12,6 +12,8 @@ import pytest
 import lodbench
 from lodbench.kernel_cache import keep_kernels_apart
 
+pytestmark = pytest.mark.attack
+
 INNER = "from numba import njit\n\n@njit\ndef inner():\n    return {value}\n"
 OUTER = (
     "from numba import njit\n\nfrom fake.inner import inner\n\n"

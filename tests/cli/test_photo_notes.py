@@ -79,6 +79,7 @@ def test_a_model_is_not_placed_for_the_reason_that_its_photos_have(folder, capsy
     assert "--geoid" in hint
 
 
+@pytest.mark.attack
 def test_what_libjpeg_says_of_a_damaged_photo_does_not_reach_the_terminal(
     folder, lodbench_process, tmp_path, capfd
 ):

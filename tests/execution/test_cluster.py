@@ -14,6 +14,8 @@ import pytest
 
 from lodbench.execution.cluster import DaskWorkers, _on_worker, dask_workers
 
+pytestmark = pytest.mark.attack
+
 
 class Segmenter:
     """As those of photos: loads what no other process can be sent, once it is asked."""

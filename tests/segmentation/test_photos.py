@@ -101,6 +101,7 @@ def test_jpegs_have_the_pixels_that_opencv_decodes(tmp_path, mode, how):
     assert (stored == expected).all()
 
 
+@pytest.mark.attack
 def test_a_damaged_jpeg_is_read_as_by_opencv_or_refused_and_nothing_reaches_the_terminal(tmp_path, capfd):
     random = np.random.default_rng(0)
     picture = cv2.resize(random.integers(0, 256, (15, 20, 3), np.uint8), (160, 120))

@@ -31,6 +31,10 @@ from lodbench.storage.paths import require_regular
 
 Mask = NDArray[np.float32]
 
+# What FFmpeg may take a video for, whatever its content says: playlists and scripts open other files.
+_CONTAINERS = (
+    "mov,matroska,avi,mpegts,mpeg,mpegvideo,flv,asf,ogg,mxf,h264,hevc,m4v,mjpeg,ivf,yuv4mpegpipe,gif"
+)
 # What a video is taken to be where it does not say, frames per second.
 _VIDEO_RATE = 25.0
 # A video with less than this share of the frames that it says to have is not whole: some only estimate them.
@@ -185,10 +189,14 @@ class Footage:
 
 
 def _backend() -> int:
-    """Returns FFmpeg, told to be silent, where OpenCV has it: others take pictures for videos, and print."""
+    """Returns FFmpeg, silent and bound to containers, where OpenCV has it.
+
+    Others take pictures for videos, and print.
+    """
     import cv2
 
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", f"format_whitelist;{_CONTAINERS}")
     return int(cv2.CAP_FFMPEG if cv2.CAP_FFMPEG in cv2.videoio_registry.getBackends() else cv2.CAP_ANY)
 
 
