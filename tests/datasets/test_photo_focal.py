@@ -50,7 +50,9 @@ def test_the_guide_s_table_has_every_source_and_every_tag():
             assert all(name.partition("/")[0] in text for name in properties.get(field, ())[:1])
     assert f"{len(_SENSOR_MM)} of DJI's cameras" in text
     assert f"(24 mm: {math.hypot(NOMINAL_PERCENT, 100 * _ROUNDED_MM / 24):.2f} %)" in text
-    (nominal, maker) = (f"{known.focal_percent:g} %, {known.center_percent:g} %" for known in (UNKNOWN, MAKER))
+    (nominal, maker) = (
+        f"{known.focal_percent:g} %, {known.center_percent:g} %" for known in (UNKNOWN, MAKER)
+    )
     assert maker in table[2]
     assert nominal in table[6]
 
