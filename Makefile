@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 # Where Python may not keep compiled files each process of the tests compiles all of them anew: half a minute.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo ablation table1 holdout budget thresholds test quick test-slow fuzz faults determinism matrix weights docs lint audit clean
+.PHONY: demo ablation table1 holdout budget thresholds test quick test-slow fuzz faults attacks determinism matrix weights docs lint audit clean
 
 # Builds the demo town and localises its 40 photos from pixels, with the sensor's tilt, by three methods.
 demo: $(VENV)/.base
@@ -79,10 +79,16 @@ test-slow: $(VENV)/.test
 COUNT ?= 100000
 fuzz: $(VENV)/.test
 	$(BIN)/python -m tests.fuzz $(COUNT) $(SEED)
+	$(MAKE) --no-print-directory attacks
 
 # Every operation of the disk, of every command that writes, fails or kills once, on all cores; `make test` tries a slice.
 faults: $(VENV)/.test
 	$(BIN)/python -m tests.faults
+	$(MAKE) --no-print-directory attacks
+
+# The other attacks of docs/reliability.md, as tests: caches, ledgers, networks, videos, workers that die; `fuzz` and `faults` end with them.
+attacks: $(VENV)/.test
+	$(BIN)/python -m pytest -n auto --dist loadfile -m attack
 
 # The demo under other hash seeds, threads, workers, locales, time zones and chunk sizes: the same bytes.
 determinism: $(VENV)/.test

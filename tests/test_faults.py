@@ -33,7 +33,7 @@ def faults_survived(name: str, first: int, step: int) -> int:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "first", "step", "least"),
-    [("city convert over a scene", 2, 4, 12), ("dataset import", 12, 9, 9)],
+    [("city convert over a scene", 2, 4, 12), ("dataset import", 12, 9, 9), ("export tum", 1, 1, 16)],
 )
 def test_nothing_is_lost(name: str, first: int, step: int, least: int) -> None:
     assert faults_survived(name, first, step) >= least

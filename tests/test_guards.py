@@ -28,6 +28,8 @@ from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.polygon_files import read_polygons
 from lodbench.storage.paths import path_name
 
+pytestmark = pytest.mark.attack
+
 OUTSIDE = [
     "../../../X",
     "..",

@@ -13,6 +13,8 @@ import lodbench
 from lodbench.kernel_cache import keep_kernels_apart
 from lodbench.rendering.compiled import say_if_compiling
 
+pytestmark = pytest.mark.attack
+
 INNER = "from numba import njit\n\n@njit\ndef inner():\n    return {value}\n"
 OUTER = (
     "from numba import njit\n\nfrom fake.inner import inner\n\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import subprocess
 from itertools import product
@@ -62,3 +63,20 @@ def test_a_try_leaves_the_leaderboard_alone():
     ).stdout
     assert "compare" in told
     assert "leaderboard" not in told
+
+
+@pytest.mark.parametrize("target", ["fuzz", "faults"])
+def test_all_attacks_are_run_again_after_the_others(target):
+    told = subprocess.run(["make", "-n", target], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    first, last = re.findall(r"python -m ((?:tests|pytest)\b.*)", told)
+    assert first.split()[0] == f"tests.{target}"
+    assert last == "pytest -n auto --dist loadfile -m attack"
+
+
+def test_every_attack_that_reliability_names_is_among_them():
+    """Those of the files that they are written in, but for what `make fuzz` tries itself."""
+    words = (ROOT / "docs" / "reliability.md").read_text()
+    named = set(re.findall(r"tests/[\w/]+\.py", words)) - {"tests/test_fuzz_trees.py"}
+    assert len(named) >= 15
+    for name in sorted(named):
+        assert "pytest.mark.attack" in (ROOT / name).read_text(), name

@@ -19,7 +19,7 @@ def field_fault(camera: Camera) -> str:
     """Returns why a camera's focal length is none of a photo; "" if it may be."""
     field = math.degrees(2 * math.atan(camera.width / (2 * camera.fx)))
     if not FIELD_DEG[0] <= field <= FIELD_DEG[1]:
-        in_mm = ": is it in millimetres?" if field > FIELD_DEG[1] else ""
+        in_mm = " (is it in millimetres?)" if field > FIELD_DEG[1] else ""
         return f"a focal length of {camera.fx:.4g} px sees {field:.0f} degrees; no photo does{in_mm}"
     if not 1 / _SQUARE < camera.fx / camera.fy < _SQUARE:
         return f"fx is {camera.fx:.4g} and fy {camera.fy:.4g} px; pixels are square"

@@ -57,8 +57,8 @@ def camera_flag(width: int, height: int) -> str:
     return f"--camera 'SIMPLE_PINHOLE {width} {height} FOCAL_PX {width / 2:g} {height / 2:g}'"
 
 
-def require_photo_size(camera: Camera, name: str, width: int, height: int) -> None:
-    """Makes sure that intrinsics are of a photo or a frame as it is stored.
+def require_photo_size(camera: Camera, name: str, width: int, height: int, *, is_video: bool = False) -> None:
+    """Makes sure that intrinsics are of a photo as it is stored, or of a video's frames as they are shown.
 
     Raises:
         DatasetError: They are of a picture of another size.
@@ -66,7 +66,9 @@ def require_photo_size(camera: Camera, name: str, width: int, height: int) -> No
     if (camera.width, camera.height) != (width, height):
         raise DatasetError(
             f"The camera is of {camera.width} x {camera.height} pixels, {name} has {width} x {height}.",
-            "Give the intrinsics of the photo as it is stored.",
+            "Give the intrinsics of the frames as players show them: turned, where the video says so."
+            if is_video
+            else "Give the intrinsics of the photo as it is stored.",
         )
 
 

@@ -23,6 +23,7 @@ _WIDTH, _HEIGHT, _ORIENTATION = 0x0100, 0x0101, 0x0112
 _SHORT = 3
 # How a TIFF begins: the order of its bytes, and whether it is a BigTIFF.
 _TIFFS = {b"II*\0": ("<", False), b"MM\0*": (">", False), b"II+\0": ("<", True), b"MM\0+": (">", True)}
+_JPEG = b"\xff\xd8\xff"
 _PNG, _PNG_PIXELS = b"\x89PNG\r\n\x1a\n", (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
 # OpenCV's level before each silence that lasts: it is the process's, and the last thread to end restores the
 # first one.
@@ -58,9 +59,19 @@ def read_picture(path: Path, *, as_stored: bool = False) -> NDArray[Any] | None:
 
 def decoded(content: bytes, *, as_stored: bool) -> NDArray[Any] | None:
     """Returns the pixels of a picture's file, as `read_picture` does; None if it cannot be decoded."""
+    content = _unturned(_plain_png(content))
+    picture = _jpeg_pixels(content) if content.startswith(_JPEG) else _opencv_pixels(content, as_stored)
+    if picture is None or as_stored:
+        return picture
+    if picture.ndim == 3 and picture.shape[2] != 3:
+        return None
+    in_use = in_8_bits(picture)
+    return in_use if in_use.ndim == 3 else np.repeat(in_use[..., None], 3, axis=2)
+
+
+def _opencv_pixels(content: bytes, as_stored: bool) -> NDArray[Any] | None:
     import cv2
 
-    content = _unturned(_plain_png(content))
     if not content:
         return None
     in_colour = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
@@ -74,12 +85,31 @@ def decoded(content: bytes, *, as_stored: bool) -> NDArray[Any] | None:
                 picture = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED)
     except cv2.error:
         return None
-    if picture is None or as_stored:
-        return None if picture is None else np.asarray(picture)
-    if picture.ndim == 3 and picture.shape[2] != 3:
+    return None if picture is None else np.asarray(picture)
+
+
+def _jpeg_pixels(content: bytes) -> NDArray[np.uint8] | None:
+    """Returns (H, W) or (H, W, 3) BGR of a JPEG, the same as OpenCV's; None if it is cut off or destroyed.
+
+    Pillow calls the same decoder, but keeps what that says of damage from the terminal; OpenCV does not.
+    """
+    import cv2
+    from PIL import Image
+
+    try:
+        with (
+            warnings.catch_warnings(action="ignore"),
+            Image.open(io.BytesIO(content), "r", ("JPEG",)) as image,
+        ):
+            pixels = np.asarray(image)
+    except Exception:  # Pillow lets the errors of its decoders through
         return None
-    in_use = in_8_bits(np.asarray(picture))
-    return in_use if in_use.ndim == 3 else np.repeat(in_use[..., None], 3, axis=2)
+    if pixels.ndim == 3 and pixels.shape[2] == 4:  # inks, stored inverted; in whole numbers, as OpenCV does
+        light = 255 - pixels.astype(np.int32)
+        key = light[..., 3:]
+        pixels = (key - ((255 - light[..., :3]) * key >> 8)).astype(np.uint8)
+    grey_or_colour = pixels.copy() if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
+    return np.asarray(grey_or_colour, dtype=np.uint8)
 
 
 @contextmanager

@@ -106,9 +106,31 @@ class DaskWorkers:
                 self._client.restart_workers(names)
                 continue
             for future in done:
-                yield future.result()
+                yield self._result(future)
                 hung = 0
             running |= submit(len(done))
+
+    def _result(self, future: Any) -> Any:
+        """Returns the result of what is done.
+
+        The worker that holds it may die before it has handed it over: then one that replaces it does the work
+        again, and is waited for as long as any.
+        """
+        until = time.monotonic() + self._patience_s
+        while True:
+            try:
+                return future.result(_REPLACE_S)
+            except TimeoutError as error:
+                if future.status == "error":  # what the work itself raised
+                    raise
+                if time.monotonic() >= until:
+                    raise WorkersGone(KEEP_DYING, KEEP_DYING_HINT) from error
+            self._replace()
+
+    def _replace(self) -> None:
+        """Starts workers in place of those that are gone, as many as there were, where they are ours."""
+        if self._own is not None:
+            self._own.scale(len(self._own.worker_spec))
 
     def _tell_no_worker(self) -> None:
         if not self._has_told:
@@ -146,9 +168,7 @@ class DaskWorkers:
                     until = time.monotonic() + self._patience_s
                 elif time.monotonic() >= until:
                     raise
-            if self._own is not None:
-                # As many as it was made with: those that are gone are started again.
-                self._own.scale(len(self._own.worker_spec))
+            self._replace()
 
 
 @contextmanager

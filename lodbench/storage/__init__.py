@@ -1,6 +1,13 @@
 """Files written safely, random streams, digests, and where data and caches live."""
 
-from lodbench.storage.atomic import new_folder, remove_leftovers, write_bytes, write_chunks, write_text
+from lodbench.storage.atomic import (
+    new_folder,
+    remove_leftovers,
+    scratch_folder,
+    write_bytes,
+    write_chunks,
+    write_text,
+)
 from lodbench.storage.digest import digest_of, file_digest
 from lodbench.storage.disk import can_write, make_folder
 from lodbench.storage.formulas import hide_formula, show_formula
@@ -15,6 +22,7 @@ __all__ = [
     "new_folder",
     "random_stream",
     "remove_leftovers",
+    "scratch_folder",
     "show_formula",
     "write_bytes",
     "write_chunks",

@@ -109,6 +109,24 @@ def new_folder(path: Path, survives_power_cut: bool = True) -> Iterator[Path]:
             disk().remove(partial)
 
 
+@contextmanager
+def scratch_folder(path: Path) -> Iterator[Path]:
+    """Gives an empty folder beside ``path``, hidden, which is removed in the end.
+
+    What killed processes left of the same is removed.
+
+    Raises:
+        OSError: The parent folder is missing or not writable.
+    """
+    remove_leftovers(path.parent, of=path.name)
+    scratch, handle = _claimed(path, _make_folder)
+    try:
+        yield scratch
+    finally:
+        os.close(handle)
+        disk().remove(scratch)
+
+
 def remove_leftovers(folder: Path, of: str = "") -> None:
     """Removes what killed processes were writing in a folder; what living ones write is left alone."""
     if not folder.is_dir():

@@ -19,6 +19,8 @@ from lodbench.errors import CityModelError
 from .footprint_files import squares
 from .gml_text import write
 
+pytestmark = pytest.mark.attack
+
 pytest.importorskip("pyogrio")
 
 # A VRT runs the SQL of its open options and reads any other file.

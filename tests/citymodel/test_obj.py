@@ -101,6 +101,7 @@ def test_concave_outline_of_many_corners(tmp_path: Path) -> None:
     assert mesh.findings.counts() == {}
 
 
+@pytest.mark.attack
 def test_a_face_of_too_many_corners_is_told_as_lost_at_once(tmp_path: Path) -> None:
     turns = np.linspace(0, 400 * np.pi, 200_000)
     lines = [f"v {r * np.cos(a):.4f} {r * np.sin(a):.4f} 0" for a, r in zip(turns, turns, strict=True)]
@@ -113,6 +114,7 @@ def test_a_face_of_too_many_corners_is_told_as_lost_at_once(tmp_path: Path) -> N
     assert finding.detail.endswith("200,000 corners are not cut")
 
 
+@pytest.mark.attack
 def test_a_face_of_many_corners_that_cross_is_not_looked_at_for_crossings(tmp_path: Path) -> None:
     corners = np.random.default_rng(0).random((100_000, 2)) * 1000
     lines = [f"v {x:.3f} {y:.3f} 0" for x, y in corners]
@@ -122,6 +124,7 @@ def test_a_face_of_many_corners_that_cross_is_not_looked_at_for_crossings(tmp_pa
     assert not findings.items
 
 
+@pytest.mark.attack
 def test_a_level_that_is_lost_whole_is_told_too(tmp_path: Path) -> None:
     model = read_city_model(write(tmp_path / "flat.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"))
     assert city_info(model)["findings"] == {"LB104 ZERO_AREA": 1}

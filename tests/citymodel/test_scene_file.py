@@ -42,6 +42,7 @@ def test_comes_back_mapped(scene: Scene, folder: Path) -> None:
     assert (again.building_ids, again.lod, again.crs) == (scene.building_ids, scene.lod, scene.crs)
 
 
+@pytest.mark.attack
 def test_every_changed_byte_is_refused(folder: Path) -> None:
     tried = 0
     for file in sorted(folder.iterdir()):
@@ -62,6 +63,7 @@ def bad_index(scene: Scene, value: int) -> Scene:
     return replace(scene, triangles=triangles)
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -89,6 +91,7 @@ def test_a_stranger_s_numbers_are_refused_whatever_their_digests(
         read_scene(target)
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("key", ["arrays", "building_ids", "lod", "crs", "origin", "extra"])
 @pytest.mark.parametrize("value", [None, [], {}, "x", 5, ["x"], {"findings": "x"}])
 def test_a_stranger_s_words_end_in_no_traceback(folder: Path, key: str, value: object) -> None:

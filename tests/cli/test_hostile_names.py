@@ -10,6 +10,8 @@ import pytest
 
 from tests.town import write_dataset
 
+pytestmark = pytest.mark.attack
+
 NAMES = ["=cmd|calc", "<img/src=x/onerror=alert(1)>.png", "@view\x1b[31m.png"]
 
 

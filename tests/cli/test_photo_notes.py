@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -76,3 +77,22 @@ def test_a_model_is_not_placed_for_the_reason_that_its_photos_have(folder, capsy
     assert "0 of the model's 3 cameras have a rough place" in said
     assert "Heights above the ellipsoid" in said
     assert "--geoid" in hint
+
+
+@pytest.mark.attack
+def test_what_libjpeg_says_of_a_damaged_photo_does_not_reach_the_terminal(
+    folder, lodbench_process, tmp_path, capfd
+):
+    content = bytearray((folder / "flight" / "DJI_00.JPG").read_bytes())
+    content[-300:-290] = bytes(10)
+    (tmp_path / "DJI_00.JPG").write_bytes(content)
+    assert cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR) is not None
+    assert "Corrupt JPEG data" in capfd.readouterr().err
+    mask, city = folder / "flight_masks" / "DJI_00.png", folder / "town" / "city.obj"
+    done = lodbench_process(
+        *("localize", "DJI_00.JPG", "--mask", str(mask), "--city", str(city), "--crs", CRS)
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert (tmp_path / "localized" / "DJI_00_overlay.png").is_file()
+    assert "cannot be decoded" not in done.stdout

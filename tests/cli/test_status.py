@@ -12,6 +12,8 @@ from lodbench.evaluation.predictions import Prediction
 from lodbench.harness.runs.predict import open_predictions
 from tests.town import write_dataset
 
+pytestmark = pytest.mark.attack
+
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory) -> tuple[Path, Path]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import socket
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from pyproj import Transformer
 from lodbench.citymodel import open_scene
 from lodbench.cli import main
 from lodbench.datasets.pose_text import read_poses
+from lodbench.errors import DatasetError
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.harness.track.frames import Footage as TrackedFootage
@@ -123,6 +125,7 @@ def test_photos_of_one_name_are_told_before_any_work(capsys, footage, tmp_path):
     assert "2 photos called 1.png" in capsys.readouterr().err
 
 
+@pytest.mark.attack
 def test_frames_of_a_varying_rate_have_their_own_times(tmp_path):
     path = tmp_path / "phone.mp4"
     video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 4.0, (320, 240))
@@ -150,6 +153,80 @@ def test_frames_of_a_varying_rate_have_their_own_times(tmp_path):
         assert [shot.time_s for shot in footage.shots()] == pytest.approx(expected, abs=1e-3)
 
 
+def write_turned(path: Path, frames: list[np.ndarray], clockwise_deg: int) -> None:
+    """Writes a video of frames that its header says are to be turned for display."""
+    height, width = frames[0].shape[:2]
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 4.0, (width, height))
+    for frame in frames:
+        video.write(frame)
+    video.release()
+    content = bytearray(path.read_bytes())
+    cos, sin = round(np.cos(np.radians(clockwise_deg))), round(np.sin(np.radians(clockwise_deg)))
+    # The matrix a b u c d v x y w of the track's header, 16.16 but the last: x' = a x + c y, y' = b x + d y.
+    matrix = (cos << 16, sin << 16, 0, -sin << 16, cos << 16, 0, 0, 0, 1 << 30)
+    struct.pack_into(">9i", content, content.find(b"tkhd") + 4 + 40, *matrix)
+    path.write_bytes(content)
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize(("clockwise_deg", "turns"), [(90, -1), (180, 2), (270, 1)])
+def test_a_turned_video_is_turned_once_as_players_do(tmp_path, clockwise_deg, turns):
+    # Dark, but for its upper left and, less so, its upper right corner.
+    stored = np.zeros((240, 320, 3), np.uint8)
+    stored[:60, :80], stored[:60, -80:] = 250, 120
+    write_turned(tmp_path / "a.mp4", [stored] * 2, clockwise_deg)
+    footage = TrackedFootage(tmp_path / "a.mp4")
+    shown = np.rot90(stored, turns)
+    assert footage.video_size() == (shown.shape[1], shown.shape[0])
+    shots = [*footage.shots()]
+    assert len(shots) == 2
+    for shot in shots:
+        assert shot.size == footage.video_size()
+        assert np.abs(shot.pixels.astype(int) - shown).mean() < 3
+    (note,) = footage.notes
+    assert f"shown turned by {clockwise_deg} degrees clockwise" in note
+
+
+@pytest.mark.attack
+def test_camera_and_masks_are_of_a_turned_video_s_frames_as_shown(capsys, footage, tmp_path):
+    photos = [cv2.imread(str(footage.folder / "photos" / f"photo_{k}.png")) for k in range(COUNT)]
+    write_turned(tmp_path / "a.mp4", [np.ascontiguousarray(np.rot90(photo)) for photo in photos], 90)
+    words = footage.words(str(tmp_path / "a.mp4"), "--masks", footage.folder / "masks", "--out", tmp_path)
+    assert main(words) == 0
+    assert "note: the video is stored turned" in capsys.readouterr().out
+    for found, true in zip(read_poses(tmp_path / "poses.txt").values(), footage.truth, strict=True):
+        assert pose_error(found, true).translation_m < 0.8
+    words[words.index("--camera") + 1] = "PINHOLE 240 320 228 230 118.5 161"
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert "The camera is of 240 x 320 pixels, a.mp4 has 320 x 240" in told
+    assert "hint: Give the intrinsics of the frames as players show them" in told
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("name", ["v.mp4", "v.m3u8", "v.avi"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        "ffconcat version 1.0\nfile {inner}\n",
+        "#EXTM3U\n#EXT-X-TARGETDURATION:3\n#EXTINF:3.0,\n{inner}\n#EXT-X-ENDLIST\n",
+        "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 18791 RTP/AVP 26\n",
+    ],
+)
+def test_no_file_and_no_address_that_a_video_names_is_opened(footage, tmp_path, name, content):
+    shutil.copy(footage.folder / "flight.avi", tmp_path / "inner.avi")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setblocking(False)
+        address = f"http://127.0.0.1:{server.getsockname()[1]}/inner.avi"
+        for inner in ("inner.avi", str(tmp_path / "inner.avi"), address):
+            (tmp_path / name).write_text(content.format(inner=inner))
+            with pytest.raises(DatasetError, match="no video that OpenCV reads"):
+                next(TrackedFootage(tmp_path / name).shots())
+        with pytest.raises(BlockingIOError):
+            server.accept()
+
+
+@pytest.mark.attack
 def test_a_video_that_is_cut_off_is_told(capsys, footage, tmp_path):
     content = (footage.folder / "flight.avi").read_bytes()
     (tmp_path / "cut.avi").write_bytes(content[: len(content) * 6 // 10])

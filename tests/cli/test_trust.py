@@ -18,6 +18,8 @@ from lodbench.harness.runs.predict import predict
 from lodbench.methods.lodlocv2 import LodLocV2
 from tests.town import write_dataset
 
+pytestmark = pytest.mark.attack
+
 ESCAPE = "\x1b]0;owned\x07\x1b[2J"
 
 

@@ -20,6 +20,8 @@ from lodbench.harness.runs.named_paths import named_by, without_paths
 from lodbench.harness.runs.predict import open_predictions
 from tests.town import write_dataset
 
+pytestmark = pytest.mark.attack
+
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, cache) -> tuple[Path, Path, Path]:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lodbench.datasets.photo_camera import camera_from_photo, states_focal_length
+from lodbench.datasets.photo_focal import _ROUNDED_MM, _SENSOR_MM, NOMINAL_PERCENT
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_pose import RoughPlace, require_stated
-from lodbench.datasets.photo_xmp import Dewarp
+from lodbench.datasets.photo_xmp import _PROPERTIES, Dewarp
 from lodbench.errors import DatasetError
+from lodbench.geometry.camera_sigmas import MAKER, UNKNOWN
 from tests.datasets.dji_photo import PROPERTIES, exif_of, packet_around, write_photo, xmp_packet
 
+GUIDE = Path(__file__).parents[2] / "docs" / "your-own-city.md"
 SKYDIO = "https://www.skydio.com/drone-skydio/1.0/"
 PIX4D = "http://pix4d.com/camera/1.0/"
 INCH, CM, MM = 2, 3, 4
@@ -31,6 +35,26 @@ def description(uri: str, body: str, prefix: str = "s") -> bytes:
 
 def fx_of(stated: PhotoMetadata) -> float:
     return camera_from_photo(stated).camera.fx
+
+
+def test_the_guide_s_table_has_every_source_and_every_tag():
+    """What the code reads, row by row; what the rows say of their use, the tests below hold."""
+    _, _, section = GUIDE.read_text().partition("### Where the focal length comes from")
+    table = [line for line in section.partition("###")[0].splitlines() if line.startswith("| ")]
+    sources = [line.split("|")[1].strip().strip("`") for line in table[1:]]
+    read = ["given", "dewarp", "calibrated", "", "", "focal_plane", "sensor", "field_of_view", "35mm"]
+    assert sources == read
+    text = " ".join(table)
+    for properties in _PROPERTIES.values():
+        for field in ("calibrated_focal_px", "optical_center_x_px"):
+            assert all(name.partition("/")[0] in text for name in properties.get(field, ())[:1])
+    assert f"{len(_SENSOR_MM)} of DJI's cameras" in text
+    assert f"(24 mm: {math.hypot(NOMINAL_PERCENT, 100 * _ROUNDED_MM / 24):.2f} %)" in text
+    (nominal, maker) = (
+        f"{known.focal_percent:g} %, {known.center_percent:g} %" for known in (UNKNOWN, MAKER)
+    )
+    assert maker in table[2]
+    assert nominal in table[6]
 
 
 class TestFocalPlane:

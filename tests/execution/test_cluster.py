@@ -8,11 +8,15 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from lodbench.errors import WorkersGone
 from lodbench.execution.cluster import DaskWorkers, _on_worker, dask_workers
+
+pytestmark = pytest.mark.attack
 
 
 class Segmenter:
@@ -117,6 +121,33 @@ def test_workers_that_come_late_are_waited_for(monkeypatch) -> None:
         workers._wait({"work"})
     assert len(asked) == 4
     assert DaskWorkers(client, "there", nothing, (), 1, 100.0)._wait({"work"}) == ({"work"}, set())
+
+
+def test_a_result_that_is_lost_with_its_worker_is_waited_for_from_another(monkeypatch) -> None:
+    """One that was done, but not fetched, was waited for by a run whose workers nobody replaced."""
+    distributed = pytest.importorskip("distributed")
+    client, replaced = OneWorker(), list[int]()
+    own = SimpleNamespace(worker_spec={0: {}, 1: {}}, scale=replaced.append)
+
+    class Future:
+        status = "finished"
+
+        def result(self, _: float) -> int:
+            if not replaced or self.status == "error":
+                raise TimeoutError
+            return 7
+
+    future = Future()
+    client.submit = lambda *_, **__: future  # type: ignore[method-assign]
+    monkeypatch.setattr(distributed, "wait", lambda *_: ([future], set()))
+    assert [*DaskWorkers(client, "here", nothing, (), 1, 60.0, own).map(nothing, [0])] == [7]
+    assert replaced == [2]
+    replaced.clear()
+    with pytest.raises(WorkersGone, match="keep dying"):
+        [*DaskWorkers(client, "here", nothing, (), 1, 0.0, own).map(nothing, [0])]
+    future.status = "error"  # the work's own
+    with pytest.raises(TimeoutError):
+        [*DaskWorkers(client, "here", nothing, (), 1, 60.0, own).map(nothing, [0])]
 
 
 def folder_of(_: int) -> str:

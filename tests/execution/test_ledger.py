@@ -5,6 +5,8 @@ import pytest
 from lodbench.execution import Ledger
 from lodbench.storage.disk import Disk, another_disk
 
+pytestmark = pytest.mark.attack
+
 
 class TestLedger:
     def test_keeps_items_in_the_file(self, tmp_path):

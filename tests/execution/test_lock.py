@@ -3,7 +3,11 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 from lodbench.execution.lock import only_one_in
+
+pytestmark = pytest.mark.attack
 
 CODE = (
     "import sys; from pathlib import Path; from lodbench.execution.lock import only_one_in\n"

@@ -20,6 +20,8 @@ from lodbench.execution.executor import ExecutorParams, spread
 from lodbench.harness.runs.shared_scoring import SharedScorer
 from tests.town import write_dataset
 
+pytestmark = pytest.mark.attack
+
 # Times, machine facts, and answers in the order they came.
 APART = {"timings.csv", "provenance.json", "predictions.jsonl", "multirun.yaml"}
 SAME = ("config.yaml", "poses.txt", "queries.csv", "summary.json", "priors.txt")

@@ -280,6 +280,7 @@ def test_a_flight_that_breaks_is_each_photo_s_failure(dataset, tmp_path):
     assert "FlightEstimate of 3 photos" in told.splitlines()[-1]
 
 
+@pytest.mark.attack
 def test_a_worker_of_other_code_cannot_begin(dataset, tmp_path, monkeypatch):
     """Its answers would be another version's, under the name of this one's run."""
     sent = []

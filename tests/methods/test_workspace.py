@@ -13,6 +13,8 @@ import pytest
 from lodbench.errors import LodbenchError
 from lodbench.methods.workspace import Workspace, open_workspace
 
+pytestmark = pytest.mark.attack
+
 
 def never(path: Path) -> None:
     raise AssertionError("a part that is there is not made again")

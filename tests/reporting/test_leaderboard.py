@@ -145,6 +145,7 @@ class TestSchema:
     def test_accepts_an_entry(self):
         assert schema_faults(entry("a", 50.0)) == []
 
+    @pytest.mark.attack
     @pytest.mark.parametrize(
         ("path", "value", "said"),
         [
@@ -187,6 +188,7 @@ class TestSchema:
         assert "entry: 'splits' is a required property" in schema_faults({"schema": 1})
 
 
+@pytest.mark.attack
 def test_an_entry_under_another_dataset_or_malformed_is_refused(tmp_path):
     path = entry_path(tmp_path, entry("a", 50.0))
     assert path.name == f"a-{DIGEST}.json"

@@ -86,6 +86,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
         read_summary(tmp_path)
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     ("place", "value"),
     [

@@ -9,6 +9,8 @@ from lodbench.segmentation import mask_cache
 from lodbench.segmentation.mask_cache import cached_probability
 from lodbench.storage.paths import cache_root
 
+pytestmark = pytest.mark.attack
+
 
 @pytest.fixture
 def photo(tmp_path, monkeypatch):

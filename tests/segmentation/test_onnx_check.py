@@ -21,6 +21,8 @@ from lodbench.segmentation.onnx_file import read_onnx
 from lodbench.segmentation.packaged_network import packaged_file
 from lodbench.segmentation.registry import make_segmenter
 
+pytestmark = pytest.mark.attack
+
 
 def small_network() -> onnx.ModelProto:
     """A convolution and a branch in an attribute: graphs may stand in graphs."""

@@ -1,5 +1,6 @@
 """Any image file becomes 8 bit RGB, at any size; the network's size follows the photo's aspect."""
 
+import io
 import struct
 import zlib
 
@@ -69,6 +70,59 @@ def test_a_border_without_numbers_is_black(tmp_path):
     found = read_photo(written(tmp_path / "bordered.tif", bordered))
     assert (found[10:-10, 10:-10] == read_photo(written(tmp_path / "inside.tif", degrees))).all()
     assert not found[:10].any()
+
+
+def jpeg(picture: np.ndarray, mode: str, **how: object) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(picture).convert(mode).save(stream, "JPEG", **how)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("mode", "how"),
+    [
+        ("RGB", {}),
+        ("RGB", {"subsampling": 0, "quality": 98}),
+        ("RGB", {"progressive": True, "subsampling": 1}),
+        ("RGB", {"restart_marker_rows": 1}),
+        ("L", {}),
+        ("CMYK", {}),
+    ],
+)
+def test_jpegs_have_the_pixels_that_opencv_decodes(tmp_path, mode, how):
+    picture = cv2.resize(np.random.default_rng(0).integers(0, 256, (15, 20, 3), np.uint8), (157, 119))
+    content = jpeg(picture, mode, **how)
+    (tmp_path / "a.jpg").write_bytes(content)
+    coded = np.frombuffer(content, np.uint8)
+    assert (read_picture(tmp_path / "a.jpg") == cv2.imdecode(coded, cv2.IMREAD_COLOR)).all()
+    stored = read_picture(tmp_path / "a.jpg", as_stored=True)
+    expected = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED)
+    assert stored.shape == expected.shape
+    assert (stored == expected).all()
+
+
+@pytest.mark.attack
+def test_a_damaged_jpeg_is_read_as_by_opencv_or_refused_and_nothing_reaches_the_terminal(tmp_path, capfd):
+    random = np.random.default_rng(0)
+    picture = cv2.resize(random.integers(0, 256, (15, 20, 3), np.uint8), (160, 120))
+    whole, read, said = jpeg(picture, "RGB"), 0, 0
+    for _ in range(200):
+        content = bytearray(whole)
+        for at in random.integers(20, len(whole), 3):
+            content[at] = random.integers(256)
+        (tmp_path / "a.jpg").write_bytes(content)
+        found = read_picture(tmp_path / "a.jpg")
+        assert capfd.readouterr().err == ""
+        other = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+        said += "JPEG" in capfd.readouterr().err
+        if found is not None:
+            read += 1
+            assert (found == other).all()
+    assert read > 100
+    # What OpenCV would have said, so that this tests something.
+    assert said > 50
+    (tmp_path / "a.jpg").write_bytes(whole[: len(whole) // 2])
+    assert read_picture(tmp_path / "a.jpg") is None
 
 
 def test_transparent_pixels_are_black(tmp_path):

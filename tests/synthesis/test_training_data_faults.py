@@ -26,6 +26,7 @@ from tests.synthesis.conftest import SMALL, WHOLE
 from tests.synthesis.test_generate import files_in
 
 
+@pytest.mark.attack
 @pytest.mark.slow
 def test_a_killed_run_leaves_whole_pictures_and_goes_on(small_set, tmp_path):
     params, made = small_set
@@ -51,6 +52,7 @@ def test_a_killed_run_leaves_whole_pictures_and_goes_on(small_set, tmp_path):
     assert files_in(out) == files_in(made.out)
 
 
+@pytest.mark.attack
 @pytest.mark.slow
 def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tmp_path, monkeypatch):
     params, made = small_set
@@ -73,6 +75,7 @@ def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tm
     assert files_in(tmp_path / "data") == files_in(made.out)
 
 
+@pytest.mark.attack
 @pytest.mark.slow
 def test_a_set_goes_on_neither_with_another_city_nor_with_other_code(small_set, monkeypatch):
     """Its poses are written anew each time: views that are there already would be of others."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Protocol
 
 from lodbench.citymodel.scene import Scene
@@ -14,7 +13,7 @@ from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.plugins import blaming, load_plugin
-from lodbench.storage import make_folder
+from lodbench.storage import make_folder, scratch_folder
 from lodbench.storage.disk import disk
 
 # The first line of a table of queries has some 200 bytes.
@@ -121,12 +120,12 @@ def export_run(export: Export, form: ExportFormat, out: Path | None = None) -> E
     if hasattr(form, "require_room"):
         form.require_room(path)
     make_folder(path.parent)
-    with TemporaryDirectory(prefix=".export.", dir=path.parent) as folder:
-        written = Path(folder) / path.resolve().name
+    with scratch_folder(path.parent / "export") as folder:
+        written = folder / path.resolve().name
         try:
             form.write(export, written)
         except OSError as error:
-            if str(error.filename).startswith(folder):
+            if str(error.filename).startswith(str(folder)):
                 error.filename = str(path)
             raise
         if not written.exists():

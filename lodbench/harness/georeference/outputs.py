@@ -69,6 +69,10 @@ def write_georeferenced(
     """
     out, cameras, crs = request.out, list(placed.cameras), placed.crs
     make_folder(out)
+    model, similarity_file = {"model": str(request.model.resolve())}, out / SIMILARITY_FILE
+    if not similarity_file.exists():
+        # Whose the others are, from the first on: a command that is killed can be given again.
+        write_text(similarity_file, json.dumps(model) + "\n")
     writers: dict[str, Callable[[Path], None]] = {
         "colmap": lambda path: write_moved_colmap(request.model, placed.fitted.similarity, path),
         "metashape": lambda path: write_metashape(cameras, path, crs),
@@ -87,11 +91,10 @@ def write_georeferenced(
             files[name] = file
         except LodbenchError as fault:
             notes.append(f"{name} was not written: {fault.message}")
-    files["similarity"] = out / SIMILARITY_FILE
+    files["similarity"] = similarity_file
     written = replace(placed, files=files, notes=tuple(notes))
-    values = {"model": str(request.model.resolve()), **written.to_json()}
-    text = json.dumps(values, indent=1, ensure_ascii=False)
-    write_text(files["similarity"], text + "\n")
+    text = json.dumps({**model, **written.to_json()}, indent=1, ensure_ascii=False)
+    write_text(similarity_file, text + "\n")
     return written
 
 

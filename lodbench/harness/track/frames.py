@@ -31,6 +31,10 @@ from lodbench.storage.paths import require_regular
 
 Mask = NDArray[np.float32]
 
+# What FFmpeg may take a video for, whatever its content says: playlists and scripts open other files.
+_CONTAINERS = (
+    "mov,matroska,avi,mpegts,mpeg,mpegvideo,flv,asf,ogg,mxf,h264,hevc,m4v,mjpeg,ivf,yuv4mpegpipe,gif"
+)
 # What a video is taken to be where it does not say, frames per second.
 _VIDEO_RATE = 25.0
 # A video with less than this share of the frames that it says to have is not whole: some only estimate them.
@@ -45,7 +49,8 @@ class Shot(NamedTuple):
     Attributes:
         name: Of the frame.
         time_s: When it was taken, seconds.
-        pixels: (H, W, 3) BGR, or None where they cannot be decoded, or are of a photo whose mask is there.
+        pixels: (H, W, 3) BGR, of a photo as stored, of a video as shown; None where they cannot be decoded,
+            or are of a photo whose mask is there.
         size: Width and height, None where they are not known.
         file: The photo, None of a video.
     """
@@ -107,7 +112,7 @@ class Footage:
         return map(_frame_name, itertools.count(step=self.every))
 
     def video_size(self) -> tuple[int, int] | None:
-        """Returns width and height of a video's first frame, None where that cannot be decoded.
+        """Returns width and height of a video's first frame as shown, None where that cannot be decoded.
 
         Raises:
             DatasetError: It is no video, or has no frames.
@@ -149,6 +154,9 @@ class Footage:
     def _frames_of(self, video: Any) -> Iterator[Shot]:
         import cv2
 
+        # As players and FFmpeg show the frames, so that masks made of extracted ones fit, too.
+        video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1.0)
+        turn_deg = float(video.get(cv2.CAP_PROP_ORIENTATION_META))
         stated = float(video.get(cv2.CAP_PROP_FPS))
         # Some containers say 0, -1 or no number at all.
         rate = self.rate or (stated if 0 < stated < math.inf else _VIDEO_RATE)
@@ -169,6 +177,11 @@ class Footage:
             video.release()
         if number == 0:
             raise DatasetError(f"{self.source} holds no frames.", "Copy it again.")
+        if turn_deg:
+            self.notes.append(
+                f"the video is stored turned, and shown turned by {turn_deg:.0f} degrees clockwise: camera "
+                "and masks are of its frames as shown"
+            )
         if number < _LEAST_READ * count:
             self.notes.append(
                 f"{number} of the video's {count:.0f} frames can be read: it is cut off or damaged"
@@ -176,10 +189,14 @@ class Footage:
 
 
 def _backend() -> int:
-    """Returns OpenCV's FFmpeg, silenced, if available: other backends print, and read pictures as videos."""
+    """Returns FFmpeg, silent and bound to containers, where OpenCV has it.
+
+    Others take pictures for videos, and print.
+    """
     import cv2
 
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", f"format_whitelist;{_CONTAINERS}")
     return int(cv2.CAP_FFMPEG if cv2.CAP_FFMPEG in cv2.videoio_registry.getBackends() else cv2.CAP_ANY)
 
 

@@ -232,7 +232,8 @@ def _start(
     else:
         stated = read_photo_metadata(first)
     if request.camera is not None:
-        require_photo_size(request.camera, stated.name, stated.width, stated.height)
+        size = stated.width, stated.height
+        require_photo_size(request.camera, stated.name, *size, is_video=first is None)
     given = request.camera
     camera = camera_given(given, request.camera_sigmas) if given else camera_from_photo(stated)
     if request.center is not None:

@@ -17,6 +17,8 @@ import pytest
 from lodbench.errors import WorkersGone
 from lodbench.harness.remote.process import Child, ProcessFault
 
+pytestmark = pytest.mark.attack
+
 # What a child may do in place of an answer; it has read the question.
 READ = "import os, sys, time; n = int.from_bytes(os.read(0, 8), 'little'); os.read(0, n); "
 

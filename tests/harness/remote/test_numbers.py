@@ -5,11 +5,14 @@ from __future__ import annotations
 import time
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lodbench.harness.remote.process import Child, ProcessFault
 from lodbench.harness.remote.wire import packed
+
+pytestmark = pytest.mark.attack
 
 QUERIES = 3
 # What a right child says in turn: it asks once per query, and answers with numbers of that query.

@@ -14,6 +14,8 @@ from lodbench.geometry import Camera, Pose
 from lodbench.harness.remote.child import Pipe
 from lodbench.harness.remote.wire import MalformedMessage, packed, unpacked
 
+pytestmark = pytest.mark.attack
+
 
 def reader(content: bytes):
     parts = iter([content])
