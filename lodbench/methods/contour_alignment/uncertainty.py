@@ -60,7 +60,7 @@ def answer_of(refined: Refined) -> Answer:
     best = int(np.argmax(chances))
     center = (*means, shares @ errors)[best]
     spread = (shares[:, None] * (errors - center)).T @ (errors - center)
-    overlap = float(np.clip((refined.iou - _NO_OVERLAP) / (_OVERLAP - _NO_OVERLAP), 0.0, 1.0))
+    overlap = float(np.clip((refined.overlap - _NO_OVERLAP) / (_OVERLAP - _NO_OVERLAP), 0.0, 1.0))
     others = _others(means, weights, center, turn)
     return Answer(
         refined.vector[:6] + center,
