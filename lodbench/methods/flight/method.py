@@ -309,7 +309,7 @@ class FlightMethod:
         term = aligned.terms[row]
         return Estimate(
             pose=pose_from_vector(vector),
-            score=0.0 if term is None else term.iou,
+            score=0.0 if term is None else term.overlap,
             covariance=spread,
             probability=probability_within(spread, vector),
         )
