@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from lodbench.citymap import CityMap
 from lodbench.methods.flight.map_views import View
 from lodbench.methods.flight.voxel_votes import add_votes
+from lodbench.methods.flight.witnesses import APART_DEG, apart_deg
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -28,6 +29,9 @@ Cells = NDArray[np.int64]
 # Voxels: their width, their heights above ground, metres; and what makes a place of them a building.
 _CELL_M, _HEIGHTS_M = 2.0, (1.0, 3.0, 5.0, 8.0, 12.0, 17.0, 23.0, 30.0)
 _SHARE, _FEWEST_PHOTOS, _LEAST_M2 = 0.8, 3, 16.0
+# What networks take for buildings and is none lies flat or low: yards, courts, containers, tents. From
+# different sides half of a building stands so high, metres.
+_STANDS_M, _HALF = 5.0, 0.5
 # The ground is as high as where the walls of so many buildings nearby end, the median of them.
 _NEIGHBOURS = 3
 # The ground is looked at in squares of this many cells a side.
@@ -40,7 +44,8 @@ def missing_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str
     """Returns places that photos show buildings at and the map has none, the largest first.
 
     Each with its ``outline``: rings of (east, north) in the city's coordinates, ``area_m2``, ``top_m`` above
-    the ground, the ``share`` of photos that show it of those that could, and the ``photos``.
+    the ground, the ``share`` of photos that show it of those that could, the ``photos``, and ``apart_deg``
+    between the directions that they look from.
     """
     if len(views) < _FEWEST_PHOTOS:
         return []
@@ -179,10 +184,13 @@ def _components(
         if area < _LEAST_M2:
             continue
         middle = corner + _CELL_M * (cells.mean(axis=0) + 0.5)
+        is_high = shares[_HEIGHTS_M.index(_STANDS_M), rows] >= _SHARE
+        if is_high.mean() < _HALF:
+            continue
         levels = shares[:, rows].max(axis=1) >= _SHARE
         top = float(np.array(_HEIGHTS_M)[levels].max())
         place = np.array([[*middle, float(ground.at(middle[None])[0]) + _HEIGHTS_M[0]]])
-        photos = []
+        photos, centers = [], []
         for view, covered in zip(views, known, strict=True):
             _, pixels = _pixels(view, place)
             if (
@@ -191,6 +199,10 @@ def _components(
                 and not covered[pixels[0, 1], pixels[0, 0]]
             ):
                 photos.append(view.name)
+                centers.append(view.pose.center)
+        apart = apart_deg(place[0], np.array(centers))
+        if apart < APART_DEG:
+            continue
         share = float(shares[:2, rows].mean())
         lowest = cells.min(axis=0)
         shape = np.zeros(np.ptp(cells, axis=0) + 1, dtype=bool)
@@ -205,6 +217,7 @@ def _components(
                 "top_m": top,
                 "share": share,
                 "photos": photos,
+                "apart_deg": apart,
             }
         )
     return sorted(found, key=lambda change: -change["area_m2"])
