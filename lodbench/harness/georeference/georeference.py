@@ -144,7 +144,7 @@ def _file(request: GeoreferenceRequest, name: str) -> Path | None:
 
 
 def _picture(request: GeoreferenceRequest, name: str, camera: Camera) -> Path | None:
-    """Returns the photo of an image, where it is as a pinhole shows it: its edges refine, and check the map."""
+    """Returns the photo of an image, where it is as a pinhole shows it: its edges refine and check."""
     if request.images is None or camera.distortion:
         return None
     return find_photo(request.images, name)

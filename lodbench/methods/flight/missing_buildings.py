@@ -29,9 +29,9 @@ Cells = NDArray[np.int64]
 # Voxels: their width, their heights above ground, metres; and what makes a place of them a building.
 _CELL_M, _HEIGHTS_M = 2.0, (1.0, 3.0, 5.0, 8.0, 12.0, 17.0, 23.0, 30.0)
 _SHARE, _FEWEST_PHOTOS, _LEAST_M2 = 0.8, 3, 16.0
-# What networks take for buildings and is none lies flat or low: yards, courts, containers, tents. From
-# different sides half of a building stands so high, metres.
-_STANDS_M, _HALF = 5.0, 0.5
+# Yards and courts, which networks take for buildings, lie flat: from different sides less of them seems to
+# stand the higher one looks. Of a building at least half stands so high, metres.
+_STANDS_M, _HALF = 3.0, 0.5
 # The ground is as high as where the walls of so many buildings nearby end, the median of them.
 _NEIGHBOURS = 3
 # The ground is looked at in squares of this many cells a side.

@@ -114,9 +114,7 @@ def flight_terms(
     """
     spread = map if threads is None else threads.map
     is_last = reach_px is None
-    seen = list(
-        spread(lambda k: _look(aligners[k], vectors[k], lens, params, is_last), range(len(aligners)))
-    )
+    seen = list(spread(lambda k: _look(aligners[k], vectors[k], lens, params, is_last), range(len(aligners))))
     # Where walls end has heights of its own, numbered apart from roofs; in the order of photos.
     parts = [
         None if one is None else (roofs.numbers_of(rows, one.places), roofs.numbers_of(-1 - rows, one.places))

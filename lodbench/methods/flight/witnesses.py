@@ -1,4 +1,4 @@
-"""What a finding about the map rests on: how far its photos look apart, and whether their edges contradict it.
+"""What findings about the map rest on: how far their photos look apart, and whether edges contradict them.
 
 Masks of a network err alike in photos that look alike. A building whose mapped roof lies on the edges of
 photos from different sides stands as the map has it, whatever masks say.
@@ -120,9 +120,7 @@ def _stands(photos: Sequence[tuple[int, float, float]], place: Floats, centers: 
         return False
     as_mapped, as_claimed = np.mean([photo[1:] for photo in photos], axis=0)
     showing = [k for k, mapped, _ in photos if mapped > _STANDS]
-    return bool(
-        as_mapped > max(_STANDS, as_claimed) and apart_deg(place, centers[showing]) >= APART_DEG
-    )
+    return bool(as_mapped > max(_STANDS, as_claimed) and apart_deg(place, centers[showing]) >= APART_DEG)
 
 
 def _excesses(
