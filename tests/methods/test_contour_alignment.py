@@ -141,8 +141,8 @@ class TestMethod:
     def test_the_map_counts_what_it_renders(self, tilted_queries, city_map):
         method = ContourAlignment(replace(SMALL, steps=2, final_steps=3))
         counted = localize_query(method, tilted_queries[0], city_map, STREAMS).hypotheses
-        # The grid; two steps and a look for each of the starts; three steps and a look of every track; and the
-        # answer, compared with the mask.
+        # The grid; two steps and a look for each of the starts; three steps and a look of every track; then
+        # the answer is compared with the mask.
         searched = len(method.params.grid()) + method.params.starts * 3 + 1
         assert searched + 4 <= counted <= searched + 4 * len(TRACKS)
 
