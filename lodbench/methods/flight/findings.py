@@ -42,9 +42,9 @@ _NAMES = (
     ("roofs higher than the map", "m"),
     ("feet of walls higher than the map", "m"),
 )
-# A height is in doubt that is off by more than so many of its deviations, and of those that all others of the
-# flight show; the deviation per median of absolute values.
-_DOUBT_SIGMAS, _PER_MEDIAN = 2.0, 1.4826
+# A height is in doubt that is off by more than so many of its deviations, as none of hundreds is by chance, and
+# of those that all others of the flight show; the deviation per median of absolute values.
+_DOUBT_SIGMAS, _PER_MEDIAN = 3.0, 1.4826
 # Where photos narrow a number by less than this, they do not tell it.
 _TOLD = 0.7
 # A focal length that is not told, and whose error goes with the height's by more than this, is left alone.

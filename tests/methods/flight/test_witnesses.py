@@ -91,7 +91,7 @@ def test_heights_are_doubted_beyond_what_all_of_a_flight_are_off_by():
     def flight(*off_m):
         return [BuildingHeight(m, 0.5, 4, False) for m in off_m]
 
-    assert _sigmas_of_doubt([]) == pytest.approx(2.0)
-    assert _sigmas_of_doubt(flight(0.1, -0.2, 0.1, 4.0)) == pytest.approx(2.0)
+    assert _sigmas_of_doubt([]) == pytest.approx(3.0)
+    assert _sigmas_of_doubt(flight(0.1, -0.2, 0.1, 4.0)) == pytest.approx(3.0)
     # Masks that are off by three times what is known of them.
-    assert _sigmas_of_doubt(flight(1.0, -1.5, 1.0, -1.0)) == pytest.approx(2.0 * 1.4826 * 2.0)
+    assert _sigmas_of_doubt(flight(1.0, -1.5, 1.0, -1.0)) == pytest.approx(3.0 * 1.4826 * 2.0)
