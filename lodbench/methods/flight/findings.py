@@ -42,8 +42,8 @@ _NAMES = (
     ("roofs higher than the map", "m"),
     ("feet of walls higher than the map", "m"),
 )
-# A height is in doubt that is off by more than so many of its deviations, as none of hundreds is by chance, and
-# of those that all others of the flight show; the deviation per median of absolute values.
+# A height is in doubt that is off by more than so many of its deviations, as none of hundreds is by chance,
+# and of those that all others of the flight show; the deviation per median of absolute values.
 _DOUBT_SIGMAS, _PER_MEDIAN = 3.0, 1.4826
 # Where photos narrow a number by less than this, they do not tell it.
 _TOLD = 0.7

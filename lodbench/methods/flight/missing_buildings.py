@@ -29,9 +29,6 @@ Cells = NDArray[np.int64]
 # Voxels: their width, their heights above ground, metres; and what makes a place of them a building.
 _CELL_M, _HEIGHTS_M = 2.0, (1.0, 3.0, 5.0, 8.0, 12.0, 17.0, 23.0, 30.0)
 _SHARE, _FEWEST_PHOTOS, _LEAST_M2 = 0.8, 3, 16.0
-# Yards and courts, which networks take for buildings, lie flat: from different sides less of them seems to
-# stand the higher one looks. Of a building at least half stands so high, metres.
-_STANDS_M, _HALF = 3.0, 0.5
 # The ground is as high as where the walls of so many buildings nearby end, the median of them.
 _NEIGHBOURS = 3
 # The ground is looked at in squares of this many cells a side.
@@ -184,9 +181,6 @@ def _components(
         if area < _LEAST_M2:
             continue
         middle = corner + _CELL_M * (cells.mean(axis=0) + 0.5)
-        is_high = shares[_HEIGHTS_M.index(_STANDS_M), rows] >= _SHARE
-        if is_high.mean() < _HALF:
-            continue
         levels = shares[:, rows].max(axis=1) >= _SHARE
         top = float(np.array(_HEIGHTS_M)[levels].max())
         place = np.array([[*middle, float(ground.at(middle[None])[0]) + _HEIGHTS_M[0]]])
@@ -202,6 +196,8 @@ def _components(
                 centers.append(view.pose.center)
         apart = apart_deg(place[0], np.array(centers))
         if apart < APART_DEG:
+            continue
+        if not _rises(cells, shares[:2, rows], (place[0, 2] - _HEIGHTS_M[0], corner), np.array(centers)):
             continue
         share = float(shares[:2, rows].mean())
         lowest = cells.min(axis=0)
@@ -221,6 +217,36 @@ def _components(
             }
         )
     return sorted(found, key=lambda change: -change["area_m2"])
+
+
+def _rises(cells: Cells, shares: Floats, ground: tuple[float, Floats], centers: Floats) -> bool:
+    """Returns whether cells are those of something that rises: yards and courts lie flat.
+
+    What lies flat is called a building by fewer photos the higher it is looked for: there each camera looks
+    past its far side. Of what rises the same photos say the same at both heights.
+
+    Args:
+        cells: (N, 2).
+        shares: (2, N) of photos that call them a building, at the two lowest heights.
+        ground: Its height, and the corner of the grid.
+        centers: (P, 3) of the cameras that show them.
+    """
+    higher_m, (height_m, corner) = _HEIGHTS_M[1] - _HEIGHTS_M[0], ground
+    lowest = cells[shares[0] >= _SHARE]
+    if len(lowest) == 0:
+        return False
+    first = lowest.min(axis=0) - 1
+    held = np.zeros(np.ptp(lowest, axis=0) + 3, dtype=bool)
+    held[tuple((lowest - first).T)] = True
+    places = corner + _CELL_M * (lowest + 0.5)
+    stays = []
+    for center in centers:
+        away = higher_m * (places - center[:2]) / max(center[2] - height_m, 1.0)
+        beyond = np.floor((places + away - corner) / _CELL_M).astype(np.int64) - first
+        beyond = np.clip(beyond, 0, np.array(held.shape) - 1)
+        stays.append(held[tuple(beyond.T)].mean())
+    here = shares[:, shares[0] >= _SHARE].mean(axis=1)
+    return bool(here[1] / here[0] > 0.5 * (1.0 + float(np.mean(stays))))
 
 
 def _connected(cells: Cells) -> list[NDArray[np.int64]]:
