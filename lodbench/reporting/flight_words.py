@@ -66,14 +66,42 @@ def heights_in_words(constant: Mapping[str, Any]) -> str:
 
 
 def map_in_words(findings: Mapping[str, Any], most: int = 5) -> list[str]:
-    """Returns sentences about what the photos contradict in the map, the surest of each kind first."""
-    rows, buildings = map_rows(findings), findings.get("buildings", [])
-    if not rows:
-        return []
-    places = f"{len(rows)} place{'' if len(rows) == 1 else 's'}"
-    lines = [f"the photos contradict the map in {places}, of {len(buildings)} buildings they show:"]
-    lines += [f"- {name}: {said}, by {photos}" for name, said, photos in rows[:most]]
-    return lines + ([f"- and {len(rows) - most} more"] if len(rows) > most else [])
+    """Returns sentences about what the photos contradict in the map, the surest of each kind first.
+
+    Places where the map has no building come apart: of a partial map there are many, and none is wrong.
+    """
+    rows, count = map_rows(findings), len(findings.get("buildings", []))
+    lacking = sum(change["kind"] == "missing" for change in findings.get("changes", []))
+    mapped, places = rows[: len(rows) - lacking], rows[len(rows) - lacking :]
+    return [
+        *_listed(
+            f"the photos contradict the map in {_places(mapped)}, of {count} buildings they show:",
+            mapped,
+            most,
+        ),
+        *_listed(
+            f"in {_places(places)} something stands that the map has not (a building, or containers and the "
+            "like; a map may hold a part of all buildings):",
+            places,
+            most,
+        ),
+    ]
+
+
+def _listed(head: str, rows: Sequence[tuple[str, str, str]], most: int) -> list[str]:
+    """Returns a head and its rows as lines, nothing for no rows."""
+    lines = [f"- {name}: {said}, by {photos}" for name, said, photos in rows[:most]]
+    more = [f"- and {len(rows) - most} more"] if len(rows) > most else []
+    return [head, *lines, *more] if rows else []
+
+
+def _places(rows: Sequence[object]) -> str:
+    return f"{len(rows)} place{'' if len(rows) == 1 else 's'}"
+
+
+def _apart(finding: Mapping[str, Any]) -> str:
+    """Returns how far apart a finding's photos look from, as words to be added."""
+    return f" up to {finding['apart_deg']:.0f} deg apart" if "apart_deg" in finding else ""
 
 
 def map_rows(findings: Mapping[str, Any]) -> list[tuple[str, str, str]]:
@@ -87,13 +115,13 @@ def map_rows(findings: Mapping[str, Any]) -> list[tuple[str, str, str]]:
             str(each["id"]),
             f"{abs(each['higher_m']):.1f} m +-{each['sigma_m']:.1f} "
             f"{'higher' if each['higher_m'] > 0 else 'lower'} than in the map",
-            count_of(each["photos"], "photos"),
+            count_of(each["photos"], "photos") + _apart(each),
         )
         for each in doubted_buildings(findings.get("buildings", []))
     ]
     for change in findings.get("changes", []):
         listed = ", ".join(change["photos"][:3]) + (", ..." if len(change["photos"]) > 3 else "")
-        photos = f"{count_of(len(change['photos']), 'photos')} ({listed})"
+        photos = f"{count_of(len(change['photos']), 'photos')}{_apart(change)} ({listed})"
         if change["kind"] == "gone":
             rows.append((str(change["id"]), f"gone, {100 * change['probability']:.0f} % sure", photos))
         else:

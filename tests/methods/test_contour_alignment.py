@@ -13,6 +13,7 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from lodbench.citymap import CityMap
+from lodbench.citymodel import open_scene
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
@@ -27,7 +28,7 @@ from lodbench.methods.contour_alignment.alignment import Aligner, _distance, sig
 from lodbench.methods.contour_alignment.world_errors import TRACKS
 from lodbench.methods.measured_calls import localize_query
 from lodbench.storage import random_stream
-from tests.town import CAMERA
+from tests.town import BOXES, CAMERA, box_obj
 
 STREAMS = partial(random_stream, 0, "test")
 # Masks and map are exact: half a pixel of noise is more than they have, and no roof is wrong.
@@ -140,8 +141,9 @@ class TestMethod:
     def test_the_map_counts_what_it_renders(self, tilted_queries, city_map):
         method = ContourAlignment(replace(SMALL, steps=2, final_steps=3))
         counted = localize_query(method, tilted_queries[0], city_map, STREAMS).hypotheses
-        # The grid; two steps and a look for each of the starts; three steps and a look of every track.
-        searched = len(method.params.grid()) + method.params.starts * 3
+        # The grid; two steps and a look for each of the starts; three steps and a look of every track; then
+        # the answer is compared with the mask.
+        searched = len(method.params.grid()) + method.params.starts * 3 + 1
         assert searched + 4 <= counted <= searched + 4 * len(TRACKS)
 
     def test_missing_buildings_do_not_pull(self, tilted_queries, city_map, truths):
@@ -167,6 +169,20 @@ class TestMethod:
             errors.append(pose_error(estimate.pose, truths[0]).translation_m)
         assert errors[0] < 1.0
         assert errors[1] > 1.5
+
+    def test_a_map_of_few_of_the_buildings_is_believed_as_one_of_all(self, tilted_queries, truths, tmp_path):
+        """Masks hold what the map has not: a right pose is no worse for it, a wrong one no better."""
+        (tmp_path / "city.obj").write_text(box_obj([BOXES[k] for k in (0, 2, 4)]))
+        some = CityMap(open_scene(tmp_path / "city.obj"), threads=1)
+        for query, truth in zip(tilted_queries[:2], truths, strict=False):
+            mapped, mask = some.render(CAMERA, truth), query.mask > 0.5
+            assert np.count_nonzero(mapped & mask) / np.count_nonzero(mapped | mask) < 0.7
+            estimate = ContourAlignment(SMALL).localize(query, some, STREAMS)
+            assert pose_error(estimate.pose, truth).translation_m < 2.0
+            assert estimate.score > 0.8
+            assert estimate.probability > 0.5
+            mirrored = replace(query, building_probability=np.ascontiguousarray(query.mask[:, ::-1]))
+            assert ContourAlignment(SMALL).localize(mirrored, some, STREAMS).probability < 0.3
 
     def test_a_mask_the_wrong_way_round_is_not_believed(self, tilted_queries, city_map):
         query = tilted_queries[0]

@@ -43,19 +43,20 @@ def test_heights_far_off_are_of_another_zero(value, sigma, said):
 
 
 def test_the_surest_building_in_doubt_comes_first_and_changes_follow():
-    one = {"id": "a", "higher_m": -2.0, "sigma_m": 0.9, "photos": 4, "doubt": True}
+    one = {"id": "a", "higher_m": -2.0, "sigma_m": 0.9, "photos": 4, "apart_deg": 61.6, "doubt": True}
     two = {"id": "b", "higher_m": 1.5, "sigma_m": 0.2, "photos": 9, "doubt": True}
     sure = {"id": "c", "higher_m": 0.1, "sigma_m": 0.2, "photos": 9, "doubt": False}
     gone = {"kind": "gone", "id": "d", "probability": 0.97, "photos": ["p1", "p2", "p3", "p4"]}
     lacking = {"kind": "missing", "outline": [], "area_m2": 120.0, "top_m": 8.0, "photos": ["p5"]}
     findings = {"buildings": [one, two, sure], "changes": [gone, lacking]}
-    head, *lines = map_in_words(findings)
-    assert head == "the photos contradict the map in 4 places, of 3 buildings they show:"
-    assert lines == [
+    assert map_in_words(findings) == [
+        "the photos contradict the map in 3 places, of 3 buildings they show:",
         "- b: 1.5 m +-0.2 higher than in the map, by 9 photos",
-        "- a: 2.0 m +-0.9 lower than in the map, by 4 photos",
+        "- a: 2.0 m +-0.9 lower than in the map, by 4 photos up to 62 deg apart",
         "- d: gone, 97 % sure, by 4 photos (p1, p2, p3, ...)",
+        "in 1 place something stands that the map has not (a building, or containers and the like; a map may "
+        "hold a part of all buildings):",
         "- a building that the map lacks: 120 m2 and 8 m high, by 1 photo (p5)",
     ]
     assert map_in_words({"buildings": [sure]}) == []
-    assert map_in_words(findings, most=1)[-1] == "- and 3 more"
+    assert map_in_words(findings, most=1)[2] == "- and 2 more"

@@ -127,6 +127,7 @@ def _queries(
                 prior = rough.pose(image.pose).shifted(-scene.origin)
                 queries[image.name] = Query(
                     image.name, "", pinhole, prior, _mask(request, image.name, file, image.camera, pinhole),
+                    image=_picture(request, image.name, image.camera),
                     sequence="reconstruction", reconstructed=image.pose,
                 )  # fmt: skip
             except LodbenchError as fault:
@@ -140,6 +141,13 @@ def _file(request: GeoreferenceRequest, name: str) -> Path | None:
     if request.masks is not None:
         return find_mask(request.masks, name)
     return None if request.images is None else find_photo(request.images, name)
+
+
+def _picture(request: GeoreferenceRequest, name: str, camera: Camera) -> Path | None:
+    """Returns the photo of an image, where it is as a pinhole shows it: its edges refine and check."""
+    if request.images is None or camera.distortion:
+        return None
+    return find_photo(request.images, name)
 
 
 def _mask(

@@ -34,6 +34,7 @@ from lodbench.methods.contour_alignment.outline_kernel import building_sums, mea
 from lodbench.methods.contour_alignment.params import Params
 from lodbench.rendering.projection import view_planes, visible_buildings
 from lodbench.segmentation import binary_mask
+from lodbench.segmentation.mapped_overlap import mapped_overlap
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -178,12 +179,21 @@ class Aligner:
         prior_information, prior_gradient = self.prior_terms(vector)
         return Linearization(information + prior_information, gradient + prior_gradient, here.iou)
 
+    def overlap(self, vector: Floats) -> float:
+        """Returns how well the mask shows the map's buildings at (7,) numbers; see ``mapped_overlap``."""
+        level = self.level(self._params.fine_size)
+        return mapped_overlap(self._silhouette(vector, level)[0], level.mask)
+
+    def _silhouette(self, vector: Floats, level: Level) -> tuple[Mask, Camera]:
+        """Returns the silhouette at (7,) numbers, and the pinhole it is seen through."""
+        stretch = 1.0 + 0.01 * vector[6]
+        camera = replace(level.camera, fx=level.camera.fx * stretch, fy=level.camera.fy * stretch)
+        return self.city_map.render(camera, pose_from_vector(vector)), camera
+
     def outline(self, vector: Floats, size: tuple[int, int]) -> tuple[OutlinePoints, float]:
         """Returns the outline of the silhouette at (7,) numbers, and the IoU of silhouette and mask."""
         level, pose = self.level(size), pose_from_vector(vector)
-        stretch = 1.0 + 0.01 * vector[6]
-        camera = replace(level.camera, fx=level.camera.fx * stretch, fy=level.camera.fy * stretch)
-        silhouette = self.city_map.render(camera, pose)
+        silhouette, camera = self._silhouette(vector, level)
         union = int(np.count_nonzero(silhouette | level.mask))
         iou = int(np.count_nonzero(silhouette & level.mask)) / union if union else 0.0
         derivatives, spacing = rotation_derivatives(vector), self._params.spacing_px

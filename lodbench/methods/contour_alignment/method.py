@@ -62,7 +62,7 @@ class ContourAlignment:
         finished = time.perf_counter()
         return Estimate(
             pose=pose_from_vector(answer.vector),
-            score=refined.iou,
+            score=refined.overlap,
             seconds={"coarse": selected - started, "fine": finished - selected},
             trace={"coarse": (best,), "fine": trace},
             covariance=answer.covariance,

@@ -62,13 +62,13 @@ class Refined:
             lead away from.
         modes: What is left of the hypotheses, the likeliest first.
         weights: Their probabilities.
-        iou: Of silhouette and mask.
+        overlap: Of mask and mapped buildings, see ``mapped_overlap``.
     """
 
     vector: Floats
     modes: tuple[Mode, ...]
     weights: Floats
-    iou: float
+    overlap: float
 
 
 @dataclass(slots=True, eq=False)
@@ -79,7 +79,6 @@ class _Track:
     shared: dict[WorldErrors, Floats]
     is_lens_free: bool
     modes: list[Mode]
-    iou: float = 0.0
 
     @property
     def evidence(self) -> float:
@@ -96,10 +95,10 @@ def refine(aligner: Aligner, vector: Floats, params: Params) -> Refined | None:
         if step >= min(_FREE_STEPS, params.final_steps):
             best = max(track.evidence for track in tracks)
             tracks = [track for track in tracks if track.evidence > best - _HOPELESS_TRACK]
-    return _mixture(tracks)
+    return _mixture(aligner, tracks)
 
 
-def _mixture(tracks: list[_Track]) -> Refined:
+def _mixture(aligner: Aligner, tracks: list[_Track]) -> Refined:
     best = max(tracks, key=lambda track: track.evidence)
     # A hypothesis followed on several tracks counts once: where it explains most.
     found: dict[tuple[str, bool, bool], Mode] = {}
@@ -111,7 +110,7 @@ def _mixture(tracks: list[_Track]) -> Refined:
                 found[mode.key] = replace(mode, step=mode.step + apart)
     modes = sorted(found.values(), key=lambda mode: -mode.evidence)
     weights = np.exp(np.array([mode.evidence for mode in modes]) - modes[0].evidence)
-    return Refined(best.vector, tuple(modes), weights / weights.sum(), best.iou)
+    return Refined(best.vector, tuple(modes), weights / weights.sum(), aligner.overlap(best.vector))
 
 
 def _weigh(aligner: Aligner, track: _Track, params: Params, step: int) -> bool:
@@ -123,7 +122,6 @@ def _weigh(aligner: Aligner, track: _Track, params: Params, step: int) -> bool:
     anywhere = density_anywhere(points, *next(iter(track.shared.items())), params)
     sums = {world: sum_up(points, world, shared, params, anywhere) for world, shared in track.shared.items()}
     offset = aligner.offset(track.vector)
-    track.iou = here.iou
     track.modes = [
         mode
         for world, said in sums.items()

@@ -24,8 +24,9 @@ _DRAWS = 2048
 _LEAST_WEIGHT, _LEAST_ALTERNATIVE = 0.002, 0.02
 # An end of the alignment whose IoU is less by this is believed 1/e as much.
 _RIVAL_IOU = 0.004
-# A mask and a model that overlap by no more than the one do not show the same thing, by the other they may.
-_NO_OVERLAP, _OVERLAP = 0.3, 0.5
+# A mask that holds no more than the one of mapped buildings above their surroundings does not show them; by
+# the other it is as good as outlines are taken to be (see ``mapped_overlap``).
+_NO_OVERLAP, _OVERLAP = 0.3, 0.7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +61,7 @@ def answer_of(refined: Refined) -> Answer:
     best = int(np.argmax(chances))
     center = (*means, shares @ errors)[best]
     spread = (shares[:, None] * (errors - center)).T @ (errors - center)
-    overlap = float(np.clip((refined.iou - _NO_OVERLAP) / (_OVERLAP - _NO_OVERLAP), 0.0, 1.0))
+    overlap = float(np.clip((refined.overlap - _NO_OVERLAP) / (_OVERLAP - _NO_OVERLAP), 0.0, 1.0))
     others = _others(means, weights, center, turn)
     return Answer(
         refined.vector[:6] + center,

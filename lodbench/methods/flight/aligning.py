@@ -102,7 +102,7 @@ def _leave_out_lost(state: State, terms: Sequence[PhotoTerms | None], params: Pa
     """Takes the weight from photos that are further from where the flight says than sensors err."""
     gaps = differences(state.vectors, state.priors) - state.offset
     away = np.sqrt(((gaps / params.own_sigmas()) ** 2).mean(axis=1))
-    fits = np.array([0.0 if term is None else term.iou for term in terms])
+    fits = np.array([0.0 if term is None else term.overlap for term in terms])
     poor = 0.5 * float(np.median(fits))
     lost = (away > params.lost_sigmas) | (fits < poor)
     state.weights = np.where(lost, 0.0, 1.0)
@@ -123,5 +123,5 @@ def _reason(term: PhotoTerms | None, away: float, fits_badly: bool) -> str:
     if term is None:
         return "its mask shows no outline of a building where the other photos say it was"
     if fits_badly:
-        return f"its mask fits the map less than half as well as the others' (IoU {term.iou:.2f})"
+        return f"its mask fits the map less than half as well as the others' (overlap {term.overlap:.2f})"
     return f"it lies {away:.0f} times further from where the other photos say it was than sensors err"

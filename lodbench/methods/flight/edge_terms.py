@@ -20,7 +20,7 @@ from lodbench.estimation.model_lines import LensErrors, ModelLines, lens_camera,
 from lodbench.estimation.photo_edges import PhotoEdges
 from lodbench.geometry import Camera
 from lodbench.geometry.pose_vector import pose_from_vector
-from lodbench.methods.flight.photo_terms import PhotoTerms, Residuals, summed_up
+from lodbench.methods.flight.photo_terms import Fit, PhotoTerms, Residuals, summed_up
 from lodbench.methods.flight.roof_parts import RoofParts
 
 Floats = NDArray[np.float64]
@@ -156,7 +156,7 @@ def _terms(
         seen,
         lines.buildings[inside],
         (tops[inside], feet[inside]),
-        float(chances.mean()),
+        Fit(*[float(chances.mean())] * 2),
         (noise_px, np.maximum(chances, _LEAST_WEIGHT)),
         _LENGTHS_PX,
         _MOST_SUBSETS if reach_px is None else 1,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from lodbench.methods.flight.missing_buildings import missing_buildings
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.roof_sweep import sweep_roofs
 from lodbench.methods.flight.state import CONSTANTS, FOCAL
+from lodbench.methods.flight.witnesses import APART_DEG, apart_deg, roof_middles
 
 Floats = NDArray[np.float64]
 
@@ -41,8 +42,9 @@ _NAMES = (
     ("roofs higher than the map", "m"),
     ("feet of walls higher than the map", "m"),
 )
-# A finding about a building rests on no fewer photos.
-_FEWEST_WITNESSES = 2
+# A height is in doubt that is off by more than so many of its deviations, as none of hundreds is by chance,
+# and of those that all others of the flight show; the deviation per median of absolute values.
+_DOUBT_SIGMAS, _PER_MEDIAN = 3.0, 1.4826
 # Where photos narrow a number by less than this, they do not tell it.
 _TOLD = 0.7
 # A focal length that is not told, and whose error goes with the height's by more than this, is left alone.
@@ -60,9 +62,11 @@ def findings_of(
 
     ``constants``: by name the ``value`` to be added to what the sensors or the map say, ``sigma``, ``unit``
     and whether the photos ``told`` it; ``buildings``: id, metres ``higher_m`` against the map and all other
-    buildings, ``sigma_m``, number of ``photos`` and whether it is in ``doubt``; ``lost``: photos placed by
-    the others alone, and ``reasons`` why, by name; ``changes``: buildings that stand in the map only
-    (``gone_buildings``) and places where the map lacks one (``missing_buildings``).
+    buildings, ``sigma_m``, number of ``photos``, ``apart_deg`` between the directions they look from, and
+    whether it is in ``doubt``; ``lost``: photos placed by the others alone, and ``reasons`` why, by name;
+    ``changes``: buildings that stand in the map only (``gone_buildings``) and places where the map lacks one
+    (``missing_buildings``), with ``photos`` and ``apart_deg``. Nothing in the map is contradicted by photos
+    that look from one side only, nor by less than masks and pixels of this flight are wrong about.
     """
     state = aligned.state
     kept = [int(k) for k in np.flatnonzero(state.weights > 0)]
@@ -73,7 +77,8 @@ def findings_of(
     heights = building_heights(
         aligned, sweep_roofs(kept_queries, poses, state.lens[:2], city_map), city_map.scene, params
     )
-    buildings = _buildings(heights, aligned, city_map.scene)
+    centers = np.array([pose.center for pose in poses]).reshape(-1, 3)
+    buildings = _buildings(heights, aligned, city_map.scene, centers)
     return {
         "constants": _constants(aligned, params, of_ends),
         # What is gone has no height.
@@ -101,24 +106,46 @@ def _constants(aligned: Aligned, params: Params, of_ends: Floats) -> dict[str, d
     }
 
 
-def _buildings(heights: Mapping[int, BuildingHeight], aligned: Aligned, scene: Scene) -> list[dict[str, Any]]:
-    """Returns the heights of buildings with their ids, and how many photos' outlines or pixels told them."""
-    photos: Counter[int] = Counter()
-    for term in aligned.terms:
+def _buildings(
+    heights: Mapping[int, BuildingHeight], aligned: Aligned, scene: Scene, centers: Floats
+) -> list[dict[str, Any]]:
+    """Returns the heights of buildings with their ids, and which photos' outlines or pixels told them."""
+    photos: dict[int, list[int]] = defaultdict(list)
+    for k, term in enumerate(aligned.terms):
         if term is not None:
             shown = aligned.state.roofs.building[term.parts]
-            photos.update(int(b) for b in np.unique(shown[shown >= 0]))
-    return [
-        {
-            "id": scene.building_ids[row],
-            "higher_m": height.higher_m,
-            "sigma_m": height.sigma_m,
-            "photos": max(photos[row], height.photos),
-            # One photo may show something else there: a tree, a crane.
-            "doubt": height.is_in_doubt and max(photos[row], height.photos) >= _FEWEST_WITNESSES,
-        }
-        for row, height in heights.items()
-    ]
+            for row in np.unique(shown[shown >= 0]).tolist():
+                photos[row].append(k)
+    places, cameras = roof_middles(scene), aligned.state.vectors[:, :3]
+    far = _sigmas_of_doubt(heights.values())
+    found = []
+    for row, height in heights.items():
+        # Pixels were compared in photos that may show no outline of it: any of the flight.
+        witnesses = cameras[photos[row]] if height.photos <= len(photos[row]) else centers
+        apart = apart_deg(places[row], witnesses)
+        is_far = abs(height.higher_m) > far * height.sigma_m
+        found.append(
+            {
+                "id": scene.building_ids[row],
+                "higher_m": height.higher_m,
+                "sigma_m": height.sigma_m,
+                "photos": max(len(photos[row]), height.photos),
+                "apart_deg": apart,
+                # From one side it may be something else: a tree, a crane, a mask's own error.
+                "doubt": height.is_in_doubt and apart >= APART_DEG and is_far,
+            }
+        )
+    return found
+
+
+def _sigmas_of_doubt(heights: Iterable[BuildingHeight]) -> float:
+    """Returns how many of its own deviations off a height is in doubt, given how far others of a flight are.
+
+    Where masks err by more than is known of them, most heights show it.
+    """
+    off = [abs(height.higher_m) / height.sigma_m for height in heights]
+    usual = _PER_MEDIAN * float(np.median(off)) if off else 0.0
+    return _DOUBT_SIGMAS * max(1.0, usual)
 
 
 def cannot_tell_focal(solution: Solution, params: Params) -> bool:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.methods.flight.map_views import View
+from lodbench.methods.flight.witnesses import APART_DEG, apart_deg, roof_middles
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -34,7 +35,8 @@ _SIZE_STEP = 0.25
 def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, Any]]:
     """Returns the map's buildings that photos do not show, the surest first.
 
-    Each with ``id``, ``probability``, and the ``photos`` that should show it and do not.
+    Each with ``id``, ``probability``, the ``photos`` that should show it and do not, and ``apart_deg``
+    between the directions that they look from: photos from one side err alike.
     """
     seen = [shares_held(view, city_map) for view in views]
     rows = [(building, k, pixels, held) for k, one in enumerate(seen) for building, pixels, held in one]
@@ -43,10 +45,12 @@ def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, A
     building, photo, pixels, held = (np.array(column) for column in zip(*rows, strict=True))
     missed, size = held < _MISSED, np.round(np.log2(pixels) / _SIZE_STEP).astype(np.int64)
     shares = {step: _shares_missed(building, missed, size, step) for step in np.unique(size).tolist()}
+    centers, places = np.array([view.pose.center for view in views]), roof_middles(city_map.scene)
     found = []
     for each in np.unique(building):
         mine = building == each
-        if np.count_nonzero(missed & mine) < _FEWEST_PHOTOS:
+        apart = apart_deg(places[int(each)], centers[photo[missed & mine]])
+        if np.count_nonzero(missed & mine) < _FEWEST_PHOTOS or apart < APART_DEG:
             continue
         # Other buildings about as large, each counted once however many photos show it.
         odds = 0.0
@@ -60,7 +64,15 @@ def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, A
         if probability > _SURE:
             photos = [views[k].name for k in photo[mine & missed]]
             name = city_map.scene.building_ids[each]
-            found.append({"kind": "gone", "id": name, "probability": probability, "photos": photos})
+            found.append(
+                {
+                    "kind": "gone",
+                    "id": name,
+                    "probability": probability,
+                    "photos": photos,
+                    "apart_deg": apart,
+                }
+            )
     return sorted(found, key=lambda change: -change["probability"])
 
 

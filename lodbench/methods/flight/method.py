@@ -29,6 +29,7 @@ from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.shared_looks import agreed_places, with_masks_by_looks
 from lodbench.methods.flight.state import CONSTANTS, FOCAL, State, differences
 from lodbench.methods.flight.tracks import relative_poses
+from lodbench.methods.flight.witnesses import without_contradicted
 from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
 from lodbench.methods.region import Region
 
@@ -136,29 +137,31 @@ class FlightMethod:
             aligned = align(queries, aligned.state, city_map, held.params)
             found = held._finished(queries, start, aligned, city_map)
             found.findings["notes"] = [_SAME_SCALE]
-        return self._refined_by_edges(queries, start, aligned.state.vectors, found, city_map)
+        return self._refined_by_edges(queries, start, aligned.state, found, city_map)
 
     def _refined_by_edges(
         self,
         queries: Sequence[Query],
         start: State,
-        vectors: Floats,
+        state: State,
         found: FlightEstimate,
         city_map: CityMap,
     ) -> FlightEstimate:
         """Returns a flight that masks have placed where edges have it, if these lie on the map's lines.
 
-        Findings about the map stay those of masks.
+        Findings about the map stay those of masks, without those that edges contradict.
         """
-        if start.reconstruction is None or all(query.image is None for query in queries):
+        if all(query.image is None for query in queries):
             return found
+        if start.reconstruction is None:
+            return _checked(found, queries, state, city_map)
         method = FlightMethod(replace(self.params, single="region"))
-        begun = replace(start, vectors=vectors).begun(np.arange(len(queries)), np.zeros(6))
+        begun = replace(start, vectors=state.vectors).begun(np.arange(len(queries)), np.zeros(6))
         aligned, method = method._aligned_by_edges(queries, begun, city_map)
         if mean_iou(aligned.terms) < _LEAST_EDGES:
-            return found
+            return _checked(found, queries, state, city_map)
         refined = method._with_covariances(queries, begun, aligned, city_map)
-        return FlightEstimate(refined.estimates, found.findings)
+        return _checked(FlightEstimate(refined.estimates, found.findings), queries, aligned.state, city_map)
 
     def _solve_by_edges(
         self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
@@ -172,7 +175,8 @@ class FlightMethod:
         aligned, method = self._aligned_by_edges(queries, start, city_map)
         # Masks are made for what stands in the map or on the ground only: poses do not rest on them.
         masked = with_masks_by_looks(queries, aligned.state.vectors, aligned.state.weights, city_map)
-        return method._finished(masked, start, aligned, city_map)
+        found = method._finished(masked, start, aligned, city_map)
+        return _checked(found, queries, aligned.state, city_map)
 
     def _aligned_by_edges(
         self, queries: Sequence[Query], start: State, city_map: CityMap
@@ -310,10 +314,18 @@ class FlightMethod:
         term = aligned.terms[row]
         return Estimate(
             pose=pose_from_vector(vector),
-            score=0.0 if term is None else term.iou,
+            score=0.0 if term is None else term.overlap,
             covariance=spread,
             probability=probability_within(spread, vector),
         )
+
+
+def _checked(
+    found: FlightEstimate, queries: Sequence[Query], state: State, city_map: CityMap
+) -> FlightEstimate:
+    """Returns a flight without the findings about its map that edges of its photos contradict."""
+    kept = without_contradicted(found.findings, queries, state.vectors, state.lens, city_map)
+    return FlightEstimate(found.estimates, kept)
 
 
 def _places(vectors: Floats, alone: Sequence[Estimate | QueryFault]) -> Floats:

@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from lodbench.citymap import CityMap
 from lodbench.methods.flight.map_views import View
 from lodbench.methods.flight.voxel_votes import add_votes
+from lodbench.methods.flight.witnesses import APART_DEG, apart_deg
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -40,7 +41,8 @@ def missing_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str
     """Returns places that photos show buildings at and the map has none, the largest first.
 
     Each with its ``outline``: rings of (east, north) in the city's coordinates, ``area_m2``, ``top_m`` above
-    the ground, the ``share`` of photos that show it of those that could, and the ``photos``.
+    the ground, the ``share`` of photos that show it of those that could, the ``photos``, and ``apart_deg``
+    between the directions that they look from.
     """
     if len(views) < _FEWEST_PHOTOS:
         return []
@@ -182,7 +184,7 @@ def _components(
         levels = shares[:, rows].max(axis=1) >= _SHARE
         top = float(np.array(_HEIGHTS_M)[levels].max())
         place = np.array([[*middle, float(ground.at(middle[None])[0]) + _HEIGHTS_M[0]]])
-        photos = []
+        photos, centers = [], []
         for view, covered in zip(views, known, strict=True):
             _, pixels = _pixels(view, place)
             if (
@@ -191,6 +193,12 @@ def _components(
                 and not covered[pixels[0, 1], pixels[0, 0]]
             ):
                 photos.append(view.name)
+                centers.append(view.pose.center)
+        apart = apart_deg(place[0], np.array(centers))
+        if apart < APART_DEG:
+            continue
+        if not _rises(cells, shares[:2, rows], (place[0, 2] - _HEIGHTS_M[0], corner), np.array(centers)):
+            continue
         share = float(shares[:2, rows].mean())
         lowest = cells.min(axis=0)
         shape = np.zeros(np.ptp(cells, axis=0) + 1, dtype=bool)
@@ -205,9 +213,40 @@ def _components(
                 "top_m": top,
                 "share": share,
                 "photos": photos,
+                "apart_deg": apart,
             }
         )
     return sorted(found, key=lambda change: -change["area_m2"])
+
+
+def _rises(cells: Cells, shares: Floats, ground: tuple[float, Floats], centers: Floats) -> bool:
+    """Returns whether cells are those of something that rises: yards and courts lie flat.
+
+    What lies flat is called a building by fewer photos the higher it is looked for: there each camera looks
+    past its far side. Of what rises the same photos say the same at both heights.
+
+    Args:
+        cells: (N, 2).
+        shares: (2, N) of photos that call them a building, at the two lowest heights.
+        ground: Its height, and the corner of the grid.
+        centers: (P, 3) of the cameras that show them.
+    """
+    higher_m, (height_m, corner) = _HEIGHTS_M[1] - _HEIGHTS_M[0], ground
+    lowest = cells[shares[0] >= _SHARE]
+    if len(lowest) == 0:
+        return False
+    first = lowest.min(axis=0) - 1
+    held = np.zeros(np.ptp(lowest, axis=0) + 3, dtype=bool)
+    held[tuple((lowest - first).T)] = True
+    places = corner + _CELL_M * (lowest + 0.5)
+    stays = []
+    for center in centers:
+        away = higher_m * (places - center[:2]) / max(center[2] - height_m, 1.0)
+        beyond = np.floor((places + away - corner) / _CELL_M).astype(np.int64) - first
+        beyond = np.clip(beyond, 0, np.array(held.shape) - 1)
+        stays.append(held[tuple(beyond.T)].mean())
+    here = shares[:, shares[0] >= _SHARE].mean(axis=1)
+    return bool(here[1] / here[0] > 0.5 * (1.0 + float(np.mean(stays))))
 
 
 def _connected(cells: Cells) -> list[NDArray[np.int64]]:

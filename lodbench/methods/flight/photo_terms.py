@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,13 @@ LENS = 5
 TOP, FOOT, _LENS = 7, 8, slice(9, 9 + LENS)
 
 
+class Fit(NamedTuple):
+    """How well a photo fits: IoU, and overlap with mapped buildings; see ``PhotoTerms``."""
+
+    iou: float
+    overlap: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PhotoTerms:
     """A quadratic in a photo's pose (6), the lens (5), the heights of N parts and the places of M buildings.
@@ -44,6 +52,7 @@ class PhotoTerms:
         parts: (N,) numbers of the parts it shows.
         buildings: (M,) rows of the scene's buildings it shows, ascending.
         iou: Of silhouette and mask; of edges the share of the model's lines that show one.
+        overlap: Of mask and mapped buildings, see ``mapped_overlap``; of edges as ``iou``.
         noise_px: Standard deviation of the mask's outline, or of edges.
         count: Points it rests on.
     """
@@ -53,6 +62,7 @@ class PhotoTerms:
     parts: NDArray[np.int64]
     buildings: NDArray[np.int64]
     iou: float
+    overlap: float
     noise_px: float
     count: int
 
@@ -103,7 +113,8 @@ def flight_terms(
             depend on it.
     """
     spread = map if threads is None else threads.map
-    seen = list(spread(lambda k: _look(aligners[k], vectors[k], lens, params), range(len(aligners))))
+    is_last = reach_px is None
+    seen = list(spread(lambda k: _look(aligners[k], vectors[k], lens, params, is_last), range(len(aligners))))
     # Where walls end has heights of its own, numbered apart from roofs; in the order of photos.
     parts = [
         None if one is None else (roofs.numbers_of(rows, one.places), roofs.numbers_of(-1 - rows, one.places))
@@ -111,29 +122,31 @@ def flight_terms(
     ]
 
     def terms(k: int) -> PhotoTerms | None:
-        (one, iou, rows), numbers = seen[k], parts[k]
+        (one, fit, rows), numbers = seen[k], parts[k]
         if one is None or numbers is None:
             return None
-        return _terms(one, iou, rows, numbers, roofs, reach_px, params, trust)
+        return _terms(one, fit, rows, numbers, roofs, reach_px, params, trust)
 
     return list(spread(terms, range(len(aligners))))
 
 
 def _look(
-    aligner: Aligner, vector: Floats, lens: Floats, params: PhotoParams
-) -> tuple[Residuals | None, float, NDArray[np.int64]]:
-    """Returns a photo's outline points, the IoU, and the scene's buildings they are of."""
+    aligner: Aligner, vector: Floats, lens: Floats, params: PhotoParams, is_last: bool
+) -> tuple[Residuals | None, Fit, NDArray[np.int64]]:
+    """Returns a photo's outline points, how well it fits, and the scene's buildings they are of."""
     # The lens bends points afterwards: what is rendered has the focal length as told.
     points, iou = aligner.outline(np.append(vector, 0.0), params.fine_size)
+    # Only what is answered is compared with mapped buildings alone.
+    fit = Fit(iou, aligner.overlap(np.append(vector, 0.0)) if is_last else iou)
     seen = _through_lens(aligner, points, lens, params.fine_size)
     if len(seen.distances) < _FEWEST_POINTS:
-        return None, iou, np.zeros(0, dtype=np.int64)
-    return seen, iou, aligner.edges.rows[seen.buildings]
+        return None, fit, np.zeros(0, dtype=np.int64)
+    return seen, fit, aligner.edges.rows[seen.buildings]
 
 
 def _terms(
     seen: Residuals,
-    iou: float,
+    fit: Fit,
     rows: NDArray[np.int64],
     numbers: tuple[NDArray[np.int64], NDArray[np.int64]],
     roofs: RoofParts,
@@ -150,14 +163,14 @@ def _terms(
     noise_px, weights = _outline_noise(seen, reach_px)
     lengths_px = params.outline_px, params.roof_part_px
     subsets = _MOST_SUBSETS if reach_px is None else 1
-    return summed_up(seen, rows, numbers, iou, (noise_px, weights), lengths_px, subsets, trust)
+    return summed_up(seen, rows, numbers, fit, (noise_px, weights), lengths_px, subsets, trust)
 
 
 def summed_up(
     seen: Residuals,
     rows: NDArray[np.int64],
     numbers: tuple[NDArray[np.int64], NDArray[np.int64]],
-    iou: float,
+    fit: Fit,
     noise: tuple[float, Floats],
     lengths_px: tuple[float, float],
     most_subsets: int,
@@ -170,7 +183,7 @@ def summed_up(
         seen: The residuals, where the heights found have moved the points.
         rows: (N,) of the scene's buildings that they are of.
         numbers: (N,) of the parts of roofs, and (N,) of feet, that they are of.
-        iou: How well the photo fits.
+        fit: How well the photo fits.
         noise: Standard deviation of the residuals, pixels, and (N,) how far each counts.
         lengths_px: Over which they go together, and a roof's errors do, pixels.
         most_subsets: Of points, each under a matrix of its own; the others are left out.
@@ -208,7 +221,7 @@ def summed_up(
         add_products(jacobian, 1.0 / (used * trust[1]), told)
         products[np.ix_(where, where)] += told
     products += np.triu(products, 1).T
-    return PhotoTerms(products[:-1, :-1], products[:-1, -1], parts, buildings, iou, noise[0], count)
+    return PhotoTerms(products[:-1, :-1], products[:-1, -1], parts, buildings, *fit, noise[0], count)
 
 
 def _covariance(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -118,3 +119,26 @@ def test_one_place_from_which_no_ground_is_seen_is_no_error(world):
     one = views(world, 4)[0]
     low = replace(one, pose=Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), (0.0, 0.0, -500.0)))
     assert missing_buildings([low] * 3, CityMap(world, threads=1)) == []
+
+
+def test_a_court_that_masks_hold_lies_flat_and_is_no_building(world):
+    """The same place, painted on the ground in all masks, and standing there."""
+    square = np.array([[-30.0, -90.0], [0.0, -90.0], [0.0, -65.0], [-30.0, -65.0]])
+    there, found = CityMap(world, threads=1), []
+    for height_m in (0.0, 6.0):
+        shown = []
+        for view in views(world):
+            mask = view.mask.copy()
+            corners = np.concatenate([np.column_stack([square, np.full(4, z)]) for z in {0.0, height_m}])
+            local = (corners - view.pose.center) @ view.pose.rotation.T
+            pixels = local[:, :2] / local[:, 2:] * [view.camera.fx, view.camera.fy]
+            hull = cv2.convexHull((pixels + np.array([view.camera.cx, view.camera.cy])).astype(np.int32))
+            canvas = mask.astype(np.uint8)
+            cv2.fillConvexPoly(canvas, hull, 1)
+            shown.append(replace(view, mask=canvas > 0))
+        found.append(missing_buildings(shown, there))
+    flat, standing = found
+    assert flat == []
+    (building,) = standing
+    assert building["area_m2"] == pytest.approx(750.0, rel=0.2)
+    assert building["apart_deg"] > 60.0

@@ -152,7 +152,7 @@ def random_problem(generator, photos=4):
         size = 6 + LENS + 3 + 2 * len(buildings)
         root = generator.normal(size=(size, size))
         gradient = generator.normal(size=size)
-        terms.append(PhotoTerms(root @ root.T, gradient, parts, buildings, 0.5, 1.0, 100))
+        terms.append(PhotoTerms(root @ root.T, gradient, parts, buildings, 0.5, 0.5, 1.0, 100))
     return state, terms, params
 
 

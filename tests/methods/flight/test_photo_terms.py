@@ -23,7 +23,7 @@ def test_points_speak_of_their_own_parts_as_the_dense_problem_has_it(city_map, m
     aligner, roofs = Aligner(query, city_map, params), RoofParts(20.0, city_map.scene.num_buildings)
     asked = roofs, reach_px, params, (0.5, heat), None
     (term,) = flight_terms([aligner], vector[None], lens, *asked)
-    seen, _, rows = photo_terms._look(aligner, vector, lens, params)
+    seen, _, rows = photo_terms._look(aligner, vector, lens, params, False)
     numbers = roofs.numbers_of(rows, seen.places), roofs.numbers_of(-1 - rows, seen.places)
     _, weights = photo_terms._outline_noise(seen, reach_px)
     subsets = -(-len(rows) // 40)
@@ -54,7 +54,7 @@ def test_points_speak_of_their_own_parts_as_the_dense_problem_has_it(city_map, m
 def test_errors_of_a_building_s_place_go_together_in_one_view_and_not_with_others(city_map):
     (query,), (pose,) = flight(city_map, count=1, focal=1.0)
     params, vector = Params().photo(), vector_from_pose(pose)
-    seen, _, _ = photo_terms._look(Aligner(query, city_map, params), vector, np.zeros(LENS), params)
+    seen, _, _ = photo_terms._look(Aligner(query, city_map, params), vector, np.zeros(LENS), params, False)
     noise, chosen = (1.0, np.ones(len(seen.distances))), slice(0, None, 7)
     lengths_px = params.outline_px, params.roof_part_px
     without, with_places = (

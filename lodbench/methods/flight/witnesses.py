@@ -1,0 +1,149 @@
+"""What findings about the map rest on: how far their photos look apart, and whether edges contradict them.
+
+Masks of a network err alike in photos that look alike. A building whose mapped roof lies on the edges of
+photos from different sides stands as the map has it, whatever masks say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymap import CityMap
+from lodbench.citymodel.building_boxes import building_boxes
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.query import Query
+from lodbench.estimation.model_lines import LensErrors, ModelLines, lens_camera, lines_in_view, project_lines
+from lodbench.geometry.pose_vector import pose_from_vector
+from lodbench.methods.assessment import edge_excess
+from lodbench.methods.flight.edge_terms import EdgePhoto, edge_photo
+
+Floats = NDArray[np.float64]
+
+# Photos look at a place from different sides whose directions are so far apart there, degrees.
+APART_DEG = 20.0
+# A mapped roof stands whose lines lie on edges by this share of them more often than by chance.
+_STANDS = 0.2
+# Points of lines, pixels apart; those that a wrong height would move by less say nothing of it, pixels.
+_SPACING_PX, _MOVED_PX = 3.0, 5.0
+# Bases of walls are no evidence, as in the whole flight.
+_LOWEST_RISE = 0.2
+
+
+def apart_deg(place: Floats, centers: Floats) -> float:
+    """Returns the largest angle between directions from a place to cameras, degrees; 0 for fewer than two.
+
+    Args:
+        place: (3,) scene metres.
+        centers: (N, 3) of cameras, scene metres.
+    """
+    if len(centers) < 2:
+        return 0.0
+    away = centers - place
+    away = away / np.maximum(np.linalg.norm(away, axis=1), 1e-9)[:, None]
+    return float(np.degrees(np.arccos(np.clip(away @ away.T, -1.0, 1.0).min())))
+
+
+def roof_middles(scene: Scene) -> dict[int, Floats]:
+    """Returns the middle of each building's box at its top, (3,) scene metres, by row."""
+    low, high, building = building_boxes(scene)
+    middles = np.column_stack([0.5 * (low + high)[:, :2], high[:, 2]])
+    return dict(zip(building.tolist(), middles, strict=True))
+
+
+def without_contradicted(
+    findings: dict[str, Any], queries: Sequence[Query], vectors: Floats, lens: Floats, city_map: CityMap
+) -> dict[str, Any]:
+    """Returns a flight's findings without those that the edges of its photos contradict.
+
+    Args:
+        findings: As of ``findings_of``.
+        queries: The photos; of those without a picture there are no edges.
+        vectors: (P, 6) where they were taken, metres and degrees.
+        lens: What the camera differs by, in the order of ``LensErrors``.
+        city_map: The map.
+    """
+    rows = {name: row for row, name in enumerate(city_map.scene.building_ids)}
+    doubted = {rows[b["id"]]: float(b["higher_m"]) for b in findings["buildings"] if b["doubt"]}
+    gone = {rows[c["id"]]: None for c in findings["changes"] if c["kind"] == "gone"}
+    standing = _standing({**doubted, **gone}, queries, vectors, lens, city_map)
+    ids = {city_map.scene.building_ids[row] for row in standing}
+    return {
+        **findings,
+        "buildings": [{**b, "doubt": b["doubt"] and b["id"] not in ids} for b in findings["buildings"]],
+        "changes": [c for c in findings["changes"] if c.get("id") not in ids],
+    }
+
+
+def _standing(
+    claims: Mapping[int, float | None],
+    queries: Sequence[Query],
+    vectors: Floats,
+    lens: Floats,
+    city_map: CityMap,
+) -> set[int]:
+    """Returns the buildings that stand as mapped by the edges of photos.
+
+    Args:
+        claims: By row, how much higher than mapped a building is said to be, metres; None for gone.
+        queries: The photos.
+        vectors: Where they were taken.
+        lens: Of ``LensErrors``.
+        city_map: The map.
+    """
+    if not claims:
+        return set()
+    seen: dict[int, list[tuple[int, float, float]]] = {row: [] for row in claims}
+    errors = LensErrors(*(float(v) for v in lens[:4]))
+    for k, query in enumerate(queries):
+        photo = edge_photo(query, city_map)
+        if photo is None:
+            continue
+        camera = lens_camera(photo.camera, errors)
+        lines = lines_in_view(city_map, camera, pose_from_vector(vectors[k]), _SPACING_PX)
+        lines = lines.of(lines.rises > _LOWEST_RISE)
+        for row in np.intersect1d(lines.buildings, list(claims)).tolist():
+            found = _excesses(photo, lines.of(lines.buildings == row), vectors[k], errors, claims[row])
+            if found is not None:
+                seen[row].append((k, *found))
+    middles = roof_middles(city_map.scene)
+    return {row for row, photos in seen.items() if _stands(photos, middles[row], vectors[:, :3])}
+
+
+def _stands(photos: Sequence[tuple[int, float, float]], place: Floats, centers: Floats) -> bool:
+    """Returns whether a building stands as mapped, given photos: number, excess as mapped, and as claimed."""
+    if not photos:
+        return False
+    as_mapped, as_claimed = np.mean([photo[1:] for photo in photos], axis=0)
+    showing = [k for k, mapped, _ in photos if mapped > _STANDS]
+    return bool(as_mapped > max(_STANDS, as_claimed) and apart_deg(place, centers[showing]) >= APART_DEG)
+
+
+def _excesses(
+    photo: EdgePhoto, lines: ModelLines, vector: Floats, errors: LensErrors, higher_m: float | None
+) -> tuple[float, float] | None:
+    """Returns how much more than by chance a building's lines lie on edges, as mapped and as claimed.
+
+    None where too few of its lines are in view, or such as would not move.
+    """
+    if higher_m is not None:
+        laid = project_lines(lines.points, lines.along, photo.camera, vector, errors)
+        lines = lines.of(np.abs(laid.by_place[:, 2] * lines.rises * higher_m) > _MOVED_PX)
+    mapped = _excess(photo, lines, vector, errors, 0.0)
+    claimed = 0.0 if higher_m is None else _excess(photo, lines, vector, errors, higher_m)
+    return None if mapped is None or claimed is None else (mapped, claimed)
+
+
+def _excess(
+    photo: EdgePhoto, lines: ModelLines, vector: Floats, errors: LensErrors, higher_m: float
+) -> float | None:
+    points = lines.points.copy()
+    points[:, 2] += lines.rises * higher_m
+    laid = project_lines(points, lines.along, photo.camera, vector, errors)
+    inside = ((laid.pixels > 0) & (laid.pixels < (photo.camera.width, photo.camera.height))).all(axis=1)
+    parts = {name: getattr(laid, name)[inside] for name in laid.__slots__}
+    return edge_excess(photo.edges, replace(laid, **parts))
