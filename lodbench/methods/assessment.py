@@ -34,8 +34,8 @@ _NOISE_PX, _TOGETHER_PX = 2.0, 40.0
 # Covariances of single photos allow for more than errors are: on 98 answers over two real flights and two
 # cities this share of them states what is found (docs/adr/0069).
 _COVARIANCE_SHARE = 0.5
-# How often a camera is not as declared, but no better known than from its nominal focal length.
-_MISDECLARED = 0.1
+# How often a camera is not as declared, and by how many deviations of a nominal one it errs then.
+_MISDECLARED, _WORSE = 0.15, 2.0
 # A line lies on an edge that is nearer than this; lines laid so far aside say how many do by chance, pixels.
 _ON_PX, _ASIDE_PX = 2.5, (-25.0, -17.0, 17.0, 25.0)
 # Where no more lines than by chance and this share lie on edges, the photo contradicts the answer.
@@ -75,7 +75,7 @@ def assessed(
             probability = min(probability, probability_within(allowed, vector))
         else:
             per_unit = camera_columns(laid, lines, _prior_sigmas(params))
-            by_camera, if_unknown = per_unit * _camera_sigmas(query), per_unit * _sigmas_of(UNKNOWN)
+            by_camera, if_unknown = per_unit * _camera_sigmas(query), per_unit * (_WORSE * _sigmas_of(UNKNOWN))
             notes += _camera_notes(by_camera, query)
             covariance = covariance + by_camera @ by_camera.T
             masses = [probability_within(allowed + c @ c.T, vector) for c in (by_camera, if_unknown)]

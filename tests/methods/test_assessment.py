@@ -108,8 +108,8 @@ def test_a_camera_that_is_little_known_costs_probability_and_stands_in_the_covar
     unknown = assessed(answer(truths[0]), replace(bare, camera_sigmas=UNKNOWN), city_map)
     np.testing.assert_array_equal(calibrated.covariance, SURE)
     assert calibrated.probability == unsaid.probability
-    # Even a calibrated one may be of another camera: one in ten.
-    assert 0.9 <= calibrated.probability < 0.99
+    # Even a calibrated one may be of another camera: one in seven.
+    assert 0.85 <= calibrated.probability < 0.95
     assert calibrated.notes == ()
     assert unknown.probability < 0.8 * calibrated.probability
     added = unknown.covariance - SURE

@@ -210,7 +210,8 @@ class Params:
         # The best pose on the map as it is: what one photo leaves open the others tell, roofs as well.
         # Without those, lines count where the map is exact (docs/adr/0023).
         exact = RegionParams(roofs_m=0.0, pitched_lower_m=0.0, own_roofs_m=0.0, feet_m=0.0, eaves_m=0.0)
-        as_it_is = replace(exact, place_sigma_m=0.0)
+        # The edges of all photos together refine them.
+        as_it_is = replace(exact, place_sigma_m=0.0, edges=False)
         return replace(as_it_is, lines_weight=0.1, least_sharpness=0.7, **self._ranges())
 
     def _ranges(self) -> dict[str, Any]:
