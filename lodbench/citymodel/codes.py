@@ -26,7 +26,7 @@ BAD_COORDINATE = FindingCode(107, _E, "A coordinate is not a finite number; the 
 BAD_COUNT = FindingCode(
     108, _E, "A ring's number of coordinates does not fit its dimension; the polygon is dropped."
 )
-DUPLICATE_POLYGON = FindingCode(109, _W, "A polygon stands twice in one building at one level; one is kept.")
+DUPLICATE_POLYGON = FindingCode(109, _W, "Duplicate polygon in one building and level; one copy kept.")
 RING_2D = FindingCode(110, _I, "A ring has no heights; z is 0.")
 FAR_FROM_PLANAR = FindingCode(
     111, _E, "A corner of a polygon lies over 1 m off its mean plane: its shape is a guess."
@@ -68,7 +68,7 @@ CRS_IMPLAUSIBLE = FindingCode(
 )
 AXES_SWAPPED = FindingCode(304, _I, "The axes stand in another order than the reference system declares.")
 CRS_PROJECTED = FindingCode(305, _I, "Coordinates were projected to a metric reference system.")
-CRS_MAPPED = FindingCode(306, _I, "The declared name was read as another, by lodbench's own map.")
+CRS_MAPPED = FindingCode(306, _I, "A non-standard CRS name was mapped to its EPSG code.")
 CRS_MIXED = FindingCode(307, _W, "One file declares several reference systems; all go to the first.")
 AXES_AMBIGUOUS = FindingCode(308, _W, "Either axis order is plausible; one was taken.")
 SCALE_OFF = FindingCode(

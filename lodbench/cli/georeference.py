@@ -126,7 +126,7 @@ def describe(placed: Georeferenced) -> str:
 
 def _doubted(placed: Georeferenced) -> str:
     count = len(placed.untrusted)
-    return f"; {count} of {len(placed.used)} are not to be trusted" if count else ""
+    return f"; {count} of {len(placed.used)} are unreliable" if count else ""
 
 
 def _three(numbers: Iterable[float]) -> str:

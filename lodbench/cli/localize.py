@@ -240,9 +240,9 @@ def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
     own = [f"--{name}" for name in ("mask", "lat", "lon", "center") if getattr(asked, name) is not None]
     if own and not is_one:
         hint = (
-            "--masks DIR has a mask for each." if own[0] == "--mask" else "Give one photo, or leave it out."
+            "Use --masks DIR for several." if own[0] == "--mask" else "Give one photo, or leave it out."
         )
-        raise ConfigError(f"{own[0]} is of one photo, and there are several.", hint)
+        raise ConfigError(f"{own[0]} works with one photo.", hint)
     if asked.masks is not None and is_one:
         raise ConfigError("--masks is for several photos.", "Give --mask FILE.")
     if asked.reconstruction is not None and is_one:

@@ -86,10 +86,10 @@ class Parser(argparse.ArgumentParser):
         Raises:
             ConfigError: Always.
         """
-        text = message.replace("the following arguments are required:", "these words are missing:")
+        text = message.replace("the following arguments are required:", "required:")
         # An option of several words takes those after it as well.
-        first = "They come before the options. " if "missing: " in text and "missing: -" not in text else ""
-        hint = f"{first}{self.prog} --help says how it is used."
+        first = "Arguments go before options. " if "required: " in text and "required: -" not in text else ""
+        hint = f"{first}See {self.prog} --help."
         raise ConfigError(f"{self.prog}: {text.rstrip('.')}.", hint)
 
 

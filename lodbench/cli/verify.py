@@ -228,11 +228,14 @@ def describe(verdict: Verdict) -> str:
     if count:
         lines.append(f"{verdict.stored.folder}: {count} difference{'s' * (count > 1)}")
     else:
-        truth = "the truth" if has_truth(verdict.stored.queries).any() else "nothing else: there is no truth"
-        basis = "their rows" if verdict.is_weak else f"their poses and {truth}"
-        lines.append(
-            f"{verdict.stored.folder}: the numbers of {count_of(queries, 'queries')} follow from {basis}"
+        basis = (
+            "with queries.csv (poses not recomputed)"
+            if verdict.is_weak
+            else "with poses and ground truth"
+            if has_truth(verdict.stored.queries).any()
+            else "with their poses; no ground truth to check"
         )
+        lines.append(f"{verdict.stored.folder}: {count_of(queries, 'queries')} consistent {basis}")
     return "\n".join(lines) + "\n"
 
 

@@ -74,7 +74,7 @@ class TestCityGML:
         assert model.pitched.tolist() == mesh_city(model).pitched.tolist() == [True, False, False, True]
 
     def test_info_counts_them(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        told = ["roofs      pitched on 2, as told"]
+        told = ["roofs      2 buildings pitched (from the file)"]
         for codes, expected in ((("3100", "1000", "2100"), told), (("1000",), [])):
             path = write(tmp_path / "a.gml", town(*codes))
             assert main(["city", "info", str(path)]) == 0

@@ -97,7 +97,7 @@ def test_a_flight_is_solved_as_a_whole(capsys, flight, tmp_path):
         f"flight 1: {COUNT} photos, DJI_0001.JPG to DJI_0004.JPG, FC6310R 400 x 300, 2023-10-18 11:46:10"
         in output
     )
-    assert f"heights are stated {OFF_M[2]:.0f}" in output
+    assert f"heights in the metadata are {OFF_M[2]:.0f}" in output
     errors = errors_m(tmp_path, flight.truth)
     assert len(errors) == COUNT
     assert max(errors.values()) < 1.0

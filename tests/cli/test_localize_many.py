@@ -55,7 +55,7 @@ def test_each_photo_has_its_row_its_place_and_its_own_files(capsys, case, flight
     told = capsys.readouterr().out
     # One failed, so not all is well; two were found.
     assert code == 3
-    assert "3 photos: 2 found, 0 not to be trusted, 1 failed" in told
+    assert "3 photos: 2 reliable, 0 unreliable, 1 failed" in told
     missing = (
         "silent.jpg does not say where it was taken, how high it was (absolute), where its camera looked"
     )
@@ -89,8 +89,8 @@ def test_each_photo_has_its_row_its_place_and_its_own_files(capsys, case, flight
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--mask", "m.png"), "--mask is of one photo"),
-        (("--lat", "51"), "--lat is of one photo"),
+        (("--mask", "m.png"), "--mask works with one photo"),
+        (("--lat", "51"), "--lat works with one photo"),
         (("--masks", "nowhere"), "--masks nowhere is no folder"),
     ],
 )
@@ -239,7 +239,7 @@ class TestMasksBesideTheirPhotos:
         words = [photos, "--city", case.city, "--masks", photos, "--each-alone", "--out", tmp_path / "out"]
         assert main(["localize", *map(str, words)]) == 3
         told = capsys.readouterr()
-        assert "2 photos: 1 found, 0 not to be trusted, 1 failed" in told.out
+        assert "2 photos: 1 reliable, 0 unreliable, 1 failed" in told.out
         assert f"{photos} holds no mask of it" in told.out
         assert "not used" not in told.err
 
@@ -350,7 +350,7 @@ def test_why_answers_are_not_to_be_trusted_is_said_photo_by_photo(
     ]
     assert main(["localize", *map(str, words), "--each-alone"]) == 3
     told = capsys.readouterr().out
-    assert "3 photos: 0 found, 2 not to be trusted, 1 failed" in told
+    assert "3 photos: 0 reliable, 2 unreliable, 1 failed" in told
     assert f"{flight}/a/DJI_0001.JPG: the answer lies beyond the range" in told
     assert "and 1 more such notes in the table" in told
     assert "may be farther off (--prior-range, --prior-yaw); mending their masks" in told

@@ -255,7 +255,7 @@ def _require_own(path: Path) -> None:
 def _notes(localized: Localized, orientation: int, frame: MapFrame | None) -> list[str]:
     notes = []
     if not localized.is_trusted:
-        notes.append(f"the photo's pose is not to be trusted ({localized.file}): so are these places")
+        notes.append(f"the photo's pose is unreliable ({localized.file}), and so are these places")
     if localized.covariance is None:
         notes.append("the method that localised the photo states no covariance: nor is there one here")
     if orientation > 1:

@@ -21,7 +21,7 @@ def frame_on_earth(crs: str | None) -> MapFrame:
     """
     if crs is None:
         raise DatasetError(
-            "Without a reference system of the city, --sidecars have nothing to say.", "Name it with --crs."
+            "--sidecars need a city with a reference system.", "Name it with --crs."
         )
     return MapFrame(crs)
 
