@@ -125,6 +125,6 @@ def test_a_benchmark_from_a_real_flight(tmp_path):
     write_case(tmp_path)
     said = tell("real-benchmark", tmp_path)
     assert "block 5: roof 40." in said
-    assert "written: town, 6 photos that the map has not used" in said
+    assert "written: town, 6 photos not used for the map" in said
     assert said.count("area IoU 0.9") + said.count("area IoU 1.0") >= 20
     assert (tmp_path / "town" / "city.obj").is_file()

@@ -24,7 +24,7 @@ from lodbench.plugins import PlugIn, find_plugin
 
 _EPILOG = """\
 A method is an entry point under lodbench.methods, with conf/method/NAME.yaml: see CONTRIBUTING.md, "Add a
-method". It is asked for the poses of three photos over seven blocks, with exact masks, several times.
+method". It localises three photos of seven blocks, with exact masks, several times.
 Settings are those of a run: lodbench check-method lodlocv2 method.variant=no_refine
 In another environment: lodbench check-method NAME runner.python=PATH
 Exit code: 0 it keeps to the protocol, 1 it does not, 2 there is no such method or setting.

@@ -41,7 +41,7 @@ def format_info(name: str, info: dict[str, Any]) -> str:
 
 
 def _roof_lines(pitched: int) -> list[str]:
-"""Returns how many buildings have pitched roofs by an attribute of the file."""
+    """Returns how many buildings have pitched roofs by an attribute of the file."""
     count = count_of(format(pitched, ","), "buildings")
     return [f"roofs      {count} pitched (from the file)"] if pitched else []
 

@@ -118,7 +118,7 @@ def describe(placed: Georeferenced) -> str:
     lines += [f"note: {plain_text(note)}" for note in placed.notes]
     if not placed.is_trusted:
         lines.append(
-            "do not trust: most photos' outlines fit the map badly where this puts them. What helps: masks "
+            "unreliable: most photos' outlines fit the map poorly in this place. What helps: masks "
             "that show the buildings (lodbench mask PHOTO), a better --start, the right city"
         )
     return "\n".join(lines)

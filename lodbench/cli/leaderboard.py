@@ -85,7 +85,7 @@ def _add(run: Path, options: argparse.Namespace) -> int:
     text, path = entry_text(entry), entry_path(options.root, entry)
     twin = _twin(options.root, path, entry)
     if twin is not None:
-        raise DatasetError(f"{run} is a copy of a run that has an entry: {twin}.", "An answer ranks once.")
+        raise DatasetError(f"{run} is a copy of a run that has an entry: {twin}.", "Each run is ranked once.")
     make_folder(path.parent)
     write_text(path, text)
     sys.stdout.write(f"{path}\n" + "".join(f"  kept out of the ranking: {reason}\n" for reason in reasons))

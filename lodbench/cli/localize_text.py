@@ -40,10 +40,14 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
     count = count_of(len(answers.photos), "photos")
     lines.append(f"{count}: {good} reliable, {doubted} unreliable, {failed} failed")
     if doubted:
-        helps = "correct their masks (lodbench mask PHOTO)" if has_masks else "add a mask for each (--masks DIR)"
+        helps = (
+            "correct their masks (lodbench mask PHOTO)" if has_masks else "add a mask for each (--masks DIR)"
+        )
         # Flights look as far as they must.
         farther = (
-            "" if answers.flights else "; widen the search if the rough pose may be far off (--prior-range, --prior-yaw)"
+            ""
+            if answers.flights
+            else "; widen the search if the rough pose may be far off (--prior-range, --prior-yaw)"
         )
         lines.append(f"Check the overlays of unreliable poses. What helps most: {helps}{farther}.")
     files = [("table", answers.table), ("map", answers.map), ("", answers.geopackage)]

@@ -173,7 +173,7 @@ def report(runs: Sequence[Run]) -> str:
     lines = []
     for run, summary in zip(runs, summaries, strict=True):
         if "invalid" in summary:
-            lines.append(f"INVALID, in no table: {summary['invalid']}")
+            lines.append(f"INVALID, excluded from tables: {summary['invalid']}")
         variant = summary["method"]["variant"]
         name = f"{summary['method']['name']} {variant}".strip()
         for split in run.splits:
@@ -213,7 +213,7 @@ def picture_to_open(runs: Sequence[Run]) -> str:
 
 
 def _calibration_text(table: RecallTable) -> str:
-    shown = replace(table.with_columns("calibration"), title=f"How sure methods were: {table.title}")
+    shown = replace(table.with_columns("calibration"), title=f"Calibration: {table.title}")
     return (
         format_text(shown) + "mean_confidence: mean probability of being within (2 m, 2 deg); ece: expected "
         "calibration error, its distance from what was found; aurc: area under the risk-coverage curve, not "

@@ -37,8 +37,8 @@ from lodbench.reporting.safe_text import plain_text
 from lodbench.segmentation.registry import make_segmenter
 
 _EPILOG = """\
-Exit code: 0 all numbers follow, 1 they do not (one line per difference), 2 the run cannot be read.
-Where the dataset is not there only summary.json is compared with queries.csv: a weaker check, and said.
+Exit code: 0 all numbers are consistent, 1 they are not (one line per difference), 2 the run cannot be read.
+If the dataset is missing, only summary.json is compared with queries.csv, a weaker check.
 """
 
 
@@ -216,13 +216,13 @@ def describe(verdict: Verdict) -> str:
     lines = list(verdict.differences)
     if verdict.is_weak:
         lines.append(
-            "weaker check: the dataset is not where it was, so summary.json was compared with queries.csv "
-            "only; name its place with --dataset-root"
+            "weaker check: dataset not at its former path, so summary.json was compared with queries.csv "
+            "only; give its path with --dataset-root"
         )
     lines += [f"note: {note}" for note in verdict.notes]
     if verdict.unknown:
         names = plain_text(", ".join(verdict.unknown))
-        lines.append(f"note: metrics of packages that were not, or are not, installed, not compared: {names}")
+        lines.append(f"note: not compared: metrics of packages not installed then or now: {names}")
     count = len(verdict.differences)
     queries = len(verdict.stored.queries)
     if count:

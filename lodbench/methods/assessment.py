@@ -142,7 +142,7 @@ def _edge_doubts(query: Query, laid: Projected, lines: ModelLines, camera: Camer
     )
     excess = edge_excess(PhotoEdges(picture, (camera.width, camera.height)), shown)
     if excess is not None and excess < _LEAST_EXCESS:
-        yield "the photo contradicts this pose: its edges lie on the map's roof edges no more than by chance"
+        yield "poor fit: edges in the photo match the map's roof edges no better than by chance"
 
 
 def _prior_sigmas(params: Any) -> Floats:

@@ -46,7 +46,9 @@ def constant_rows(constants: Mapping[str, Mapping[str, Any]]) -> list[tuple[str,
     """Returns each constant but the height: its name, its correction, and whether photos determine it."""
     order = [name for name in _CALLED if name in constants]
     order += [name for name in constants if name not in _CALLED and name != "height"]
-    return [(_CALLED.get(name, name), _change(name, constants[name]), constants[name]["told"]) for name in order]
+    return [
+        (_CALLED.get(name, name), _change(name, constants[name]), constants[name]["told"]) for name in order
+    ]
 
 
 def _change(name: str, constant: Mapping[str, Any]) -> str:

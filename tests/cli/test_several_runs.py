@@ -37,7 +37,7 @@ def test_what_is_no_run_is_passed_over_with_a_note(lodbench, tmp_path, runs, wor
     done = lodbench(*words[:at], *runs, *words[at:])
     assert done.returncode == 0, done.stderr
     assert [line for line in done.stderr.splitlines() if "passed over" in line] == [
-        f"lodbench: passed over, no finished run: {path}" for path in runs[1:3]
+        f"lodbench: skipped, not a finished run: {path}" for path in runs[1:3]
     ]
     files = {"report": "report.html", "export": "export/poses.csv"}
     if words[0] in files:

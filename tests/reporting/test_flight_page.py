@@ -53,11 +53,11 @@ def test_photos_are_turned_by_the_slider_their_rows_and_the_map(tmp_path, scheme
         assert fits(here)
         words = here.inner_text("main")
         for said in (
-            "Heights are stated 31.9 m too high +-0.4: ellipsoid or take-off?",
+            "Heights in the metadata are 31.9 m too high +-0.4: measured from the ellipsoid or the take-off point?",
             "1 unreliable, 1 from the other photos alone, 1 left out",
             "no: unchanged",
             "B<1>",
-            "do not trust, by the others alone: far from the others",
+            "do not trust, from the others alone: far from the others",
             "2.4 m +-0.3 lower than in the map",
             "other.jpg: 9.0 km outside the city model",
         ):

@@ -50,7 +50,7 @@ def more_probable(
             camera_sigmas=photo.camera_sigmas,
         )
     except QueryFault as fault:
-        note = f"a network's mask was asked as well, and says nothing: {fault.message.rstrip('.')}"
+        note = f"a network's mask was tried as well, without result: {fault.message.rstrip('.')}"
         return photo, replace(estimate, notes=(*estimate.notes, note))
     apart = pose_error(found.pose, estimate.pose)
     agree = apart.translation_m <= _TOGETHER_M and apart.rotation_deg <= _TOGETHER_DEG

@@ -210,7 +210,7 @@ def _notes(photo: PreparedPhoto, place: OpenMap, view: PhotoView, estimate: Esti
     notes += place_notes(place.frame, () if has_height else (photo.stated,), request.heights)
     notes += filter(None, [xmp_note([photo.stated])])
     if photo.stated.orientation > 1:
-        notes.append("viewers turn this photo for display (EXIF): camera and mask are of the stored pixels")
+        notes.append("EXIF rotates this photo for display: camera and mask refer to the pixels as stored")
     if photo.stated.is_turned and request.given.roll_deg is None:
         notes.append("the photo was turned since it was taken, by EXIF's size: give --roll 90, or -90")
     if view.pixels is None:

@@ -259,7 +259,7 @@ def _notes(localized: Localized, orientation: int, frame: MapFrame | None) -> li
     if localized.covariance is None:
         notes.append("the method that localised the photo states no covariance: nor is there one here")
     if orientation > 1:
-        notes.append("viewers turn this photo for display (EXIF): pixels count in it as it is stored")
+        notes.append("EXIF rotates this photo for display: pixels refer to it as stored")
     if frame is None:
         notes.append("the city names no reference system: no GeoJSON was written (--crs names it)")
     return notes

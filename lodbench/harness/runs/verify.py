@@ -250,7 +250,7 @@ def _with_city(inputs: dict[str, str], scene: Scene, notes: list[str]) -> dict[s
     now = city_digests(scene)
     if "roofs" in now and "roofs" not in inputs:
         # Runs of older versions never do.
-        notes.append("the run says nothing of pitched roofs, which the city model tells of: not compared")
+        notes.append("the run records no pitched roofs, but the city model has them: not compared")
         del now["roofs"]
     return {name: digest for name, digest in inputs.items() if name != "roofs"} | now
 

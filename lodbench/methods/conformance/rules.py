@@ -140,8 +140,7 @@ def near_the_prior(answers: TrialAnswers) -> str:
         errors.append(_distance_m(pose, truth))
         prior_errors.append(_distance_m(query.prior, truth))
     return (
-        f"at most {max(errors):.2f} m from the truth, the priors {max(prior_errors):.2f} m "
-        "(information only)"
+        f"at most {max(errors):.2f} m from the truth, the priors {max(prior_errors):.2f} m (information only)"
     )
 
 
