@@ -144,7 +144,7 @@ def test_each_part_keeps_to_its_protocol(env):
     for words, (code, told) in zip(commands, env.call(*commands), strict=True):
         assert code == 0, (words, told)
         assert "skyline 1.0" in told
-        assert "keeps to the protocol" in told
+        assert "conforms to the protocol" in told
     wanted = ["check-plugin", "segmenter", "bright", "segmenter.threshold=1"]
     (tried, wrong) = env.call(wanted, [*wanted, "method.threshold=1"])
     assert (tried[0], wrong[0]) == (0, 2)

@@ -63,7 +63,7 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
     )
     add("--draws", type=int, help="of --guided-by: silhouettes of each photo (4)")
     add("--grabcut", action="store_true", help="measure OpenCV's GrabCut beside it")
-    add("--instances", action="store_true", help="of --data: how well single buildings are told apart")
+    add("--instances", action="store_true", help="of --data: how well single buildings are separated")
     add("--visible", type=Path, metavar="SET", help="the same with occluders_in_mask=true")
     add("--town", help="test or train: views made on first use (test)")
     add("--city", type=Path, help="measure recall over the IoU of masks on views of it")

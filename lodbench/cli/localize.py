@@ -56,8 +56,8 @@ taken. The search covers 10 m around the rough pose, 30 m up and down and 7.5 de
 Several photos, or a folder, are taken as flights, separated by camera and by the time in EXIF, and each is
 solved as a whole (--method flight). Masks come from --masks, else from a folder named masks in it, else from
 a network (efficient_unet), or with --method-option single=region from the photos' own pixels, without a
-network. localized.csv, .geojson and .gpkg list all photos; flights.json holds the estimated errors of drone and
-map, map_findings.geojson the buildings concerned. --each-alone localises each photo by itself.
+network. localized.csv, .geojson and .gpkg list all photos; flights.json holds the estimated errors of drone
+and map, map_findings.geojson the buildings concerned. --each-alone localises each photo by itself.
 
 Exit code: 3 if a pose is more likely wrong than right, or a photo has none; 1 if none of many photos could be
 localised; 2 for wrong options or data; else 0.

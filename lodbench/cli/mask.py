@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 _FORMATS = ("labelme", "coco", "geojson")
 _EXAMPLES = """\
-The page is served to this machine alone. Strokes add to the mask or take from it; what looks alike nearby
-follows.
+The page is served to this machine alone. Strokes add to the mask or erase from it; similar
+pixels nearby are included.
 
 examples:
   lodbench mask DJI_0001.JPG                                   go on with DJI_0001_mask.png, or begin one

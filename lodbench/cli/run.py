@@ -208,7 +208,7 @@ def picture_to_open(runs: Sequence[Run]) -> str:
                 path = run.folder / "overlays" / overlay_name(split, "best", 1, row["query"])
                 if path.is_file():
                     name = run.config["method"]["name"]
-                    return f"Open {path}: the map's outlines at the prior and where {name} found it.\n"
+                    return f"Open {path}: the map's outlines at the prior and at the pose of {name}.\n"
     return ""
 
 
@@ -216,8 +216,8 @@ def _calibration_text(table: RecallTable) -> str:
     shown = replace(table.with_columns("calibration"), title=f"Calibration: {table.title}")
     return (
         format_text(shown) + "mean_confidence: mean probability of being within (2 m, 2 deg); ece: expected "
-        "calibration error, its distance from what was found; aurc: area under the risk-coverage curve, not "
-        "found as the surest 0 to 100 % are answered; all in percent.\n"
+        "calibration error, its distance from the share within; aurc: area under the risk-coverage curve: "
+        "share not within as the most confident 0 to 100 % are answered; all in percent.\n"
     )
 
 

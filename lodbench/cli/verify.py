@@ -115,7 +115,9 @@ def _require_useful(config: dict[str, Any], root: str | None, city: str | None) 
     for option, path, setting in (("--dataset-root", root, "root"), ("--city", city, "city_model")):
         if path is not None and setting not in known:
             name = config["dataset"]["name"]
-            raise ConfigError(f"{option} is of no use: dataset={name} knows its own place.", "Leave it out.")
+            raise ConfigError(
+                f"{option} is not used with dataset={name}, which is built in.", "Leave it out."
+            )
         if path is not None and not Path(path).exists():
             raise DatasetError(f"{path} does not exist.", f"Check the path after {option}.")
 

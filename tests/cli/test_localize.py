@@ -107,7 +107,7 @@ class TestFromPixels:
         alone = localize(capsys, case, tmp_path / "out", code=3)
         right, prior = pose_of(alone["pose"]), pose_of(alone["prior"])
         assert pose_error(right, case.truth).translation_m < 2.0
-        assert any("efficient_unet made" in note and "10 % sure" in note for note in alone["notes"])
+        assert any("efficient_unet made" in note and "10 %" in note for note in alone["notes"])
         # What the pixels said is still there, as another place.
         other = alone["alternatives"][0]
         assert pose_of(other).center == pytest.approx(prior.center + 20.0)

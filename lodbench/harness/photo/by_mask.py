@@ -59,8 +59,8 @@ def more_probable(
         return photo, estimate
     maker = "a segmenter" if request.segmenter is None else request.segmenter.name
     note = (
-        f"this pose is by the mask that {maker} made (method {request.by_mask.name}): "
-        f"the photo's own pixels were {100.0 * by_pixels:.0f} % sure of theirs"
+        f"this pose is from the mask that {maker} made (method {request.by_mask.name}); the pose from the "
+        f"photo's own pixels had a probability of {100.0 * by_pixels:.0f} %"
     )
     answer = replace(
         found,

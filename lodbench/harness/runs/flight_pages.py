@@ -45,7 +45,7 @@ def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
             len(said.get("lost", [])), dict(said.get("reasons", {})), list(said.get("notes", []))
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise DatasetError(
-                f"{file} does not tell constants, buildings and changes as method=flight does ({error!r}).",
+                f"{file} has no constants, buildings and changes as of method=flight ({error!r}).",
                 "Run the method again.",
             ) from error
     return found

@@ -214,7 +214,7 @@ def _calibration(queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
             curves[split] = calibrate(mine["probability"].fillna(0.0).to_numpy(), found)
     if not curves:
         return []
-    caption = "Left: confidence and share found; right: what is wrong of the answers let in, surest first."
+    caption = "Left: share within over confidence. Right: error rate over coverage, most confident first."
     return [Picture(draw_calibration(curves)["svg"], "svg+xml", caption, "chart")]
 
 

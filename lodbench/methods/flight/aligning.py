@@ -124,4 +124,4 @@ def _reason(term: PhotoTerms | None, away: float, fits_badly: bool) -> str:
         return "no building outline in its mask at the pose given by the other photos"
     if fits_badly:
         return f"its mask fits the map less than half as well as the others' (IoU {term.iou:.2f})"
-    return f"it lies {away:.0f} times further from where the other photos say it was than sensors err"
+    return f"its position is off that from the other photos by {away:.0f} times the sensors' error"
