@@ -71,7 +71,7 @@ def read_onnx(path: Path, hint: str, is_ours: bool = False, digest: str | None =
         with opencv_silenced():
             return cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8))
     except (cv2.error, OSError) as error:
-        raise ConfigError(f"{path} is no ONNX network that OpenCV can read.", hint) from error
+        raise ConfigError(f"{path} is not an ONNX network that OpenCV can read.", hint) from error
 
 
 def _probed(content: bytes) -> str:

@@ -115,7 +115,7 @@ def test_cityjson_says_it_in_attributes(tmp_path, attributes):
 
 def test_a_city_of_which_nothing_stands_says_so(tmp_path):
     text = city(box(40.0, core(terminationDate="2015-06-30")))
-    with pytest.raises(CityModelError, match="no building that stands on 2020-01-01; 1 ended") as raised:
+    with pytest.raises(CityModelError, match="no building that exists on 2020-01-01; 1 ended") as raised:
         read_city_model(write(tmp_path / "a.gml", text), options=ReadOptions(date="2020-01-01"))
     assert "date=YYYY-MM-DD" in raised.value.hint
 

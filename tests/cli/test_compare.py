@@ -109,7 +109,7 @@ def test_runs_without_a_truth_are_told_apart_by_their_answers(lodbench, tmp_path
         done = lodbench("run", "dataset=folder", f"dataset.root={root}", f"method={method}")
         folders.append(re.search(r"results:\s+(\S+)", done.stdout)[1])
     out = lodbench("compare", *folders).stdout
-    assert out.count("There is no truth to compare with: the answers themselves") == 2
+    assert out.count("No ground truth to compare with; the poses themselves") == 2
     assert "no paired test: there is no truth" in out
     empty = lodbench("compare", *folders, "--format", "csv", "--out", str(tmp_path / "t.csv"))
     assert empty.returncode == 2

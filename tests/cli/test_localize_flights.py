@@ -121,7 +121,7 @@ def test_a_flight_is_solved_by_its_pixels(capsys, flight, tmp_path):
     assert code in (0, 3)
     # The photos have two tones: none of the edges within roofs that photos are posed by.
     assert max(errors_m(tmp_path / "out", flight.truth).values()) < 1.5
-    assert "masks made with the map agree with it" not in output
+    assert "masks guided by the map" not in output
     for option, said in (("singel=region", "single"), ("single=regoin", "region"), ("name", "no value")):
         words = ["--city", flight.city, "--method-option", option, "--out", tmp_path / "no"]
         assert main(["localize", *map(str, (flight.photos, *words))]) == 2
@@ -218,7 +218,7 @@ def test_sidecars_of_a_city_that_is_nowhere_are_refused_before_photos_are_solved
     city.write_text("o house\nv 0 0 0\nv 9 0 0\nv 0 9 5\nf 1 2 3\n")
     words = ["--city", city, "--masks", flight.masks, "--sidecars", "--out", tmp_path / "out"]
     assert main(["localize", *map(str, (flight.photos, *words))]) == 2
-    assert "Without a reference system of the city, --sidecars" in capsys.readouterr().err
+    assert "--sidecars need a city with a reference system" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -247,11 +247,11 @@ class TestMasksBesideTheirPhotos:
         words = ["--city", case.city, "--method", "prior_only", "--out", tmp_path / "out"]
         assert main(["localize", *map(str, [photos, *words, "--heading", 10])]) == 0
         told = caplog.text
-        assert f"Masks beside 1 of the photos are not used: --masks {photos} takes them." in told
-        assert "--heading 10 takes the place of what 2 of the photos state themselves" in told
+        assert f"Masks beside 1 of the photos are not used; use them with --masks {photos}." in told
+        assert "--heading 10 overrides the heading in the metadata of 2 photos" in told
         assert main(["localize", *map(str, [photos / "DJI_0001.JPG", *words])]) == 0
         told = caplog.text
-        assert f"is not used: --mask {photos / 'DJI_0001_mask.png'} takes it." in told
+        assert f"is not used; use it with --mask {photos / 'DJI_0001_mask.png'}." in told
 
 
 def test_results_among_the_photos_are_none(capsys, case, tmp_path):
@@ -351,9 +351,9 @@ def test_why_answers_are_not_to_be_trusted_is_said_photo_by_photo(
     assert main(["localize", *map(str, words), "--each-alone"]) == 3
     told = capsys.readouterr().out
     assert "3 photos: 0 reliable, 2 unreliable, 1 failed" in told
-    assert f"{flight}/a/DJI_0001.JPG: the answer lies beyond the range" in told
+    assert f"{flight}/a/DJI_0001.JPG: the pose lies outside the stated range" in told
     assert "and 1 more such notes in the table" in told
-    assert "may be farther off (--prior-range, --prior-yaw); mending their masks" in told
+    assert "correct their masks (lodbench mask PHOTO); widen the search if the rough pose may be far off" in told
     with (out / "localized.csv").open() as stream:
         notes = [row["notes"] for row in csv.DictReader(stream)]
     assert [note.count("yaw") for note in notes] == [1, 1, 0]

@@ -287,7 +287,7 @@ def test_photos_with_masks_are_not_decoded_but_of_the_camera_s_size(capsys, foot
     told = capsys.readouterr().out
     assert "lost from photo_3.png to photo_3.png: it is 160 x 120, not as the camera" in told
     # PNGs have no clock.
-    assert "note: no clock tells the photos apart: 1 a second is assumed; --fps says how many" in told
+    assert "note: no clock to order the photos by: 1 a second is assumed; --fps says how many" in told
     assert main([*words, "--fps", "2"]) == 3
     assert "no clock" not in capsys.readouterr().out
 
