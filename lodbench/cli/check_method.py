@@ -51,7 +51,7 @@ def main(argv: Sequence[str]) -> int:
     options = parser.parse_args(argv)
     for word in options.settings:
         if not word.startswith(("method.", "runner.")):
-            raise ConfigError(f"{word} is no setting of a method.", "Write method.KEY=VALUE.")
+            raise ConfigError(f"{word} is not a setting of a method.", "Write method.KEY=VALUE.")
     # What the method prints is no line of the report's.
     with redirect_stdout(sys.stderr):
         if any(word.startswith("runner.") for word in options.settings):

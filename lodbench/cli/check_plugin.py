@@ -113,7 +113,7 @@ def _settings(words: Sequence[str], section: str) -> dict[str, Any]:
     """Returns the values of settings written as ``section.key=value``."""
     for word in words:
         if not word.startswith(f"{section}."):
-            raise ConfigError(f"{word} is no setting of a {section}.", f"Write {section}.KEY=VALUE.")
+            raise ConfigError(f"{word} is not a setting of a {section}.", f"Write {section}.KEY=VALUE.")
     return option_pairs([word.removeprefix(f"{section}.") for word in words])
 
 

@@ -82,7 +82,7 @@ def _require_given(asked: argparse.Namespace) -> None:
         folder = getattr(asked, name)
         if folder is not None and not folder.is_dir():
             hint = "Name the folder that holds it." if folder.is_file() else "Check the path."
-            raise DatasetError(f"{folder} is no folder.", hint)
+            raise DatasetError(f"{folder} is not a folder.", hint)
     if asked.start is not None and not asked.start.exists():
         raise DatasetError(f"{asked.start} does not exist.", "Check the path.")
     if asked.masks is None and asked.images is None:

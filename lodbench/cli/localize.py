@@ -246,7 +246,7 @@ def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
     if asked.reconstruction is not None and is_one:
         raise ConfigError("--reconstruction ties a flight's photos.", "Give several, or a folder.")
     if asked.masks is not None and not asked.masks.is_dir():
-        raise ConfigError(f"--masks {asked.masks} is no folder.", "Name the folder of the photos' masks.")
+        raise ConfigError(f"--masks {asked.masks} is not a folder.", "Name the folder of the photos' masks.")
 
 
 def _tell_many(answers: Answers, asked: argparse.Namespace) -> int:

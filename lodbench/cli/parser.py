@@ -71,7 +71,7 @@ class Parser(argparse.ArgumentParser):
         name, equals, value = word.partition("=")
         if equals and f"--{name}" in self._option_string_actions and not Path(word).exists():
             hint = f"Options have dashes: --{name} {shlex.quote(value)}"
-            raise ConfigError(f"{self.prog}: {word} is no file.", hint)
+            raise ConfigError(f"{self.prog}: {word} is not a file.", hint)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:

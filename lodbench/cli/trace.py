@@ -127,7 +127,7 @@ def _request(asked: argparse.Namespace) -> Any:
 def _require_given(asked: argparse.Namespace) -> None:
     for folder in (asked.model, asked.images):
         if not folder.is_dir():
-            raise DatasetError(f"{folder} is no folder.", "Check the path.")
+            raise DatasetError(f"{folder} is not a folder.", "Check the path.")
     for file in filter(None, (asked.polygons, asked.compare, asked.start)):
         if not file.exists():
             raise DatasetError(f"{file} does not exist.", "Check the path.")

@@ -205,12 +205,12 @@ def _no_run(folder: Path) -> DatasetError:
     if not folder.exists():
         return DatasetError(f"{folder} does not exist.", "Name a run folder.")
     if not folder.is_dir():
-        return DatasetError(f"{folder} is no folder.", "Name a run folder.")
+        return DatasetError(f"{folder} is not a folder.", "Name a run folder.")
     # runs/<dataset>/<method>/<digest>, from any of them; whole disks are not looked through.
     below = (path for depth in (1, 2, 3) for path in folder.glob(f"{'*/' * depth}{CONFIG_FILE}"))
     run = next((each.parent for each in below if (each.parent / "summary.json").is_file()), None)
     hint = "Name a run folder." if run is None else f"Name a run folder, as {shlex.quote(str(run))}"
-    return DatasetError(f"{folder} is no run folder: it holds no {CONFIG_FILE}.", hint)
+    return DatasetError(f"{folder} is not a run folder: it holds no {CONFIG_FILE}.", hint)
 
 
 def describe(verdict: Verdict) -> str:

@@ -122,7 +122,7 @@ def test_a_city_of_which_nothing_stands_says_so(tmp_path):
 
 @pytest.mark.parametrize("day", ["30.6.2015", "2015", "20150630", "2015-13-01"])
 def test_a_date_is_a_day(day):
-    with pytest.raises(ConfigError, match="is no date"):
+    with pytest.raises(ConfigError, match="is not a date"):
         ReadOptions(date=day)
 
 

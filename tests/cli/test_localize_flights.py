@@ -181,7 +181,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_solved(capsys, flight, tmp
         "town.JPG: By its position town.JPG was taken",
         "nowhere_0.JPG: nowhere_0.JPG does not say where it was taken",
         "nowhere_2.JPG: nowhere_2.JPG does not say where it was taken",
-        "broken.JPG is no JPEG, PNG or TIFF picture",
+        "broken.JPG is not a JPEG, PNG or TIFF picture",
         "copy.JPG: it is a copy of",
         "DJI_0004.png may be of",
         "the clock jumps at photos that are placed by name: DJI_0003.JPG",

@@ -353,7 +353,9 @@ def test_why_answers_are_not_to_be_trusted_is_said_photo_by_photo(
     assert "3 photos: 0 reliable, 2 unreliable, 1 failed" in told
     assert f"{flight}/a/DJI_0001.JPG: the pose lies outside the stated range" in told
     assert "and 1 more such notes in the table" in told
-    assert "correct their masks (lodbench mask PHOTO); widen the search if the rough pose may be far off" in told
+    assert (
+        "correct their masks (lodbench mask PHOTO); widen the search if the rough pose may be far off" in told
+    )
     with (out / "localized.csv").open() as stream:
         notes = [row["notes"] for row in csv.DictReader(stream)]
     assert [note.count("yaw") for note in notes] == [1, 1, 0]

@@ -62,5 +62,5 @@ def test_one_out_is_not_for_several_runs(lodbench, runs, command):
 def test_where_nothing_is_a_run_the_first_says_why(lodbench, runs, command):
     done = lodbench(command, *runs[1:3])
     assert done.returncode == 2
-    assert "pictures is no run folder" in done.stderr
+    assert "pictures is not a run folder" in done.stderr
     assert lodbench(command, runs[0], "nowhere").returncode == 2

@@ -35,7 +35,7 @@ def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
     """Returns what each flight of a run says, by the name of its file.
 
     Raises:
-        DatasetError: A file is no JSON object, or says something else.
+        DatasetError: A file is not a JSON object, or says something else.
     """
     found = {}
     for file in sorted((verdict.stored.folder / FLIGHTS_FOLDER).glob("*.json")):
