@@ -25,7 +25,7 @@ from lodbench.synthesis.views_dataset import ViewsParams
 
 _VIEWS_OF_TOWN, _VIEWS_OF_CITY, _DRAWS = 80, 50, 4
 _MORE = """\
-  lodbench bench segmentation                                the shipped network on a town outside its training data
+  lodbench bench segmentation                                the shipped network on an unseen town
   lodbench bench segmentation --segmenter-option weights=compact.onnx --pictures DIR
   lodbench bench segmentation --photos DIR --pictures OUT    real photos with masks traced by hand, by place
   lodbench bench segmentation --photos DIR --guided-by 20,2 --guided-by 60,4 --blocks

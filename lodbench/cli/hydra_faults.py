@@ -82,7 +82,7 @@ def _unread(word: str, config_name: str) -> ConfigError:
 
 
 def _unknown(key: str, config_name: str, words: Sequence[str]) -> ConfigError:
-    """Returns that a key is not a setting, and which are near it: here, in a section, or of another choice."""
+    """Returns that a key is not a setting, and similar ones: here, in a section, or of another choice."""
     groups = {group.key: group for group in groups_of(config_name)}
     choice = re.compile(rf"(\w+@)?({'|'.join(map(re.escape, groups))})=[\w.-]+")
     overrides = [word for word in words if choice.fullmatch(word)]

@@ -224,7 +224,7 @@ def describe(verdict: Verdict) -> str:
     lines += [f"note: {note}" for note in verdict.notes]
     if verdict.unknown:
         names = plain_text(", ".join(verdict.unknown))
-        lines.append(f"note: not compared: metrics of packages not installed then or now: {names}")
+        lines.append(f"note: metrics of packages not installed then or now, not compared: {names}")
     count = len(verdict.differences)
     queries = len(verdict.stored.queries)
     if count:

@@ -117,7 +117,7 @@ class TestCheck:
         done = lodbench("dataset", "check", "swiss_epflv2", "--root", str(tmp_path / "none"))
         assert done.returncode == 2
         assert "https://" in done.stderr
-        assert "no dataset and no folder" in lodbench("dataset", "check", "siwss_epfl").stderr
+        assert "neither a dataset nor a folder" in lodbench("dataset", "check", "siwss_epfl").stderr
 
 
 class TestDirection:

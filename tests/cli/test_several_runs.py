@@ -36,7 +36,7 @@ def test_what_is_no_run_is_passed_over_with_a_note(lodbench, tmp_path, runs, wor
     at = 2 if words[0] == "leaderboard" else 1
     done = lodbench(*words[:at], *runs, *words[at:])
     assert done.returncode == 0, done.stderr
-    assert [line for line in done.stderr.splitlines() if "passed over" in line] == [
+    assert [line for line in done.stderr.splitlines() if "skipped" in line] == [
         f"lodbench: skipped, not a finished run: {path}" for path in runs[1:3]
     ]
     files = {"report": "report.html", "export": "export/poses.csv"}
