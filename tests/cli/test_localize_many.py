@@ -91,7 +91,7 @@ def test_each_photo_has_its_row_its_place_and_its_own_files(capsys, case, flight
     [
         (("--mask", "m.png"), "--mask works with one photo"),
         (("--lat", "51"), "--lat works with one photo"),
-        (("--masks", "nowhere"), "--masks nowhere is no folder"),
+        (("--masks", "nowhere"), "--masks nowhere is not a folder"),
     ],
 )
 def test_options_of_one_photo_are_not_for_many(capsys, case, flight, words, said):
@@ -259,7 +259,7 @@ def test_results_among_the_photos_are_none(capsys, case, tmp_path):
     words = ["--city", case.city, "--method", "prior_only"]
     for _ in range(2):
         assert main(["localize", *map(str, [tmp_path, *words, "--out", tmp_path])]) == 0
-        assert "1 photo: 1 found" in capsys.readouterr().out
+        assert "1 photo: 1 reliable" in capsys.readouterr().out
     assert (tmp_path / "DJI_0001_overlay.png").is_file()
     # A picture of that name beside polygons that another program wrote is a photo.
     shutil.copy(case.mask, tmp_path / "house_overlay.png")
@@ -278,7 +278,7 @@ def test_names_that_are_no_text_and_what_shares_a_sidecar(capsys, case, tmp_path
     for more in ((), ("--json",)):
         assert main(["localize", *map(str, [folder, *words]), *more]) == 0
     told = capsys.readouterr()
-    assert "3 photos: 3 found" in told.out
+    assert "3 photos: 3 reliable" in told.out
     assert (
         "1 written beside the photos; 1 not written, which several photos would share: DJI_1.xmp" in told.err
     )

@@ -224,7 +224,7 @@ def test_masks_of_no_frame_of_a_video_are_refused(capsys, footage, tmp_path):
         ("nothing.mp4", (), "nothing.mp4 does not exist"),
         ("city.obj", (), "no video that OpenCV reads"),
         ("photos/photo_0.png", (), "is one photo"),
-        ("photos", ("--masks", "nowhere"), "nowhere is no folder"),
+        ("photos", ("--masks", "nowhere"), "nowhere is not a folder"),
         ("photos", ("--every", "0"), "--every=0 is not at least 1"),
         ("photos", ("--center", 9e5, 0, 100), "km outside the city model"),
         ("photos", ("--center", 0, 0, -900), "m below the city model"),
