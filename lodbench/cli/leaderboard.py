@@ -62,7 +62,7 @@ def _add(run: Path, options: argparse.Namespace) -> int:
     verdict = verify_folder(run, options.dataset_root, options.city_model)
     if verdict.differences:
         sys.stdout.write(describe(verdict))
-        sys.stderr.write(f"lodbench: {run} was not added: its numbers do not follow from its poses.\n")
+        sys.stderr.write(f"lodbench: {run} was not added: its numbers are not consistent with its poses.\n")
         return 1
     queries = verdict.stored.queries
     has_some = has_truth(queries).groupby(queries["split"]).any()
