@@ -25,7 +25,7 @@ class LodbenchError(Exception):
 
 
 class CityModelError(LodbenchError):
-    """A city model cannot be read, or has nothing at the level of detail asked for."""
+    """A city model cannot be read, or has no geometry at the requested level of detail."""
 
 
 class DatasetError(LodbenchError):

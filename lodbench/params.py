@@ -100,7 +100,7 @@ def _typed(value: Any, wanted: Any, name: str) -> Any:
 
 
 def _parts(wanted: Any) -> tuple[Any, ...]:
-    """Returns the types of a list's parts, ``...`` last where any number will do; none of what is no list."""
+    """Returns the types of a list's parts, ``...`` last where any number will do; none for other types."""
     for kind in get_args(wanted) if get_origin(wanted) in (Union, UnionType) else (wanted,):
         if get_origin(kind) in (list, tuple):
             return (*get_args(kind), ...) if get_origin(kind) is list else get_args(kind)

@@ -144,11 +144,11 @@ def test_each_part_keeps_to_its_protocol(env):
     for words, (code, told) in zip(commands, env.call(*commands), strict=True):
         assert code == 0, (words, told)
         assert "skyline 1.0" in told
-        assert "keeps to the protocol" in told
+        assert "conforms to the protocol" in told
     wanted = ["check-plugin", "segmenter", "bright", "segmenter.threshold=1"]
     (tried, wrong) = env.call(wanted, [*wanted, "method.threshold=1"])
     assert (tried[0], wrong[0]) == (0, 2)
-    assert "method.threshold=1 is no setting of a segmenter" in wrong[1]
+    assert "method.threshold=1 is not a setting of a segmenter" in wrong[1]
     assert "Write segmenter.KEY=VALUE." in wrong[1]
     ((code, told),) = env.call(["check-plugin", "source", "cantons"])
     assert (code, "reader blocks" in told) == (0, True), told

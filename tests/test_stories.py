@@ -68,7 +68,7 @@ def test_a_flight_of_one_s_own(tmp_path, shared_data):
     for name, mask in zip(truth, sorted((views / "train" / "masks").iterdir()), strict=True):
         shutil.copy(mask, tmp_path / "masks" / f"{Path(name).stem}.png")
     said = tell("flight", tmp_path)
-    assert "6 photos: 6 found" in said
+    assert "6 photos: 6 reliable" in said
     frame = MapFrame("EPSG:25832+7837")
     with (tmp_path / "found-by-masks" / "localized.csv").open() as stream:
         rows = list(csv.DictReader(stream))
@@ -125,6 +125,6 @@ def test_a_benchmark_from_a_real_flight(tmp_path):
     write_case(tmp_path)
     said = tell("real-benchmark", tmp_path)
     assert "block 5: roof 40." in said
-    assert "written: town, 6 photos that the map has not used" in said
+    assert "written: town, 6 photos not used for the map" in said
     assert said.count("area IoU 0.9") + said.count("area IoU 1.0") >= 20
     assert (tmp_path / "town" / "city.obj").is_file()

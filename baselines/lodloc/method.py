@@ -106,7 +106,7 @@ def beyond_range(pose: Pose, around: Pose, grid: PoseGrid) -> tuple[str, ...]:
     out = [f"{name.split()[0]} {off:+.1f} {name.split()[1]}" for name, off, limit in told if abs(off) > limit]
     if not out:
         return ()
-    return (f"the answer lies beyond the range that the prior was said to have: {', '.join(out)}",)
+    return (f"the pose lies outside the stated range of the prior: {', '.join(out)}",)
 
 
 class _Alignment:

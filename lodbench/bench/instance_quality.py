@@ -38,7 +38,7 @@ def measure_instances(segmenter: Segmenter, data: Path, progress: Progress = no_
         Input.IMAGE
     }:
         raise ConfigError(
-            f"segmenter {segmenter.name} tells no buildings apart by the photo alone.",
+            f"segmenter {segmenter.name} does not separate buildings by the photo alone.",
             "--segmenter compact_instances does, and any other that requires the image alone.",
         )
     samples = [sample for split in _SPLITS for sample in find_samples(data, split, INTERIORS)]

@@ -112,7 +112,7 @@ def locate(
         LodbenchError: The pixel is outside the photo or shows no place of the map, or the covariance is none.
     """
     if not isinstance(scene, Scene):
-        raise LodbenchError(f"{scene!r} is no scene.", "lodbench.open_scene(FILE) makes one.")
+        raise LodbenchError(f"{scene!r} is not a scene.", "lodbench.open_scene(FILE) makes one.")
     pixels = np.array([pixel], dtype=np.float64)
     require_pixels(camera, pixels)
     surfaces = Surfaces(scene, map_sigma_m, ground_sigma_m)

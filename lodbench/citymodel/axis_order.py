@@ -60,7 +60,7 @@ def settle_order(
         if told is False and srs_name is not None and _promises_order(srs_name):
             told = tells_north_first(_MANY_BUILDINGS) is not False
             taken = (
-                "north first, as declared, though walls look inside" if told else "east first, as walls tell"
+                "north first, as declared, though walls face inwards" if told else "east first, as walls show"
             )
             findings.add(AXES_AMBIGUOUS, "", f"{known.label}: taken as {taken}; say axis_order")
     if told == is_declared_north_first:

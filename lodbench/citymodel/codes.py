@@ -26,7 +26,7 @@ BAD_COORDINATE = FindingCode(107, _E, "A coordinate is not a finite number; the 
 BAD_COUNT = FindingCode(
     108, _E, "A ring's number of coordinates does not fit its dimension; the polygon is dropped."
 )
-DUPLICATE_POLYGON = FindingCode(109, _W, "A polygon stands twice in one building at one level; one is kept.")
+DUPLICATE_POLYGON = FindingCode(109, _W, "Duplicate polygon in one building and level; one copy kept.")
 RING_2D = FindingCode(110, _I, "A ring has no heights; z is 0.")
 FAR_FROM_PLANAR = FindingCode(
     111, _E, "A corner of a polygon lies over 1 m off its mean plane: its shape is a guess."
@@ -37,7 +37,7 @@ RINGS_EQUAL = FindingCode(114, _W, "Two rings of a polygon are the same.")
 INTERIOR_SPLIT = FindingCode(115, _W, "The holes of a polygon cut it in two.")
 HOLE_OUTSIDE = FindingCode(116, _W, "A hole of a polygon lies outside of its outline.")
 HOLES_NESTED = FindingCode(117, _W, "A hole of a polygon lies inside another.")
-HOLE_TURNED = FindingCode(118, _W, "A hole runs the same way round as its outline.")
+HOLE_TURNED = FindingCode(118, _W, "A hole has the same orientation as its outline.")
 FOLDED = FindingCode(
     119, _W, "A piece of a polygon is turned from its plane by over 20 degrees, within 1 cm of it."
 )
@@ -45,59 +45,63 @@ FOLDED = FindingCode(
 UNDECLARED_PREFIX = FindingCode(201, _W, "XML uses a namespace prefix it never declares.")
 XLINK_UNRESOLVED = FindingCode(202, _E, "A reference to a geometry has no target in the file.")
 XLINK_REMOTE = FindingCode(203, _E, "A reference points to another file or server; it is never fetched.")
-XLINK_CYCLE = FindingCode(204, _W, "References go round in a circle; the circle is cut.")
+XLINK_CYCLE = FindingCode(204, _W, "References form a cycle; it is broken.")
 DUPLICATE_ID = FindingCode(
-    205, _W, "One id names two objects; references go to the first, later ones are renamed."
+    205, _W, "Duplicate id; references go to the first object, later ones are renamed."
 )
 GEOMETRY_UNSUPPORTED = FindingCode(206, _E, "A geometry of a kind that is not read.")
 GEOMETRY_EMPTY = FindingCode(207, _I, "A geometry property holds no geometry.")
 ELEMENT_IGNORED = FindingCode(208, _I, "An element that carries no surface is ignored.")
-NOT_A_BUILDING = FindingCode(209, _I, "A city object that is no building is left out.")
+NOT_A_BUILDING = FindingCode(209, _I, "A city object that is not a building is left out.")
 BAD_INDEX = FindingCode(210, _E, "A face names a point that does not exist; it is dropped.")
-FILE_SKIPPED = FindingCode(211, _I, "A file among the tiles is no city model, or has no building.")
+FILE_SKIPPED = FindingCode(211, _I, "A file among the tiles is not a city model, or has no building.")
 FILE_CUT_OFF = FindingCode(212, _E, "A file is shorter than its header says; what was cut is lost.")
-SEMANTICS_MISFIT = FindingCode(
-    213, _W, "Labels of surfaces are nested otherwise than the surfaces, or their number differs."
-)
-READER_WARNING = FindingCode(214, _W, "The library that reads the format warns.")
+SEMANTICS_MISFIT = FindingCode(213, _W, "Semantic labels do not match the surfaces in nesting or number.")
+READER_WARNING = FindingCode(214, _W, "A warning of the library that reads the format.")
 
 CRS_MISSING = FindingCode(301, _W, "No coordinate reference system is declared; taken as metres.")
 CRS_UNKNOWN = FindingCode(302, _W, "The declared reference system is not known; taken as metres.")
 CRS_IMPLAUSIBLE = FindingCode(
     303, _W, "The coordinates lie outside the area of the declared reference system."
 )
-AXES_SWAPPED = FindingCode(304, _I, "The axes stand in another order than the reference system declares.")
+AXES_SWAPPED = FindingCode(304, _I, "The axis order differs from that of the declared reference system.")
 CRS_PROJECTED = FindingCode(305, _I, "Coordinates were projected to a metric reference system.")
-CRS_MAPPED = FindingCode(306, _I, "The declared name was read as another, by lodbench's own map.")
-CRS_MIXED = FindingCode(307, _W, "One file declares several reference systems; all go to the first.")
+CRS_MAPPED = FindingCode(306, _I, "A non-standard CRS name was mapped to its EPSG code.")
+CRS_MIXED = FindingCode(
+    307, _W, "One file declares several reference systems; all are transformed to the first."
+)
 AXES_AMBIGUOUS = FindingCode(308, _W, "Either axis order is plausible; one was taken.")
 SCALE_OFF = FindingCode(
-    309, _W, "A metre of the declared reference system is off by more than 1e-3 at the data."
+    309, _W, "The scale of the declared reference system is off by more than 1e-3 at the data."
 )
 HEIGHTS_ELLIPSOIDAL = FindingCode(
     310, _I, "Heights are above the ellipsoid, not above the sea; they stay as they are."
 )
-FAR_AWAY = FindingCode(311, _W, "A building lies over 500 km from most others; its places are rounded.")
+FAR_AWAY = FindingCode(
+    311, _W, "A building lies over 500 km from most others; its coordinates lose precision."
+)
 
 LOD_ABSENT = FindingCode(
-    401, _W, "A building, or a part of one, has nothing at the level of detail asked for."
+    401, _W, "A building, or a part of one, has no geometry at the requested level of detail."
 )
-LOD_SUBSTITUTED = FindingCode(402, _I, "The level asked for is absent; a finer name of it is used.")
+LOD_SUBSTITUTED = FindingCode(
+    402, _I, "The requested level is absent; a subdivision of it (1.2 for 1) is used."
+)
 BUILDING_EMPTY = FindingCode(403, _W, "A building has no polygon at any level of detail.")
 HEIGHT_MISSING = FindingCode(405, _E, "A footprint has no height between 0 and 1000 m; it is dropped.")
 HEIGHT_DEFAULTED = FindingCode(
     406, _W, "A footprint has no height between 0 and 1000 m; the default is used."
 )
-BASE_MOVED = FindingCode(407, _I, "The bottoms of buildings were moved, as asked.")
+BASE_MOVED = FindingCode(407, _I, "Building bases were moved, as requested.")
 LOD_DERIVED = FindingCode(408, _I, "Level 1 was derived from a finer level.")
 LOD_UNDERIVABLE = FindingCode(409, _W, "A building has no footprint to derive level 1 from.")
 GROUND_DEFAULTED = FindingCode(410, _W, "No column or terrain gives the ground; ground_m is used.")
-OPTION_UNUSED = FindingCode(411, _W, "An option was given that says nothing to this format.")
+OPTION_UNUSED = FindingCode(411, _W, "An option has no effect on this format.")
 NOT_STANDING = FindingCode(
-    412, _I, "A building, or a part of one, does not stand at the date that counts; it is left out."
+    412, _I, "A building, or a part of one, does not exist at the reference date; it is left out."
 )
 CREATED_LATER = FindingCode(
-    413, _I, "An object, or the record of it, was created after the date that counts; it stays."
+    413, _I, "An object, or the record of it, was created after the reference date; it is kept."
 )
 STAYS_FLAT = FindingCode(
     414, _W, "A building has a height, but no more than a footprint: it is flat unless level 1 is derived."
@@ -105,26 +109,26 @@ STAYS_FLAT = FindingCode(
 HEIGHT_NO_DATA = FindingCode(
     415,
     _E,
-    "A corner lies at a height of no land, such as -9999 for no data; it is put on the ground near it.",
+    "A corner has a no-data height, such as -9999; it is moved to the ground nearby.",
 )
 UNDERGROUND = FindingCode(416, _I, "A footprint lies below the ground; it is left out.")
 INTERIOR_SKIPPED = FindingCode(404, _I, "Rooms, storeys and furniture are left out of the mesh.")
 
 SHELL_TOO_FEW_FACES = FindingCode(601, _W, "A shell of a solid has fewer than four faces.")
-SHELL_NOT_CLOSED = FindingCode(602, _W, "A shell has edges that only one face has: it leaks.")
+SHELL_NOT_CLOSED = FindingCode(602, _W, "A shell has edges with only one face: it is not watertight.")
 NON_MANIFOLD_EDGE = FindingCode(603, _W, "A shell has edges that three faces or more share.")
 NON_MANIFOLD_VERTEX = FindingCode(604, _W, "A shell touches itself in a point.")
-SHELL_IN_PIECES = FindingCode(605, _W, "The faces of a shell do not hang together.")
-FACE_TURNED = FindingCode(606, _W, "A face of a shell looks the other way than its neighbour.")
-SHELL_INSIDE_OUT = FindingCode(607, _W, "The faces of a shell all look the wrong way.")
+SHELL_IN_PIECES = FindingCode(605, _W, "The faces of a shell are not connected.")
+FACE_TURNED = FindingCode(606, _W, "A face of a shell is oriented opposite to its neighbour.")
+SHELL_INSIDE_OUT = FindingCode(607, _W, "All faces of a shell have the wrong orientation.")
 PARTS_OVERLAP = FindingCode(608, _W, "Two parts of a building overlap.")
 SHELL_SELF_INTERSECTION = FindingCode(609, _W, "An edge of a shell passes through a face of it.")
-SHELLS_INTERSECT = FindingCode(610, _W, "Two shells of a solid cut each other.")
+SHELLS_INTERSECT = FindingCode(610, _W, "Two shells of a solid intersect.")
 SHELLS_EQUAL = FindingCode(611, _W, "Two shells of a solid have the same corners.")
 SHELL_OUTSIDE = FindingCode(612, _W, "A hole of a solid lies outside of it.")
-SOLIDS_INTERSECT = FindingCode(613, _W, "Two solids of an object cut each other.")
+SOLIDS_INTERSECT = FindingCode(613, _W, "Two solids of an object intersect.")
 SOLIDS_EQUAL = FindingCode(614, _W, "Two solids of an object have the same corners.")
-INTERIOR_DISCONNECTED = FindingCode(615, _W, "The holes of a solid cut its inside in two.")
+INTERIOR_DISCONNECTED = FindingCode(615, _W, "The holes of a solid divide its interior.")
 SOLIDS_DISCONNECTED = FindingCode(
     616, _W, "The solids of a composite solid do not all share faces with each other."
 )

@@ -57,7 +57,7 @@ class PolygonCollector:
         if name not in self.lods:
             if len(self.lods) == _MAX_LODS:
                 raise CityModelError(
-                    f"There are more than {_MAX_LODS} levels of detail.", "Four is usual: mend the file."
+                    f"There are more than {_MAX_LODS} levels of detail.", "Four is usual: correct the file."
                 )
             self.lods.append(name)
         return self.lods.index(name)

@@ -47,7 +47,9 @@ def check_target(target: Path) -> None:
             f"No format is known by the ending of {target}.", f"Known: {', '.join(FORMATS)}."
         )
     if not target.parent.is_dir():
-        raise CityModelError(f"{target} cannot be written: {target.parent} is no folder.", "Make it first.")
+        raise CityModelError(
+            f"{target} cannot be written: {target.parent} is not a folder.", "Make it first."
+        )
 
 
 @dataclass(frozen=True, slots=True)

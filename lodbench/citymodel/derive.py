@@ -62,7 +62,7 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
     """
     require_rule(roof_height)
     finer = _finer_level(model)
-    origin = f"LoD{finer}" if finer in model.lods else "heights that the source tells"
+    origin = f"LoD{finer}" if finer in model.lods else "heights in the source"
     model = raise_flat(model, finer)
     plans, owner, bottom, top, building_of, partly = _blocks(model, finer, ROOF_HEIGHTS[roof_height])
     for building in np.setdiff1d(np.arange(len(model.building_ids)), building_of[owner]):

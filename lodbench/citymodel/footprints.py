@@ -195,7 +195,7 @@ def _of_their_own(polygons: WkbPolygons) -> str:
     heights = heights[np.isfinite(heights)]
     if not heights.any():
         return ""
-    return f"; the outlines lie at {heights.min():g} to {heights.max():g}, which is not asked"
+    return f"; the outlines lie at {heights.min():g} to {heights.max():g}, which is not used"
 
 
 def _heights(

@@ -92,7 +92,7 @@ class SurfacePictures:
         if not entries or entries[0] is None:
             return None, None
         if len(entries) != len(lengths):
-            self._pictures.notes["surface whose rings could not be told apart"] += 1
+            self._pictures.notes["surface with ambiguous rings"] += 1
             return entries[0][0], None
         image = entries[0][0]
         parts: list[Floats] = []

@@ -79,6 +79,6 @@ class NameTable:
         if number >= _MAX_NAMES:
             raise CityModelError(
                 f"The file declares more than {_MAX_NAMES} reference systems.",
-                "A city has one: mend the file.",
+                "A city has one: correct the file.",
             )
         return number

@@ -68,7 +68,7 @@ class Lifespans:
     def none_stands(self) -> str:
         """Returns in words that no object stands, for a city that has no other; "" where there was none."""
         count = sum(item.code is NOT_STANDING for item in self._findings.items)
-        return f"has no building that stands on {self.day}; {count} ended or begin later" if count else ""
+        return f"has no building that exists on {self.day}; {count} ended or begin later" if count else ""
 
     def period(self) -> Period | None:
         """Returns the days around the date between which nothing begins or ends; None where nothing does."""

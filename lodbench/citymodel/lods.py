@@ -144,7 +144,7 @@ def choose_lod(
         raise CityModelError(
             f"No building has a level of detail {wanted}; the file has: {', '.join(names)}.", hint
         )
-    findings.add(LOD_SUBSTITUTED, "", f"{wanted} asked for, {candidates[0] or 'unnamed level'} taken")
+    findings.add(LOD_SUBSTITUTED, "", f"{wanted} requested, {candidates[0] or 'unnamed level'} used")
     return candidates[0]
 
 

@@ -80,7 +80,7 @@ def mesh_model(
     if roof_height is not None:
         require_rule(roof_height)
         if lod is None or lod.lower().removeprefix("lod") != "1":
-            findings.add(OPTION_UNUSED, "", "roof_height: level 1 alone is derived, where lod=1 asks for it")
+            findings.add(OPTION_UNUSED, "", "roof_height: only level 1 is derived, with lod=1")
         elif not has_lod(model.lods, lod):
             blocks = derive_lod1(model, roof_height, findings)
             # Blocks that end at eaves are not too high.

@@ -48,7 +48,7 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
     """
     options = options or ReadOptions()
     if raw.pitched is not None and len(raw.pitched) != len(raw.building_ids):
-        raise CityModelError(f"The reader of {raw.source} tells of roofs of other buildings than it read.")
+        raise CityModelError(f"The reader of {raw.source} gives roofs for buildings that it did not read.")
     _make_points_writable(raw)
     raw.building_ids = unique_ids(raw.building_ids, raw.findings)
     objects = None if raw.objects is None else unique_objects(raw.objects, raw.building_ids, raw.findings)

@@ -129,7 +129,7 @@ def _read_mesh(path: Path, folder: TextureFolder) -> TexturedMesh:
     if missing:
         raise DatasetError(
             f"{path.name} names files that are not there: {', '.join(missing)}.",
-            f"Put them into {path.parent}, or mend the names.",
+            f"Put them into {path.parent}, or correct the names.",
         )
     for name in pictures:
         folder.check_picture(name)

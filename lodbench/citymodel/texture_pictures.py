@@ -74,7 +74,7 @@ class TextureFolder:
         """Returns a picture's (H, W, 3) RGB pixels.
 
         Raises:
-            DatasetError: As for ``read``, it is no picture, or has too many pixels.
+            DatasetError: As for ``read``, it is not a picture, or has too many pixels.
         """
         return self._opened(name, lambda image: pixels_of(image, name))
 
@@ -82,7 +82,7 @@ class TextureFolder:
         """Returns width and height of a picture, which is not decoded.
 
         Raises:
-            DatasetError: As for ``read``, or it is no picture.
+            DatasetError: As for ``read``, or it is not a picture.
         """
         return self._opened(name, lambda image: (int(image.size[0]), int(image.size[1])))
 
@@ -90,7 +90,7 @@ class TextureFolder:
         """Returns the format of a picture, ``PNG`` or ``JPEG`` for example, whatever its ending says.
 
         Raises:
-            DatasetError: As for ``read``, or it is no picture.
+            DatasetError: As for ``read``, or it is not a picture.
         """
         return self._opened(name, lambda image: str(image.format))
 
@@ -111,7 +111,7 @@ def check_picture(content: bytes, name: str) -> None:
     """Makes sure by its header that a picture can be taken.
 
     Raises:
-        DatasetError: It is no picture, or has too many pixels.
+        DatasetError: It is not a picture, or has too many pixels.
     """
     _look_at(content, name, lambda image: require_size(image, name))
 

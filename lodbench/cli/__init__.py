@@ -11,21 +11,21 @@ from importlib import import_module
 COMMANDS = {
     "localize": (
         "lodbench.cli.localize",
-        "find where photos were taken: pose, overlay, map, how far to trust it",
+        "localise your photos: pose, overlay, map, reliability",
     ),
     "locate": (
         "lodbench.cli.locate",
-        "say where on the map or the ground pixels, or regions of a mask, of a localised photo are",
+        "map coordinates of pixels, or mask regions, of a localised photo",
     ),
-    "track": ("lodbench.cli.track", "find where each frame of a video, or of a folder of frames, was taken"),
+    "track": ("lodbench.cli.track", "localise each frame of a video or of a folder of frames"),
     "georeference": (
         "lodbench.cli.georeference",
-        "place a COLMAP model on the map by its buildings, without ground control points",
+        "georeference a COLMAP model by its buildings, without ground control points",
     ),
     "mask": ("lodbench.cli.mask", "make or correct a photo's building mask by hand; LabelMe, COCO, QGIS"),
     "trace": ("lodbench.cli.trace", "trace a map of roofs in the photos of a COLMAP model; make a benchmark"),
     "run": ("lodbench.cli.run", "localise the photos of a dataset with one method, and score the poses"),
-    "basin": ("lodbench.cli.basin", "measure how far off the prior may be"),
+    "basin": ("lodbench.cli.basin", "measure recall over the error of the prior"),
     "evaluate": ("lodbench.cli.evaluate", "score poses made by another program: COLMAP, TUM, ..."),
     "compare": ("lodbench.cli.compare", "put runs into one table, and test whether they differ"),
     "report": ("lodbench.cli.report", "write an HTML page of a run: tables, figures, every photo"),
@@ -33,7 +33,7 @@ COMMANDS = {
         "lodbench.cli.export",
         "write a run's poses for other programs: COLMAP, Metashape, GeoJSON, ...",
     ),
-    "status": ("lodbench.cli.status", "show how far runs have come"),
+    "status": ("lodbench.cli.status", "show the progress of runs"),
     "verify": ("lodbench.cli.verify", "recompute a run's numbers from its stored poses; fail if they differ"),
     "leaderboard": ("lodbench.cli.leaderboard", "add a verified run; build tables and pages"),
     "bench": ("lodbench.cli.bench", "measure speed and accuracy, beside other programs"),
@@ -51,8 +51,11 @@ COMMANDS = {
         "render images, masks and poses of a city",
     ),
     "train": ("lodbench.cli.train", "train a segmentation network, or a method, on such images"),
-    "doctor": ("lodbench.cli.doctor", "say what works on this machine, and what to install for the rest"),
-    "check-method": ("lodbench.cli.check_method", "check that a method keeps to the protocol"),
+    "doctor": (
+        "lodbench.cli.doctor",
+        "check this installation, and say what to install for optional features",
+    ),
+    "check-method": ("lodbench.cli.check_method", "check that a method conforms to the protocol"),
     "check-plugin": (
         "lodbench.cli.check_plugin",
         "check any other plug-in likewise: see docs/plugins.md",
@@ -70,14 +73,14 @@ _HEADINGS = {
 }
 
 _USAGE = """\
-lodbench finds where aerial photos were taken, by a 3D city model, and measures how well methods do so.
+lodbench localises aerial photos in a 3D city model, and benchmarks methods that do so.
 
 Usage: lodbench COMMAND [...]
        lodbench COMMAND --help
 
 Start here:
   lodbench run method=region dataset=demo          # try it: 40 photos of a built-in town
-  lodbench city info FILE                          # is your city model read as it should be?
+  lodbench city info FILE                          # is your city model read correctly?
   lodbench localize PHOTO ... --city FILE          # where were your photos taken?
   lodbench run dataset=folder dataset.root=DIR city=FILE   # a method over a dataset of your own
 {commands}

@@ -33,7 +33,7 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = _parser().parse_args(argv)
     if getattr(options, "pictures", None) is not None:
-        make_folder(options.pictures)  # a name that is no folder's is told before the work
+        make_folder(options.pictures)  # a name of no folder is refused before the work
     with ProgressCallback(f"bench {options.what}") as steps:
         report = MEASURES[options.what](options, steps)
     if getattr(options, "pictures", None) is not None:

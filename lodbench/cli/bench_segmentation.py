@@ -25,7 +25,7 @@ from lodbench.synthesis.views_dataset import ViewsParams
 
 _VIEWS_OF_TOWN, _VIEWS_OF_CITY, _DRAWS = 80, 50, 4
 _MORE = """\
-  lodbench bench segmentation                                the shipped network on the town it has never seen
+  lodbench bench segmentation                                the shipped network on an unseen town
   lodbench bench segmentation --segmenter-option weights=compact.onnx --pictures DIR
   lodbench bench segmentation --photos DIR --pictures OUT    real photos with masks traced by hand, by place
   lodbench bench segmentation --photos DIR --guided-by 20,2 --guided-by 60,4 --blocks
@@ -63,7 +63,7 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
     )
     add("--draws", type=int, help="of --guided-by: silhouettes of each photo (4)")
     add("--grabcut", action="store_true", help="measure OpenCV's GrabCut beside it")
-    add("--instances", action="store_true", help="of --data: how well single buildings are told apart")
+    add("--instances", action="store_true", help="of --data: how well single buildings are separated")
     add("--visible", type=Path, metavar="SET", help="the same with occluders_in_mask=true")
     add("--town", help="test or train: views made on first use (test)")
     add("--city", type=Path, help="measure recall over the IoU of masks on views of it")

@@ -23,8 +23,8 @@ from lodbench.synthesis.photo import look_ranges
 from lodbench.synthesis.views_dataset import AREAS, ViewsParams, World
 
 _WORLD = (
-    "how what is seen differs from the map: shared_roofs and hidden_feet in metres, focal as a share, "
-    "tilt as a factor on the told one"
+    "how the views differ from the map: shared_roofs and hidden_feet in metres, focal as a share, "
+    "tilt as a factor on the stated one"
 )
 # What settings of views are called here.
 _OPTIONS = {

@@ -21,13 +21,14 @@ from lodbench.errors import STOPPED, ConfigError, LodbenchError
 from lodbench.methods.conformance import check_answers, check_class
 from lodbench.params import to_params
 from lodbench.plugins import PlugIn, find_plugin
+from lodbench.reporting.aligned_text import count_of
 
 _EPILOG = """\
 A method is an entry point under lodbench.methods, with conf/method/NAME.yaml: see CONTRIBUTING.md, "Add a
-method". It is asked for the poses of three photos over seven blocks, with exact masks, several times.
+method". It localises three photos of seven blocks, with exact masks, several times.
 Settings are those of a run: lodbench check-method lodlocv2 method.variant=no_refine
 In another environment: lodbench check-method NAME runner.python=PATH
-Exit code: 0 it keeps to the protocol, 1 it does not, 2 there is no such method or setting.
+Exit code: 0 it conforms to the protocol, 1 it does not, 2 there is no such method or setting.
 """
 
 
@@ -50,7 +51,7 @@ def main(argv: Sequence[str]) -> int:
     options = parser.parse_args(argv)
     for word in options.settings:
         if not word.startswith(("method.", "runner.")):
-            raise ConfigError(f"{word} is no setting of a method.", "Write method.KEY=VALUE.")
+            raise ConfigError(f"{word} is not a setting of a method.", "Write method.KEY=VALUE.")
     # What the method prints is no line of the report's.
     with redirect_stdout(sys.stderr):
         if any(word.startswith("runner.") for word in options.settings):
@@ -61,7 +62,11 @@ def main(argv: Sequence[str]) -> int:
     if options.json:
         lines = [json.dumps(asdict(check)) for check in checks]
     else:
-        verdict = f"breaks {len(faults)} of its rules" if faults else "keeps to the protocol"
+        verdict = (
+            f"violates {count_of(len(faults), 'rules')} of the protocol"
+            if faults
+            else "conforms to the protocol"
+        )
         lines = [*check_lines([*map(plain_check, checks)]), "", *traceback_lines(faults)]
         lines.append(f"{options.name} {verdict}.")
     sys.stdout.write("".join(line + "\n" for line in lines))

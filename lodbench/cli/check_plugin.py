@@ -22,8 +22,8 @@ _SOURCE = "source"
 # Kinds that read files of a user's.
 _OF_SAMPLES = ("city-reader", "pose-format")
 _EPILOG = """\
-docs/plugins.md has an example of each kind, and says what its check proves. Exit code: 0 it keeps to the
-protocol, 1 it does not, 2 there is no such plug-in, setting or sample.
+docs/plugins.md has an example of each kind, and says what its check proves. Exit code: 0 it conforms to
+the protocol, 1 it does not, 2 there is no such plug-in, setting or sample.
 """
 
 
@@ -73,7 +73,7 @@ def main(argv: Sequence[str]) -> int:
     if options.json:
         lines = [json.dumps(asdict(check)) for check in checks]
     else:
-        verdict = "breaks a rule" if faults else "keeps to the protocol"
+        verdict = "violates the protocol" if faults else "conforms to the protocol"
         lines = [*check_lines([*map(plain_check, checks)]), "", *traceback_lines(faults)]
         lines.append(f"{options.name} {verdict}.")
     sys.stdout.write("".join(line + "\n" for line in lines))
@@ -113,7 +113,7 @@ def _settings(words: Sequence[str], section: str) -> dict[str, Any]:
     """Returns the values of settings written as ``section.key=value``."""
     for word in words:
         if not word.startswith(f"{section}."):
-            raise ConfigError(f"{word} is no setting of a {section}.", f"Write {section}.KEY=VALUE.")
+            raise ConfigError(f"{word} is not a setting of a {section}.", f"Write {section}.KEY=VALUE.")
     return option_pairs([word.removeprefix(f"{section}.") for word in words])
 
 

@@ -71,7 +71,9 @@ def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
         if not is_ours and (asked.geojson.exists() or asked.geojson.suffix.lower() != ".geojson"):
             require_other(asked.geojson, [asked.file])
         if asked.geojson.is_dir() or not asked.geojson.parent.is_dir():
-            raise CityModelError(f"{asked.geojson} is no file in a folder that is there.", "--geojson FILE")
+            raise CityModelError(
+                f"{asked.geojson} is not a file in a folder that is there.", "--geojson FILE"
+            )
     start = time.perf_counter()
     model = _read([asked.file], replace(options, is_strict=False, has_details=True))
     read_seconds = time.perf_counter() - start

@@ -41,7 +41,9 @@ def format_info(name: str, info: dict[str, Any]) -> str:
 
 
 def _roof_lines(pitched: int) -> list[str]:
-    return [f"roofs      pitched on {pitched:,}, as told"] if pitched else []
+    """Returns how many buildings have pitched roofs by an attribute of the file."""
+    count = count_of(format(pitched, ","), "buildings")
+    return [f"roofs      {count} pitched (from the file)"] if pitched else []
 
 
 def format_scene(name: str, told: dict[str, Any]) -> str:

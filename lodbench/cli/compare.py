@@ -40,7 +40,7 @@ _EPILOG = """\
 Runs share a table if dataset, queries, city, masks, tilt, segmenter and seed agree; --free lets some of
 these differ, and the rows then say which they have. Examples:
   lodbench compare RUN RUN                               # side by side, and whether they differ
-  lodbench compare runs/demo/*/*                         # all of a dataset; what is no run is passed over
+  lodbench compare runs/demo/*/*                         # all of a dataset; other folders are skipped
   lodbench compare RUN RUN --format html --out page.html # a page with curves
   lodbench compare runs/demo/lodlocv2/* --over-seeds     # mean and spread over seeds
   lodbench compare RUN ... --free lod --columns details  # levels of detail in one table
@@ -155,7 +155,7 @@ def parse_thresholds(words: Sequence[str]) -> tuple[Threshold, ...]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser("lodbench compare", "Put finished runs side by side.", _EPILOG)
+    parser = Parser("lodbench compare", "Compare finished runs.", _EPILOG)
     add = parser.add_argument
     add("runs", nargs="+", type=Path, metavar="RUN", help="run folders")
     add("--format", choices=sorted(FORMATS), default="text", help="html is a whole page")

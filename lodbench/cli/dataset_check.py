@@ -67,7 +67,7 @@ def _split_lines(split: SplitReport) -> list[str]:
         f"{count_of(split.photos, 'photos')}, {count_of(split.masks, 'masks')}"
     ]
     if split.prior is None:
-        there = f"{split.priors} priors, which cannot be judged without true poses"
+        there = f"{split.priors} priors; their errors are unknown without true poses"
         lines.append(there if split.priors and not split.truths else "no priors")
     else:
         paper = split.paper_prior

@@ -60,7 +60,7 @@ def main(argv: Sequence[str]) -> int:
     if not made:
         raise DatasetError(
             f"No query of {options.dataset} has a prior of --kind {options.kind}: nothing is written.",
-            "Another kind draws them around the truth, or asks the photos; see --help.",
+            "Another kind draws them around the truth, or reads them from the photos; see --help.",
         )
     write_text(options.out, prior_text(dataset.entries, priors.describe(), options.seed))
     lines = [f"{options.out}: {made} of {len(dataset.entries)} queries, {priors.describe()}"]

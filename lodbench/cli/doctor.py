@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code: 1 if the base install is broken."""
     parser = Parser(
-        "lodbench doctor", description="Say what works on this machine, and what to install for the rest."
+        "lodbench doctor",
+        description="Check this installation, and say what to install for optional features.",
     )
     parser.add_argument("--json", action="store_true", help="one check per line, for machines")
     options = parser.parse_args(argv)
@@ -49,4 +50,4 @@ def _lines(checks: list[Check]) -> Iterator[str]:
     yield ""
     yield f"The base install is broken: {broken}." if broken else "The base install works."
     if optional:
-        yield f"Optional and not ready: {optional}."
+        yield f"Optional, not ready: {optional}."

@@ -61,7 +61,7 @@ def with_demo(params: GenerateParams) -> GenerateParams:
         raise ConfigError(f"city={params.city} is not known.", "demo, demo:SEED or demo:test.")
     if params.texture_model is not None:
         raise ConfigError(
-            f"texture_model means nothing to city={params.city}, which has a look of its own.",
+            f"texture_model is not used with city={params.city}, which has a look of its own.",
             "Leave texture_model out, or name the city that the model is of.",
         )
     # The town alone is wanted; two queries are the fewest it is built with.

@@ -82,7 +82,7 @@ def _require_given(asked: argparse.Namespace) -> None:
         folder = getattr(asked, name)
         if folder is not None and not folder.is_dir():
             hint = "Name the folder that holds it." if folder.is_file() else "Check the path."
-            raise DatasetError(f"{folder} is no folder.", hint)
+            raise DatasetError(f"{folder} is not a folder.", hint)
     if asked.start is not None and not asked.start.exists():
         raise DatasetError(f"{asked.start} does not exist.", "Check the path.")
     if asked.masks is None and asked.images is None:
@@ -118,7 +118,7 @@ def describe(placed: Georeferenced) -> str:
     lines += [f"note: {plain_text(note)}" for note in placed.notes]
     if not placed.is_trusted:
         lines.append(
-            "do not trust: most photos' outlines fit the map badly where this puts them. What helps: masks "
+            "unreliable: most photos' outlines fit the map poorly in this place. What helps: masks "
             "that show the buildings (lodbench mask PHOTO), a better --start, the right city"
         )
     return "\n".join(lines)
@@ -126,7 +126,7 @@ def describe(placed: Georeferenced) -> str:
 
 def _doubted(placed: Georeferenced) -> str:
     count = len(placed.untrusted)
-    return f"; {count} of {len(placed.used)} are not to be trusted" if count else ""
+    return f"; {count} of {len(placed.used)} are unreliable" if count else ""
 
 
 def _three(numbers: Iterable[float]) -> str:

@@ -74,7 +74,7 @@ def _unread(word: str, config_name: str) -> ConfigError:
             hint = f"Settings are key=value: dataset=folder dataset.root={word} city=FILE"
         elif config_name == "run" and Path(word).is_file():
             hint = "Settings are key=value. A photo's place is found by: lodbench localize PHOTO --city FILE"
-        return ConfigError(f"{word} is no setting.", hint)
+        return ConfigError(f"{word} is not a setting.", hint)
     return ConfigError(
         f"{word} cannot be read: some of {value!r} has a meaning of its own here.",
         f"Quote a value that holds = , : or brackets: '{key}=\"{value}\"'.",
@@ -82,7 +82,7 @@ def _unread(word: str, config_name: str) -> ConfigError:
 
 
 def _unknown(key: str, config_name: str, words: Sequence[str]) -> ConfigError:
-    """Returns that a key is no setting, and which are near it: here, in a section, or of another choice."""
+    """Returns that a key is not a setting, and similar ones: here, in a section, or of another choice."""
     groups = {group.key: group for group in groups_of(config_name)}
     choice = re.compile(rf"(\w+@)?({'|'.join(map(re.escape, groups))})=[\w.-]+")
     overrides = [word for word in words if choice.fullmatch(word)]

@@ -62,7 +62,7 @@ def _add(run: Path, options: argparse.Namespace) -> int:
     verdict = verify_folder(run, options.dataset_root, options.city_model)
     if verdict.differences:
         sys.stdout.write(describe(verdict))
-        sys.stderr.write(f"lodbench: {run} was not added: its numbers do not follow from its poses.\n")
+        sys.stderr.write(f"lodbench: {run} was not added: its numbers are not consistent with its poses.\n")
         return 1
     queries = verdict.stored.queries
     has_some = has_truth(queries).groupby(queries["split"]).any()
@@ -85,7 +85,7 @@ def _add(run: Path, options: argparse.Namespace) -> int:
     text, path = entry_text(entry), entry_path(options.root, entry)
     twin = _twin(options.root, path, entry)
     if twin is not None:
-        raise DatasetError(f"{run} is a copy of a run that has an entry: {twin}.", "An answer ranks once.")
+        raise DatasetError(f"{run} is a copy of a run that has an entry: {twin}.", "Each run is ranked once.")
     make_folder(path.parent)
     write_text(path, text)
     sys.stdout.write(f"{path}\n" + "".join(f"  kept out of the ranking: {reason}\n" for reason in reasons))

@@ -53,11 +53,11 @@ region); where they leave the pose open, a network makes a mask, and the more pr
 taken. The search covers 10 m around the rough pose, 30 m up and down and 7.5 degrees to either side;
 --prior-range, --prior-height and --prior-yaw widen it.
 
-Several photos, or a folder, are taken as flights, told apart by camera and by the clock in EXIF, and each is
+Several photos, or a folder, are taken as flights, separated by camera and by the time in EXIF, and each is
 solved as a whole (--method flight). Masks come from --masks, else from a folder named masks in it, else from
 a network (efficient_unet), or with --method-option single=region from the photos' own pixels, without a
-network. localized.csv, .geojson and .gpkg list all photos; flights.json holds the errors found of drone and
-map, map_findings.geojson the buildings concerned. --each-alone localises each photo by itself.
+network. localized.csv, .geojson and .gpkg list all photos; flights.json holds the estimated errors of drone
+and map, map_findings.geojson the buildings concerned. --each-alone localises each photo by itself.
 
 Exit code: 3 if a pose is more likely wrong than right, or a photo has none; 1 if none of many photos could be
 localised; 2 for wrong options or data; else 0.
@@ -239,16 +239,14 @@ def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
         raise DatasetError(f"The photo {absent[0]} does not exist.", "Check the path.")
     own = [f"--{name}" for name in ("mask", "lat", "lon", "center") if getattr(asked, name) is not None]
     if own and not is_one:
-        hint = (
-            "--masks DIR has a mask for each." if own[0] == "--mask" else "Give one photo, or leave it out."
-        )
-        raise ConfigError(f"{own[0]} is of one photo, and there are several.", hint)
+        hint = "Use --masks DIR for several." if own[0] == "--mask" else "Give one photo, or leave it out."
+        raise ConfigError(f"{own[0]} works with one photo.", hint)
     if asked.masks is not None and is_one:
         raise ConfigError("--masks is for several photos.", "Give --mask FILE.")
     if asked.reconstruction is not None and is_one:
         raise ConfigError("--reconstruction ties a flight's photos.", "Give several, or a folder.")
     if asked.masks is not None and not asked.masks.is_dir():
-        raise ConfigError(f"--masks {asked.masks} is no folder.", "Name the folder of the photos' masks.")
+        raise ConfigError(f"--masks {asked.masks} is not a folder.", "Name the folder of the photos' masks.")
 
 
 def _tell_many(answers: Answers, asked: argparse.Namespace) -> int:
@@ -310,7 +308,7 @@ def parser() -> Parser:
     add(
         "--sidecars",
         action="store_true",
-        help="write PHOTO.xmp beside each photo whose pose is to be trusted",
+        help="write PHOTO.xmp beside each photo whose pose is reliable",
     )
     add("--seed", type=int, default=0, help="random seed (default: 0)")
     add(

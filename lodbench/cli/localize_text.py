@@ -38,14 +38,18 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
     doubted = sum(not found.is_trusted for found in answers.found)
     good, failed = len(answers.found) - doubted, len(answers.photos) - len(answers.found)
     count = count_of(len(answers.photos), "photos")
-    lines.append(f"{count}: {good} found, {doubted} not to be trusted, {failed} failed")
+    lines.append(f"{count}: {good} reliable, {doubted} unreliable, {failed} failed")
     if doubted:
-        helps = "mending their masks (lodbench mask PHOTO)" if has_masks else "a mask of each (--masks DIR)"
+        helps = (
+            "correct their masks (lodbench mask PHOTO)" if has_masks else "add a mask for each (--masks DIR)"
+        )
         # Flights look as far as they must.
         farther = (
-            "" if answers.flights else " say so if they may be farther off (--prior-range, --prior-yaw);"
+            ""
+            if answers.flights
+            else "; widen the search if the rough pose may be far off (--prior-range, --prior-yaw)"
         )
-        lines.append(f"Look at the overlays of those not to be trusted;{farther} {helps} helps most.")
+        lines.append(f"Check the overlays of unreliable poses. What helps most: {helps}{farther}.")
     files = [("table", answers.table), ("map", answers.map), ("", answers.geopackage)]
     files += [("page", answers.page(flight)) for flight in answers.flights]
     files += [("in 3D", answers.view)] if answers.found else []
@@ -130,8 +134,8 @@ def _trust_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
     if found.alternatives:
         away = found.alternatives[0].center - found.pose.center
         x, y, z = (float(v) for v in away)
-        how = "which fits less well"
+        how = "(worse fit)"
         if found.alternative_probabilities:
-            how = f"with {100 * found.alternative_probabilities[0]:.0f} %"
-        rows.append(("or", f"{x:+.1f} {y:+.1f} {z:+.1f} m from there, {how}"))
+            how = f"({100 * found.alternative_probabilities[0]:.0f} %)"
+        rows.append(("2nd best", f"{x:+.1f} {y:+.1f} {z:+.1f} m from there {how}"))
     return rows

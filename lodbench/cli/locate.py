@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 _SHOWN = 2
 
 _ABOUT = """\
-Say where on the map or the ground pixels of a localised photo are, or the white regions of a mask of it: with
-the 95 % ellipse on the map, and what was hit.
+Give map coordinates of pixels of a localised photo, or of the white regions of a mask of it, with the 95 %
+error ellipse and the surface that was hit.
 """
 
 _EPILOG = """\

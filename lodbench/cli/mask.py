@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 _FORMATS = ("labelme", "coco", "geojson")
 _EXAMPLES = """\
-The page is served to this machine alone. Strokes add to the mask or take from it; what looks alike nearby
-follows.
+The page is served to this machine alone. Strokes add to the mask or erase from it; similar
+pixels nearby are included.
 
 examples:
   lodbench mask DJI_0001.JPG                                   go on with DJI_0001_mask.png, or begin one
@@ -95,7 +95,7 @@ def _check_out(out: Path, photo: Path) -> None:
         raise ConfigError(f"--out {out} is a folder.", f"Name a file: --out {inside}")
     if out.suffix.lower() != ".png":
         png = shlex.quote(str(out.with_suffix(".png")))
-        raise ConfigError(f"--out {out} is no PNG file.", f"Masks are PNG: --out {png}")
+        raise ConfigError(f"--out {out} is not a PNG file.", f"Masks are PNG: --out {png}")
     if out.exists() and photo.exists() and out.samefile(photo):
         raise ConfigError("--out is the photo itself.", "Leave it out, or name another file.")
 

@@ -33,7 +33,7 @@ def open_named(options: argparse.Namespace) -> Dataset:
         root = options.root if name == "folder" and options.root else name
         if not Path(root).expanduser().is_dir():
             raise ConfigError(
-                f"{root} is no dataset and no folder.", nearest_names(root, set(known) - {root})
+                f"{root} is neither a dataset nor a folder.", nearest_names(root, set(known) - {root})
             )
         values = {"name": "folder", "root": root, "city_model": options.city, "lod": options.lod}
         return open_dataset({key: value for key, value in values.items() if value is not None})

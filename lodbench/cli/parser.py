@@ -71,7 +71,7 @@ class Parser(argparse.ArgumentParser):
         name, equals, value = word.partition("=")
         if equals and f"--{name}" in self._option_string_actions and not Path(word).exists():
             hint = f"Options have dashes: --{name} {shlex.quote(value)}"
-            raise ConfigError(f"{self.prog}: {word} is no file.", hint)
+            raise ConfigError(f"{self.prog}: {word} is not a file.", hint)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
@@ -86,10 +86,10 @@ class Parser(argparse.ArgumentParser):
         Raises:
             ConfigError: Always.
         """
-        text = message.replace("the following arguments are required:", "these words are missing:")
+        text = message.replace("the following arguments are required:", "required:")
         # An option of several words takes those after it as well.
-        first = "They come before the options. " if "missing: " in text and "missing: -" not in text else ""
-        hint = f"{first}{self.prog} --help says how it is used."
+        first = "Arguments go before options. " if "required: " in text and "required: -" not in text else ""
+        hint = f"{first}See {self.prog} --help."
         raise ConfigError(f"{self.prog}: {text.rstrip('.')}.", hint)
 
 

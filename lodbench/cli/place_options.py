@@ -164,7 +164,7 @@ def with_prior_width(method: ConfiguredMethod, asked: argparse.Namespace) -> Con
         return method
     if not isinstance(method.make(), SupportsPriorWidth):
         hint = "Leave --prior-range, --prior-height and --prior-yaw out; or take --each-alone."
-        raise ConfigError(f"Method {method.kind.name} cannot be told how far off rough poses may be.", hint)
+        raise ConfigError(f"Method {method.kind.name} has no adjustable search range.", hint)
     return method.for_prior(prior)
 
 
@@ -185,7 +185,7 @@ def _told_prior(asked: argparse.Namespace) -> UniformPrior | None:
 
 def add_height_options(parser: argparse.ArgumentParser) -> None:
     """Adds the options that say how a drone's heights become the city's."""
-    group = parser.add_argument_group("heights: how the drone's become the city's")
+    group = parser.add_argument_group("heights: from the drone's datum to the city's")
     group.add_argument(
         "--heights",
         choices=get_args(HeightSource),

@@ -173,7 +173,7 @@ def report(runs: Sequence[Run]) -> str:
     lines = []
     for run, summary in zip(runs, summaries, strict=True):
         if "invalid" in summary:
-            lines.append(f"INVALID, in no table: {summary['invalid']}")
+            lines.append(f"INVALID, excluded from tables: {summary['invalid']}")
         variant = summary["method"]["variant"]
         name = f"{summary['method']['name']} {variant}".strip()
         for split in run.splits:
@@ -208,16 +208,16 @@ def picture_to_open(runs: Sequence[Run]) -> str:
                 path = run.folder / "overlays" / overlay_name(split, "best", 1, row["query"])
                 if path.is_file():
                     name = run.config["method"]["name"]
-                    return f"Open {path}: the map's outlines at the prior and where {name} found it.\n"
+                    return f"Open {path}: the map's outlines at the prior and at the pose of {name}.\n"
     return ""
 
 
 def _calibration_text(table: RecallTable) -> str:
-    shown = replace(table.with_columns("calibration"), title=f"How sure methods were: {table.title}")
+    shown = replace(table.with_columns("calibration"), title=f"Calibration: {table.title}")
     return (
         format_text(shown) + "mean_confidence: mean probability of being within (2 m, 2 deg); ece: expected "
-        "calibration error, its distance from what was found; aurc: area under the risk-coverage curve, not "
-        "found as the surest 0 to 100 % are answered; all in percent.\n"
+        "calibration error, its distance from the share within; aurc: area under the risk-coverage curve: "
+        "share not within as the most confident 0 to 100 % are answered; all in percent.\n"
     )
 
 

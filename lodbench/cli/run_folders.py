@@ -28,7 +28,7 @@ def run_folders(named: Sequence[Path], out: Path | None = None) -> list[Path]:
     if not runs:
         return list(named)
     for path in others:
-        sys.stderr.write(f"lodbench: passed over, no finished run: {path}\n")
+        sys.stderr.write(f"lodbench: skipped, not a finished run: {path}\n")
     if out is not None and len(runs) > 1:
         raise ConfigError(f"--out {out} is one place, and there are {len(runs)} runs.", "Leave --out out.")
     return runs

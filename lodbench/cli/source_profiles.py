@@ -11,7 +11,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.cli.configs import config_files, read_config
 from lodbench.errors import ConfigError, nearest_names
 
-DATE_HELP = "leave out what had ended by then, where the file tells of ends (default: today)"
+DATE_HELP = "leave out buildings whose end date is before it, if the file has end dates (default: today)"
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from lodbench.reporting.safe_text import plain_text
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code: 2 if a folder holds no run that can be read."""
-    parser = Parser("lodbench status", description="Say how far runs are; they may be going on meanwhile.")
+    parser = Parser("lodbench status", description="Show the progress of runs, finished or not.")
     parser.add_argument(
         "runs", nargs="+", type=Path, metavar="RUN", help="run folders, or one that holds them"
     )

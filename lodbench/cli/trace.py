@@ -61,7 +61,7 @@ def main(argv: Sequence[str]) -> int:
     if asked.benchmark is not None:
         written = write_benchmark(solved, city, asked.images, asked.benchmark, asked.seed)
         result["queries"] = list(written.names)
-        lines.append(f"written: {written.folder}, {len(written.names)} photos that the map has not used")
+        lines.append(f"written: {written.folder}, {len(written.names)} photos not used for the map")
         lines += [f"left out: {name}: {reason}" for name, reason in written.left_out]
     if others is not None:
         result["compared"] = compared(solved.buildings, others)
@@ -127,7 +127,7 @@ def _request(asked: argparse.Namespace) -> Any:
 def _require_given(asked: argparse.Namespace) -> None:
     for folder in (asked.model, asked.images):
         if not folder.is_dir():
-            raise DatasetError(f"{folder} is no folder.", "Check the path.")
+            raise DatasetError(f"{folder} is not a folder.", "Check the path.")
     for file in filter(None, (asked.polygons, asked.compare, asked.start)):
         if not file.exists():
             raise DatasetError(f"{file} does not exist.", "Check the path.")
@@ -189,7 +189,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--crs", metavar="CODE", help="the map's reference system; without --start, photos' GPS places it")
     add("--metric", action="store_true", help="the model is in the map's coordinates already")
     add_height_options(parser)
-    add("--benchmark", type=Path, metavar="DIR", help="write a dataset of photos that the map has not used")
+    add("--benchmark", type=Path, metavar="DIR", help="write a dataset of photos not used for the map")
     add("--queries", nargs="+", default=[], metavar="PATTERN", help="those (every second that is not traced)")
     add("--seed", type=int, default=0, help="of the benchmark's priors (default: 0)")
     add("--port", type=int, default=0, help="of the page (any that is free)")

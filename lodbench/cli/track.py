@@ -52,7 +52,7 @@ def main(argv: Sequence[str]) -> int:
     if not asked.footage.exists():
         raise DatasetError(f"{asked.footage} does not exist.", "Check the path.")
     if asked.masks is not None and not asked.masks.is_dir():
-        raise DatasetError(f"{asked.masks} is no folder.", "Name the folder of the frames' masks.")
+        raise DatasetError(f"{asked.masks} is not a folder.", "Name the folder of the frames' masks.")
     require_one_mask_source(asked, "--masks")
     require_within("--every", asked.every, 1)
     require_within("--fps", asked.fps, 0, ends="(]")

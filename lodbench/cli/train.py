@@ -38,13 +38,13 @@ def train_method(config: DictConfig) -> None:
     name = str(method.get("name", ""))
     part = load_plugin("methods", name)
     if not hasattr(part, "train"):
-        raise ConfigError(f"method={name} learns nothing.", "Trainable: method=lodloc, and segmenters.")
+        raise ConfigError(f"method={name} has nothing to train.", "Trainable: method=lodloc, and segmenters.")
     with blaming("methods", name, "take its settings"):
         is_plain = to_params(method, part.params_type, "method") == part.params_type()
         settings = _settings(schedule, others, part.training_type)
     if not is_plain:
         raise ConfigError(
-            "What is set of a method means nothing to its training.", "Its training's settings are schedule.*"
+            "Settings of a method do not apply to its training.", "Its training's settings are schedule.*"
         )
     _tell(f"training {name} on {settings.data} into {settings.out}")
     with blaming("methods", name, "be trained"):

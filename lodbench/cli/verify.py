@@ -37,8 +37,8 @@ from lodbench.reporting.safe_text import plain_text
 from lodbench.segmentation.registry import make_segmenter
 
 _EPILOG = """\
-Exit code: 0 all numbers follow, 1 they do not (one line per difference), 2 the run cannot be read.
-Where the dataset is not there only summary.json is compared with queries.csv: a weaker check, and said.
+Exit code: 0 all numbers are consistent, 1 they are not (one line per difference), 2 the run cannot be read.
+If the dataset is missing, only summary.json is compared with queries.csv, a weaker check.
 """
 
 
@@ -115,7 +115,9 @@ def _require_useful(config: dict[str, Any], root: str | None, city: str | None) 
     for option, path, setting in (("--dataset-root", root, "root"), ("--city", city, "city_model")):
         if path is not None and setting not in known:
             name = config["dataset"]["name"]
-            raise ConfigError(f"{option} is of no use: dataset={name} knows its own place.", "Leave it out.")
+            raise ConfigError(
+                f"{option} is not used with dataset={name}, which is built in.", "Leave it out."
+            )
         if path is not None and not Path(path).exists():
             raise DatasetError(f"{path} does not exist.", f"Check the path after {option}.")
 
@@ -203,12 +205,12 @@ def _no_run(folder: Path) -> DatasetError:
     if not folder.exists():
         return DatasetError(f"{folder} does not exist.", "Name a run folder.")
     if not folder.is_dir():
-        return DatasetError(f"{folder} is no folder.", "Name a run folder.")
+        return DatasetError(f"{folder} is not a folder.", "Name a run folder.")
     # runs/<dataset>/<method>/<digest>, from any of them; whole disks are not looked through.
     below = (path for depth in (1, 2, 3) for path in folder.glob(f"{'*/' * depth}{CONFIG_FILE}"))
     run = next((each.parent for each in below if (each.parent / "summary.json").is_file()), None)
     hint = "Name a run folder." if run is None else f"Name a run folder, as {shlex.quote(str(run))}"
-    return DatasetError(f"{folder} is no run folder: it holds no {CONFIG_FILE}.", hint)
+    return DatasetError(f"{folder} is not a run folder: it holds no {CONFIG_FILE}.", hint)
 
 
 def describe(verdict: Verdict) -> str:
@@ -216,23 +218,26 @@ def describe(verdict: Verdict) -> str:
     lines = list(verdict.differences)
     if verdict.is_weak:
         lines.append(
-            "weaker check: the dataset is not where it was, so summary.json was compared with queries.csv "
-            "only; name its place with --dataset-root"
+            "weaker check: dataset not at its former path, so summary.json was compared with queries.csv "
+            "only; give its path with --dataset-root"
         )
     lines += [f"note: {note}" for note in verdict.notes]
     if verdict.unknown:
         names = plain_text(", ".join(verdict.unknown))
-        lines.append(f"note: metrics of packages that were not, or are not, installed, not compared: {names}")
+        lines.append(f"note: metrics of packages not installed then or now, not compared: {names}")
     count = len(verdict.differences)
     queries = len(verdict.stored.queries)
     if count:
         lines.append(f"{verdict.stored.folder}: {count} difference{'s' * (count > 1)}")
     else:
-        truth = "the truth" if has_truth(verdict.stored.queries).any() else "nothing else: there is no truth"
-        basis = "their rows" if verdict.is_weak else f"their poses and {truth}"
-        lines.append(
-            f"{verdict.stored.folder}: the numbers of {count_of(queries, 'queries')} follow from {basis}"
+        basis = (
+            "with queries.csv (poses not recomputed)"
+            if verdict.is_weak
+            else "with poses and ground truth"
+            if has_truth(verdict.stored.queries).any()
+            else "with their poses; no ground truth to check"
         )
+        lines.append(f"{verdict.stored.folder}: {count_of(queries, 'queries')} consistent {basis}")
     return "\n".join(lines) + "\n"
 
 

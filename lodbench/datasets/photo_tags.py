@@ -64,7 +64,7 @@ def read_header(path: Path) -> tuple[tuple[int, int], dict[int, Any], bytes]:
     except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
         raise DatasetError(f"{path} cannot be read: {error.strerror}.", "Check the path.") from error
     except UnidentifiedImageError as error:
-        raise DatasetError(f"{path} is no JPEG, PNG or TIFF picture.", "Export it again.") from error
+        raise DatasetError(f"{path} is not a JPEG, PNG or TIFF picture.", "Export it again.") from error
     except DatasetError:
         raise
     except Exception as error:  # a damaged header makes Pillow raise anything from struct.error to KeyError

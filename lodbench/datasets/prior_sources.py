@@ -220,7 +220,7 @@ def _by_key(path: Path, entries: Sequence[Entry]) -> dict[str, tuple[Pose, ...]]
     for line in read_lines(path):
         owners = keys.get(line.name, [])
         if len(owners) != 1:
-            meaning = f"may be any of {', '.join(owners)}" if owners else "is no query of the dataset"
+            meaning = f"may be any of {', '.join(owners)}" if owners else "is not a query of the dataset"
             raise DatasetError(f"{line.where}: {line.name} {meaning}.", "Write split/name.")
         found[owners[0]] = (*found.get(owners[0], ()), line.pose)
     return found

@@ -135,8 +135,8 @@ def _decoded(text: str) -> NDArray[np.bool_]:
     try:
         content = base64.b64decode(text)
     except ValueError as error:
-        raise DatasetError(f"A stored mask is no picture ({error}).") from error
+        raise DatasetError(f"A stored mask is not a picture ({error}).") from error
     picture = None if has_too_many_pixels(content) else decoded(content, as_stored=True)
     if picture is None or picture.ndim != 2:
-        raise DatasetError("A stored mask is no picture of a size that is read.")
+        raise DatasetError("A stored mask is not a picture of a size that is read.")
     return np.asarray(picture > 0)

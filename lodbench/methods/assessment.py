@@ -75,7 +75,10 @@ def assessed(
             probability = min(probability, probability_within(allowed, vector))
         else:
             per_unit = camera_columns(laid, lines, _prior_sigmas(params))
-            by_camera, if_unknown = per_unit * _camera_sigmas(query), per_unit * (_WORSE * _sigmas_of(UNKNOWN))
+            by_camera, if_unknown = (
+                per_unit * _camera_sigmas(query),
+                per_unit * (_WORSE * _sigmas_of(UNKNOWN)),
+            )
             notes += _camera_notes(by_camera, query)
             covariance = covariance + by_camera @ by_camera.T
             masses = [probability_within(allowed + c @ c.T, vector) for c in (by_camera, if_unknown)]
@@ -142,7 +145,7 @@ def _edge_doubts(query: Query, laid: Projected, lines: ModelLines, camera: Camer
     )
     excess = edge_excess(PhotoEdges(picture, (camera.width, camera.height)), shown)
     if excess is not None and excess < _LEAST_EXCESS:
-        yield "the photo contradicts this pose: its edges lie on the map's roof edges no more than by chance"
+        yield "poor fit: edges in the photo match the map's roof edges no better than by chance"
 
 
 def _prior_sigmas(params: Any) -> Floats:

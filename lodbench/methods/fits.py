@@ -55,7 +55,7 @@ def confident_iou(probability: Probability) -> Fit:
     # A pixel that the network cannot tell counts for nothing; on a mask of 0 and 1 this is the IoU.
     confidence = np.abs(2.0 * probability.astype(np.float64) - 1.0)
     if not confidence.any():
-        raise QueryFault("the mask is 0.5 everywhere: it says nothing")
+        raise QueryFault("the mask is 0.5 everywhere: no information")
     return SoftIouFit((probability >= BUILDING_THRESHOLD).astype(np.float64), confidence)
 
 

@@ -58,7 +58,7 @@ def localize(
         LodbenchError: The scene is none, the prior is no pose, or the method is not known.
     """
     if not isinstance(scene, Scene):
-        raise LodbenchError(f"{scene!r} is no scene.", "lodbench.open_scene(FILE) makes one.")
+        raise LodbenchError(f"{scene!r} is not a scene.", "lodbench.open_scene(FILE) makes one.")
     prior = Pose.from_matrix(prior.cam_from_world)
     photo = None if image is None else Path(image)
     probability = None if mask is None else check_mask(mask, camera)

@@ -38,7 +38,7 @@ def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction])
     notes = [f"{count} x {reason}" for reason, count in sorted(reasons.items()) if reason] + notes
     basis = "goes by the probability that the method gives of being within 2 m and 2 degrees"
     return (
-        f"There is no truth to compare with: the answers themselves.\n\n{format_columns([head, *lines])}\n\n"
+        f"No ground truth to compare with; the poses themselves:\n\n{format_columns([head, *lines])}\n\n"
         f"{answered} of {len(lines)} queries have an answer, {len(lines) - answered} failed. "
         f"Trust {basis if is_said else 'is not known: this method gives no probability'}.\n"
         + "".join(f"{plain_text(note)}\n" for note in notes)
@@ -69,15 +69,15 @@ def is_trusted(probability: float | None, score: float | None, has_mask: bool) -
 
 
 def untrusted_note(predictions: Iterable[Prediction]) -> str:
-    """Returns a line that says how many answers are not to be trusted, and what to do; "" if none."""
+    """Returns a line that says how many poses are unreliable, and what to do; "" if none."""
     answered = [found for found in predictions if found.pose is not None]
     count = sum(trust_of(found) == UNTRUSTED for found in answered)
     if not count:
         return ""
     return (
-        f"{count} of {len(answered)} answers are not to be trusted (probability below "
-        f"{TRUSTED_PROBABILITY:g}, or mask and model overlap by less than {TRUSTED_OVERLAP:g}): look at "
-        "their pictures, give masks or mend them, or give better priors"
+        f"{count} of {len(answered)} poses are unreliable (probability below "
+        f"{TRUSTED_PROBABILITY:g}, or IoU of mask and model below {TRUSTED_OVERLAP:g}): check their "
+        "overlays, add or correct masks, or give better priors"
     )
 
 

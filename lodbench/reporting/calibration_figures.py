@@ -39,8 +39,10 @@ def draw_calibration(curves: Mapping[str, Calibration]) -> dict[str, bytes]:
             xlim=(0, 106),
         )
         left.set(ylim=(0, 106), title="Reliability: queries per mark beside it")
-        right.set(xlabel="queries answered, surest first (%)", ylabel="answers not within 2 m, 2 deg (%)")
-        right.set(xlim=(0, 100), title="Risk when unsure queries are declined")
+        right.set(
+            xlabel="queries answered, most confident first (%)", ylabel="answers not within 2 m, 2 deg (%)"
+        )
+        right.set(xlim=(0, 100), title="Risk over coverage")
         right.set_ylim(bottom=0)
         right.legend(loc="upper left")
 

@@ -37,8 +37,8 @@ def agreement_text(found: Agreement | None) -> str:
     if found is None:
         return ""
     return (
-        f"Answers of both: {count_of(found.answered, 'queries')}, {found.within} within 2 m and 2 deg of "
-        f"each other; medians apart {found.median_m:.2f} m and {found.median_deg:.2f} deg."
+        f"Both runs answered {count_of(found.answered, 'queries')}; {found.within} within 2 m and 2 deg of "
+        f"each other; median difference {found.median_m:.2f} m and {found.median_deg:.2f} deg."
     )
 
 

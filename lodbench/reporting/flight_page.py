@@ -132,4 +132,4 @@ def _heights(constant: Mapping[str, Any] | None) -> str:
     """Returns what the photos say of stated heights; "" where these are held."""
     if constant is None:
         return ""
-    return heights_in_words(constant) if constant["told"] else "heights are not told: left as stated"
+    return heights_in_words(constant) if constant["told"] else "heights could not be estimated; unchanged"

@@ -8,39 +8,54 @@ from typing import Any
 
 from lodbench.reporting.aligned_text import count_of
 
+_MASKS = "masks too large by"
 # What constants are called where people read them, in this order.
 _CALLED = {
     "east": "positions, to the east", "north": "positions, to the north", "pitch": "gimbal pitch",
     "roll": "gimbal roll", "yaw": "heading, counter-clockwise", "focal length": "focal length",
-    "radial distortion k1": "radial distortion k1", "masks too large by": "masks too large by",
-    "roofs higher than the map": "heights of the map's roofs",
-    "feet of walls higher than the map": "bases of the map's walls",
+    "radial distortion k1": "radial distortion k1", _MASKS: "mask edges",
+    "roofs higher than the map": "roofs relative to the map",
+    "feet of walls higher than the map": "bases of walls relative to the map",
 }  # fmt: skip
+# These are of masks and map, all others correct the drone's metadata.
+_OF_MASKS_AND_MAP = {called for name, called in _CALLED.items() if name == _MASKS or "the map" in name}
 # Heights this far off, beyond doubt, are of another zero rather than of a barometer.
 _OTHER_ZERO_M, _BEYOND_DOUBT = 8.0, 3.0
 
 
 def constants_in_words(constants: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Returns a sentence per constant that the photos told, and one that names those they did not.
+    """Returns sentences on the constants that the photos determine, and one that names those they do not.
 
     Args:
         constants: By name ``value`` (to be added to what sensors or map say), ``sigma``, ``unit``, ``told``.
     """
     height, rows = constants.get("height"), constant_rows(constants)
     lines = [heights_in_words(height)] if height is not None and height["told"] else []
-    added = [f"{called} {amount}" for called, amount, is_told in rows if is_told]
+    known = [row for row in rows if row[2]]
+    drone = [f"{row[0]} {row[1]}" for row in known if row[0] not in _OF_MASKS_AND_MAP]
+    others = [f"{row[0]} {row[1]}" for row in known if row[0] in _OF_MASKS_AND_MAP]
     silent = ["heights"] if height is not None and not height["told"] else []
     silent += [called for called, _, is_told in rows if not is_told]
-    lines += [f"to be added to what was stated: {'; '.join(added)}"] if added else []
-    lines += [f"not told by these photos, and left as stated: {'; '.join(silent)}"] if silent else []
+    lines += [f"corrections to the drone's metadata: {'; '.join(drone)}"] if drone else []
+    lines += [f"masks and map: {'; '.join(others)}"] if others else []
+    lines += [f"could not be estimated; unchanged: {'; '.join(silent)}"] if silent else []
     return lines
 
 
 def constant_rows(constants: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, str, bool]]:
-    """Returns each constant but the height: its name, what is to be added, and whether photos told it."""
+    """Returns each constant but the height: its name, its correction, and whether photos determine it."""
     order = [name for name in _CALLED if name in constants]
     order += [name for name in constants if name not in _CALLED and name != "height"]
-    return [(_CALLED.get(name, name), _amount(constants[name]), constants[name]["told"]) for name in order]
+    return [
+        (_CALLED.get(name, name), _change(name, constants[name]), constants[name]["told"]) for name in order
+    ]
+
+
+def _change(name: str, constant: Mapping[str, Any]) -> str:
+    if name != _MASKS:
+        return _amount(constant)
+    side = "inside" if constant["value"] < 0 else "outside"
+    return f"{_amount(constant, signed=False)} too far {side}"
 
 
 def _amount(constant: Mapping[str, Any], *, signed: bool = True) -> str:
@@ -55,48 +70,37 @@ def _amount(constant: Mapping[str, Any], *, signed: bool = True) -> str:
 
 
 def heights_in_words(constant: Mapping[str, Any]) -> str:
-    """Returns by how much heights are stated too high or too low, and what that looks like."""
+    """Returns by how much heights in the metadata are too high or too low, and the likely cause."""
     value, sigma = constant["value"], constant["sigma"]
     word = "high" if value < 0 else "low"
     amount = _amount(constant, signed=False).replace(" m", f" m too {word}", 1)
     if abs(value) < max(_OTHER_ZERO_M, _BEYOND_DOUBT * sigma):
-        return f"heights are stated {amount}"
-    asked = "ellipsoid or take-off" if value < 0 else "take-off"
-    return f"heights are stated {amount}: {asked}? --heights says what they are above"
+        return f"heights in the metadata are {amount}"
+    datum = "the ellipsoid or the take-off point" if value < 0 else "the take-off point"
+    return f"heights in the metadata are {amount}: measured from {datum}? Set their datum with --heights"
 
 
 def map_in_words(findings: Mapping[str, Any], most: int = 5) -> list[str]:
-    """Returns sentences about what the photos contradict in the map, the surest of each kind first.
+    """Returns sentences on possible errors of the map, the surest of each kind first.
 
     Places where the map has no building come apart: of a partial map there are many, and none is wrong.
     """
     rows, count = map_rows(findings), len(findings.get("buildings", []))
     lacking = sum(change["kind"] == "missing" for change in findings.get("changes", []))
     mapped, places = rows[: len(rows) - lacking], rows[len(rows) - lacking :]
+    errors = f"{count_of(len(mapped), 'possible errors')} of the map"
+    not_mapped = "buildings or containers not in the map, which may hold a part of all"
     return [
-        *_listed(
-            f"the photos contradict the map in {_places(mapped)}, of {count} buildings they show:",
-            mapped,
-            most,
-        ),
-        *_listed(
-            f"in {_places(places)} something stands that the map has not (a building, or containers and the "
-            "like; a map may hold a part of all buildings):",
-            places,
-            most,
-        ),
+        *_listed(f"{errors}, {count_of(count, 'buildings')} checked:", mapped, most),
+        *_listed(f"{count_of(len(places), 'places')} with {not_mapped}:", places, most),
     ]
 
 
 def _listed(head: str, rows: Sequence[tuple[str, str, str]], most: int) -> list[str]:
     """Returns a head and its rows as lines, nothing for no rows."""
-    lines = [f"- {name}: {said}, by {photos}" for name, said, photos in rows[:most]]
+    lines = [f"- {name}: {said}, from {photos}" for name, said, photos in rows[:most]]
     more = [f"- and {len(rows) - most} more"] if len(rows) > most else []
     return [head, *lines, *more] if rows else []
-
-
-def _places(rows: Sequence[object]) -> str:
-    return f"{len(rows)} place{'' if len(rows) == 1 else 's'}"
 
 
 def _apart(finding: Mapping[str, Any]) -> str:
@@ -105,7 +109,7 @@ def _apart(finding: Mapping[str, Any]) -> str:
 
 
 def map_rows(findings: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Returns of each contradiction the building, what the photos say, and which do.
+    """Returns of each possible error the building, what the photos show, and which photos.
 
     Args:
         findings: ``buildings`` with heights, and ``changes``: buildings gone, and places the map lacks one.
@@ -123,10 +127,10 @@ def map_rows(findings: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         listed = ", ".join(change["photos"][:3]) + (", ..." if len(change["photos"]) > 3 else "")
         photos = f"{count_of(len(change['photos']), 'photos')}{_apart(change)} ({listed})"
         if change["kind"] == "gone":
-            rows.append((str(change["id"]), f"gone, {100 * change['probability']:.0f} % sure", photos))
+            rows.append((str(change["id"]), f"probably gone ({100 * change['probability']:.0f} %)", photos))
         else:
             size = f"{change['area_m2']:.0f} m2 and {change['top_m']:.0f} m high"
-            rows.append(("a building that the map lacks", size, photos))
+            rows.append(("building missing in the map", size, photos))
     return rows
 
 

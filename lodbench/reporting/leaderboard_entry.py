@@ -33,7 +33,7 @@ def schema_faults(entry: Any) -> list[str]:
     """Returns a line for each place where a JSON value is no entry; the empty list if it is one."""
     import jsonschema
 
-    # NaN is no number of JSON, and would be within any bounds.
+    # NaN is not a number of JSON, and would be within any bounds.
     finite = json.loads(json.dumps(entry), parse_constant=lambda name: name)
     errors = jsonschema.Draft202012Validator(entry_schema()).iter_errors(finite)
     faults = [f"{'.'.join(map(str, ['entry', *error.absolute_path]))}: {error.message}" for error in errors]

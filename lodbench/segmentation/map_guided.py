@@ -119,7 +119,7 @@ class MapGuided:
 
     def notes(self) -> tuple[str, ...]:
         """Returns that such a mask is no independent witness."""
-        return ("a mask made with the map agrees with it: how sure methods then are is too sure",)
+        return ("masks guided by the map are biased towards it: probabilities are overconfident",)
 
     def _silhouettes(
         self, photo: NDArray[np.uint8], camera: Camera, pose: Pose, city_map: CityMap

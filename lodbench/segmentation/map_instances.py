@@ -119,7 +119,7 @@ class MapInstances:
         """Returns the network's notes, and that such buildings are no independent witness."""
         return (
             *self._compact.notes(),
-            "buildings told apart with the map agree with it: how sure methods then are is too sure",
+            "instances separated with the map are biased towards it: probabilities are overconfident",
         )
 
     def _grid(self) -> PoseGrid:

@@ -67,11 +67,11 @@ def read_onnx(path: Path, hint: str, is_ours: bool = False, digest: str | None =
         content = read_content(path, digest)
         fault = "" if is_ours else onnx_fault(content) or _probed(content)
         if fault:
-            raise ConfigError(f"{path} is no ONNX network to be trusted: {fault}.", hint)
+            raise ConfigError(f"{path} is not a safe ONNX network: {fault}.", hint)
         with opencv_silenced():
             return cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8))
     except (cv2.error, OSError) as error:
-        raise ConfigError(f"{path} is no ONNX network that OpenCV can read.", hint) from error
+        raise ConfigError(f"{path} is not an ONNX network that OpenCV can read.", hint) from error
 
 
 def _probed(content: bytes) -> str:

@@ -33,4 +33,4 @@ def finite(value: Any) -> Any:
 
 
 def _refuse(word: str) -> float:
-    raise ValueError(f"{word} is no number of JSON")
+    raise ValueError(f"{word} is not a number of JSON")

@@ -252,7 +252,7 @@ def test_another_network_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="is wanted"):
         maps_of(np.zeros((64, 96, 3), np.uint8), 96, 64, str(packaged_weights()))
     (tmp_path / "none.onnx").write_bytes(b"no network")
-    with pytest.raises(ConfigError, match="no ONNX network"):
+    with pytest.raises(ConfigError, match="not a safe ONNX network"):
         maps_of(np.zeros((64, 96, 3), np.uint8), 96, 64, str(tmp_path / "none.onnx"))
 
 

@@ -192,4 +192,4 @@ def test_a_run_on_a_textured_map_is_verified_with_what_the_map_says(tmp_path, ca
     (folder,) = (path.parent for path in (tmp_path / "runs").rglob("summary.json"))
     assert "coordinates" in " ".join(json.loads((folder / "summary.json").read_text())["notes"])
     assert main(["verify", str(folder)]) == 0
-    assert "follow from their poses and the truth" in capsys.readouterr().out
+    assert "consistent with poses and ground truth" in capsys.readouterr().out

@@ -58,7 +58,7 @@ def test_quality_is_that_counted_by_hand(labelled):
 def test_what_tells_no_buildings_apart_is_refused(labelled, capsys):
     # The second tells them apart, but by a map.
     for segmenter in (Compact(CompactParams()), MapInstances(MapInstancesParams())):
-        with pytest.raises(ConfigError, match="tells no buildings apart") as told:
+        with pytest.raises(ConfigError, match="does not separate buildings") as told:
             measure_instances(segmenter, labelled)
         assert "--segmenter compact_instances" in told.value.hint
     assert main(["bench", "segmentation", "--instances"]) == 2

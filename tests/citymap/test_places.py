@@ -303,7 +303,7 @@ def test_the_sky_is_told(town):
     level = Pose.from_euler(EulerAngles(90, 0, 180), (0.0, -100.0, 60.0))
     with pytest.raises(LodbenchError, match="neither a building nor the ground: sky"):
         lodbench.locate(town, CAMERA, level, (500.0, 10.0))
-    with pytest.raises(LodbenchError, match="is no scene"):
+    with pytest.raises(LodbenchError, match="is not a scene"):
         lodbench.locate("city.obj", CAMERA, level, (500.0, 10.0))
 
 

@@ -102,7 +102,7 @@ class TestReading:
         lifted = [[*point, 510.0] for point in square()]
         model = self.read(tmp_path, geojson([([lifted], {"height": 5})]))
         (found,) = [item for item in model.findings.items if item.code.name == "GROUND_DEFAULTED"]
-        assert found.detail == "ground_m=0; the outlines lie at 510 to 510, which is not asked"
+        assert found.detail == "ground_m=0; the outlines lie at 510 to 510, which is not used"
 
     def test_missing_heights(self, tmp_path: Path) -> None:
         rows = [([square(i)], {"height": h}) for i, h in enumerate([5.0, None, 0.0, -2.0])]

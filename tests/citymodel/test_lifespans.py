@@ -115,14 +115,14 @@ def test_cityjson_says_it_in_attributes(tmp_path, attributes):
 
 def test_a_city_of_which_nothing_stands_says_so(tmp_path):
     text = city(box(40.0, core(terminationDate="2015-06-30")))
-    with pytest.raises(CityModelError, match="no building that stands on 2020-01-01; 1 ended") as raised:
+    with pytest.raises(CityModelError, match="no building that exists on 2020-01-01; 1 ended") as raised:
         read_city_model(write(tmp_path / "a.gml", text), options=ReadOptions(date="2020-01-01"))
     assert "date=YYYY-MM-DD" in raised.value.hint
 
 
 @pytest.mark.parametrize("day", ["30.6.2015", "2015", "20150630", "2015-13-01"])
 def test_a_date_is_a_day(day):
-    with pytest.raises(ConfigError, match="is no date"):
+    with pytest.raises(ConfigError, match="is not a date"):
         ReadOptions(date=day)
 
 

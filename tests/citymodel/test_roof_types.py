@@ -74,7 +74,7 @@ class TestCityGML:
         assert model.pitched.tolist() == mesh_city(model).pitched.tolist() == [True, False, False, True]
 
     def test_info_counts_them(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        told = ["roofs      pitched on 2, as told"]
+        told = ["roofs      2 buildings pitched (from the file)"]
         for codes, expected in ((("3100", "1000", "2100"), told), (("1000",), [])):
             path = write(tmp_path / "a.gml", town(*codes))
             assert main(["city", "info", str(path)]) == 0
@@ -205,7 +205,7 @@ class TestOnTheWay:
     def test_a_reader_that_tells_of_other_buildings_is_named(self, tmp_path: Path) -> None:
         raw = read_source(open_sources(write(tmp_path / "a.gml", town("3100")))[0], ReadOptions())
         raw.pitched = np.ones(2, np.bool_)
-        with pytest.raises(CityModelError, match="of roofs of other buildings"):
+        with pytest.raises(CityModelError, match="gives roofs for buildings that it did not read"):
             finish_model(raw, ReadOptions())
 
     def test_it_is_the_same_city_with_other_roofs(self, tmp_path: Path) -> None:

@@ -267,7 +267,7 @@ LESS_WORK = ["method.starts=2", "method.more_starts=1", "method.fine_generations
 def test_ours_keep_to_it(capsys, name, words):
     assert main(["check-method", name, *words]) == 0
     told = capsys.readouterr().out
-    assert f"{name} keeps to the protocol." in told
+    assert f"{name} conforms to the protocol." in told
     assert "  fault" not in told
 
 
@@ -276,7 +276,7 @@ def test_a_sound_plug_in(capsys, monkeypatch, plug_in):
     assert main(["check-method", "sound", "--json"]) == 0
     checks = {check["name"]: check for check in map(json.loads, capsys.readouterr().out.splitlines())}
     assert {check["status"] for check in checks.values()} == {"ok"}
-    assert "another answer" in checks["another seed"]["detail"]
+    assert "differs by seed" in checks["another seed"]["detail"]
     assert len(checks) == 20
 
 
@@ -352,7 +352,7 @@ def test_a_violation_as_people_read_it(capsys, monkeypatch, plug_in):
     told = capsys.readouterr().out
     assert "  fault   any order" in told
     assert "-> Keep no state between queries" in told
-    assert told.endswith("\nstateful breaks 1 of its rules.\n")
+    assert told.endswith("\nstateful violates 1 rule of the protocol.\n")
 
 
 def test_an_unknown_name(capsys):

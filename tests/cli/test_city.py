@@ -124,7 +124,7 @@ class TestCheck:
     def test_findings_go_to_a_file(self, lodbench, tmp_path, name):
         write(tmp_path / "a.gml", box_city())
         is_clear(
-            lodbench("city", "check", "a.gml", "--geojson", name), "is no file in a folder that is there"
+            lodbench("city", "check", "a.gml", "--geojson", name), "is not a file in a folder that is there"
         )
 
     @pytest.mark.parametrize(

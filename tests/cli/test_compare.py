@@ -92,7 +92,7 @@ def test_the_page_has_tables_curves_and_tests_by_name(lodbench, data, tmp_path):
     with opened(page, PHONE, "dark") as (shown, complaints):
         words = shown.inner_text("main")
         assert "perfect against prior" in words
-        assert "Answers of both: 4 queries, 0 within 2 m and 2 deg of each other" in words
+        assert "Both runs answered 4 queries; 0 within 2 m and 2 deg of each other" in words
         assert shown.locator("table").count() == 2
         assert shown.locator(".chart svg").count() == 1
         assert fits(shown)
@@ -109,7 +109,7 @@ def test_runs_without_a_truth_are_told_apart_by_their_answers(lodbench, tmp_path
         done = lodbench("run", "dataset=folder", f"dataset.root={root}", f"method={method}")
         folders.append(re.search(r"results:\s+(\S+)", done.stdout)[1])
     out = lodbench("compare", *folders).stdout
-    assert out.count("There is no truth to compare with: the answers themselves") == 2
+    assert out.count("No ground truth to compare with; the poses themselves") == 2
     assert "no paired test: there is no truth" in out
     empty = lodbench("compare", *folders, "--format", "csv", "--out", str(tmp_path / "t.csv"))
     assert empty.returncode == 2
@@ -118,7 +118,7 @@ def test_runs_without_a_truth_are_told_apart_by_their_answers(lodbench, tmp_path
     unheard = lodbench("compare", *folders, "--columns", "nix")
     assert unheard.returncode == 2
     assert "there is no table for --columns" in unheard.stderr
-    assert "Answers of both: 2 queries, 0 within 2 m" in out
+    assert "Both runs answered 2 queries; 0 within 2 m" in out
     assert "2m-2deg" not in out
 
 

@@ -98,7 +98,7 @@ class TestCheck:
         ]
         bad = {name: detail for kind, name, detail in details if kind == "IMAGE_UNREADABLE"}
         assert "damaged or cut off" in bad[first.name]
-        assert "no JPEG" in bad[UAVD4L_NAMES["outTraj"][0]]
+        assert "not a JPEG" in bad[UAVD4L_NAMES["outTraj"][0]]
         assert "too many pixels" in bad[UAVD4L_NAMES["outTraj"][1]]
         assert ("IMAGE_SIZE", second.name, "66 x 49, intrinsics 660 x 494") in details
         quick = check(lodbench, "uavd4l_lod", "--root", str(root), "--headers-only")[1]
@@ -117,7 +117,7 @@ class TestCheck:
         done = lodbench("dataset", "check", "swiss_epflv2", "--root", str(tmp_path / "none"))
         assert done.returncode == 2
         assert "https://" in done.stderr
-        assert "no dataset and no folder" in lodbench("dataset", "check", "siwss_epfl").stderr
+        assert "neither a dataset nor a folder" in lodbench("dataset", "check", "siwss_epfl").stderr
 
 
 class TestDirection:
@@ -238,7 +238,7 @@ class TestPriors:
 
     @pytest.mark.parametrize(
         ("line", "reason"),
-        [("gone.png 1 0 0 0 1 2 3", "no query"), ("view_00.png 1 0 0 0 1 2", "line 1")],
+        [("gone.png 1 0 0 0 1 2 3", "not a query"), ("view_00.png 1 0 0 0 1 2", "line 1")],
     )
     def test_a_bad_file_of_priors(self, lodbench, tmp_path, line, reason):
         root, city = write_dataset(tmp_path / "town")

@@ -143,7 +143,7 @@ def test_a_model_that_its_masks_do_not_place_is_not_to_be_trusted(capsys, case, 
     said = json.loads((tmp_path / "out" / "similarity.json").read_text())
     assert max(errors_m(read_colmap(tmp_path / "out" / "colmap"), case.truth)) > 2.0
     assert code == 3
-    assert f"{len(said['untrusted'])} of {len(said['used'])} are not to be trusted" in told
+    assert f"{len(said['untrusted'])} of {len(said['used'])} are unreliable" in told
     assert "do not trust" in told
     assert not said["trusted"]
 

@@ -97,7 +97,7 @@ def test_a_flight_is_solved_as_a_whole(capsys, flight, tmp_path):
         f"flight 1: {COUNT} photos, DJI_0001.JPG to DJI_0004.JPG, FC6310R 400 x 300, 2023-10-18 11:46:10"
         in output
     )
-    assert f"heights are stated {OFF_M[2]:.0f}" in output
+    assert f"heights in the metadata are {OFF_M[2]:.0f}" in output
     errors = errors_m(tmp_path, flight.truth)
     assert len(errors) == COUNT
     assert max(errors.values()) < 1.0
@@ -121,7 +121,7 @@ def test_a_flight_is_solved_by_its_pixels(capsys, flight, tmp_path):
     assert code in (0, 3)
     # The photos have two tones: none of the edges within roofs that photos are posed by.
     assert max(errors_m(tmp_path / "out", flight.truth).values()) < 1.5
-    assert "masks made with the map agree with it" not in output
+    assert "masks guided by the map" not in output
     for option, said in (("singel=region", "single"), ("single=regoin", "region"), ("name", "no value")):
         words = ["--city", flight.city, "--method-option", option, "--out", tmp_path / "no"]
         assert main(["localize", *map(str, (flight.photos, *words))]) == 2
@@ -181,7 +181,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_solved(capsys, flight, tmp
         "town.JPG: By its position town.JPG was taken",
         "nowhere_0.JPG: nowhere_0.JPG does not say where it was taken",
         "nowhere_2.JPG: nowhere_2.JPG does not say where it was taken",
-        "broken.JPG is no JPEG, PNG or TIFF picture",
+        "broken.JPG is not a JPEG, PNG or TIFF picture",
         "copy.JPG: it is a copy of",
         "DJI_0004.png may be of",
         "the clock jumps at photos that are placed by name: DJI_0003.JPG",
@@ -218,7 +218,7 @@ def test_sidecars_of_a_city_that_is_nowhere_are_refused_before_photos_are_solved
     city.write_text("o house\nv 0 0 0\nv 9 0 0\nv 0 9 5\nf 1 2 3\n")
     words = ["--city", city, "--masks", flight.masks, "--sidecars", "--out", tmp_path / "out"]
     assert main(["localize", *map(str, (flight.photos, *words))]) == 2
-    assert "Without a reference system of the city, --sidecars" in capsys.readouterr().err
+    assert "--sidecars need a city with a reference system" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -55,7 +55,7 @@ def test_each_photo_has_its_row_its_place_and_its_own_files(capsys, case, flight
     told = capsys.readouterr().out
     # One failed, so not all is well; two were found.
     assert code == 3
-    assert "3 photos: 2 found, 0 not to be trusted, 1 failed" in told
+    assert "3 photos: 2 reliable, 0 unreliable, 1 failed" in told
     missing = (
         "silent.jpg does not say where it was taken, how high it was (absolute), where its camera looked"
     )
@@ -89,9 +89,9 @@ def test_each_photo_has_its_row_its_place_and_its_own_files(capsys, case, flight
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--mask", "m.png"), "--mask is of one photo"),
-        (("--lat", "51"), "--lat is of one photo"),
-        (("--masks", "nowhere"), "--masks nowhere is no folder"),
+        (("--mask", "m.png"), "--mask works with one photo"),
+        (("--lat", "51"), "--lat works with one photo"),
+        (("--masks", "nowhere"), "--masks nowhere is not a folder"),
     ],
 )
 def test_options_of_one_photo_are_not_for_many(capsys, case, flight, words, said):
@@ -239,7 +239,7 @@ class TestMasksBesideTheirPhotos:
         words = [photos, "--city", case.city, "--masks", photos, "--each-alone", "--out", tmp_path / "out"]
         assert main(["localize", *map(str, words)]) == 3
         told = capsys.readouterr()
-        assert "2 photos: 1 found, 0 not to be trusted, 1 failed" in told.out
+        assert "2 photos: 1 reliable, 0 unreliable, 1 failed" in told.out
         assert f"{photos} holds no mask of it" in told.out
         assert "not used" not in told.err
 
@@ -247,11 +247,11 @@ class TestMasksBesideTheirPhotos:
         words = ["--city", case.city, "--method", "prior_only", "--out", tmp_path / "out"]
         assert main(["localize", *map(str, [photos, *words, "--heading", 10])]) == 0
         told = caplog.text
-        assert f"Masks beside 1 of the photos are not used: --masks {photos} takes them." in told
-        assert "--heading 10 takes the place of what 2 of the photos state themselves" in told
+        assert f"Masks beside 1 of the photos are not used; use them with --masks {photos}." in told
+        assert "--heading 10 overrides the heading in the metadata of 2 photos" in told
         assert main(["localize", *map(str, [photos / "DJI_0001.JPG", *words])]) == 0
         told = caplog.text
-        assert f"is not used: --mask {photos / 'DJI_0001_mask.png'} takes it." in told
+        assert f"is not used; use it with --mask {photos / 'DJI_0001_mask.png'}." in told
 
 
 def test_results_among_the_photos_are_none(capsys, case, tmp_path):
@@ -259,7 +259,7 @@ def test_results_among_the_photos_are_none(capsys, case, tmp_path):
     words = ["--city", case.city, "--method", "prior_only"]
     for _ in range(2):
         assert main(["localize", *map(str, [tmp_path, *words, "--out", tmp_path])]) == 0
-        assert "1 photo: 1 found" in capsys.readouterr().out
+        assert "1 photo: 1 reliable" in capsys.readouterr().out
     assert (tmp_path / "DJI_0001_overlay.png").is_file()
     # A picture of that name beside polygons that another program wrote is a photo.
     shutil.copy(case.mask, tmp_path / "house_overlay.png")
@@ -278,7 +278,7 @@ def test_names_that_are_no_text_and_what_shares_a_sidecar(capsys, case, tmp_path
     for more in ((), ("--json",)):
         assert main(["localize", *map(str, [folder, *words]), *more]) == 0
     told = capsys.readouterr()
-    assert "3 photos: 3 found" in told.out
+    assert "3 photos: 3 reliable" in told.out
     assert (
         "1 written beside the photos; 1 not written, which several photos would share: DJI_1.xmp" in told.err
     )
@@ -350,10 +350,12 @@ def test_why_answers_are_not_to_be_trusted_is_said_photo_by_photo(
     ]
     assert main(["localize", *map(str, words), "--each-alone"]) == 3
     told = capsys.readouterr().out
-    assert "3 photos: 0 found, 2 not to be trusted, 1 failed" in told
-    assert f"{flight}/a/DJI_0001.JPG: the answer lies beyond the range" in told
+    assert "3 photos: 0 reliable, 2 unreliable, 1 failed" in told
+    assert f"{flight}/a/DJI_0001.JPG: the pose lies outside the stated range" in told
     assert "and 1 more such notes in the table" in told
-    assert "may be farther off (--prior-range, --prior-yaw); mending their masks" in told
+    assert (
+        "correct their masks (lodbench mask PHOTO); widen the search if the rough pose may be far off" in told
+    )
     with (out / "localized.csv").open() as stream:
         notes = [row["notes"] for row in csv.DictReader(stream)]
     assert [note.count("yaw") for note in notes] == [1, 1, 0]

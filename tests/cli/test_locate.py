@@ -205,7 +205,7 @@ class TestWithoutReferenceSystem:
         assert main([*local, "--pixel", "320", "240"]) == 3
         output = capsys.readouterr().out
         assert "latitude" not in output
-        assert "not to be trusted" in output
+        assert "pose is unreliable" in output
         assert "no GeoJSON was written" in output
         assert not list(Path(local[-1]).glob("*.geojson"))
 

@@ -244,7 +244,7 @@ def test_a_photo_that_is_none(render, tmp_path, layers):
         (tmp_path / f"{name}.png").write_text("not a picture")
     done, out = render("kind=overlay", f"images={tmp_path}")
     assert done.returncode == 2
-    assert "view_00.png is no picture" in done.stderr
+    assert "view_00.png is not a picture" in done.stderr
     assert not out.exists()
 
 

@@ -31,7 +31,7 @@ def test_the_page_shows_a_run_in_one_quiet_file(lodbench, tmp_path, data):
     assert lodbench("report", str(folder)).returncode == 0
     with opened(folder / "report.html", PHONE, "dark") as (page, complaints):
         words = page.inner_text("main")
-        for said in ("Verified: every number follows", "From above", "Pictures", "How the score rose"):
+        for said in ("Verified: every number follows", "From above", "Pictures", "Score by step"):
             assert said in words
         # A picture of every query, all of them decoded; curves and traces are drawings in the page's ink.
         sizes = page.eval_on_selector_all("main img", "all => all.map(i => i.naturalWidth)")
@@ -175,7 +175,7 @@ def test_a_scored_pose_file_has_a_page_with_overlays(lodbench, tmp_path, data):
     assert lodbench("report", str(folder)).returncode == 0
     page = (folder / "report.html").read_text()
     assert "Pictures" in page
-    assert "How the score rose" not in page
+    assert "Score by step" not in page
 
 
 def test_no_run_is_one_line(lodbench, tmp_path):
@@ -203,8 +203,8 @@ def test_each_flight_of_a_run_has_a_page(lodbench, tmp_path):
         assert "3 photos placed" in page
         assert f"{name}.html" in told.stdout
     report = (folder / "report.html").read_text()
-    assert "What flights say" in report
-    assert "to be added to what was stated" in report
+    assert "Systematic errors of flights" in report
+    assert "corrections to the drone's metadata" in report
     for broken in ("{", '{"constants": {"height": 3}}', '{"changes": [{"kind": "gone"}]}', '{"lost": 3}'):
         (folder / "flights" / "flights-flight_00.json").write_text(broken)
         told = lodbench("report", str(folder))

@@ -116,7 +116,7 @@ def test_a_fault_in_a_sweep_names_its_job_and_spares_the_others(lodbench, tmp_pa
         ("split=a=b", "hint: Quote a value that holds = , : or brackets: 'split=\"a=b\"'."),
         ("split=[a", "split=[a cannot be read"),
         ("split={a:1}", "split={a:1} is of another kind"),
-        ("demo", "demo is no setting."),
+        ("demo", "demo is not a setting."),
     ],
 )
 def test_a_setting_that_is_none_is_said_by_its_own_word(lodbench, dataset, setting, said):

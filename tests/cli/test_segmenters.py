@@ -98,7 +98,7 @@ def test_random_weights_enter_no_table(dataset, tmp_path, capsys, monkeypatch):
         == 0
     )
     printed = capsys.readouterr().out
-    assert "INVALID, in no table: random weights" in printed
+    assert "INVALID, excluded from tables: random weights" in printed
     assert "2m-2deg" not in printed
     (folder,) = (path.parent for path in (tmp_path / "runs").rglob("summary.json"))
     assert json.loads((folder / "summary.json").read_text())["invalid"] == "random weights"

@@ -36,8 +36,8 @@ def test_what_is_no_run_is_passed_over_with_a_note(lodbench, tmp_path, runs, wor
     at = 2 if words[0] == "leaderboard" else 1
     done = lodbench(*words[:at], *runs, *words[at:])
     assert done.returncode == 0, done.stderr
-    assert [line for line in done.stderr.splitlines() if "passed over" in line] == [
-        f"lodbench: passed over, no finished run: {path}" for path in runs[1:3]
+    assert [line for line in done.stderr.splitlines() if "skipped" in line] == [
+        f"lodbench: skipped, not a finished run: {path}" for path in runs[1:3]
     ]
     files = {"report": "report.html", "export": "export/poses.csv"}
     if words[0] in files:
@@ -62,5 +62,5 @@ def test_one_out_is_not_for_several_runs(lodbench, runs, command):
 def test_where_nothing_is_a_run_the_first_says_why(lodbench, runs, command):
     done = lodbench(command, *runs[1:3])
     assert done.returncode == 2
-    assert "pictures is no run folder" in done.stderr
+    assert "pictures is not a run folder" in done.stderr
     assert lodbench(command, runs[0], "nowhere").returncode == 2

@@ -301,7 +301,7 @@ def test_masks_of_no_frame_of_a_video_are_refused(capsys, footage, tmp_path):
         ("nothing.mp4", (), "nothing.mp4 does not exist"),
         ("city.obj", (), "no video that OpenCV reads"),
         ("photos/photo_0.png", (), "is one photo"),
-        ("photos", ("--masks", "nowhere"), "nowhere is no folder"),
+        ("photos", ("--masks", "nowhere"), "nowhere is not a folder"),
         ("photos", ("--every", "0"), "--every=0 is not at least 1"),
         ("photos", ("--center", 9e5, 0, 100), "km outside the city model"),
         ("photos", ("--center", 0, 0, -900), "m below the city model"),
@@ -364,7 +364,7 @@ def test_photos_with_masks_are_not_decoded_but_of_the_camera_s_size(capsys, foot
     told = capsys.readouterr().out
     assert "lost from photo_3.png to photo_3.png: it is 160 x 120, not as the camera" in told
     # PNGs have no clock.
-    assert "note: no clock tells the photos apart: 1 a second is assumed; --fps says how many" in told
+    assert "note: no clock to order the photos by: 1 a second is assumed; --fps says how many" in told
     assert main([*words, "--fps", "2"]) == 3
     assert "no clock" not in capsys.readouterr().out
 

@@ -66,11 +66,11 @@ def test_what_is_contradicted_is_told_and_lies_where_it_stands(scene):
     assert found[1] == pytest.approx(found[0])
     assert found[2] == pytest.approx((500_036.67, 5_600_003.33), abs=0.01)
     _, marks = city_and_marks(scene, findings)
-    assert [mark.title.split(":")[0] for mark in marks] == ["court", "court", "a building that the map lacks"]
+    assert [mark.title.split(":")[0] for mark in marks] == ["court", "court", "building missing in the map"]
 
 
 def test_a_building_that_this_map_has_not_is_told_without_an_outline(scene):
     gone = {"kind": "gone", "id": "of another map", "probability": 0.95, "photos": ["a", "b", "c"]}
     _, (mark,) = city_and_marks(scene, {"changes": [gone]})
-    assert "of another map: gone, 95 % sure" in mark.title
+    assert "of another map: probably gone (95 %)" in mark.title
     assert list(mark.rings) == []

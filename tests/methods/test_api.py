@@ -49,7 +49,7 @@ class TestLocalize:
             lodbench.localize(scene, camera, prior, image=str(photo), method="region")
         with pytest.raises(ConfigError, match="method"):
             lodbench.localize(scene, camera, prior, image=photo, method="regions")
-        with pytest.raises(lodbench.LodbenchError, match=r"'city\.gml' is no scene"):
+        with pytest.raises(lodbench.LodbenchError, match=r"'city\.gml' is not a scene"):
             lodbench.localize("city.gml", camera, prior)  # type: ignore[arg-type]
 
     def test_a_prior_that_is_no_pose_is_refused(self, scene, queries):

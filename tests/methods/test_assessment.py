@@ -148,7 +148,7 @@ def test_an_answer_that_the_photos_edges_contradict_is_in_doubt_and_the_true_one
         for offset in ([3.5, -3.5, 0.0], [-3.0, 3.0, 3.0], [3.0, 3.0, 3.0]):
             wrong = assessed(answer(truth.shifted(offset)), query, city_map)
             assert wrong.probability == 0.45
-            assert "the photo contradicts this pose" in wrong.notes[-1]
+            assert "poor fit: edges in the photo" in wrong.notes[-1]
 
 
 def test_lines_on_edges_are_more_than_by_chance_at_the_truth_and_few_lines_say_nothing(

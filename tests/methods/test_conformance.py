@@ -1,4 +1,4 @@
-"""The guide's own example of a method keeps to the protocol, and a package's tests may ask so themselves."""
+"""The guide's own example of a method conforms to the protocol, and a package's tests may check that."""
 
 from __future__ import annotations
 

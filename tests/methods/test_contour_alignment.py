@@ -193,7 +193,7 @@ class TestMethod:
         told = replace(SMALL, range_z_m=8.0)
         estimate = ContourAlignment(told).localize(tilted_queries[0], city_map, STREAMS)
         (note,) = estimate.notes
-        assert "beyond the range" in note
+        assert "outside the stated range" in note
         assert "z -" in note
         assert "x" not in note.partition(":")[2]
         assert ContourAlignment(SMALL).localize(tilted_queries[0], city_map, STREAMS).notes == ()

@@ -105,7 +105,9 @@ class TestTheMethod:
             estimate = Region(replace(FAST, range_z_m=range_m)).localize(query, city_map, streams())
             away = estimate.pose.center[2] - prior[2]
             said = [
-                note for note in estimate.notes if "beyond the range" in note and f"z {away:+.1f} m" in note
+                note
+                for note in estimate.notes
+                if "outside the stated range" in note and f"z {away:+.1f} m" in note
             ]
             assert bool(said) == is_beyond
             # What the map is wrong about is no reason to be beyond: its covariance does not count here.

@@ -46,7 +46,9 @@ def test_a_tilt_worse_than_told_is_found_and_told(city_map, tmp_path, tilt_deg):
     estimates, doubting = estimates_of(city_map, tmp_path, tilt_deg, FAST)
     assert believing.max() > 3.0
     assert doubting.max() < 1.0
-    assert any("beyond the range" in note and "pitch" in note for each in estimates for note in each.notes)
+    assert any(
+        "outside the stated range" in note and "pitch" in note for each in estimates for note in each.notes
+    )
 
 
 @pytest.mark.slow

@@ -53,11 +53,11 @@ def test_photos_are_turned_by_the_slider_their_rows_and_the_map(tmp_path, scheme
         assert fits(here)
         words = here.inner_text("main")
         for said in (
-            "Heights are stated 31.9 m too high +-0.4: ellipsoid or take-off?",
-            "1 not to be trusted, 1 by the other photos alone, 1 left out",
-            "no: left as stated",
+            "Heights in the metadata are 31.9 m too high +-0.4: measured from the ellipsoid or the",
+            "1 unreliable, 1 from the other photos alone, 1 left out",
+            "no: unchanged",
             "B<1>",
-            "do not trust, by the others alone: far from the others",
+            "do not trust, from the others alone: far from the others",
             "2.4 m +-0.3 lower than in the map",
             "other.jpg: 9.0 km outside the city model",
         ):
@@ -79,7 +79,7 @@ def test_heights_that_photos_do_not_tell_are_not_said_to_be_off():
     silent = {"value": -9.2, "sigma": 16.0, "unit": "m", "told": False}
     constants = {"height": silent, "east": silent}
     words = page(findings={"constants": constants})
-    assert "Heights are not told: left as stated." in words
+    assert "Heights could not be estimated; unchanged." in words
     assert "too high" not in words
 
 

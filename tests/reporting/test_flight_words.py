@@ -21,19 +21,34 @@ def test_constants_are_told_with_as_many_digits_as_they_have():
         }
     )
     assert found == [
-        "to be added to what was stated: gimbal pitch -0.80 deg +-0.10; gimbal roll +0.00 deg +-0.09; "
+        "corrections to the drone's metadata: gimbal pitch -0.80 deg +-0.10; gimbal roll +0.00 deg +-0.09; "
         "focal length +2.0 % +-0.2",
-        "not told by these photos, and left as stated: heading, counter-clockwise",
+        "could not be estimated; unchanged: heading, counter-clockwise",
+    ]
+
+
+@pytest.mark.parametrize(("value", "side"), [(-0.1, "inside"), (0.1, "outside")])
+def test_masks_and_map_are_apart_from_the_drone(value, side):
+    found = constants_in_words(
+        {
+            "masks too large by": constant(value, 0.02, "px"),
+            "roofs higher than the map": constant(0.5, 0.2),
+            "pitch": constant(-0.8, 0.1, "deg"),
+        }
+    )
+    assert found == [
+        "corrections to the drone's metadata: gimbal pitch -0.8 deg +-0.1",
+        f"masks and map: mask edges 0.10 px +-0.02 too far {side}; roofs relative to the map +0.5 m +-0.2",
     ]
 
 
 @pytest.mark.parametrize(
     ("value", "sigma", "said"),
     [
-        (-31.92, 0.4, "stated 31.9 m too high +-0.4: ellipsoid or take-off?"),
-        (61.0, 0.4, "stated 61.0 m too low +-0.4: take-off?"),
-        (-2.0, 0.4, "stated 2.0 m too high +-0.4"),
-        (12.0, 5.0, "stated 12 m too low +-5"),
+        (-31.92, 0.4, "are 31.9 m too high +-0.4: measured from the ellipsoid or the take-off point?"),
+        (61.0, 0.4, "are 61.0 m too low +-0.4: measured from the take-off point?"),
+        (-2.0, 0.4, "are 2.0 m too high +-0.4"),
+        (12.0, 5.0, "are 12 m too low +-5"),
     ],
 )
 def test_heights_far_off_are_of_another_zero(value, sigma, said):
@@ -50,13 +65,12 @@ def test_the_surest_building_in_doubt_comes_first_and_changes_follow():
     lacking = {"kind": "missing", "outline": [], "area_m2": 120.0, "top_m": 8.0, "photos": ["p5"]}
     findings = {"buildings": [one, two, sure], "changes": [gone, lacking]}
     assert map_in_words(findings) == [
-        "the photos contradict the map in 3 places, of 3 buildings they show:",
-        "- b: 1.5 m +-0.2 higher than in the map, by 9 photos",
-        "- a: 2.0 m +-0.9 lower than in the map, by 4 photos up to 62 deg apart",
-        "- d: gone, 97 % sure, by 4 photos (p1, p2, p3, ...)",
-        "in 1 place something stands that the map has not (a building, or containers and the like; a map may "
-        "hold a part of all buildings):",
-        "- a building that the map lacks: 120 m2 and 8 m high, by 1 photo (p5)",
+        "3 possible errors of the map, 3 buildings checked:",
+        "- b: 1.5 m +-0.2 higher than in the map, from 9 photos",
+        "- a: 2.0 m +-0.9 lower than in the map, from 4 photos up to 62 deg apart",
+        "- d: probably gone (97 %), from 4 photos (p1, p2, p3, ...)",
+        "1 place with buildings or containers not in the map, which may hold a part of all:",
+        "- building missing in the map: 120 m2 and 8 m high, from 1 photo (p5)",
     ]
     assert map_in_words({"buildings": [sure]}) == []
     assert map_in_words(findings, most=1)[2] == "- and 2 more"

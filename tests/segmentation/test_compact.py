@@ -181,7 +181,7 @@ def test_faults_are_told_in_one_line(tmp_path):
     # In words that every command puts into its own syntax.
     assert "--segmenter-option weights=FILE" in in_flags(told.value.hint)
     (tmp_path / "text.onnx").write_text("hello")
-    with pytest.raises(ConfigError, match="no ONNX network"):
+    with pytest.raises(ConfigError, match="not a safe ONNX network"):
         Compact(CompactParams(weights=str(tmp_path / "text.onnx"))).logits(photo_of(64, 64))
     with pytest.raises(ConfigError, match="size=7"):
         CompactParams(size=7)

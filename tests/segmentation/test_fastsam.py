@@ -166,7 +166,7 @@ class TestAdapter:
         with pytest.raises(ConfigError, match="does not take a photo of"):
             self.segmenter(weights, size=96).probability(self.photo())
         (tmp_path / "text.onnx").write_text("hello")
-        with pytest.raises(ConfigError, match="no ONNX network"):
+        with pytest.raises(ConfigError, match="not a safe ONNX network"):
             self.segmenter(tmp_path / "text.onnx").probability(self.photo())
 
     def test_an_export_with_suppression_is_refused(self, weights):

@@ -221,7 +221,7 @@ def test_polygons_drawn_by_others_count_pixels_whose_centres_they_hold(tmp_path)
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("{", "is no JSON file"),
+        ("{", "is not a JSON file"),
         ("[]", "neither LabelMe"),
         ('{"shapes": [{}], "imageWidth": 60, "imageHeight": 40}', "cannot be read: KeyError"),
         (

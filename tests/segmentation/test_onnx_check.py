@@ -59,7 +59,7 @@ def test_no_other_file_is_named(tmp_path: Path, location: str, place: str) -> No
         del model.graph.initializer[:]
     assert fault_of(model) == "its weights lie in another file"
     (tmp_path / "a.onnx").write_bytes(model.SerializeToString())
-    with pytest.raises(ConfigError, match="no ONNX network to be trusted: its weights lie in another file"):
+    with pytest.raises(ConfigError, match="is not a safe ONNX network: its weights lie in another file"):
         read_onnx(tmp_path / "a.onnx", "")
 
 
@@ -167,7 +167,7 @@ def test_what_opencv_says_of_a_network_does_not_reach_the_terminal(tmp_path: Pat
     model = small_network()
     model.graph.node.append(helper.make_node("Relu", ["\x1b[31mfar"], ["near"]))
     (tmp_path / "a.onnx").write_bytes(model.SerializeToString())
-    with pytest.raises(ConfigError, match="no ONNX network that OpenCV can read"):
+    with pytest.raises(ConfigError, match="not an ONNX network that OpenCV can read"):
         read_onnx(tmp_path / "a.onnx", "")
     assert capfd.readouterr().err == ""
 

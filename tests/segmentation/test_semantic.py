@@ -57,7 +57,7 @@ def test_an_unknown_class_or_folder_is_told(checkpoint, tmp_path):
     file = tmp_path / "net.onnx"
     file.write_bytes(b"")
     # Neither is taken for a repository of the hub.
-    for weights, said in ((str(file), "is no folder"), ("nets/net.onnx", "There is no folder")):
+    for weights, said in ((str(file), "is not a folder"), ("nets/net.onnx", "There is no folder")):
         with pytest.raises(ConfigError, match=said) as told:
             Semantic(SemanticParams(weights))
         assert "huggingface" not in told.value.hint

@@ -213,5 +213,5 @@ class TestJson:
 
     def test_strictly_there_is_no_nan(self):
         assert math.isnan(parse_json("[NaN]")[0])
-        with pytest.raises(ValueError, match="Infinity is no number of JSON"):
+        with pytest.raises(ValueError, match="Infinity is not a number of JSON"):
             parse_json("[-Infinity]", is_strict=True)

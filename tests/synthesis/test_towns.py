@@ -49,7 +49,7 @@ def test_another_city_stays_as_it_is(asked):
     ("word", "told"),
     [
         ("sheet=0", "sheet=0 is not within 16 to 2048"),
-        ("texture_model=mesh.obj", "texture_model means nothing to city=demo,"),
+        ("texture_model=mesh.obj", "texture_model is not used with city=demo,"),
     ],
 )
 def test_no_town_is_built_for_settings_that_are_wrong(asked, tmp_path, capsys, word, told):

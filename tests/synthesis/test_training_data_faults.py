@@ -128,7 +128,7 @@ def test_impossible_settings_are_named(settings, message):
 def test_more_buildings_than_labels_tell_apart_are_refused(box_file, tmp_path, monkeypatch):
     monkeypatch.setattr("lodbench.synthesis.training_data.generate.MOST_LABELS", 1)
     params = GenerateParams(str(box_file), str(tmp_path / "data"), labels=True, **{**SMALL, **WHOLE})
-    with pytest.raises(ConfigError, match="labels tell 1 apart"):
+    with pytest.raises(ConfigError, match="labels hold at most 1"):
         generate_training_data(params)
     assert not (tmp_path / "data").exists()
 

@@ -31,7 +31,7 @@ def read_kapture(path: Path) -> Iterator[FoundPose]:
         DatasetError: A file is missing or malformed, or poses are those of a rig.
     """
     if not path.is_dir():
-        raise DatasetError(f"{path} is no folder.", "A kapture is a folder with sensors/ in it.")
+        raise DatasetError(f"{path} is not a folder.", "A kapture is a folder with sensors/ in it.")
     if (path / _RIGS).is_file() and next(content(path / _RIGS), None):
         raise DatasetError(f"{path} has rigs.", "Turn them into camera poses first: kapture's rigs_remove.")
     cameras = _read_cameras(path / _SENSORS)

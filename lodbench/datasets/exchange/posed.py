@@ -77,7 +77,7 @@ def read_text(path: Path) -> str:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise DatasetError(
-            f"{path} is no text file.", "Poses are text: lines of numbers, for example."
+            f"{path} is not a text file.", "Poses are text: lines of numbers, for example."
         ) from error
     except OSError as error:
         raise DatasetError(f"{path} cannot be read: {error.strerror}.", "Check the path.") from error
@@ -99,7 +99,7 @@ def read_json(path: Path) -> dict[str, Any]:
     """Returns a JSON object.
 
     Raises:
-        DatasetError: The file cannot be read, or is no JSON object of finite numbers.
+        DatasetError: The file cannot be read, or is not a JSON object of finite numbers.
     """
     with Place(str(path), "a JSON object"):
         value = parse_json(read_text(path), is_strict=True)

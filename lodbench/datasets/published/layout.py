@@ -153,7 +153,7 @@ def advice(found: Survey) -> str:
         *(f"  {split.folders[0]}/{{the same}}" for split in tests[1:]),
         f"  {spec.folder}/split/{{{lists}}}   (else all poses are queries)",
         f"  {MODEL_FOLDERS[0]}/{spec.city_files[0]}   (or city=FILE)",
-        f"  {MODEL_FOLDERS[0]}/{TEXTURED_NAMES[0]}/, {spec.folder}/{REFERENCE_FOLDER}/   (if a method asks)",
+        f"  {MODEL_FOLDERS[0]}/{TEXTURED_NAMES[0]}/, {spec.folder}/{REFERENCE_FOLDER}/   (if required)",
         "  masks/ is not published: building masks (255 = building) by any network, named as the photos",
         "get it:",
         *(f"  {host.what}: {host.url}\n    {host.how}" for host in spec.hosts),

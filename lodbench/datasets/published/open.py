@@ -129,11 +129,13 @@ def _to_enu(
     city, cameras = city or cameras or ENU, cameras or city or ENU
     options = ReadOptions()
     if city == SHIFTED_ECEF:
-        told = "as told" if frame != "auto" else "by its walls"
+        told = "as configured" if frame != "auto" else "by its walls"
         findings.add(TURNED_TO_ENU, "city model", told)
         options = ReadOptions(ecef_origin=(ecef.lat_deg, ecef.lon_deg))
     if cameras == SHIFTED_ECEF:
-        findings.add(TURNED_TO_ENU, "poses", "as told" if frame != "auto" else "by the level of the pictures")
+        findings.add(
+            TURNED_TO_ENU, "poses", "as configured" if frame != "auto" else "by the level of the pictures"
+        )
         contents = [_turned(content, ecef) for content in contents]
         references = tuple(replace(r, pose=ecef.pose_to_enu(r.pose)) for r in references)
     return contents, references, options

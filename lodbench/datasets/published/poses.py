@@ -48,7 +48,7 @@ def read_names(path: Path, scene: str, keys: tuple[str, ...]) -> list[str]:
         names = [PurePosixPath(name).name for name in names]
     except (OSError, ValueError, AttributeError, TypeError) as error:
         raise DatasetError(
-            f"{path} is no list of queries: {error}.", f"Needed: {keys[0]}, {scene}."
+            f"{path} is not a list of queries: {error}.", f"Needed: {keys[0]}, {scene}."
         ) from error
     if not names:
         raise DatasetError(f"{path} lists no query of {scene}.", f"Looked for: {', '.join(keys)}.")

@@ -62,7 +62,7 @@ def _require_sound(dataset: Dataset) -> None:
     keys = [entry.key for entry in dataset.entries]
     require(len(keys) > 0 and len(set(keys)) == len(keys), "no query, or one twice")
     strays = sorted(set(dataset.truth) - set(keys))
-    require(not strays, f"a truth of {strays[:1]}, which is no query")
+    require(not strays, f"a truth of {strays[:1]}, which is not a query")
     splits = {entry.split for entry in dataset.entries}
     require(
         splits <= set(dataset.splits), f"queries of {sorted(splits - set(dataset.splits))}: no such split"

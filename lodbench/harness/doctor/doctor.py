@@ -184,7 +184,7 @@ def _folders() -> Iterator[Check]:
     try:
         from lodbench.storage.paths import cache_root, data_root
     except ImportError as error:
-        yield Check("folders", "data, cache", BROKEN, f"cannot be asked for: {error}", is_base=True)
+        yield Check("folders", "data, cache", BROKEN, f"cannot be queried: {error}", is_base=True)
         return
     for name, folder, variable in (
         ("data", data_root(), "LODBENCH_DATA"),

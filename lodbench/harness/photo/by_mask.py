@@ -50,7 +50,7 @@ def more_probable(
             camera_sigmas=photo.camera_sigmas,
         )
     except QueryFault as fault:
-        note = f"a network's mask was asked as well, and says nothing: {fault.message.rstrip('.')}"
+        note = f"a network's mask was tried as well, without result: {fault.message.rstrip('.')}"
         return photo, replace(estimate, notes=(*estimate.notes, note))
     apart = pose_error(found.pose, estimate.pose)
     agree = apart.translation_m <= _TOGETHER_M and apart.rotation_deg <= _TOGETHER_DEG
@@ -59,8 +59,8 @@ def more_probable(
         return photo, estimate
     maker = "a segmenter" if request.segmenter is None else request.segmenter.name
     note = (
-        f"this pose is by the mask that {maker} made (method {request.by_mask.name}): "
-        f"the photo's own pixels were {100.0 * by_pixels:.0f} % sure of theirs"
+        f"this pose is from the mask that {maker} made (method {request.by_mask.name}); the pose from the "
+        f"photo's own pixels had a probability of {100.0 * by_pixels:.0f} %"
     )
     answer = replace(
         found,

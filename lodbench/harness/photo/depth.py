@@ -1,4 +1,4 @@
-"""What is said of a photo that fits nowhere because its height counts from another zero than the city's."""
+"""The message on a photo that fits nowhere because its height has another datum than the city's."""
 
 from __future__ import annotations
 

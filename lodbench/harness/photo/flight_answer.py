@@ -26,7 +26,7 @@ class FlightAnswer:
         reasons = self.findings.get("reasons", {})
         for name in self.findings.get("lost", []):
             reason = f": {reasons[name]}" if name in reasons else ""
-            lines.append(f"placed by the other photos alone: {name}{reason}")
+            lines.append(f"pose from the other photos alone: {name}{reason}")
         return lines
 
     def to_json(self) -> dict[str, Any]:

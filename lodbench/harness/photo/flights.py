@@ -186,7 +186,7 @@ def _solve(
 
 def _taken(flight: Flight, names: Sequence[str]) -> list[str]:
     """Returns with what and when a flight was taken, and whose clock is odd."""
-    when = "no clock says when"
+    when = "no time stated"
     if flight.started is not None and flight.ended is not None:
         when = f"{flight.started:%Y-%m-%d %H:%M:%S} to {flight.ended:%H:%M:%S}"
     first, last = names[flight.rows[0]], names[flight.rows[-1]]

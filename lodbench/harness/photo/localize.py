@@ -210,13 +210,15 @@ def _notes(photo: PreparedPhoto, place: OpenMap, view: PhotoView, estimate: Esti
     notes += place_notes(place.frame, () if has_height else (photo.stated,), request.heights)
     notes += filter(None, [xmp_note([photo.stated])])
     if photo.stated.orientation > 1:
-        notes.append("viewers turn this photo for display (EXIF): camera and mask are of the stored pixels")
+        notes.append("EXIF rotates this photo for display: camera and mask refer to the pixels as stored")
     if photo.stated.is_turned and request.given.roll_deg is None:
-        notes.append("the photo was turned since it was taken, by EXIF's size: give --roll 90, or -90")
+        notes.append(
+            "the photo was rotated after capture (its size differs from EXIF's): give --roll 90 or -90"
+        )
     if view.pixels is None:
         notes.append("the photo's pixels cannot be decoded: the overlay shows none")
     if view.camera.distortion:
-        notes.append(f"the lens distortion ({view.camera.lens}) was undone before localising")
+        notes.append(f"the lens distortion ({view.camera.lens}) was corrected before localising")
     if not is_trusted(estimate.probability, estimate.score, view.mask is not None):
         notes.append(
             _warning(estimate, view.mask is not None, isinstance(request.method, SupportsPriorWidth))
@@ -226,13 +228,13 @@ def _notes(photo: PreparedPhoto, place: OpenMap, view: PhotoView, estimate: Esti
 
 def _warning(estimate: Estimate, has_mask: bool, can_look_farther: bool) -> str:
     if has_mask and estimate.score < TRUSTED_OVERLAP:
-        reason = f"mask and model overlap by {estimate.score:.2f} only: do not trust this pose"
+        reason = f"unreliable pose: IoU of mask and model is only {estimate.score:.2f}"
     else:
-        reason = f"this pose is right with a probability of {estimate.probability:.2f} only: do not trust it"
-    mask = f"{'mend' if has_mask else 'make'} the mask (lodbench mask PHOTO) and give --mask FILE"
-    farther = ", say how far off it may be (--prior-range)" if can_look_farther else ""
-    better = f"give a better place, --height or --heading{farther}"
-    return f"{reason}; look at the overlay, {better}, or {mask}"
+        reason = f"unreliable pose: its probability is only {estimate.probability:.2f}"
+    mask = f"{'correct' if has_mask else 'make'} the mask (lodbench mask PHOTO) and give --mask FILE"
+    farther = " or a wider --prior-range" if can_look_farther else ""
+    better = f"give a better position, --height or --heading{farther}"
+    return f"{reason}; check the overlay, {better}, or {mask}"
 
 
 def _sigmas(estimate: Estimate) -> tuple[float, ...] | None:

@@ -196,7 +196,7 @@ def _images(
             name, reason = left_out[0]
             hint = "Give --cameras FILE or --camera 'MODEL W H ...'." if "camera" in reason else ""
             if "no such photo" in reason:
-                hint = "--images is the folder of the photos that the poses are of."
+                hint = "--images is the folder of the posed photos."
             raise DatasetError(f"No image can be used; the first is {name}: {reason}.", hint)
         return images, left_out, kind, told
     if request.photos is None or frame is None:

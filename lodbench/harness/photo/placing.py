@@ -255,11 +255,11 @@ def _require_own(path: Path) -> None:
 def _notes(localized: Localized, orientation: int, frame: MapFrame | None) -> list[str]:
     notes = []
     if not localized.is_trusted:
-        notes.append(f"the photo's pose is not to be trusted ({localized.file}): so are these places")
+        notes.append(f"the photo's pose is unreliable ({localized.file}), and so are these places")
     if localized.covariance is None:
         notes.append("the method that localised the photo states no covariance: nor is there one here")
     if orientation > 1:
-        notes.append("viewers turn this photo for display (EXIF): pixels count in it as it is stored")
+        notes.append("EXIF rotates this photo for display: pixels refer to it as stored")
     if frame is None:
         notes.append("the city names no reference system: no GeoJSON was written (--crs names it)")
     return notes

@@ -102,7 +102,9 @@ def undistorted_photo(view: PhotoView, folder: Path) -> Path:
     """
     pixels = view.undistorted()
     if pixels is None:
-        raise DatasetError(f"The pixels of {view.name} cannot be decoded.", "Take a JPEG, PNG or TIFF.")
+        raise DatasetError(
+            f"The pixels of {view.name} cannot be decoded.", "It may be damaged or cut off: copy it again."
+        )
     path = folder / f"{Path(view.name).stem}.png"
     write_picture(path, pixels)
     return path

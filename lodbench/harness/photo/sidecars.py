@@ -20,9 +20,7 @@ def frame_on_earth(crs: str | None) -> MapFrame:
         DatasetError: Nobody knows where on Earth the city is.
     """
     if crs is None:
-        raise DatasetError(
-            "Without a reference system of the city, --sidecars have nothing to say.", "Name it with --crs."
-        )
+        raise DatasetError("--sidecars need a city with a reference system.", "Name it with --crs.")
     return MapFrame(crs)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from lodbench.datasets.photo_files import mask_name
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.errors import DatasetError
+from lodbench.reporting.aligned_text import count_of
 
 
 def saved_masks_note(photos: Sequence[Path]) -> str | None:
@@ -17,10 +18,10 @@ def saved_masks_note(photos: Sequence[Path]) -> str | None:
     if not saved:
         return None
     if len(photos) == 1:
-        return f"The mask beside the photo is not used: --mask {shlex.quote(str(saved[0]))} takes it."
+        return f"The mask beside the photo is not used; use it with --mask {shlex.quote(str(saved[0]))}."
     folders = {mask.parent for mask in saved}
     folder = shlex.quote(str(saved[0].parent)) if len(folders) == 1 else "DIR"
-    return f"Masks beside {len(saved)} of the photos are not used: --masks {folder} takes them."
+    return f"Masks beside {len(saved)} of the photos are not used; use them with --masks {folder}."
 
 
 def heading_note(photos: Sequence[Path], heading_deg: float | None) -> str | None:
@@ -35,4 +36,4 @@ def heading_note(photos: Sequence[Path], heading_deg: float | None) -> str | Non
             continue
     if not stated:
         return None
-    return f"--heading {heading_deg:g} takes the place of what {stated} of the photos state themselves."
+    return f"--heading {heading_deg:g} overrides the heading in the metadata of {count_of(stated, 'photos')}."

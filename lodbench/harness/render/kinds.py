@@ -132,7 +132,7 @@ def _write_label(view: View) -> list[Path]:
 def _check_labels(scene: Scene) -> None:
     if scene.num_buildings > _MOST:
         raise RenderingError(
-            f"The city has {scene.num_buildings} buildings; a label picture tells {_MOST} apart.",
+            f"The city has {scene.num_buildings} buildings; a label picture holds at most {_MOST}.",
             "Cut the city into tiles, or take RasterRenderer.draw(...).building from Python.",
         )
 

@@ -200,7 +200,7 @@ def _shot(params: RenderParams, name: str, pose: Pose, cameras: dict[str, Camera
     photo = Path(params.images).expanduser() / name if params.images else None
     if photo is not None and not is_readable_picture(photo):
         raise DatasetError(
-            f"{photo} is no picture, or not there.", "images= holds photos named as the poses."
+            f"{photo} is not a picture, or not there.", "images= holds photos named as the poses."
         )
     size = None if photo is None else picture_size(photo)
     own = cameras[name].width, cameras[name].height

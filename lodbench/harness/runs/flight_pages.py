@@ -35,7 +35,7 @@ def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
     """Returns what each flight of a run says, by the name of its file.
 
     Raises:
-        DatasetError: A file is no JSON object, or says something else.
+        DatasetError: A file is not a JSON object, or says something else.
     """
     found = {}
     for file in sorted((verdict.stored.folder / FLIGHTS_FOLDER).glob("*.json")):
@@ -45,7 +45,7 @@ def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
             len(said.get("lost", [])), dict(said.get("reasons", {})), list(said.get("notes", []))
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise DatasetError(
-                f"{file} does not tell constants, buildings and changes as method=flight does ({error!r}).",
+                f"{file} has no constants, buildings and changes as of method=flight ({error!r}).",
                 "Run the method again.",
             ) from error
     return found

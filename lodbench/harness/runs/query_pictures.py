@@ -88,7 +88,7 @@ def _caption(verdict: Verdict, row: pd.Series[Any]) -> str:
     words = [] if math.isnan(metres) else [f"{metres:.2f} m, {degrees:.2f} deg"]
     words += [] if math.isnan(row["score"]) else [f"score {row['score']:.3f}"]
     if found.probability is not None:
-        words.append(f"{100 * found.probability:.0f} % sure")
+        words.append(f"probability {100 * found.probability:.0f} %")
     if trust_of(found) != "-":
         words.append(trust_of(found))
     return f"{row.name}: {', '.join(words)}"

@@ -74,14 +74,14 @@ def run_report(verdict: Verdict, tilt: str, scene: Scene | None, view: str = "")
     sections = [
         ("tables", "Recall", _tables(summary) if is_scored else "", []),
         ("errors", "Errors", "", _error_curves(stored.queries, splits)),
-        ("calibration", "How sure it was", "", _calibration(stored.queries, splits) if is_scored else []),
-        ("flights", "What flights say", _flights(verdict), []),
+        ("calibration", "Confidence", "", _calibration(stored.queries, splits) if is_scored else []),
+        ("flights", "Systematic errors of flights", _flights(verdict), []),
         ("places", "From above", draw_places(verdict, scene, tilt, view), []),
         ("queries", "Every query", _query_table(verdict, tilt, _crs_of(verdict, scene)), []),
         ("pictures", _pictures_title(len(pictures), len(stored.queries)), "", pictures),
-        ("traces", "How the score rose", "", score_pictures(stored.folder, stored.queries, splits)),
-        ("evidence", "What else was found", "", evidence_pictures(stored.folder, stored.queries, splits)),
-        ("provenance", "Where it comes from", _provenance(verdict), []),
+        ("traces", "Score by step", "", score_pictures(stored.folder, stored.queries, splits)),
+        ("evidence", "Other candidates", "", evidence_pictures(stored.folder, stored.queries, splits)),
+        ("provenance", "Provenance", _provenance(verdict), []),
     ]
     answered = sum(found.pose is not None for found in stored.predictions.values())
     return rendered(
@@ -214,7 +214,7 @@ def _calibration(queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
             curves[split] = calibrate(mine["probability"].fillna(0.0).to_numpy(), found)
     if not curves:
         return []
-    caption = "Left: confidence and share found; right: what is wrong of the answers let in, surest first."
+    caption = "Left: share within over confidence. Right: error rate over coverage, most confident first."
     return [Picture(draw_calibration(curves)["svg"], "svg+xml", caption, "chart")]
 
 

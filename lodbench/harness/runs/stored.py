@@ -167,7 +167,7 @@ def read_whole_run(folder: str | Path) -> StoredRun:
             )
     if run.strays:
         stray = run.strays[0]
-        raise DatasetError(f"{run.folder / 'poses.txt'}: {stray} is no query of queries.csv.", hint)
+        raise DatasetError(f"{run.folder / 'poses.txt'}: {stray} is not a query of queries.csv.", hint)
     return run
 
 
@@ -210,7 +210,7 @@ def _read_json(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise DatasetError(f"{path} is not JSON: {error}.", _FOLDER_HINT) from error
     if not isinstance(value, dict):
-        raise DatasetError(f"{path} is no JSON object.", _FOLDER_HINT)
+        raise DatasetError(f"{path} is not a JSON object.", _FOLDER_HINT)
     return value
 
 

@@ -31,8 +31,8 @@ def evidence_pictures(folder: Path, queries: pd.DataFrame, splits: Sequence[str]
     told = [Trace(title, _behind(stages)) for title, stages in _stages(folder, queries, splits)]
     traces = [trace for trace in told if any(len(nats) > 1 for nats in trace.stages.values())]
     caption = (
-        "What photo and prior say of the answers found, best first, in nats behind the best: e times less "
-        "probable for each. Logarithmic beyond 10."
+        "Log-probability of the candidate poses, best first, in nats below the best: one nat is e times less "
+        "probable. Logarithmic beyond 10."
     )
     return [_chart(draw_evidence(traces), caption)] if traces else []
 

@@ -189,7 +189,7 @@ def changed_files(stored: StoredRun) -> list[str]:
 def _changed_rows(stored: StoredRun, config: dict[str, Any]) -> list[str]:
     """Returns contradictions between the rows, the poses and the configuration."""
     queries = stored.queries
-    lines = [f"poses.txt: {name} is no query of queries.csv" for name in stored.strays]
+    lines = [f"poses.txt: {name} is not a query of queries.csv" for name in stored.strays]
     for key, failure, error_m in zip(queries.index, queries["failure"], queries[ERROR[0]], strict=True):
         is_answered = key in stored.poses
         # A pose with nothing to compare it with is an answer all the same.
@@ -211,7 +211,7 @@ def _changed_errors(
     rows = stored.queries
     keys = [entry.key for entry in entries]
     lines = [f"queries.csv: {key} is missing" for key in keys if key not in rows.index]
-    lines += [f"queries.csv: {key} is no query of the dataset" for key in rows.index.difference(keys)]
+    lines += [f"queries.csv: {key} is not a query of the dataset" for key in rows.index.difference(keys)]
     there = [entry for entry in entries if entry.key in rows.index]
     priors = {entry.key: prior_of(entry, dataset, tilt) for entry in there}
     expected = evaluate(there, stored.predictions, dataset.truth, priors, scorer, tilt)
@@ -250,7 +250,7 @@ def _with_city(inputs: dict[str, str], scene: Scene, notes: list[str]) -> dict[s
     now = city_digests(scene)
     if "roofs" in now and "roofs" not in inputs:
         # Runs of older versions never do.
-        notes.append("the run says nothing of pitched roofs, which the city model tells of: not compared")
+        notes.append("the run records no pitched roofs, but the city model has them: not compared")
         del now["roofs"]
     return {name: digest for name, digest in inputs.items() if name != "roofs"} | now
 

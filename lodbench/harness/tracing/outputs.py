@@ -58,7 +58,7 @@ def map_of(buildings: Sequence[Building], crs: str | None) -> CityModel:
 
 
 def write_benchmark(solved: TracedMap, model: CityModel, photos: Path, folder: Path, seed: int) -> Written:
-    """Writes the photos that the map has not used as a dataset in LoD-Loc's layout, the map as ``city.obj``.
+    """Writes the photos not used for the map as a dataset in LoD-Loc's layout, the map as ``city.obj``.
 
     The model's poses become the truth; priors are drawn around it by ``UniformPrior``.
 

@@ -65,7 +65,7 @@ class TracedMap:
         buildings: Of it.
         placed: Where the model is.
         images: Of the model, in the map's coordinates.
-        queries: Names of photos that the map has not used.
+        queries: Names of photos not used for the map.
     """
 
     buildings: tuple[Building, ...]

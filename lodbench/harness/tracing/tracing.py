@@ -69,7 +69,7 @@ def parse_tracing(values: Mapping[str, Any], where: str, photos: Collection[str]
     with Place(where, _LAYOUT):
         listed = values["traced"]
         if not isinstance(listed, list):
-            raise ValueError("traced is no list")
+            raise ValueError("traced is not a list")
     found = []
     for number, item in enumerate(listed, start=1):
         with Place(f"{where}, item {number}", _LAYOUT):

@@ -44,7 +44,7 @@ def photo_clocks(photos: Sequence[Path]) -> tuple[list[float] | None, list[str]]
     return _from_first(told), notes
 
 
-_NO_CLOCK = f"no clock tells the photos apart: {PHOTO_RATE:g} a second is assumed; --fps says how many"
+_NO_CLOCK = f"no clock to order the photos by: {PHOTO_RATE:g} a second is assumed; --fps says how many"
 _WHOLE_SECONDS = (
     "the photos' clock counts whole seconds: those of one second are taken as evenly spaced; "
     "--fps says how many there are"

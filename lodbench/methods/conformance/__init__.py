@@ -1,4 +1,4 @@
-"""Whether a method keeps to the protocol: its class, and its answers to a small trial."""
+"""Whether a method conforms to the protocol: its class, and its answers to a small trial."""
 
 from lodbench.methods.conformance.check import check_answers, check_class, trial_settings
 

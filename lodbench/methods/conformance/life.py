@@ -139,7 +139,7 @@ def another_seed(method: Method, answers: TrialAnswers) -> str:
     """Another seed is no fault; its answer may differ."""
     query = answers.trial.queries[0]
     is_same = _values(ask(method, answers.trial, query, seed=1)) == _values(answers.by_name[query.name])
-    return "the same answer: no random numbers matter" if is_same else "another answer, as it may"
+    return "same answer (no random numbers used)" if is_same else "differs by seed (allowed)"
 
 
 def empty_mask(method: Method, answers: TrialAnswers) -> str:

@@ -140,8 +140,7 @@ def near_the_prior(answers: TrialAnswers) -> str:
         errors.append(_distance_m(pose, truth))
         prior_errors.append(_distance_m(query.prior, truth))
     return (
-        f"at most {max(errors):.2f} m from the truth, the priors {max(prior_errors):.2f} m "
-        "(no rule, for your eyes)"
+        f"at most {max(errors):.2f} m from the truth, the priors {max(prior_errors):.2f} m (information only)"
     )
 
 
@@ -155,7 +154,7 @@ def _turn_deg(a: Pose, b: Pose) -> float:
 
 
 def counted_hypotheses(answers: TrialAnswers) -> str:
-    """Hypotheses are counted by the map; here for your eyes."""
+    """Hypotheses are counted by the map; information only."""
     counts = [found.hypotheses for found in answers.estimates.values()]
     return f"{max(counts)} at most, counted by the map"
 

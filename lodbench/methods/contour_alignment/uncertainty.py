@@ -148,7 +148,7 @@ def beyond_range(offset: Floats, covariance: Floats, half_widths: Sequence[float
     out = [f"{name} {offset[k]:+.1f} {unit}" for k, (name, unit) in enumerate(_NUMBERS) if is_out[k]]
     if not out:
         return ()
-    return (f"the answer lies beyond the range that the prior was said to have: {', '.join(out)}",)
+    return (f"the pose lies outside the stated range of the prior: {', '.join(out)}",)
 
 
 def _draws(information: Floats, step: Floats, count: int) -> Floats:

@@ -121,7 +121,7 @@ def side_by_side(threads: int) -> AbstractContextManager[Executor | None]:
 
 def _reason(term: PhotoTerms | None, away: float, fits_badly: bool) -> str:
     if term is None:
-        return "its mask shows no outline of a building where the other photos say it was"
+        return "no building outline in its mask at the pose given by the other photos"
     if fits_badly:
         return f"its mask fits the map less than half as well as the others' (overlap {term.overlap:.2f})"
-    return f"it lies {away:.0f} times further from where the other photos say it was than sensors err"
+    return f"its position is off that from the other photos by {away:.0f} times the sensors' error"

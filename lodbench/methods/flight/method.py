@@ -37,9 +37,7 @@ Floats = NDArray[np.float64]
 
 # Steps in which photos find their places among each other, before any outline is looked at.
 _TIE_STEPS = 6
-_SAME_SCALE = (
-    "focal length and height cannot be told apart by these photos: the focal length is left as stated"
-)
+_SAME_SCALE = "focal length and height cannot be separated with these photos: focal length unchanged"
 # Edges place a flight where no less of the map's lines than this show one: more than do by chance.
 _LEAST_EDGES = 0.55
 # What photos have in common is this many sigmas from what was expected before all is believed less.

@@ -203,7 +203,7 @@ def _lens_notes(percent: float, params: Params) -> tuple[str, ...]:
     if abs(percent) < _NEWS * params.lens_percent:
         return ()
     longer = "longer" if percent > 0 else "shorter"
-    return (f"by this photo the focal length is {abs(percent):.1f} % {longer} than told: found with that",)
+    return (f"the focal length was estimated {abs(percent):.1f} % {longer} than stated",)
 
 
 def _probability(found: _Found) -> float:

@@ -99,11 +99,11 @@ def _prepare(params: GenerateParams, options: ReadOptions) -> tuple[PictureParts
     city, picture = open_cities(params, options)
     if params.labels and city.num_buildings > MOST_LABELS:
         raise ConfigError(
-            f"The city has {city.num_buildings} buildings; labels tell {MOST_LABELS} apart.",
+            f"The city has {city.num_buildings} buildings; labels hold at most {MOST_LABELS}.",
             "Leave labels out, or take the city's tiles one by one.",
         )
     parts, land, notes = world_parts(params, city, picture)
-    with Progress("views judged", None) as progress:
+    with Progress("views examined", None) as progress:
         plan = plan_views(params, city, land.ground, progress.advance)
     return parts, plan, notes
 

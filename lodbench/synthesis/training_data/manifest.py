@@ -183,5 +183,5 @@ def _strip(params: GenerateParams, view: PlannedView, folder: Path, tile: int) -
 def _picture(path: Path, size: tuple[int, int]) -> Picture:
     picture = read_picture(path)
     if picture is None:
-        raise DatasetError(f"{path} is no picture.", "Delete it and give the same command again.")
+        raise DatasetError(f"{path} is not a picture.", "Delete it and give the same command again.")
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)

@@ -57,7 +57,7 @@ def test_a_wrong_runner_is_one_line_before_any_work(words, told, capsys, tmp_pat
 @pytest.mark.slow
 def test_check_method_asks_it_there(elsewhere, capsys):
     assert main(["check-method", "shake", f"runner.python={elsewhere}", "method.tries=6"]) == 0
-    assert "keeps to the protocol" in capsys.readouterr().out
+    assert "conforms to the protocol" in capsys.readouterr().out
     assert main(["check-method", "shake", f"runner.python={sys.executable}"]) == 1
     assert "shake" in capsys.readouterr().out
 
@@ -68,7 +68,7 @@ def test_check_method_there_takes_the_settings_that_a_method_has_for_the_trial(c
     assert main(["check-method", "cadloc", f"runner.python={sys.executable}"]) == 0
     printed = capsys.readouterr().out
     assert "matcher=oracle instead of sift_nn" in printed
-    assert "cadloc keeps to the protocol" in printed
+    assert "cadloc conforms to the protocol" in printed
 
 
 @pytest.mark.slow

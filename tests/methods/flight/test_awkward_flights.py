@@ -48,7 +48,7 @@ def straight_down(city_map, pitch_deg, focal=1.0, count=6):
 def test_a_flight_that_looks_straight_down_leaves_the_focal_length_as_stated(city_map):
     queries, poses = straight_down(city_map, 0.0)
     answer = localize(queries, city_map)
-    assert "cannot be told apart" in answer.findings["notes"][0]
+    assert "cannot be separated" in answer.findings["notes"][0]
     assert "focal length" not in answer.findings["constants"]
     assert max(errors_m(answer, poses)) < 1.0
 
@@ -135,7 +135,7 @@ def test_roofs_that_were_drawn_higher_are_measured_from_where_they_are_drawn(sce
 
     monkeypatch.setattr(aligning, "flight_terms", noting)
     answer = localize(queries, CityMap(low), Params(restarts=0))
-    assert "cannot be told apart" in answer.findings["notes"][0]
+    assert "cannot be separated" in answer.findings["notes"][0]
     assert (True, True) in seen
     assert all(changed == told for changed, told in seen)
 
