@@ -30,10 +30,10 @@ def localize_photo(photo: AnyPath, city: AnyPath, **options: Any) -> LocalizedPh
         ConfigError: There is no such option, its value is wrong, or the photo is a folder.
         LodbenchError: The photo, its metadata, mask or camera, or the city is missing or not fit.
 
-    Example:
-        >>> found = localize_photo("DJI_0001.JPG", "city.gml", takeoff=61.5)  # doctest: +SKIP
-        >>> found.place.latitude_deg, found.place.heading_deg, found.trust  # doctest: +SKIP
-        (51.0262229, 267.565, 'good')
+    Example::
+
+        found = localize_photo("DJI_0001.JPG", "city.gml", takeoff=61.5)
+        print(found.place.latitude_deg, found.place.heading_deg, found.trust)
     """
     if Path(photo).is_dir():
         raise ConfigError(f"{fspath(photo)} is a folder.", "lodbench.localize_flight takes folders.")

@@ -212,8 +212,8 @@ def test_refinement_learns_from_where_it_ends():
         (["data=nowhere"], "holds no training set"),
         (["schedule.epochs=0"], "epochs=0"),
         (["init=nowhere.pt"], "no weights nowhere.pt"),
-        (["method.size=300"], "means nothing"),
-        (["method=lodlocv2"], "learns nothing"),
+        (["method.size=300"], "do not apply"),
+        (["method=lodlocv2"], "has nothing to train"),
         (["epohs=3"], "epohs is not a setting"),
     ],
 )

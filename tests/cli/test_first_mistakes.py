@@ -102,7 +102,7 @@ CASES: list[tuple[Words, str, str]] = [
     (lambda f: ["mask", f.png, "--mask", f.black, "--port", "99999"], "--port=99999", ""),
     (lambda f: [*_drawn(f), "--out", f.png], "--out is the photo itself", "another file"),
     (lambda f: [*_drawn(f), "--out", "mask.jpg"], "is not a PNG file", "--out mask.png"),
-    (lambda f: [*_drawn(f), "--out", "my mask.jpg"], "my mask.jpg is no PNG", "--out 'my mask.png'"),
+    (lambda f: [*_drawn(f), "--out", "my mask.jpg"], "my mask.jpg is not a PNG file", "--out 'my mask.png'"),
     (lambda f: [*_drawn(f), "--out", f.empty], "is a folder", "/empty/view_00_mask.png'"),
     (lambda f: [*_drawn(f), "--out", "/proc/mask.png"], "lodbench: /proc/mask.png: ", "permissions"),
     (lambda f: ["mask", f.png, "--no-page", "--mask", f.small], "16 x 24 pixels", "size of its photo"),

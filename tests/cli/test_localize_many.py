@@ -377,7 +377,7 @@ def test_what_was_found_until_it_was_stopped_is_written(caplog, case, flight, tm
     assert main(words) == 130
     with (out / "localized.csv").open() as stream:
         rows = list(csv.DictReader(stream))
-    assert [row["trust"] for row in rows] == ["good", "failed", "failed"]
+    assert [row["trust"] for row in rows] == ["doubtful", "failed", "failed"]
     assert [row["failure"] for row in rows] == ["", *["stopped before its turn"] * 2]
     assert len(json.loads((out / "localized.geojson").read_text())["features"]) > 3
     assert f"1 of 3 photos were done until then: {out}" in caplog.text

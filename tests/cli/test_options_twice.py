@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from lodbench.cli import main
-from lodbench.cli.localize import _masks_for, _parser
+from lodbench.cli.localize import _masks_for, parser
 from tests.datasets.dji_photo import write_photo
 from tests.town import box_obj
 
@@ -75,9 +75,9 @@ def test_an_offset_is_added_to_a_height_that_is_known(files, capsys):
 
 
 def test_a_segmenter_that_is_named_goes_before_masks_among_the_photos(files):
-    asked = _parser().parse_args([files.flight, "--city", files.city])
+    asked = parser().parse_args([files.flight, "--city", files.city])
     assert _masks_for(asked) == Path(files.masks)
-    asked = _parser().parse_args([files.flight, "--city", files.city, "--segmenter", "compact"])
+    asked = parser().parse_args([files.flight, "--city", files.city, "--segmenter", "compact"])
     assert _masks_for(asked) is None
 
 

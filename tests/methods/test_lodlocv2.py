@@ -188,7 +188,7 @@ class TestFits:
 
     def test_a_mask_that_cannot_tell(self, queries, city_map):
         query = replace(queries[0], building_probability=np.full((240, 320), 0.5, dtype=np.float32))
-        with pytest.raises(QueryFault, match="says nothing"):
+        with pytest.raises(QueryFault, match="no information"):
             LodLocV2(Params(fit="confident_iou", **SMALL)).localize(query, city_map, streams_of(0))
 
 
