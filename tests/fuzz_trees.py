@@ -54,11 +54,16 @@ _DEPTH = 400
 
 def mutate_tree(tree: Any, rng: np.random.Generator) -> Any:
     """Returns a copy with one to three parts of another shape."""
-    holder = [deepcopy(tree)]
-    for _ in range(int(rng.integers(1, 4))):
-        places = list(_places(holder))
-        within, key = places[int(rng.integers(0, len(places)))]
-        _change(within, key, places, rng)
+    holder, limit = [deepcopy(tree)], sys.getrecursionlimit()
+    # What is nested deeply may be copied by the next change; readers keep the usual limit.
+    sys.setrecursionlimit(20 * _DEPTH)
+    try:
+        for _ in range(int(rng.integers(1, 4))):
+            places = list(_places(holder))
+            within, key = places[int(rng.integers(0, len(places)))]
+            _change(within, key, places, rng)
+    finally:
+        sys.setrecursionlimit(limit)
     return holder[0]
 
 
