@@ -196,7 +196,7 @@ def test_a_segmenter_s_mask_is_undistorted_as_a_file_s(capsys, tmp_path, shared_
         capsys, case, tmp_path / "c", "--segmenter", "mine", "--segmenter-option", "invert=true", code=3
     )
     assert inverted["score"] < found["score"]
-    assert any("do not trust" in note for note in inverted["notes"])
+    assert any("unreliable" in note for note in inverted["notes"])
 
 
 def test_the_call_refuses_a_lens_it_cannot_see_through(shared_data):

@@ -204,7 +204,7 @@ def test_each_flight_of_a_run_has_a_page(lodbench, tmp_path):
         assert f"{name}.html" in told.stdout
     report = (folder / "report.html").read_text()
     assert "Systematic errors of flights" in report
-    assert "corrections to the drone's metadata" in report
+    assert "corrections to the drone" in report
     for broken in ("{", '{"constants": {"height": 3}}', '{"changes": [{"kind": "gone"}]}', '{"lost": 3}'):
         (folder / "flights" / "flights-flight_00.json").write_text(broken)
         told = lodbench("report", str(folder))
