@@ -35,7 +35,7 @@ def test_a_photo_is_localised_as_by_the_command(capsys, tmp_path, shared_data):
         for name in ("overlay", "geojson"):
             del values[name]
     assert again == expected
-    assert found.trust == "good"
+    assert found.trust == "doubtful"
     assert capsys.readouterr().out == ""
     assert {path.name for path in (tmp_path / "again").iterdir()} == {
         path.name for path in (tmp_path / "out").iterdir()
