@@ -39,7 +39,7 @@ _SHOWN, _TOGETHER_PX = 0.7, 120.0
 # Maps and edges err together over more than that: squared errors of 29 answers are 1.8 times what is left.
 _SPREAD = 1.7
 # Numbers of a pose, which those of the lens follow.
-POSE = 6
+_POSE = 6
 # In a dense city not all points are compared: towards the horizon lines have tens of thousands.
 _MOST_POINTS = 3000
 # How far beside lines the background is measured, pixels.
@@ -85,7 +85,7 @@ class EdgeLikelihood:
         self._size = np.array([self._camera.width, self._camera.height])
         self._edges = PhotoEdges(photo, (self._camera.width, self._camera.height))
         self._map, self._is_flat = city_map, ~pitched_blocks(city_map.scene)
-        self._prior, self._free = np.append(prior, np.zeros(CAMERA - POSE)), np.flatnonzero(sigmas > 0)
+        self._prior, self._free = np.append(prior, np.zeros(CAMERA - _POSE)), np.flatnonzero(sigmas > 0)
         self._sigmas = sigmas[self._free]
         self._background = self._measured_background()
 
@@ -95,7 +95,7 @@ class EdgeLikelihood:
         Args:
             vector: (6,) where to begin, within some pixels of the edges.
         """
-        start = np.append(vector, np.zeros(CAMERA - POSE))
+        start = np.append(vector, np.zeros(CAMERA - _POSE))
         refined, information = start, np.diag(self._sigmas**-2.0)
         for sigma_px in _SIGMAS_PX:
             lines = self._lines(refined)
@@ -103,9 +103,9 @@ class EdgeLikelihood:
                 return None
             for _ in range(_STEPS):
                 refined, information = self._step(lines, refined, sigma_px)
-        covariance = np.asarray(_SPREAD * np.linalg.inv(information)[:POSE, :POSE])
+        covariance = np.asarray(_SPREAD * np.linalg.inv(information)[:_POSE, :_POSE])
         evidence = self.log_posterior(refined)
-        return EdgeAlignment(refined[:POSE], covariance, evidence, evidence - self.log_posterior(start))
+        return EdgeAlignment(refined[:_POSE], covariance, evidence, evidence - self.log_posterior(start))
 
     def log_posterior(self, vector: Floats) -> float:
         """Returns how much likelier the lines of a pose and lens, (10,), are than background; with priors."""
@@ -148,7 +148,7 @@ class EdgeLikelihood:
 
     def _lines(self, vector: Floats) -> ModelLines:
         """Returns points on roof lines that (10,) shows inside the photo."""
-        lines = lines_in_view(self._map, self._camera, pose_from_vector(vector[:POSE]), _SPACING_PX)
+        lines = lines_in_view(self._map, self._camera, pose_from_vector(vector[:_POSE]), _SPACING_PX)
         lines = lines.of((lines.rises > _LOWEST_RISE) & self._is_flat[lines.buildings])
         pixels = self._laid(lines, vector).pixels
         is_inside = (pixels > _BORDER_PX) & (pixels < self._size - _BORDER_PX)
@@ -160,8 +160,8 @@ class EdgeLikelihood:
         return replace(lines, lengths_px=every * lines.lengths_px)
 
     def _laid(self, lines: ModelLines, vector: Floats) -> Projected:
-        lens = LensErrors(*(float(v) for v in vector[POSE:]))
-        return project_lines(lines.points, lines.along, self._camera, vector[:POSE], lens)
+        lens = LensErrors(*(float(v) for v in vector[_POSE:]))
+        return project_lines(lines.points, lines.along, self._camera, vector[:_POSE], lens)
 
     def _away(self, vector: Floats) -> Floats:
         """Returns how far the free ones of (10,) are from the priors."""

@@ -107,7 +107,9 @@ def camera_columns(laid: Projected, lines: ModelLines, prior_sigmas: Floats) -> 
 
 
 def edge_excess(edges: PhotoEdges, laid: Projected) -> float | None:
-    """Returns which share of lines lies on edges of the photo, less what does by chance; None of few lines.
+    """Returns which share of lines lies on edges of the photo, less what does by chance.
+
+    None where there are few lines, or no edge anywhere beside them: such a photo contradicts nothing.
 
     Args:
         edges: The photo's.
@@ -117,6 +119,8 @@ def edge_excess(edges: PhotoEdges, laid: Projected) -> float | None:
     if count < _FEWEST_POINTS:
         return None
     found = edges.across(laid.pixels, laid.normals, max(_ASIDE_PX) + _ON_PX)
+    if not len(found.points):
+        return None
 
     def share(aside_px: float) -> float:
         near = np.zeros(count, dtype=bool)

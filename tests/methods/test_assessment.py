@@ -159,6 +159,8 @@ def test_lines_on_edges_are_more_than_by_chance_at_the_truth_and_few_lines_say_n
     assert edge_excess(picture, laid) > 0.4
     noise = np.random.default_rng(0).integers(0, 256, (WIDE.height, WIDE.width, 3), dtype=np.uint8)
     assert abs(edge_excess(PhotoEdges(noise, picture.size), laid)) < 0.1
+    blank = np.full(noise.shape, 120, dtype=np.uint8)
+    assert edge_excess(PhotoEdges(blank, picture.size), laid) is None
     few = lines.of(np.arange(len(lines)) < 29)
     laid = project_lines(few.points, few.along, WIDE, vector_from_pose(truths[0]), LensErrors())
     assert edge_excess(picture, laid) is None

@@ -159,8 +159,11 @@ class Params:
             return self
         worst = max(known, key=lambda camera: camera.focal_percent)
         focal, distortion = 0.01 * worst.focal_percent, worst.k1
-        if worst.source != STATED:
-            focal, distortion = max(self.focal, focal), max(self.distortion, distortion)
+        # What a person leaves out of it is no statement that it is known exactly.
+        if worst.source != STATED or not focal:
+            focal = max(self.focal, focal)
+        if worst.source != STATED or not distortion:
+            distortion = max(self.distortion, distortion)
         center = 0.01 * worst.center_percent if self.single == "region" else 0.0
         return replace(self, focal=focal, distortion=distortion, center=max(self.center, center))
 

@@ -25,5 +25,10 @@ def test_what_a_person_states_is_taken_as_it_is():
     assert (found.focal, found.distortion, found.center) == (0.001, 0.001, 0.002)
 
 
+def test_what_a_person_leaves_out_is_as_usual():
+    found = Params(single="region").with_cameras([CameraSigmas(3.0, 0.0, 0.0, STATED)])
+    assert (found.focal, found.distortion) == (0.03, Params().distortion)
+
+
 def test_masks_hold_the_principal_point():
     assert Params().with_cameras([UNKNOWN]).center == 0.0
