@@ -94,11 +94,13 @@ class _Found(NamedTuple):
         estimate: The answer.
         signs: That it is right.
         share: Of the evidence that its mode has.
+        is_lens_overruled: Whether the photo shows another focal length than declared.
     """
 
     estimate: Estimate
     signs: Signs
     share: float
+    is_lens_overruled: bool
 
 
 class _Seen(NamedTuple):
@@ -164,13 +166,16 @@ def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False
             ),
         ),
     )
-    return _Found(estimate, signs, share)
+    return _Found(estimate, signs, share, _is_overruled(answer.lens_percent, params))
 
 
 def _refined(found: _Found, seen: _Seen, params: Params) -> Estimate:
-    """Returns an answer refined by the edges of roofs where these are surer, as probable as that makes it."""
+    """Returns an answer refined by the edges of roofs where these are surer, as probable as that makes it.
+
+    They are laid with the declared lens: an answer with another one stays.
+    """
     estimate, started = found.estimate, time.perf_counter()
-    if not params.edges or estimate.covariance is None:
+    if not params.edges or estimate.covariance is None or found.is_lens_overruled:
         return estimate
     vector = vector_from_pose(estimate.pose)
     surer = surer_by_edges(vector, estimate.covariance, seen.query, seen.city_map, params)
@@ -200,10 +205,14 @@ def _signs(answer: Answer, judge: Evidence, top: NDArray[np.float64], params: Pa
 
 def _lens_notes(percent: float, params: Params) -> tuple[str, ...]:
     """Returns a sentence on a lens that is plainly not as told, or nothing."""
-    if abs(percent) < _NEWS * params.lens_percent:
+    if not _is_overruled(percent, params):
         return ()
     longer = "longer" if percent > 0 else "shorter"
     return (f"the focal length was estimated {abs(percent):.1f} % {longer} than stated",)
+
+
+def _is_overruled(percent: float, params: Params) -> bool:
+    return abs(percent) >= _NEWS * params.lens_percent
 
 
 def _probability(found: _Found) -> float:
