@@ -11,7 +11,7 @@ from typing import Any
 
 from lodbench.kernel_cache import keep_kernels_apart
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Public name -> module that defines it.
 _PUBLIC = {
