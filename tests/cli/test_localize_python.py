@@ -73,13 +73,22 @@ def photo(tmp_path):
         ({"method": "nothing"}, "nothing"),
         ({"seed": "x"}, "seed"),
         ({"center": (1, 2)}, "center"),
-        ({"masks": "m"}, "--masks"),
+        ({"masks": "m"}, "masks="),
+        ({"camera": "PINHOLE 3 3"}, "camera: too few values"),
     ],
 )
 def test_a_wrong_option_is_one_line(photo, options, message):
     with pytest.raises(ConfigError, match=message) as caught:
         lodbench.localize_photo(photo, photo.with_name("city.obj"), **options)
     assert caught.value.hint
+
+
+def test_what_a_photo_lacks_is_asked_for_by_arguments(photo):
+    with pytest.raises(DatasetError) as caught:
+        lodbench.localize_photo(photo, photo.with_name("city.obj"))
+    assert "center=(EAST, NORTH, UP)" in caught.value.hint
+    assert "heading= and pitch=" in caught.value.hint
+    assert "--" not in f"{caught.value} {caught.value.hint}"
 
 
 def test_a_folder_is_a_flight_and_a_photo_is_none(photo):
