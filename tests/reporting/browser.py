@@ -19,9 +19,19 @@ DESK = {"width": 1280, "height": 900}
 
 @contextmanager
 def opened(
-    page_file: Path, size: dict[str, int] = DESK, scheme: str = "light"
+    shown: Path | str, size: dict[str, int] = DESK, scheme: str = "light", has_touch: bool = False
 ) -> Iterator[tuple[Any, list[str]]]:
-    """Opens a page from disk without a network; yields it and everything it complains about."""
+    """Opens a page from disk without a network, or one that this machine serves.
+
+    Args:
+        shown: The page's file, or the address that it is served at.
+        size: Of the window.
+        scheme: Of its colours.
+        has_touch: Whether it is used with fingers.
+
+    Yields:
+        The page, and everything it complains about: requests that leave its file or address as well.
+    """
     sync_api = pytest.importorskip("playwright.sync_api")
     binary = next(filter(None, map(shutil.which, _NAMES)), None)
     if binary is None:
@@ -29,11 +39,16 @@ def opened(
     complaints: list[str] = []
     with sync_api.sync_playwright() as play:
         browser = play.chromium.launch(executable_path=binary, args=["--no-sandbox", *_SOFTWARE_GL])
-        page = browser.new_context(viewport=size, color_scheme=scheme, offline=True).new_page()
+        is_file = isinstance(shown, Path)
+        address = shown.resolve().as_uri() if isinstance(shown, Path) else shown
+        within = ("file:", "data:") if is_file else (address, "blob:", "data:")
+        page = browser.new_context(
+            viewport=size, color_scheme=scheme, offline=is_file, has_touch=has_touch, is_mobile=has_touch
+        ).new_page()
         page.on("console", lambda message: complaints.append(message.text))
         page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on("request", lambda request: complaints.extend(_asked(request.url)))
-        page.goto(page_file.resolve().as_uri())
+        page.on("request", lambda request: complaints.extend(_asked(request.url, within)))
+        page.goto(address)
         yield page, complaints
         browser.close()
 
@@ -55,5 +70,5 @@ def fits(page: Any) -> bool:
     return bool(page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth"))
 
 
-def _asked(url: str) -> list[str]:
-    return [] if url.startswith(("file:", "data:")) else [f"asked for {url}"]
+def _asked(url: str, within: tuple[str, ...]) -> list[str]:
+    return [] if url.startswith(within) else [f"asked for {url}"]

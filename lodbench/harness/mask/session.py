@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 Mask = NDArray[np.bool_]
 Points = NDArray[np.float64]
+Window = tuple[slice, slice]
 
 # A stroke is seen in its surroundings: so much more than its brush on all sides, of at most this many pixels.
 _AROUND_BRUSHES, _AROUND_PX, _WORKING_PX, _ROUNDS = 4.0, 40.0, 320, 3
@@ -20,7 +21,7 @@ class _State(NamedTuple):
     mask: Mask
     strokes: NDArray[np.int8]
 
-    def of(self, window: tuple[slice, slice]) -> _State:
+    def of(self, window: Window) -> _State:
         """Returns a copy of a part."""
         return _State(self.mask[window].copy(), self.strokes[window].copy())
 
@@ -37,62 +38,108 @@ class MaskSession:
         self.photo = photo
         self.is_changed = False  # since it began, or since whoever kept the mask said so
         self._state = _State(mask.copy(), np.zeros(mask.shape, np.int8))
-        # Windows that strokes changed, as they were before: whole photos would take gigabytes.
-        self._before: list[tuple[tuple[slice, slice], _State]] = []
+        # Windows that strokes changed, as they were before, and those that Undo changed, as they were before
+        # it: whole photos would take gigabytes.
+        self._before: list[tuple[Window, _State]] = []
+        self._undone: list[tuple[Window, _State]] = []
 
     @property
     def mask(self) -> Mask:
         """Returns the (H, W) mask as it stands."""
         return self._state.mask
 
-    def stroke(self, points: Points, radius_px: float, is_building: bool, is_exact: bool = False) -> None:
-        """Adds to the mask or takes from it along a stroke; what looks alike nearby follows.
+    @property
+    def can_undo(self) -> bool:
+        """Returns whether there is a stroke to take back."""
+        return bool(self._before)
+
+    @property
+    def can_redo(self) -> bool:
+        """Returns whether there is a stroke to draw again."""
+        return bool(self._undone)
+
+    def stroke(
+        self, points: Points, radius_px: float, is_building: bool, is_exact: bool = False
+    ) -> Window | None:
+        """Adds to the mask or removes from it along a stroke; similar pixels nearby are included.
 
         OpenCV's GrabCut is solved in the stroke's surroundings only: the mask elsewhere, and all that strokes
         said before, stays.
 
         Args:
-            points: (N, 2) pixels of the photo, column and row.
-            radius_px: Of the brush.
+            points: (N, 2) pixels of the photo, column and row; a pixel's centre has whole numbers.
+            radius_px: Of the brush: it covers the pixels that are no further from the stroke's own.
             is_building: Whether what is under it is building.
             is_exact: Whether the mask changes under the brush alone.
+
+        Returns:
+            Rows and columns outside which the mask is as before; None for a stroke beside the photo.
         """
-        painted = np.zeros(self.mask.shape, np.uint8)
-        path = np.rint(points).astype(np.int32).reshape(-1, 1, 2)
-        width = max(1, round(2 * radius_px))
-        cv2.polylines(painted, [path], False, 1, width)
-        for x, y in path[:, 0]:
-            cv2.circle(painted, (int(x), int(y)), max(0, round(radius_px)), 1, -1)
-        under = painted > 0
-        if not under.any():
-            return
-        window = _surroundings(under, radius_px)
+        brushed = _under_brush(points, radius_px, self.mask.shape)
+        if brushed is None:
+            return None
+        box, under = brushed
+        window = box if is_exact else _surroundings(box, radius_px, self.mask.shape)
         self._before = [*self._before[1 - _UNDO_STEPS :], (window, self._state.of(window))]
+        self._undone = []
         strokes, mask = self._state.strokes.copy(), self.mask.copy()
-        strokes[under] = 1 if is_building else -1
-        mask[under] = is_building
+        strokes[box][under] = 1 if is_building else -1
+        mask[box][under] = is_building
         if not is_exact:
             mask[window] = _followed(self.photo[window], mask[window], strokes[window])
         self._state, self.is_changed = _State(mask, strokes), True
+        return window
 
-    def undo(self) -> bool:
-        """Takes the last stroke back; tells whether there was one."""
-        if not self._before:
-            return False
-        window, before = self._before.pop()
+    def undo(self) -> Window | None:
+        """Takes the last stroke back; returns what changes (see stroke), None without a stroke."""
+        return self._moved(self._before, self._undone)
+
+    def redo(self) -> Window | None:
+        """Draws the stroke again that was taken back last; returns what changes, None without one."""
+        return self._moved(self._undone, self._before)
+
+    def _moved(
+        self, source: list[tuple[Window, _State]], target: list[tuple[Window, _State]]
+    ) -> Window | None:
+        """Puts the last window of one list back, and what it replaces on the other."""
+        if not source:
+            return None
+        window, kept = source.pop()
+        target.append((window, self._state.of(window)))
         state = _State(self._state.mask.copy(), self._state.strokes.copy())
-        state.mask[window], state.strokes[window] = before
+        state.mask[window], state.strokes[window] = kept
         self._state, self.is_changed = state, True
-        return True
+        return window
 
 
-def _surroundings(under: Mask, radius_px: float) -> tuple[slice, slice]:
-    rows, columns = np.nonzero(under)
+def _under_brush(points: Points, radius_px: float, shape: tuple[int, ...]) -> tuple[Window, Mask] | None:
+    """Returns the window that a brush may touch, and which of its pixels it does; None for none."""
+    path = np.rint(points).astype(np.int32).reshape(-1, 2)
+    reach = int(radius_px)
+    # Parts of the path that lie beside the photo are within the brush's reach of it, or do not matter.
+    low = np.maximum(path.min(axis=0) - reach, -reach)
+    high = np.minimum(path.max(axis=0) + reach, np.array(shape[1::-1]) - 1 + reach)
+    if (low > high).any():
+        return None
+    off_path = np.ones((high - low + 1)[::-1], np.uint8)
+    # A line of a single point would not be drawn.
+    cv2.polylines(off_path, [np.concatenate((path[:1], path)) - low], False, 0)
+    if off_path.all():
+        return None
+    under = cv2.distanceTransform(off_path, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) <= radius_px
+    first, last = np.maximum(low, 0), np.minimum(high + 1, shape[1::-1])
+    inside = under[first[1] - low[1] : last[1] - low[1], first[0] - low[0] : last[0] - low[0]]
+    box = slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
+    return (box, inside) if inside.any() else None
+
+
+def _surroundings(box: Window, radius_px: float, shape: tuple[int, ...]) -> Window:
     reach = round(_AROUND_BRUSHES * radius_px + _AROUND_PX)
-    return (
-        slice(max(0, int(rows.min()) - reach), int(rows.max()) + reach + 1),
-        slice(max(0, int(columns.min()) - reach), int(columns.max()) + reach + 1),
+    rows, columns = (
+        slice(max(0, part.start - reach), min(size, part.stop + reach))
+        for part, size in zip(box, shape, strict=True)
     )
+    return rows, columns
 
 
 def _followed(photo: NDArray[np.uint8], mask: Mask, strokes: NDArray[np.int8]) -> Mask:
