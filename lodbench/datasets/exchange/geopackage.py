@@ -97,7 +97,7 @@ def _add_layer(database: sqlite3.Connection, kind: str, features: Sequence[Mappi
     )
     marks = ", ".join("?" * (len(columns) + 2))
     database.executemany(
-        f"INSERT INTO {name} VALUES ({marks})",  # noqa: S608 - a name of _LAYERS, and marks  # nosec B608
+        f"INSERT INTO {name} VALUES ({marks})",  # noqa: S608 - a name of _LAYERS, and marks  # nosec
         [
             (number, _blob(geometry), *(_cell(each["properties"].get(column)) for column in columns))
             for number, (each, geometry) in enumerate(zip(features, shapes, strict=True), start=1)
