@@ -4,25 +4,34 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from lodbench.cli.parser import Parser
 from lodbench.cli.run_folders import run_folders
-from lodbench.cli.verify import read_config
-from lodbench.errors import ConfigError
+from lodbench.cli.verify import add_path_options, read_config, reopen_dataset
+from lodbench.errors import ConfigError, LodbenchError
 from lodbench.evaluation.queries import has_truth
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
 from lodbench.harness.results import summary_at
 from lodbench.harness.runs.budget import budget_panels
-from lodbench.harness.runs.compare import agreement, paired_comparison, require_same_queries
+from lodbench.harness.runs.compare import (
+    agreement,
+    answers_apart,
+    paired_comparison,
+    require_same_queries,
+    why_other_photos,
+)
 from lodbench.harness.runs.comparison_page import comparison_page
+from lodbench.harness.runs.photo_pairs import DrawnRun, photo_pairs_of
+from lodbench.harness.runs.photo_tags import read_tags, tags_file_of
 from lodbench.harness.runs.stored import StoredRun, read_whole_run, require_writable
 from lodbench.harness.runs.verify import changed_files
 from lodbench.reporting.answers import format_answers
 from lodbench.reporting.calibration_figures import draw_budget
-from lodbench.reporting.comparison import agreement_text, format_comparison
+from lodbench.reporting.comparison import agreement_text, format_apart, format_comparison
 from lodbench.reporting.run_names import FREE, names_of
 from lodbench.reporting.summaries import with_settings
 from lodbench.reporting.table_columns import COLUMNS
@@ -41,7 +50,7 @@ Runs share a table if dataset, queries, city, masks, tilt, segmenter and seed ag
 these differ, and the rows then say which they have. Examples:
   lodbench compare RUN RUN                               # side by side, and whether they differ
   lodbench compare runs/demo/*/*                         # all of a dataset; other folders are skipped
-  lodbench compare RUN RUN --format html --out page.html # a page with curves
+  lodbench compare RUN RUN --out compared.html           # a page: curves, map, every photo with both outlines
   lodbench compare runs/demo/lodlocv2/* --over-seeds     # mean and spread over seeds
   lodbench compare RUN ... --free lod --columns details  # levels of detail in one table
   lodbench compare RUN ... --budget pictures             # recall over poses drawn, a line a method
@@ -51,6 +60,7 @@ these differ, and the rows then say which they have. Examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = _parser().parse_args(argv)
+    options.format = options.format or _format_of(options.out)
     options.runs = run_folders(options.runs)
     require_writable(options.out, options.runs, endings=_ENDINGS[options.format])
     configs = [read_config(folder) for folder in options.runs]
@@ -71,7 +81,8 @@ def main(argv: Sequence[str]) -> int:
     names = names_of(summaries, options.free)
     if options.format == "html":
         beside = Path() if options.out is None else options.out.parent
-        text = comparison_page(runs, names, shown, thresholds, beside)
+        photos = _photo_by_photo(runs, names, configs, options)
+        text = comparison_page(runs, names, shown, thresholds, beside, *photos)
     elif options.format == "csv":
         # It has every number, whatever columns are shown: each row once, under one head.
         text = format_csv(*tables)
@@ -109,6 +120,54 @@ def _require_truth(options: argparse.Namespace, without: int, scored: int) -> No
         )
     if without:
         sys.stderr.write(f"lodbench: runs without a truth, left out of --format {kind}: {without}\n")
+
+
+def _format_of(out: Path | None) -> str:
+    """Returns the format of a file where none is named: a page by its ending, else text."""
+    return "html" if out is not None and out.suffix.lower() in _ENDINGS["html"] else "text"
+
+
+def _photo_by_photo(
+    runs: Sequence[StoredRun],
+    names: Sequence[str],
+    configs: Sequence[Mapping[str, Any]],
+    options: argparse.Namespace,
+) -> tuple[str, str]:
+    """Returns the part of the page that shows two runs photo by photo, and why there is none.
+
+    Raises:
+        LodbenchError: The data at a place that is named, or the file of tags beside the page, cannot be read.
+    """
+    if len(runs) != 2:
+        return "", "Name two runs to see them photo by photo, on one page." if len(runs) > 2 else ""
+    first, second = runs
+    if reason := why_other_photos(first, second):
+        return "", f"Not shown photo by photo: {reason}."
+    file = tags_file_of(options.out)
+    tags = {} if options.out is None else read_tags(file, first.summary["dataset"])
+    if strays := len(tags.keys() - set(first.queries.index) - set(second.queries.index)):
+        sys.stderr.write(f"lodbench: {file}: tags of {strays} photos that are in neither run are kept\n")
+    drawn, why = _with_data(runs, configs, options)
+    beside = Path() if options.out is None else options.out.parent
+    return photo_pairs_of((first, second), drawn, (names[0], names[1]), beside, file, tags, why), ""
+
+
+def _with_data(
+    runs: Sequence[StoredRun], configs: Sequence[Mapping[str, Any]], options: argparse.Namespace
+) -> tuple[tuple[DrawnRun, DrawnRun] | None, str]:
+    """Returns two runs with their data, or None and why it cannot be had."""
+    try:
+        one, other = (
+            DrawnRun(
+                run, reopen_dataset(run.folder, options.dataset_root, options.city_model), str(config["tilt"])
+            )
+            for run, config in zip(runs, configs, strict=True)
+        )
+    except LodbenchError as error:
+        if options.dataset_root or options.city_model:
+            raise
+        return None, f"{error.message} {error.hint}".strip()
+    return (one, other), ""
 
 
 def _write_budget(runs: Sequence[StoredRun], folder: Path) -> None:
@@ -158,7 +217,11 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser("lodbench compare", "Compare finished runs.", _EPILOG)
     add = parser.add_argument
     add("runs", nargs="+", type=Path, metavar="RUN", help="run folders")
-    add("--format", choices=sorted(FORMATS), default="text", help="html is a whole page")
+    add(
+        "--format",
+        choices=sorted(FORMATS),
+        help="text, or by the ending of --out; html is a page: of two runs, every photo with both outlines",
+    )
     add("--out", type=Path, metavar="FILE", help="write there, and not to the terminal")
     add(
         "--columns",
@@ -178,6 +241,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FOLDER",
         help="write budget.png and budget.svg there: recall over poses drawn per query, a line a method",
     )
+    add_path_options(parser)
     return parser
 
 
@@ -194,4 +258,6 @@ def _tests(runs: Sequence[StoredRun], names: Sequence[str], thresholds: tuple[Th
             parts.append(f"{head}\n\n{format_comparison(tests, (names[0], name))}\n")
         together = agreement_text(agreement(runs[0], run))
         parts.append(f"{together}\n" if together else "")
+        if together and not has_truth(run.queries).any():
+            parts.append(f"\n{format_apart(answers_apart(runs[0], run))}\n")
     return "".join(parts)

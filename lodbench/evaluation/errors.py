@@ -23,6 +23,19 @@ class ErrorParts(NamedTuple):
     yaw_deg: float
 
 
+class Apart(NamedTuple):
+    """How far one answer to a query lies from another, as ``pose_error`` and ``error_parts`` measure errors.
+
+    Attributes:
+        error: Distance of the camera centres, metres, and angle of the turn between the poses, degrees.
+        parts: The same taken apart: along the ground, how much higher (metres) and further left (degrees)
+            the second is than the first.
+    """
+
+    error: PoseError
+    parts: ErrorParts
+
+
 # What a query without an answer counts as.
 FAILED = PoseError(math.inf, 180.0)
 FAILED_PARTS = ErrorParts(math.inf, math.inf, 180.0)
@@ -47,6 +60,11 @@ def pose_error(estimate: Pose, truth: Pose) -> PoseError:
     angle = math.atan2(sine, turn[0][0] + turn[1][1] + turn[2][2] - 1.0)
     distance_m = math.dist(estimate.center.tolist(), truth.center.tolist())
     return PoseError(distance_m, math.degrees(angle))
+
+
+def apart(second: Pose, first: Pose) -> Apart:
+    """Returns how far a second answer lies from a first."""
+    return Apart(pose_error(second, first), error_parts(second, first))
 
 
 def error_parts(estimate: Pose, truth: Pose) -> ErrorParts:

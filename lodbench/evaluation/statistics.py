@@ -53,12 +53,16 @@ class Agreement(NamedTuple):
         within: Of these, with poses within 2 m and 2 degrees of each other.
         median_m: Median distance of the positions, metres.
         median_deg: Median angle between the directions, degrees.
+        median_plan_m: Median distance along the ground, metres.
+        median_height_m: Median difference in height, without its sign, metres.
     """
 
     answered: int
     within: int
     median_m: float
     median_deg: float
+    median_plan_m: float
+    median_height_m: float
 
 
 class Comparison(NamedTuple):

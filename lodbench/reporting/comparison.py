@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
+from lodbench.evaluation.errors import Apart
 from lodbench.evaluation.statistics import Agreement, Comparison
 from lodbench.reporting.aligned_text import count_of, format_columns
+from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_columns import finite_text
 
+# Of differences on a terminal; a page has all of them.
+_MOST_LINES = 20
 PAIRED_NOTE = (
     "Paired by query. Recall: exact McNemar test, interval of Bonett and Price. Medians: permutation "
     "test (1,999 swaps), bootstrap over queries. No correction for the number of tests."
@@ -38,8 +42,25 @@ def agreement_text(found: Agreement | None) -> str:
         return ""
     return (
         f"Both runs answered {count_of(found.answered, 'queries')}; {found.within} within 2 m and 2 deg of "
-        f"each other; median difference {found.median_m:.2f} m and {found.median_deg:.2f} deg."
+        f"each other; median difference {found.median_m:.2f} m ({found.median_plan_m:.2f} m in plan, "
+        f"{found.median_height_m:.2f} m in height) and {found.median_deg:.2f} deg."
     )
+
+
+def format_apart(found: Mapping[str, Apart]) -> str:
+    """Returns how far answers to the same photos lie apart, a line each, those furthest apart first.
+
+    Args:
+        found: By the key of the photo.
+    """
+    ranked = sorted(found.items(), key=lambda item: (-item[1].error.translation_m, item[0]))
+    rows = [["", "apart m", "apart deg", "in plan m", "in height m"]]
+    for key, ((metres, degrees), parts) in ranked[:_MOST_LINES]:
+        numbers = [f"{metres:.2f}", f"{degrees:.2f}", f"{parts.horizontal_m:.2f}", f"{parts.vertical_m:+.2f}"]
+        rows.append([plain_text(key), *numbers])
+    left = len(found) - _MOST_LINES
+    more = f"\n{count_of(left, 'more photos')}: --out compared.html shows all" if left > 0 else ""
+    return f"{format_columns(rows)}{more}"
 
 
 def _p_text(p: float) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +23,8 @@ _MANY, _CROWD = 200, 1000
 class Spot(NamedTuple):
     """A query on the map: (2,) east and north in metres of each camera, None where there is none.
 
-    ``covariance`` is (2, 2) of the estimate's error, square metres, where the method knows it.
+    ``covariance`` is (2, 2) of the estimate's error, square metres, where the method knows it; ``second`` is
+    the answer that the estimate is compared with.
     """
 
     key: str
@@ -32,6 +33,7 @@ class Spot(NamedTuple):
     truth: Floats | None
     trust: str = ""
     covariance: Floats | None = None
+    second: Floats | None = None
 
 
 class Marked(NamedTuple):
@@ -49,6 +51,7 @@ def draw_map(
     marked: Sequence[Marked] = (),
     is_flight: bool = False,
     view: str = "",
+    names: Mapping[str, str] | None = None,
 ) -> str:
     """Returns the map as HTML; "" where no camera is known.
 
@@ -59,8 +62,9 @@ def draw_map(
         marked: Parts of the city to point at.
         is_flight: Whether the spots were taken one after the other: their paths are drawn.
         view: File beside the page that shows the same in three dimensions; "" for none.
+        names: What its legend calls ``prior``, ``estimate``, ``second`` and ``truth``, where not so.
     """
-    known = [place for spot in spots for place in spot[1:4] if place is not None]
+    known = [place for spot in spots for place in (*spot[1:4], spot.second) if place is not None]
     if not known:
         return ""
     places = np.array(known)
@@ -86,7 +90,11 @@ def draw_map(
         classes="map" + " many" * (len(spots) >= _MANY) + " crowd" * (len(spots) >= _CROWD),
         many=_MANY,
         crowd=_CROWD,
-        has_truth=any(spot.truth is not None for spot in spots),
+        legend=[
+            (kind, (names or {}).get(kind, kind))
+            for kind in ("prior", "estimate", "second", "truth")
+            if any(getattr(spot, kind) is not None for spot in spots)
+        ],
         enlarged=enlarged if any(spot.covariance is not None for spot in spots) else 0,
     )
 
@@ -146,18 +154,21 @@ def _outlines(
 
 def _lines(spot: Spot, low: Floats) -> list[tuple[str, str]]:
     """Returns kind and path of the lines that end at the truth, or where there is none at the estimate."""
-    end, kinds = spot.truth, (("prior", spot.prior), ("estimate", spot.estimate))
+    kinds = ("prior", "estimate", "second")
+    end = spot.truth
     if end is None:
-        end, kinds = spot.estimate, (("prior", spot.prior),)  # type: ignore[assignment]
+        end, kinds = spot.estimate, ("prior", "second")  # type: ignore[assignment]
     if end is None:
         return []
     x, y = _at(end, low)
-    found = [(kind, _at(start, low)) for kind, start in kinds if start is not None]
+    named = ((kind, getattr(spot, kind)) for kind in kinds)
+    found = [(kind, _at(start, low)) for kind, start in named if start is not None]
     return [(kind, f"M{a:g} {b:g}L{x:g} {y:g}") for kind, (a, b) in found]
 
 
 def _dots(spot: Spot, low: Floats) -> list[tuple[str, str]]:
-    named = (("truth", spot.truth), ("prior", spot.prior), ("estimate", spot.estimate))
+    kinds = ("truth", "prior", "estimate", "second")
+    named = ((kind, getattr(spot, kind)) for kind in kinds)
     found = [(kind, _at(place, low)) for kind, place in named if place is not None]
     # A line of no length with a round end is a dot as wide as its pen, at every scale.
     return [(kind, f"M{x:g} {y:g}h0") for kind, (x, y) in found]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +22,10 @@ Mask = NDArray[np.bool_]
 _WIDTH, _JPEG_QUALITY = 900, 82
 # BGR: told apart with any colour vision, on dark and on light.
 PRIOR_COLOUR, ESTIMATE_COLOUR, TRUTH_COLOUR = (64, 112, 255), (255, 208, 64), (255, 255, 255)
+# Of the answer that an estimate is compared with.
+SECOND_COLOUR = (64, 232, 255)
 _MASK_COLOUR = (80, 190, 240)
+_MASK_SHARE = 0.38
 _INK, _PAPER = (235, 235, 235), (32, 28, 26)
 
 
@@ -52,13 +56,12 @@ def draw_overlay(shown: OverlayInput, renderer: Renderer) -> Picture:
     """Returns the picture, (H, W, 3) BGR, with a caption and a legend below."""
     import cv2
 
-    width = min(_WIDTH, shown.camera.width)
-    camera = shown.camera.scaled(width, max(1, round(width * shown.camera.height / shown.camera.width)))
+    camera = camera_of_pictures(shown.camera)
     canvas = read_background(shown.image, camera)
     if shown.mask is not None:
         mask = cv2.resize(shown.mask.astype(np.uint8), (camera.width, camera.height)) > 0
         tint = np.array(_MASK_COLOUR, dtype=np.float64)
-        canvas[mask] = (0.62 * canvas[mask] + 0.38 * tint).astype(np.uint8)
+        canvas[mask] = ((1.0 - _MASK_SHARE) * canvas[mask] + _MASK_SHARE * tint).astype(np.uint8)
     for pose, colour, thickness in (
         (shown.truth, TRUTH_COLOUR, 2),
         (shown.prior, PRIOR_COLOUR, 1),
@@ -69,12 +72,43 @@ def draw_overlay(shown: OverlayInput, renderer: Renderer) -> Picture:
     return np.vstack([canvas, _caption(shown, camera.width)])
 
 
-def draw_outline(canvas: Picture, mask: Mask, colour: tuple[int, int, int], thickness: int) -> None:
-    """Draws the outline of an (H, W) mask, holes included, on an (H, W, 3) BGR picture."""
+def draw_outline(canvas: Picture, mask: Mask, colour: tuple[int, ...], thickness: int) -> None:
+    """Draws the outline of an (H, W) mask, holes included, on an (H, W, 3) BGR or (H, W, 4) BGRA picture."""
     import cv2
 
     outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(canvas, outlines, -1, colour, thickness, cv2.LINE_AA)
+
+
+def camera_of_pictures(camera: Camera) -> Camera:
+    """Returns a photo's camera at the size that pictures are drawn in."""
+    width = min(_WIDTH, camera.width)
+    return camera.scaled(width, max(1, round(width * camera.height / camera.width)))
+
+
+def outline_layer(masks: Iterable[Mask], colour: tuple[int, int, int], thickness: int) -> bytes:
+    """Returns the outlines of (H, W) masks of one size on nothing, a WebP to lay over a photo as large."""
+    shapes = list(masks)
+    canvas = np.zeros((*shapes[0].shape, 4), dtype=np.uint8)
+    # The colour is everywhere, and only how much of it is seen is drawn: smoothed edges are not darker.
+    canvas[..., :3] = colour
+    for mask in shapes:
+        draw_outline(canvas, mask, (*colour, 255), thickness)
+    return _layer_bytes(canvas)
+
+
+def mask_layer(mask: Mask) -> bytes:
+    """Returns an (H, W) mask as a WebP that tints a photo it is laid over, of any size."""
+    canvas = np.zeros((*mask.shape, 4), dtype=np.uint8)
+    canvas[mask] = (*_MASK_COLOUR, round(255 * _MASK_SHARE))
+    return _layer_bytes(canvas)
+
+
+def _layer_bytes(canvas: Picture) -> bytes:
+    """Returns a BGRA picture as WebP without a loss, a third of what it takes as PNG."""
+    import cv2
+
+    return bytes(cv2.imencode(".webp", canvas, [cv2.IMWRITE_WEBP_QUALITY, 101])[1])
 
 
 def png_bytes(picture: Picture | NDArray[np.uint16]) -> bytes:

@@ -22,26 +22,44 @@ for (const table of all("table.sortable")) {
         const [x, y] = [key(a), key(b)];
         if (x === null || y === null) return (x === null) - (y === null);
         const step = typeof x === "number" && typeof y === "number"
-          ? x - y : String(x).localeCompare(String(y), "en", { numeric: true });
+          ? (x > y) - (x < y) : String(x).localeCompare(String(y), "en", { numeric: true });
         return rises ? step : -step;
       };
       const body = table.tBodies[0];
       body.append(...[...body.rows].sort(order));
+      table.dispatchEvent(new Event("rows", { bubbles: true }));
     });
   });
 }
 
-// Hides rows, and the pictures and cameras of hidden queries, that do not hold all words of the filter.
+// What a reader may ask of a cell besides words; a number that is not known is never within bounds.
+const tests = {
+  least: (cell, wanted) => Number(cell.dataset.value) >= Number(wanted),
+  most: (cell, wanted) => Number(cell.dataset.value) <= Number(wanted),
+  is: (cell, wanted) => cell.textContent.trim() === wanted,
+  has: (cell, wanted) => {
+    const tags = all(".tag", cell).map((tag) => `=${tag.textContent}`);
+    return wanted === "-" ? !tags.length : tags.includes(wanted);
+  },
+};
+
+// Hides rows, and the pictures and cameras of hidden queries, that do not hold all words of the filter, or
+// do not meet a condition beside it.
 for (const input of all("input.filter")) {
   const rows = all("tbody tr", input.closest("section") ?? document);
   const count = input.closest(".tools").querySelector(".count");
+  const conditions = all(".condition", input.closest(".tools"));
+  const column = (name) => all("thead th", input.closest("section")).findIndex((head) => head.dataset.name === name);
   const apply = () => {
     const words = input.value.toLowerCase().split(/\s+/).filter(Boolean);
     const hidden = new Set();
+    const asked = conditions.filter((each) => each.value !== "").map((each) => ({
+      at: column(each.dataset.column), test: tests[each.dataset.test], wanted: each.value }));
     let shown = 0;
     for (const row of rows) {
       const text = row.textContent.toLowerCase();
-      row.hidden = !words.every((word) => text.includes(word));
+      row.hidden = !words.every((word) => text.includes(word))
+        || !asked.every(({ at, test, wanted }) => test(row.cells[at], wanted));
       shown += row.hidden ? 0 : 1;
       if (row.hidden && row.dataset.key) hidden.add(row.dataset.key);
     }
@@ -49,28 +67,32 @@ for (const input of all("input.filter")) {
       part.classList.toggle("hidden", hidden.has(part.dataset.key));
     }
     count.textContent = `${shown} of ${rows.length}`;
+    input.dispatchEvent(new Event("rows", { bubbles: true }));
   };
-  input.addEventListener("input", apply);
+  for (const each of [input, ...conditions]) each.addEventListener("input", apply);
   apply();
 }
 
 // Opens a picture large; its row, its camera on the map and itself all lead there. Arrow keys turn the pages.
 const viewer = document.querySelector("dialog.viewer");
-const shown = () => all("figure[data-key]").filter((f) => f.querySelector("img") && !f.classList.contains("hidden"));
+const shown = () => all("figure[data-key]").filter((f) =>
+  (f.querySelector("img") || f.closest(".slides")) && !f.classList.contains("hidden"));
 let current = null;
 const show = (figure) => {
   current = figure;
-  const image = figure.querySelector("img");
-  const target = viewer.querySelector("img");
-  target.src = image.src;
-  target.alt = image.alt;
+  // All that lies over each other, or the one picture.
+  viewer.querySelector(".stack").replaceChildren(...all("img", figure).map((image) => image.cloneNode()));
   viewer.querySelector("figcaption").textContent = figure.querySelector("figcaption").textContent;
   for (const part of all("[data-key]")) part.classList.toggle("current", part.dataset.key === figure.dataset.key);
   if (!viewer.open) viewer.showModal();
 };
 const turn = (step) => {
-  const figures = shown();
-  if (figures.length) show(figures[(figures.indexOf(current) + step + figures.length) % figures.length]);
+  const slides = current.closest(".slides");
+  const figures = (slides ? slides.order() : shown()).filter((f) => f.querySelector("img"));
+  if (!figures.length) return;
+  const next = figures[(figures.indexOf(current) + step + figures.length) % figures.length];
+  slides?.turnTo(next);
+  show(next);
 };
 const open = (key) => {
   const figure = shown().find((f) => f.dataset.key === key);
@@ -89,23 +111,50 @@ viewer.addEventListener("keydown", (event) => {
   if (event.key === "ArrowRight") turn(1);
 });
 for (const figure of all("figure[data-key]")) {
-  figure.querySelector("img")?.addEventListener("click", () => show(figure));
+  for (const image of all("img", figure)) image.addEventListener("click", () => show(figure));
 }
 for (const row of all("tr[data-key]")) {
-  row.addEventListener("click", () => open(row.dataset.key));
-  row.addEventListener("keydown", (event) => { if (event.key === "Enter") open(row.dataset.key); });
+  row.addEventListener("click", (event) => { if (!event.target.closest("a")) open(row.dataset.key); });
+  row.addEventListener("keydown", (event) => {
+    if (event.key === "Enter" && event.target === row) open(row.dataset.key);
+  });
 }
 
-// One picture at a time, by a slider and two buttons; its row and its camera on the map are marked.
+// One picture at a time, by a slider and two buttons, in the order of the rows, hidden ones left out; its row
+// and its camera on the map are marked.
 for (const slides of all(".slides")) {
   const figures = all("figure", slides);
   const range = slides.querySelector("input[type=range]");
+  slides.order = () => {
+    const rows = new Map(all("tr[data-key]").map((row, at) => [row.dataset.key, row.hidden ? -1 : at]));
+    const at = (figure) => rows.get(figure.dataset.key) ?? 0;
+    return figures.filter((figure) => at(figure) >= 0).sort((a, b) => at(a) - at(b));
+  };
   slides.turnTo = (figure) => {
     figures.forEach((other) => { other.hidden = other !== figure; });
-    range.value = figures.indexOf(figure);
-    for (const part of all("[data-key]")) part.classList.toggle("current", part.dataset.key === figure.dataset.key);
+    const order = slides.order();
+    range.max = Math.max(0, order.length - 1);
+    range.value = order.indexOf(figure);
+    for (const part of all("[data-key]")) {
+      const isCurrent = part.dataset.key === figure?.dataset.key;
+      part.classList.toggle("current", isCurrent);
+      const box = isCurrent && part.closest("tr") ? part.closest(".tall") : null;
+      // Its row is shown within the table; the page stays where it is.
+      if (box && (part.offsetTop < box.scrollTop + 60 || part.offsetTop > box.scrollTop + box.clientHeight - 60)) {
+        box.scrollTop = part.offsetTop - box.clientHeight / 2;
+      }
+    }
+    slides.dispatchEvent(new Event("turned", { bubbles: true }));
   };
-  const step = (by) => slides.turnTo(figures[(Number(range.value) + by + figures.length) % figures.length]);
+  const step = (by) => {
+    const order = slides.order();
+    slides.turnTo(order[(Number(range.value) + by + order.length) % order.length]);
+  };
+  document.addEventListener("rows", () => {
+    const order = slides.order();
+    const now = figures.find((figure) => !figure.hidden);
+    slides.turnTo(order.includes(now) ? now : order[0]);
+  });
   range.addEventListener("input", () => step(0));
   slides.querySelector(".previous").addEventListener("click", () => step(-1));
   slides.querySelector(".next").addEventListener("click", () => step(1));

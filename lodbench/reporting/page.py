@@ -36,7 +36,7 @@ class Picture(NamedTuple):
 
     Attributes:
         content: The picture's file.
-        kind: ``png``, ``jpeg`` or ``svg+xml``.
+        kind: ``png``, ``jpeg``, ``webp`` or ``svg+xml``.
         caption: What stands below, and what is read out.
         classes: CSS classes of the figure.
         key: Of the query it shows, by which a page finds it; "" for none.

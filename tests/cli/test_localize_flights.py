@@ -111,7 +111,7 @@ def test_a_flight_is_solved_as_a_whole(capsys, flight, tmp_path):
     assert (tmp_path / "DJI_0004_overlay.png").is_file()
     page = (tmp_path / "flight_1.html").read_text()
     assert "Photo by photo" in page
-    assert page.count("<img alt") == COUNT + 1  # and the one of the viewer
+    assert page.count("<img alt") == COUNT
 
 
 @pytest.mark.slow

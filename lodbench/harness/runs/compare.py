@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lodbench.evaluation import pose_error
+from lodbench.evaluation.errors import Apart, apart
 from lodbench.evaluation.queries import ERROR, has_truth, of_split
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, Threshold, hits_of
 from lodbench.evaluation.statistics import Agreement, Comparison, mcnemar, paired_medians
@@ -60,19 +60,43 @@ def paired_comparison(
     return found
 
 
-def agreement(first: StoredRun, second: StoredRun) -> Agreement | None:
-    """Returns how far the answers of two runs lie apart; None where no query has an answer of both.
+def why_other_photos(first: StoredRun, second: StoredRun) -> str:
+    """Returns why the photos of two runs are not the same; "" if they are, whatever their priors and maps.
 
     Queries of two datasets, or of two versions of one, are not the same, whatever their names; nor are those
-    whose answers are further apart than both are from the truth together: it is not one truth.
+    whose answers are further apart than both are from the truth together: it is not one truth. Where nobody
+    knows the truth, other photos of the same names are other places.
     """
-    shared = [key for key in first.poses if key in second.poses]
     datasets = [[run.summary["dataset"][name] for name in ("name", "version")] for run in (first, second)]
-    if not shared or datasets[0] != datasets[1]:
-        return None
-    errors = np.array([pose_error(first.poses[key], second.poses[key]) for key in shared])
-    reach = sum(run.queries.loc[shared, list(ERROR)].to_numpy() for run in (first, second))
+    if datasets[0] != datasets[1]:
+        return "the datasets differ"
+    is_scored = any(has_truth(run.queries).any() for run in (first, second))
+    photos = {run.summary["dataset"].get("images") for run in (first, second)}
+    if not is_scored and len(photos - {None}) > 1:
+        return "the photos differ"
+    found = answers_apart(first, second)
+    reach = sum(run.queries.loc[list(found), list(ERROR)].to_numpy() for run in (first, second))
+    errors = np.array([each.error for each in found.values()]).reshape(-1, 2)
     if (errors > reach + TOLERANCE_M).any():  # never where a truth, NaN, is not known
+        return "the names are the same, but not the true poses"
+    return ""
+
+
+def answers_apart(first: StoredRun, second: StoredRun) -> dict[str, Apart]:
+    """Returns how far the answers of two runs lie apart, by ``split/query``, where both answered."""
+    shared = [key for key in first.poses if key in second.poses]
+    return {key: apart(second.poses[key], first.poses[key]) for key in shared}
+
+
+def agreement(first: StoredRun, second: StoredRun) -> Agreement | None:
+    """Returns how far the answers of two runs lie apart; None where no photo has an answer of both."""
+    if why_other_photos(first, second):
         return None
-    within = hits_of(errors, PROBABILITY_THRESHOLD)
-    return Agreement(len(shared), int(within.sum()), *map(float, np.median(errors, axis=0)))
+    found = answers_apart(first, second).values()
+    if not found:
+        return None
+    errors = np.array([each.error for each in found])
+    parts = np.abs([[each.parts.horizontal_m, each.parts.vertical_m] for each in found])
+    within = int(hits_of(errors, PROBABILITY_THRESHOLD).sum())
+    medians = [*np.median(errors, axis=0), *np.median(parts, axis=0)]
+    return Agreement(len(found), within, *map(float, medians))

@@ -27,8 +27,20 @@ def comparison_page(
     tables: Sequence[RecallTable],
     thresholds: Sequence[Threshold],
     beside: Path,
+    photos: str,
+    no_photos: str,
 ) -> str:
-    """Returns the page, which will lie in the folder ``beside``: links to the runs' pages start there."""
+    """Returns the page.
+
+    Args:
+        runs: The runs.
+        names: Of each.
+        tables: Of those that have a truth.
+        thresholds: Where to test recall.
+        beside: Folder of the page: links to the runs' pages start there.
+        photos: The part that shows two runs photo by photo (``photo_pairs_of``); "" for none.
+        no_photos: Why there is none; "" for nothing to say.
+    """
     scored = [(run, name) for run, name in zip(runs, names, strict=True) if has_truth(run.queries).any()]
     pictures = [
         Picture(draw_comparison(_curves(found, split))["svg"], "svg+xml", _caption(split, of), "chart")
@@ -56,6 +68,8 @@ def comparison_page(
         pictures=pictures,
         pairs=pairs,
         note=PAIRED_NOTE if any(not reason for _, reason, _, _ in pairs) else "",
+        photos=markup(photos),
+        no_photos=no_photos,
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pictures import read_picture
-from lodbench.datasets.query import Entry
+from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, own_failure
 from lodbench.geometry import Pose
@@ -27,8 +27,12 @@ if TYPE_CHECKING:
 
 def scene_of(verdict: Verdict) -> Scene | None:
     """Returns the city of a verified run, or None where it is not there."""
-    dataset = verdict.dataset
-    if dataset is None or dataset.city_model is None:
+    return None if verdict.dataset is None else city_of(verdict.dataset)
+
+
+def city_of(dataset: Dataset) -> Scene | None:
+    """Returns the city of a dataset, or None where it is not there."""
+    if dataset.city_model is None:
         return None
     try:
         return open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
