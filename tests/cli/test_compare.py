@@ -93,7 +93,7 @@ def test_the_page_has_tables_curves_and_tests_by_name(lodbench, data, tmp_path):
         words = shown.inner_text("main")
         assert "perfect against prior" in words
         assert "Both runs answered 4 queries; 0 within 2 m and 2 deg of each other" in words
-        assert shown.locator("table").count() == 2
+        assert shown.locator("table").count() == 3
         assert shown.locator(".chart svg").count() == 1
         assert fits(shown)
         assert complaints == []
