@@ -38,6 +38,7 @@ _LOGGER = logging.getLogger(__name__)
 NOT_TRUSTED = 3
 # The methods of one photo, by what there is of it.
 _BY_MASK, _BY_PIXELS = "contour_alignment", "region"
+_NO_FLIGHT = "Leave --each-alone and --method out."
 # Of the help.
 _OPTION = "a setting of it, as in lodbench run --help; may be repeated"
 
@@ -136,19 +137,25 @@ def _several(
     Raises:
         ConfigError: There is a reconstruction, and no flight is solved.
     """
+    from lodbench.citymodel.imagery import open_imagery
     from lodbench.harness.photo.flights import localize_flights
+    from lodbench.harness.photo.localize import open_map
     from lodbench.harness.photo.many import localize_photos
     from lodbench.harness.photo.view import write_view
     from lodbench.methods.protocol import SupportsFlights
 
     if isinstance(request.method, SupportsFlights) and not asked.each_alone:
-        answers = localize_flights(request, photos, masks, asked.reconstruction)
+        imagery = None if asked.imagery is None else open_imagery(asked.imagery, open_map(request).scene)
+        answers = localize_flights(request, photos, masks, asked.reconstruction, imagery)
+    elif asked.imagery is not None:
+        raise ConfigError("--imagery lies under the map of a flight's page.", _NO_FLIGHT)
     elif asked.reconstruction is not None:
-        raise ConfigError("--reconstruction ties a flight's photos.", "Leave --each-alone and --method out.")
+        raise ConfigError("--reconstruction ties a flight's photos.", _NO_FLIGHT)
     else:
         answers = localize_photos(request, photos, masks)
     if answers.found:
-        write_view(answers.view, request, answers.found)
+        pages = {flight.name: answers.page(flight).name for flight in answers.flights}
+        write_view(answers.view, request, answers.found, pages)
     _write_sidecars([(each.photo, each.found) for each in answers.photos if each.found is not None], asked)
     return answers
 
@@ -245,6 +252,8 @@ def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
         raise ConfigError("--masks is for several photos.", "Give --mask FILE.")
     if asked.reconstruction is not None and is_one:
         raise ConfigError("--reconstruction ties a flight's photos.", "Give several, or a folder.")
+    if asked.imagery is not None and is_one:
+        raise ConfigError("--imagery lies under the map of a flight's page.", "Give several, or a folder.")
     if asked.masks is not None and not asked.masks.is_dir():
         raise ConfigError(f"--masks {asked.masks} is not a folder.", "Name the folder of the photos' masks.")
 
@@ -309,6 +318,12 @@ def parser() -> Parser:
         "--sidecars",
         action="store_true",
         help="write PHOTO.xmp beside each photo whose pose is reliable",
+    )
+    add(
+        "--imagery",
+        type=Path,
+        metavar="FILE",
+        help="orthophoto (GeoTIFF, JPEG 2000) under the map of a flight's page",
     )
     add("--seed", type=int, default=0, help="random seed (default: 0)")
     add(

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from lodbench.citymodel.imagery import Imagery, open_imagery
+from lodbench.citymodel.scene import Scene
 from lodbench.cli.parser import Parser
 from lodbench.cli.run_folders import run_folders
 from lodbench.cli.verify import add_path_options, read_config, verify_folder
+from lodbench.errors import ConfigError
 from lodbench.harness.runs.answer import FLIGHTS_FOLDER
 from lodbench.harness.runs.flight_pages import flight_findings, pages_of_run
 from lodbench.harness.runs.places import scene_of, view_of_run
@@ -31,6 +35,9 @@ def main(argv: Sequence[str]) -> int:
         "--out", type=Path, metavar="FILE", help="the page, of one run (report.html in the run folder)"
     )
     add_path_options(parser)
+    parser.add_argument(
+        "--imagery", type=Path, metavar="FILE", help="orthophoto (GeoTIFF, JPEG 2000) under the maps"
+    )
     options = parser.parse_args(argv)
     folders = run_folders(options.runs, options.out)
     require_writable(options.out, folders, endings=(".html", ".htm"))
@@ -43,17 +50,42 @@ def _report(run: Path, options: argparse.Namespace) -> int:
     out = options.out or run / "report.html"
     tilt = str(read_config(run)["tilt"])
     scene = scene_of(verdict)
+    imagery = _imagery(options.imagery, scene)
+    flights = list(flight_findings(verdict)) if scene is not None else []
+    files = {name: run / FLIGHTS_FOLDER / f"{name}.html" for name in flights}
+    pages = {"The run": out.name, **{name: _way(file, out.parent) for name, file in files.items()}}
     view = out.with_name(f"{out.stem}_3d.html")
-    view_page = "" if scene is None else view_of_run(verdict, scene, tilt, title_of(verdict))
-    write_text(out, run_report(verdict, tilt, scene, view.name if view_page else ""))
+    view_page = "" if scene is None else view_of_run(verdict, scene, tilt, title_of(verdict), pages)
+    write_text(out, run_report(verdict, tilt, scene, view.name if view_page else "", imagery))
     sys.stdout.write(f"{out}\n")
     if view_page:
         write_text(view, view_page)
         sys.stdout.write(f"{view}\n")
-    if scene is not None and flight_findings(verdict):
-        for name, page in pages_of_run(verdict, scene, tilt).items():
-            write_text(run / FLIGHTS_FOLDER / f"{name}.html", page)
-            sys.stdout.write(f"{run / FLIGHTS_FOLDER / f'{name}.html'}\n")
+    if scene is not None and files:
+        there = _way(view, run / FLIGHTS_FOLDER) if view_page else ""
+        for name, page in pages_of_run(verdict, scene, tilt, there, imagery).items():
+            write_text(files[name], page)
+            sys.stdout.write(f"{files[name]}\n")
     for line in verdict.differences:
         sys.stderr.write(f"lodbench: {line}\n")
     return 1 if verdict.differences else 0
+
+
+def _imagery(path: Path | None, scene: Scene | None) -> Imagery | None:
+    """Returns what lies under the maps, or None.
+
+    Raises:
+        LodbenchError: It cannot be read, lies elsewhere, or the city is not there.
+    """
+    if path is None:
+        return None
+    if scene is None:
+        raise ConfigError(
+            "--imagery needs the run's city model, which is not where it was.", "Set city=FILE."
+        )
+    return open_imagery(path, scene)
+
+
+def _way(file: Path, folder: Path) -> str:
+    """Returns the address of a file from the pages in a folder."""
+    return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()

@@ -12,7 +12,7 @@ from lodbench.evaluation.errors import pose_error
 from lodbench.geometry import Pose
 from lodbench.reporting.answers import UNTRUSTED
 from lodbench.reporting.flight_words import constant_rows, heights_in_words, map_rows
-from lodbench.reporting.map_figure import Marked, Spot, draw_map
+from lodbench.reporting.map_figure import Marked, Spot, Underlay, draw_map
 from lodbench.reporting.page import Picture, markup, rendered
 
 Floats = NDArray[np.float64]
@@ -94,6 +94,8 @@ def flight_page(
     left_out: Sequence[tuple[str, str]],
     city: tuple[Floats, NDArray[np.int32]] | None,
     marked: Sequence[Marked],
+    view: str = "",
+    imagery: Underlay | None = None,
 ) -> str:
     """Returns the page.
 
@@ -106,6 +108,8 @@ def flight_page(
         left_out: Name and reason of photos that have no pose.
         city: (V, 3) vertices and (T, 3) triangles in the city's coordinates, or None.
         marked: What the flight contradicts in the map.
+        view: Address of the page in three dimensions from this one; "" for none.
+        imagery: What lies under the map.
     """
     constants = findings.get("constants", {})
     spots = [photo.spot for photo in photos]
@@ -120,7 +124,9 @@ def flight_page(
         lost=findings.get("lost", []),
         reasons=findings.get("reasons", {}),
         left_out=left_out,
-        map=markup(draw_map(spots, vertices, triangles, marked=marked, is_flight=True)),
+        map=markup(
+            draw_map(spots, vertices, triangles, marked=marked, is_flight=True, view=view, imagery=imagery)
+        ),
         constants=constant_rows(constants),
         heights=_heights(constants.get("height")),
         notes=findings.get("notes", ()),

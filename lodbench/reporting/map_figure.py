@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.reporting.page import rendered
+from lodbench.reporting.page import Picture, rendered
 
 Floats = NDArray[np.float64]
 # Triangles beyond this are left out, those furthest from the cameras first: a browser must draw them all.
@@ -18,6 +18,8 @@ _LEAST_FLAT = 0.2
 _MARGIN_M = 40.0
 # From so many spots on they are drawn smaller and lighter: all over each other they are one blot.
 _MANY, _CROWD = 200, 1000
+# Of imagery under the map: its colours are to be recognised, not measured.
+_QUALITY = 75
 
 
 class Spot(NamedTuple):
@@ -36,6 +38,17 @@ class Spot(NamedTuple):
     second: Floats | None = None
 
 
+class Underlay(Protocol):
+    """Imagery that lies under a map."""
+
+    @property
+    def name(self) -> str:
+        """Returns what it is called."""
+
+    def within(self, low: Floats, high: Floats) -> NDArray[np.uint8]:
+        """Returns (H, W, 4) blue, green, red, alpha between two corners (2,) east and north, north up."""
+
+
 class Marked(NamedTuple):
     """A part of the city that is pointed at: what is said of it; its rings, (N, 2) east and north each."""
 
@@ -52,6 +65,7 @@ def draw_map(
     is_flight: bool = False,
     view: str = "",
     names: Mapping[str, str] | None = None,
+    imagery: Underlay | None = None,
 ) -> str:
     """Returns the map as HTML; "" where no camera is known.
 
@@ -63,6 +77,7 @@ def draw_map(
         is_flight: Whether the spots were taken one after the other: their paths are drawn.
         view: File beside the page that shows the same in three dimensions; "" for none.
         names: What its legend calls ``prior``, ``estimate``, ``second`` and ``truth``, where not so.
+        imagery: What lies under the city, in the coordinates of the spots.
     """
     known = [place for spot in spots for place in (*spot[1:4], spot.second) if place is not None]
     if not known:
@@ -80,6 +95,7 @@ def draw_map(
         "map.html.jinja",
         box=(0.0, -round(float(height), 1), round(float(width), 1), round(float(height), 1)),
         city=city,
+        imagery=None if imagery is None else _imagery(imagery, low, high),
         marked=[(part.title, "".join(_ring(ring, low) for ring in part.rings)) for part in marked],
         tracks=_tracks(spots, low) if is_flight else [],
         spots=[
@@ -87,7 +103,10 @@ def draw_map(
             for spot in spots
         ],
         view=view,
-        classes="map" + " many" * (len(spots) >= _MANY) + " crowd" * (len(spots) >= _CROWD),
+        classes="map"
+        + " pictured" * (imagery is not None)
+        + " many" * (len(spots) >= _MANY)
+        + " crowd" * (len(spots) >= _CROWD),
         many=_MANY,
         crowd=_CROWD,
         legend=[
@@ -97,6 +116,18 @@ def draw_map(
         ],
         enlarged=enlarged if any(spot.covariance is not None for spot in spots) else 0,
     )
+
+
+def _imagery(imagery: Underlay, low: Floats, high: Floats) -> tuple[str, str, list[float]]:
+    """Returns what lies under a map: its name, an address that holds it, and x, y, width and height."""
+    import cv2
+
+    # As wide as high, as what a window shows beside a long map is not cut off.
+    middle, side = (low + high) / 2, float((high - low).max())
+    pixels = imagery.within(middle - side / 2, middle + side / 2)
+    x, y = _at(middle + np.array([-side, side]) / 2, low)
+    encoded = cv2.imencode(".webp", pixels, [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])[1]
+    return imagery.name, Picture(encoded.tobytes(), "webp", "").url, [x, y, round(side, 2), round(side, 2)]
 
 
 def _enlarged(spots: Sequence[Spot], width_m: float) -> int:

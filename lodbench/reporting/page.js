@@ -125,14 +125,19 @@ for (const row of all("tr[data-key]")) {
 for (const slides of all(".slides")) {
   const figures = all("figure", slides);
   const range = slides.querySelector("input[type=range]");
+  const twin = slides.querySelector("input.twin");
   slides.order = () => {
     const rows = new Map(all("tr[data-key]").map((row, at) => [row.dataset.key, row.hidden ? -1 : at]));
     const at = (figure) => rows.get(figure.dataset.key) ?? 0;
     return figures.filter((figure) => at(figure) >= 0).sort((a, b) => at(a) - at(b));
   };
   slides.turnTo = (figure) => {
-    figures.forEach((other) => { other.hidden = other !== figure; });
     const order = slides.order();
+    const neighbour = twin?.checked ? order[order.indexOf(figure) + 1] : null;
+    figures.forEach((other) => { other.hidden = other !== figure && other !== neighbour; });
+    // Beside each other in the order of the rows, whatever the page's.
+    if (neighbour) figure.after(neighbour);
+    slides.now = figure;
     range.max = Math.max(0, order.length - 1);
     range.value = order.indexOf(figure);
     for (const part of all("[data-key]")) {
@@ -152,10 +157,13 @@ for (const slides of all(".slides")) {
   };
   document.addEventListener("rows", () => {
     const order = slides.order();
-    const now = figures.find((figure) => !figure.hidden);
-    slides.turnTo(order.includes(now) ? now : order[0]);
+    slides.turnTo(order.includes(slides.now) ? slides.now : order[0]);
   });
   range.addEventListener("input", () => step(0));
+  twin?.addEventListener("change", () => {
+    slides.classList.toggle("twin", twin.checked);
+    slides.turnTo(slides.now);
+  });
   slides.querySelector(".previous").addEventListener("click", () => step(-1));
   slides.querySelector(".next").addEventListener("click", () => step(1));
   step(0);

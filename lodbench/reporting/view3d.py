@@ -51,13 +51,16 @@ class ViewedCamera(NamedTuple):
     photo: bytes | None
 
 
-def draw_view3d(title: str, scene: Scene, cameras: Sequence[ViewedCamera]) -> str:
+def draw_view3d(
+    title: str, scene: Scene, cameras: Sequence[ViewedCamera], pages: Mapping[str, str] | None = None
+) -> str:
     """Returns the page; "" where no camera is known.
 
     Args:
         title: Of the page.
         scene: The city; of a large one the triangles nearest to the cameras are shown, and the page says so.
         cameras: The photos, in the order of the page's list.
+        pages: Addresses, from this page, of those it leads to, by what they are called.
     """
     poses = [pose for each in cameras for pose in (each.prior, each.estimate, each.truth) if pose is not None]
     if not poses:
@@ -74,6 +77,7 @@ def draw_view3d(title: str, scene: Scene, cameras: Sequence[ViewedCamera]) -> st
         "view3d.html.jinja",
         title=title,
         part=part,
+        pages=pages or {},
         kinds=[kind for kind in _KINDS if any(getattr(c, kind) for c in cameras)],
         three=_packed((files("lodbench.reporting") / "vendor" / "three.min.js").read_bytes()),
         document=_packed(json.dumps(document, separators=(",", ":")).encode()),

@@ -247,3 +247,32 @@ def test_findings_of_another_command_are_not_written_over(tmp_path):
     (tmp_path / FINDINGS_FILE).write_text("of georeference")
     written = write_answers(tmp_path, [PhotoAnswer(Path("DJI_0001.JPG"), None, "it has no pose")])
     assert written.table.name == "localized_2.csv"
+
+
+@pytest.mark.slow
+def test_an_orthophoto_lies_under_the_flight_s_map_and_pages_lead_to_each_other(capsys, tmp_path, flight):
+    rasterio = pytest.importorskip("rasterio")
+    east, north, _ = open_scene(flight.city).origin
+    place = rasterio.transform.from_origin(east - 2000.0, north + 2000.0, 40.0, 40.0)
+    profile = {"width": 100, "height": 100, "count": 3, "dtype": "uint8", "crs": "EPSG:25832"}
+    for name, moved in (("dop.tif", place), ("far.tif", rasterio.Affine.translation(90_000.0, 0.0) @ place)):
+        with rasterio.open(tmp_path / name, "w", driver="GTiff", transform=moved, **profile) as picture:
+            picture.write(np.full((3, 100, 100), 90, np.uint8))
+    words = [flight.photos, "--city", flight.city, "--masks", flight.masks, "--out", tmp_path / "out"]
+    assert main(["localize", *map(str, words), "--imagery", str(tmp_path / "far.tif")]) == 2
+    assert "km outside the city model" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    code, _ = localize(capsys, *words, "--imagery", tmp_path / "dop.tif")
+    assert code == 0
+    page = (tmp_path / "out" / "flight_1.html").read_text()
+    assert '<image class="imagery" href="data:image/webp' in page
+    assert 'href="localized_3d.html">The same in 3D' in page
+    assert '<a href="flight_1.html">flight 1</a>' in (tmp_path / "out" / "localized_3d.html").read_text()
+
+
+def test_imagery_is_for_flights(capsys, tmp_path, flight):
+    photo = next(flight.photos.iterdir())
+    for words in ([photo], [flight.photos, "--each-alone", "--masks", flight.masks]):
+        command = ["localize", *words, "--city", flight.city, "--imagery", "dop.tif", "--out", tmp_path / "o"]
+        assert main([*map(str, command)]) == 2
+        assert "--imagery lies under the map of a flight's page." in capsys.readouterr().err

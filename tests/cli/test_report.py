@@ -184,7 +184,8 @@ def test_no_run_is_one_line(lodbench, tmp_path):
 
 
 @pytest.mark.slow
-def test_each_flight_of_a_run_has_a_page(lodbench, tmp_path):
+def test_each_flight_of_a_run_has_a_page_with_imagery_and_links(lodbench, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
     (tmp_path / "city.obj").write_text(box_obj())
     words = [
         "dataset=flights",
@@ -196,12 +197,27 @@ def test_each_flight_of_a_run_has_a_page(lodbench, tmp_path):
     done = lodbench("run", *words)
     assert done.returncode == 0, done.stderr
     folder = tmp_path / re.search(r"results:\s+(\S+)", done.stdout)[1]
-    told = lodbench("report", str(folder))
+    # A picture of the place without a reference system, as the city has none.
+    place = rasterio.transform.from_origin(-500.0, 500.0, 10.0, 10.0)
+    grey = np.full((3, 100, 100), 90, np.uint8)
+    with rasterio.open(
+        tmp_path / "dop.tif", "w", width=100, height=100, count=3, dtype="uint8", transform=place
+    ) as picture:
+        picture.write(grey)
+    told = lodbench("report", str(folder), "--imagery", "dop.tif")
     assert told.returncode == 0, told.stderr
+    view = (folder / "report_3d.html").read_text()
     for name in ("flights-flight_00", "flights-flight_01"):
         page = (folder / "flights" / f"{name}.html").read_text()
         assert "3 photos placed" in page
         assert f"{name}.html" in told.stdout
+        assert '<image class="imagery" href="data:image/webp' in page
+        assert 'href="../report_3d.html">The same in 3D' in page
+        assert f'<a href="flights/{name}.html">{name}</a>' in view
+    assert '<a href="report.html">The run</a>' in view
+    missing = lodbench("report", str(folder), "--imagery", "nowhere.tif")
+    assert missing.returncode == 2
+    assert "There is no imagery at nowhere.tif." in missing.stderr
     report = (folder / "report.html").read_text()
     assert "Systematic errors of flights" in report
     assert "corrections to the drone" in report

@@ -66,7 +66,7 @@ def test_photos_are_turned_by_the_slider_their_rows_and_the_map(tmp_path, scheme
         assert here.locator(shown).all_inner_texts() == ["p0.jpg: caption"]
         here.locator(".slides .previous").click()
         assert here.locator(shown).all_inner_texts() == ["p4.jpg: caption"]
-        here.locator(".slides input").fill("2")
+        here.locator(".slides input[type=range]").fill("2")
         assert here.locator(shown).all_inner_texts() == ["p2.jpg: caption"]
         here.locator("tr[data-key='p1.jpg']").click()
         assert here.locator(shown).all_inner_texts() == ["p1.jpg: caption"]
@@ -111,3 +111,56 @@ def test_what_photos_cannot_tell_is_said():
     notes = ["focal length and height <cannot> be told apart"]
     told = page(findings={"constants": constants, "notes": notes})
     assert "<p>Focal length and height &lt;cannot&gt; be told apart.</p>" in told
+
+
+class Halves:
+    """Imagery whose northern half is red and whose southern half is not there."""
+
+    name = "dop <1>.tif"
+
+    def within(self, low, high):
+        assert (high > low).all()
+        pixels = np.zeros((40, 60, 4), np.uint8)
+        pixels[:20] = 0, 0, 255, 255
+        return pixels
+
+
+@pytest.mark.slow
+def test_imagery_lies_under_the_map_and_can_be_taken_away(tmp_path):
+    (tmp_path / "flight.html").write_text(page(imagery=Halves(), view="../found 3d.html"))
+    with opened(tmp_path / "flight.html") as (here, complaints):
+        picture = here.locator(".map image")
+        box, frame = picture.bounding_box(), here.locator(".map svg").bounding_box()
+        assert box is not None
+        assert box["x"] + box["width"] / 2 == pytest.approx(frame["x"] + frame["width"] / 2, abs=2)
+        # Above its middle the page is red there, below it is not.
+        shot = cv2.imdecode(np.frombuffer(here.screenshot(clip=box), np.uint8), cv2.IMREAD_COLOR)
+        rows = [len(shot) // 4, 3 * len(shot) // 4]
+        north, south = (np.median(shot[row], axis=0) for row in rows)
+        assert north[2] > 200 > 60 > north[0]
+        assert south[0] > 200
+        assert "dop <1>.tif" in here.inner_text(".legend")
+        here.locator("input.imagery").uncheck()
+        assert not picture.is_visible()
+        assert here.locator(".legend a").get_attribute("href") == "../found%203d.html"
+        assert complaints == []
+
+
+@pytest.mark.slow
+def test_a_photo_is_shown_beside_the_next(tmp_path):
+    (tmp_path / "flight.html").write_text(page())
+    with opened(tmp_path / "flight.html") as (here, complaints):
+        shown = ".slides figure:not([hidden])"
+        here.locator("input.twin").check()
+        assert [text.split(":")[0] for text in here.locator(shown).all_inner_texts()] == ["p0.jpg", "p1.jpg"]
+        left, right = (here.locator(shown).nth(k).bounding_box() for k in (0, 1))
+        assert left["y"] == right["y"]
+        assert right["x"] >= left["x"] + left["width"]
+        here.locator(".slides .next").click()
+        assert [text.split(":")[0] for text in here.locator(shown).all_inner_texts()] == ["p1.jpg", "p2.jpg"]
+        here.locator("tr[data-key='p4.jpg']").click()
+        assert [text.split(":")[0] for text in here.locator(shown).all_inner_texts()] == ["p4.jpg"]
+        assert here.locator(".slides input[type=range]").input_value() == "4"
+        here.locator("input.twin").uncheck()
+        assert here.locator(shown).count() == 1
+        assert complaints == []

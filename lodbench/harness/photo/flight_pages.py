@@ -13,12 +13,18 @@ from lodbench.harness.photo.flight_answer import FlightAnswer
 from lodbench.harness.photo.many import PhotoAnswer
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.flight_page import chosen_for_pictures, flight_page, photo_on_page
+from lodbench.reporting.map_figure import Underlay
 from lodbench.reporting.overlays import jpeg_bytes
 from lodbench.reporting.page import Picture
 
 
 def page_of_photos(
-    flight: FlightAnswer, names: Mapping[Path, str], answers: Sequence[PhotoAnswer], scene: Scene
+    flight: FlightAnswer,
+    names: Mapping[Path, str],
+    answers: Sequence[PhotoAnswer],
+    scene: Scene,
+    view: str = "",
+    imagery: Underlay | None = None,
 ) -> str:
     """Returns the page of a flight whose photos `lodbench localize` found.
 
@@ -27,6 +33,8 @@ def page_of_photos(
         names: Of all photos, by file.
         answers: Of all photos.
         scene: The map.
+        view: Address of all photos in three dimensions from this page; "" for none.
+        imagery: What lies under the map.
     """
     mine = [answer for answer in answers if answer.flight == flight.name]
     placed = {names[answer.photo]: (answer, answer.found) for answer in mine if answer.found is not None}
@@ -59,6 +67,8 @@ def page_of_photos(
         pictures,
         left_out,
         *city_and_marks(scene, flight.findings),
+        view,
+        imagery,
     )
 
 

@@ -46,12 +46,17 @@ from lodbench.methods import Estimate
 from lodbench.methods.measured_calls import localize_flight
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
 from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting.map_figure import Underlay
 from lodbench.storage import random_stream, write_text
 from lodbench.storage.json_text import finite
 
 
 def localize_flights(
-    request: PhotoRequest, photos: Sequence[Path], masks: Path | None, reconstruction: Path | None = None
+    request: PhotoRequest,
+    photos: Sequence[Path],
+    masks: Path | None,
+    reconstruction: Path | None = None,
+    imagery: Underlay | None = None,
 ) -> Answers:
     """Returns what became of photos that flights took, each flight solved as a whole; writes all of it.
 
@@ -62,6 +67,7 @@ def localize_flights(
         photos: The files.
         masks: Folder of masks named as the photos, or None.
         reconstruction: COLMAP model whose images are called as the photos, which ties these together.
+        imagery: What lies under the maps of the flights' pages.
 
     Raises:
         LodbenchError: The city or the model cannot be read, the model has none of the photos, or the method
@@ -104,7 +110,14 @@ def localize_flights(
     written = write_answers(request.out, answers, flights)
     _write_findings(written, place.scene, place.frame)
     for flight_answer in flights:
-        page = page_of_photos(flight_answer, dict(zip(photos, names, strict=True)), answers, place.scene)
+        page = page_of_photos(
+            flight_answer,
+            dict(zip(photos, names, strict=True)),
+            answers,
+            place.scene,
+            written.view.name if written.found else "",
+            imagery,
+        )
         write_text(written.page(flight_answer), page)
     return written
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from lodbench.harness.city import open_city
@@ -12,13 +12,19 @@ from lodbench.reporting.view3d import MAX_PHOTOS, ViewedCamera, draw_view3d
 from lodbench.storage import write_text
 
 
-def write_view(path: Path, request: PhotoRequest, found: Sequence[LocalizedPhoto]) -> None:
+def write_view(
+    path: Path,
+    request: PhotoRequest,
+    found: Sequence[LocalizedPhoto],
+    pages: Mapping[str, str] | None = None,
+) -> None:
     """Writes a page of city, photos, rough and found poses.
 
     Args:
         path: The page.
         request: What was asked: its city.
         found: The answers, one at least.
+        pages: Addresses of the pages that it leads to, by what they are called.
     """
     city = open_city(request.city, request.lod, request.options, request.roof_height)
     origin = city.scene.origin
@@ -35,7 +41,7 @@ def write_view(path: Path, request: PhotoRequest, found: Sequence[LocalizedPhoto
         for number, each in enumerate(found)
     ]
     title = f"{len(found)} photo{'s' if len(found) > 1 else ''} over {request.city.name}"
-    write_text(path, draw_view3d(title, city.scene, cameras))
+    write_text(path, draw_view3d(title, city.scene, cameras, pages))
 
 
 def _facts(found: LocalizedPhoto) -> dict[str, str]:

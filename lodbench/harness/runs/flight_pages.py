@@ -21,14 +21,28 @@ from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.answers import trust_of
 from lodbench.reporting.flight_page import PhotoOnPage, chosen_for_pictures, flight_page, photo_on_page
 from lodbench.reporting.flight_words import constants_in_words, map_in_words
+from lodbench.reporting.map_figure import Underlay
 
 Floats = NDArray[np.float64]
 
 
-def pages_of_run(verdict: Verdict, scene: Scene, tilt: str) -> dict[str, str]:
-    """Returns the pages of a run's flights, by the name of the file of what each says."""
+def pages_of_run(
+    verdict: Verdict, scene: Scene, tilt: str, view: str = "", imagery: Underlay | None = None
+) -> dict[str, str]:
+    """Returns the pages of a run's flights, by the name of the file of what each says.
+
+    Args:
+        verdict: The run.
+        scene: Its city.
+        tilt: Which prior it had.
+        view: Address of the run in three dimensions from these pages; "" for none.
+        imagery: What lies under the maps.
+    """
     found = flight_findings(verdict)
-    return {name: _page_of_sequence(verdict, scene, tilt, name, said) for name, said in found.items()}
+    return {
+        name: _page_of_sequence(verdict, scene, tilt, name, said, view, imagery)
+        for name, said in found.items()
+    }
 
 
 def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
@@ -52,7 +66,13 @@ def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
 
 
 def _page_of_sequence(
-    verdict: Verdict, scene: Scene, tilt: str, name: str, findings: Mapping[str, Any]
+    verdict: Verdict,
+    scene: Scene,
+    tilt: str,
+    name: str,
+    findings: Mapping[str, Any],
+    view: str,
+    imagery: Underlay | None,
 ) -> str:
     dataset, stored = verdict.dataset, verdict.stored
     assert dataset is not None  # noqa: S101 - the caller has opened it
@@ -85,6 +105,8 @@ def _page_of_sequence(
         pictures,
         left_out,
         *city_and_marks(scene, findings),
+        view,
+        imagery,
     )
 
 

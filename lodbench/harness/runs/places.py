@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.answers import trust_of
-from lodbench.reporting.map_figure import Spot, draw_map
+from lodbench.reporting.map_figure import Spot, Underlay, draw_map
 from lodbench.reporting.view3d import MAX_PHOTOS, ViewedCamera, draw_view3d, photo_jpeg
 
 if TYPE_CHECKING:
@@ -40,7 +41,9 @@ def city_of(dataset: Dataset) -> Scene | None:
         return None
 
 
-def draw_places(verdict: Verdict, scene: Scene | None, tilt: str, view: str) -> str:
+def draw_places(
+    verdict: Verdict, scene: Scene | None, tilt: str, view: str, imagery: Underlay | None = None
+) -> str:
     """Returns the map of a run's page as HTML; "" where the dataset is not there.
 
     Args:
@@ -48,6 +51,7 @@ def draw_places(verdict: Verdict, scene: Scene | None, tilt: str, view: str) -> 
         scene: Its city, or None.
         tilt: Which prior it had.
         view: File of the view in three dimensions that the map leads to; "" for none.
+        imagery: What lies under the map.
     """
     dataset = verdict.dataset
     if dataset is None:
@@ -63,11 +67,21 @@ def draw_places(verdict: Verdict, scene: Scene | None, tilt: str, view: str) -> 
         spots.append(Spot(entry.key, prior, estimate, truth, "-" if found is None else trust_of(found)))
     if scene is None:
         return draw_map(spots, None, None)
-    return draw_map(spots, scene.vertices + scene.origin, scene.triangles, view=view)
+    return draw_map(spots, scene.vertices + scene.origin, scene.triangles, view=view, imagery=imagery)
 
 
-def view_of_run(verdict: Verdict, scene: Scene, tilt: str, title: str) -> str:
-    """Returns a run in three dimensions: one HTML file of city, cameras and photos; "" without a camera."""
+def view_of_run(
+    verdict: Verdict, scene: Scene, tilt: str, title: str, pages: Mapping[str, str] | None = None
+) -> str:
+    """Returns a run in three dimensions: one HTML file of city, cameras and photos; "" without a camera.
+
+    Args:
+        verdict: The run.
+        scene: Its city.
+        tilt: Which prior it had.
+        title: Of the page.
+        pages: Addresses of the pages that it leads to, by what they are called.
+    """
     cameras = []
     for number, entry in enumerate(verdict.entries):
         prior, estimate, truth = (
@@ -78,7 +92,7 @@ def view_of_run(verdict: Verdict, scene: Scene, tilt: str, title: str) -> str:
         jpeg = None if photo is None else photo_jpeg(photo)
         facts = _facts(verdict, entry.key)
         cameras.append(ViewedCamera(entry.key, facts, entry.camera, prior, estimate, truth, jpeg))
-    return draw_view3d(title, scene, cameras)
+    return draw_view3d(title, scene, cameras, pages)
 
 
 def _poses(

@@ -25,6 +25,7 @@ from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.answers import trust_of, untrusted_note
 from lodbench.reporting.calibration_figures import draw_calibration
 from lodbench.reporting.flight_words import constants_in_words, map_in_words
+from lodbench.reporting.map_figure import Underlay
 from lodbench.reporting.page import Picture, facts, markup, rendered
 from lodbench.reporting.run_figures import ErrorSample, draw_error_curves
 from lodbench.reporting.summaries import with_seconds
@@ -57,7 +58,9 @@ _LAST_COLUMNS = (
 )  # fmt: skip
 
 
-def run_report(verdict: Verdict, tilt: str, scene: Scene | None, view: str = "") -> str:
+def run_report(
+    verdict: Verdict, tilt: str, scene: Scene | None, view: str = "", imagery: Underlay | None = None
+) -> str:
     """Returns the page of a run that has been verified.
 
     Args:
@@ -65,6 +68,7 @@ def run_report(verdict: Verdict, tilt: str, scene: Scene | None, view: str = "")
         tilt: The run's ``tilt``: which prior it had.
         scene: Its city (``scene_of``), or None: the page can do without.
         view: Name of the file beside the page that shows the same in three dimensions; "" for none.
+        imagery: What lies under the map.
     """
     stored = verdict.stored
     summary = with_seconds(stored.summary, stored.provenance.get("seconds_per_query", {}))
@@ -76,7 +80,7 @@ def run_report(verdict: Verdict, tilt: str, scene: Scene | None, view: str = "")
         ("errors", "Errors", "", _error_curves(stored.queries, splits)),
         ("calibration", "Confidence", "", _calibration(stored.queries, splits) if is_scored else []),
         ("flights", "Systematic errors of flights", _flights(verdict), []),
-        ("places", "From above", draw_places(verdict, scene, tilt, view), []),
+        ("places", "From above", draw_places(verdict, scene, tilt, view, imagery), []),
         ("queries", "Every query", _query_table(verdict, tilt, _crs_of(verdict, scene)), []),
         ("pictures", _pictures_title(len(pictures), len(stored.queries)), "", pictures),
         ("traces", "Score by step", "", score_pictures(stored.folder, stored.queries, splits)),
