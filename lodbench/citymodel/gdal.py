@@ -128,6 +128,39 @@ def _only_drivers() -> Iterator[None]:
                 os.environ[name] = value
 
 
+@contextmanager
+def opened_raster(path: Path, driver: str, instead: str = "") -> Iterator[Any]:
+    """Opens a raster with rasterio, by one driver, without a look at the files beside it.
+
+    Args:
+        path: The raster.
+        driver: The only one that may read it.
+        instead: What a user without rasterio can do, a sentence.
+
+    Raises:
+        CityModelError: rasterio is not there, or the raster cannot be opened or read.
+    """
+    try:
+        import rasterio
+    except ImportError:
+        hint = f"Install it: pip install 'lodbench[vector]'. {instead}".strip()
+        raise CityModelError(f"Reading {path} needs rasterio.", hint) from None
+    # Without a look into the folder no file beside it is opened, whose driver nobody chose.
+    shut = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": "{none}"}
+    try:
+        with (
+            warnings.catch_warnings(action="ignore", category=rasterio.errors.NotGeoreferencedWarning),
+            rasterio.Env(**shut),
+            rasterio.open(path.resolve(), driver=driver) as raster,
+        ):
+            yield raster
+    except rasterio.errors.RasterioError as error:
+        raise CityModelError(
+            f"{path} cannot be read as a raster: {error}.",
+            "Try to open it in a GIS, or convert it to GeoTIFF.",
+        ) from None
+
+
 def raster_driver(path: Path) -> str:
     """Returns the one driver that may read a raster.
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.gdal import opened_raster
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import CityModelError, ConfigError
 
@@ -56,7 +54,7 @@ class Imagery:
 
         size = np.maximum(1, np.round(_MAX_PX * (high - low) / (high - low).max())).astype(int)
         width, height = (int(side) for side in size)
-        with _opened(self.path) as raster:
+        with opened_raster(self.path, _driver(self.path)) as raster:
             is_palette = _is_palette(raster)
             seen = {
                 "crs": _own_crs(raster, self.crs),
@@ -89,9 +87,7 @@ def open_imagery(path: Path, scene: Scene) -> Imagery:
     """
     if not path.is_file():
         raise ConfigError(f"There is no imagery at {path}.", "Check the path.")
-    if path.suffix.lower() not in _DRIVERS:
-        raise ConfigError(f"{path} is no orthophoto by its ending.", f"Known: {', '.join(_DRIVERS)}.")
-    with _opened(path) as raster:
+    with opened_raster(path, _driver(path)) as raster:
         if raster.transform.is_identity:
             raise CityModelError(
                 f"The imagery {path} does not say where it lies; a world file beside it is not read.",
@@ -106,28 +102,16 @@ def open_imagery(path: Path, scene: Scene) -> Imagery:
     return Imagery(path.resolve(), scene.crs)
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    try:
-        import rasterio
-    except ImportError:
-        raise CityModelError(
-            f"Reading {path} needs rasterio.", "Install it: pip install 'lodbench[vector]'."
-        ) from None
-    # Without a look into the folder no file beside it is opened, whose driver nobody chose.
-    shut = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": "{none}"}
-    try:
-        with (
-            warnings.catch_warnings(action="ignore", category=rasterio.errors.NotGeoreferencedWarning),
-            rasterio.Env(**shut),
-            rasterio.open(path.resolve(), driver=_DRIVERS[path.suffix.lower()]) as raster,
-        ):
-            yield raster
-    except rasterio.errors.RasterioError as error:
-        raise CityModelError(
-            f"{path} cannot be read as imagery: {error}.",
-            "Try to open it in a GIS, or convert it to GeoTIFF.",
-        ) from None
+def _driver(path: Path) -> str:
+    """Returns the one driver that may read an orthophoto.
+
+    Raises:
+        ConfigError: Its ending names none.
+    """
+    driver = _DRIVERS.get(path.suffix.lower())
+    if driver is None:
+        raise ConfigError(f"{path} is no orthophoto by its ending.", f"Known: {', '.join(_DRIVERS)}.")
+    return driver
 
 
 def _own_crs(raster: Any, crs: str | None) -> Any:

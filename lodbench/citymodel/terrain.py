@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.crs import resolve_crs
-from lodbench.citymodel.gdal import raster_driver
+from lodbench.citymodel.gdal import opened_raster, raster_driver
 from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import CityModelError
 
@@ -82,36 +81,17 @@ def _height_unit_m(crs: str) -> float:
 
 def _raster_heights_m(path: Path, points: NDArray[np.float64], crs: str) -> NDArray[np.float64]:
     """Returns (N,) heights of a raster in metres; only the part of it under the points is read."""
-    try:
-        import rasterio
-    except ImportError:
-        raise CityModelError(
-            f"Reading {path} needs rasterio.",
-            "Install it: pip install 'lodbench[vector]'. Or convert the raster to an ASCII grid (.asc).",
-        ) from None
-    # Without a look into the folder no file beside it is opened, whose driver nobody chose.
-    shut = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": "{none}"}
-    driver, place = raster_driver(path), path.resolve()
-    try:
-        with (
-            warnings.catch_warnings(action="ignore", category=rasterio.errors.NotGeoreferencedWarning),
-            rasterio.Env(**shut),
-            rasterio.open(place, driver=driver) as raster,
-        ):
-            grid = _empty_grid(raster.transform, path)
-            own_crs = crs if raster.crs is None else raster.crs.to_wkt()
-            if raster.crs is not None:
-                points = _projected(points, crs, own_crs)
-            unit_m = _UNITS_M.get(str(raster.units[0]).strip().lower()) or _height_unit_m(own_crs)
-            rows, columns = _window(grid, points, raster.shape)
-            if (rows[1] - rows[0]) * (columns[1] - columns[0]) > _MAX_CELLS:
-                raise CityModelError(f"{path} has too many cells under the city.", "Warp it to larger cells.")
-            band = raster.read(1, window=(rows, columns), masked=True)
-    except rasterio.errors.RasterioError as error:
-        raise CityModelError(
-            f"{path} cannot be read as a raster: {error}.",
-            "Try to open it in a GIS, or convert it to GeoTIFF.",
-        ) from None
+    instead = "Or convert the raster to an ASCII grid (.asc)."
+    with opened_raster(path, raster_driver(path), instead) as raster:
+        grid = _empty_grid(raster.transform, path)
+        own_crs = crs if raster.crs is None else raster.crs.to_wkt()
+        if raster.crs is not None:
+            points = _projected(points, crs, own_crs)
+        unit_m = _UNITS_M.get(str(raster.units[0]).strip().lower()) or _height_unit_m(own_crs)
+        rows, columns = _window(grid, points, raster.shape)
+        if (rows[1] - rows[0]) * (columns[1] - columns[0]) > _MAX_CELLS:
+            raise CityModelError(f"{path} has too many cells under the city.", "Warp it to larger cells.")
+        band = raster.read(1, window=(rows, columns), masked=True)
     part = replace(
         grid,
         heights=band.astype(np.float64).filled(np.nan),

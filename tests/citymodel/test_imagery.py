@@ -124,7 +124,7 @@ def test_what_cannot_lie_under_the_city_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="no orthophoto by its ending"):
         open_imagery(tmp_path / "a.png", city())
     (tmp_path / "b.tif").write_bytes(b"II*\0nothing")
-    with pytest.raises(CityModelError, match="cannot be read as imagery"):
+    with pytest.raises(CityModelError, match="cannot be read as a raster"):
         open_imagery(tmp_path / "b.tif", city())
     far = write(tmp_path / "far.tif", quarters(), low=beside(5_100.0, 0.0))
     with pytest.raises(CityModelError, match=r"lies 5\.0 km outside"):
