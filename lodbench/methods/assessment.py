@@ -28,7 +28,7 @@ from lodbench.methods.protocol import Estimate
 Floats = NDArray[np.float64]
 
 # Edges are looked at in photos so wide, pixels; points of lines are so far apart.
-_WIDTH, _SPACING_PX, _FEWEST_POINTS, _LOWEST_RISE = 1200, 4.0, 30, 0.2
+_WIDTH, _SPACING_PX, FEWEST_POINTS, _LOWEST_RISE = 1200, 4.0, 30, 0.2
 # What outlines are off by where they are weighed against the prior, and over which length alike, pixels.
 _NOISE_PX, _TOGETHER_PX = 2.0, 40.0
 # Covariances of single photos allow for more than errors are: on 98 answers over two real flights and two
@@ -116,7 +116,7 @@ def edge_excess(edges: PhotoEdges, laid: Projected) -> float | None:
         laid: Points of lines.
     """
     count = len(laid.pixels)
-    if count < _FEWEST_POINTS:
+    if count < FEWEST_POINTS:
         return None
     found = edges.across(laid.pixels, laid.normals, max(_ASIDE_PX) + _ON_PX)
     if not len(found.points):
@@ -137,7 +137,7 @@ def _small(camera: Camera) -> Camera:
 
 def _edge_doubts(query: Query, laid: Projected, lines: ModelLines, camera: Camera) -> Iterator[str]:
     picture = None if query.image is None else read_picture(query.image)
-    if picture is None or len(lines) < _FEWEST_POINTS:
+    if picture is None or len(lines) < FEWEST_POINTS:
         return
     inside = ((laid.pixels > 0) & (laid.pixels < (camera.width, camera.height))).all(axis=1)
     shown = replace(

@@ -1,7 +1,8 @@
 """What findings about the map rest on: how far their photos look apart, and whether edges contradict them.
 
 Masks of a network err alike in photos that look alike. A building whose mapped roof lies on the edges of
-photos from different sides stands as the map has it, whatever masks say.
+photos from different sides stands as the map has it, whatever masks say; and one that is said to be gone
+must show by edges that it is: where it stood, two photos have no more edges on its lines than by chance.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.estimation.model_lines import LensErrors, ModelLines, lens_camera, lines_in_view, project_lines
 from lodbench.geometry.pose_vector import pose_from_vector
-from lodbench.methods.assessment import edge_excess
+from lodbench.methods.assessment import FEWEST_POINTS, edge_excess
 from lodbench.methods.flight.edge_terms import EdgePhoto, edge_photo
 
 Floats = NDArray[np.float64]
@@ -28,6 +29,8 @@ Floats = NDArray[np.float64]
 APART_DEG = 20.0
 # A mapped roof stands whose lines lie on edges by this share of them more often than by chance.
 _STANDS = 0.2
+# One that is gone lies on edges no more often than by chance, but for this share, in so many photos at least.
+_GONE, _WITNESSES = 0.1, 2
 # Points of lines, pixels apart; those that a wrong height would move by less say nothing of it, pixels.
 _SPACING_PX, _MOVED_PX = 3.0, 5.0
 # Bases of walls are no evidence, as in the whole flight.
@@ -86,7 +89,7 @@ def _standing(
     lens: Floats,
     city_map: CityMap,
 ) -> set[int]:
-    """Returns the buildings that stand as mapped by the edges of photos.
+    """Returns the buildings that stand as mapped by the edges of photos, or are not shown to be gone.
 
     Args:
         claims: By row, how much higher than mapped a building is said to be, metres; None for gone.
@@ -98,20 +101,37 @@ def _standing(
     if not claims:
         return set()
     seen: dict[int, list[tuple[int, float, float]]] = {row: [] for row in claims}
-    errors = LensErrors(*(float(v) for v in lens[:4]))
+    errors, has_edges = LensErrors(*(float(v) for v in lens[:4])), False
     for k, query in enumerate(queries):
         photo = edge_photo(query, city_map)
         if photo is None:
             continue
+        has_edges = True
         camera = lens_camera(photo.camera, errors)
         lines = lines_in_view(city_map, camera, pose_from_vector(vectors[k]), _SPACING_PX)
         lines = lines.of(lines.rises > _LOWEST_RISE)
+        shows = _excess(photo, lines, vectors[k], errors, 0.0) is not None
         for row in np.intersect1d(lines.buildings, list(claims)).tolist():
-            found = _excesses(photo, lines.of(lines.buildings == row), vectors[k], errors, claims[row])
+            own = lines.of(lines.buildings == row)
+            found = _excesses(photo, own, vectors[k], errors, claims[row])
+            if found is None and claims[row] is None and shows and len(own.points) >= FEWEST_POINTS:
+                # Not one edge near its lines, in a photo that has edges on others.
+                found = 0.0, 0.0
             if found is not None:
                 seen[row].append((k, *found))
     middles = roof_middles(city_map.scene)
-    return {row for row, photos in seen.items() if _stands(photos, middles[row], vectors[:, :3])}
+    if not has_edges:
+        return set()
+    return {
+        row
+        for row, photos in seen.items()
+        if _stands(photos, middles[row], vectors[:, :3]) or (claims[row] is None and not _is_gone(photos))
+    }
+
+
+def _is_gone(photos: Sequence[tuple[int, float, float]]) -> bool:
+    """Returns whether several photos have no edges where a building stood."""
+    return len(photos) >= _WITNESSES and bool(np.mean([excess for _, excess, _ in photos]) < _GONE)
 
 
 def _stands(photos: Sequence[tuple[int, float, float]], place: Floats, centers: Floats) -> bool:
