@@ -6,6 +6,7 @@ import ast
 import tomllib
 from collections.abc import Iterator
 from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -110,6 +111,34 @@ def test_imports_go_down_the_layers():
                 if not known or LAYERS.index(parts[1]) > LAYERS.index(mine):
                     wrong.append(f"{name_of(path)} imports {name}")
     assert not wrong
+
+
+def dotted(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported_modules(tree: ast.Module, modules: set[str]) -> Iterator[str]:
+    """Yields the modules that one imports anywhere, in functions and for type checkers too."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in modules)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                yield whole if whole in modules else node.module
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    by_name = {dotted(path): tree for path, tree in trees().items()}
+    names = set(by_name)
+    graph = {name: {*imported_modules(tree, names)} & names - {name} for name, tree in by_name.items()}
+    # The package itself loads its public names on first use.
+    graph["lodbench"] = set()
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" <- ".join(error.args[1]))
 
 
 def test_nothing_imports_the_baselines():

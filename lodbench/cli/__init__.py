@@ -7,84 +7,9 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-# Command -> (module with `main(argv) -> int`, one line of help).
-COMMANDS = {
-    "localize": (
-        "lodbench.cli.localize",
-        "localise your photos: pose, overlay, map, reliability",
-    ),
-    "locate": (
-        "lodbench.cli.locate",
-        "map coordinates of pixels, or mask regions, of a localised photo",
-    ),
-    "track": ("lodbench.cli.track", "localise each frame of a video or of a folder of frames"),
-    "georeference": (
-        "lodbench.cli.georeference",
-        "georeference a COLMAP model by its buildings, without ground control points",
-    ),
-    "mask": ("lodbench.cli.mask", "make or correct a photo's building mask by hand; LabelMe, COCO, QGIS"),
-    "trace": ("lodbench.cli.trace", "trace a map of roofs in the photos of a COLMAP model; make a benchmark"),
-    "run": ("lodbench.cli.run", "localise the photos of a dataset with one method, and score the poses"),
-    "basin": ("lodbench.cli.basin", "measure recall over the error of the prior"),
-    "evaluate": ("lodbench.cli.evaluate", "score poses made by another program: COLMAP, TUM, ..."),
-    "compare": ("lodbench.cli.compare", "put runs into one table, and test whether they differ"),
-    "report": ("lodbench.cli.report", "write an HTML page of a run: tables, figures, every photo"),
-    "export": (
-        "lodbench.cli.export",
-        "write a run's poses for other programs: COLMAP, Metashape, GeoJSON, ...",
-    ),
-    "status": ("lodbench.cli.status", "show the progress of runs"),
-    "verify": ("lodbench.cli.verify", "recompute a run's numbers from its stored poses; fail if they differ"),
-    "leaderboard": ("lodbench.cli.leaderboard", "add a verified run; build tables and pages"),
-    "bench": ("lodbench.cli.bench", "measure speed and accuracy, beside other programs"),
-    "city": ("lodbench.cli.city", "inspect, check or convert a city model"),
-    "dataset": (
-        "lodbench.cli.dataset",
-        "list, check, download or import datasets; make one of your photos (init)",
-    ),
-    "render": (
-        "lodbench.cli.render",
-        "draw a city from given poses: silhouette, depth, label, colour, overlay",
-    ),
-    "generate-training-data": (
-        "lodbench.cli.generate_training_data",
-        "render images, masks and poses of a city",
-    ),
-    "train": ("lodbench.cli.train", "train a segmentation network, or a method, on such images"),
-    "doctor": (
-        "lodbench.cli.doctor",
-        "check this installation, and say what to install for optional features",
-    ),
-    "check-method": ("lodbench.cli.check_method", "check that a method conforms to the protocol"),
-    "check-plugin": (
-        "lodbench.cli.check_plugin",
-        "check any other plug-in likewise: see docs/plugins.md",
-    ),
-    "completion": ("lodbench.cli.completion", "print a script that completes commands in bash or zsh"),
-}
+from lodbench.cli.commands import COMMANDS, HEADINGS, USAGE
 
-# The first command of each group -> what stands above the group in the help.
-_HEADINGS = {
-    "localize": "Your photos",
-    "run": "Methods and their results",
-    "city": "City models and datasets",
-    "generate-training-data": "Training",
-    "doctor": "This machine, and plug-ins",
-}
-
-_USAGE = """\
-lodbench localises aerial photos in a 3D city model, and benchmarks methods that do so.
-
-Usage: lodbench COMMAND [...]
-       lodbench COMMAND --help
-
-Start here:
-  lodbench run method=region dataset=demo          # try it: 40 photos of a built-in town
-  lodbench city info FILE                          # is your city model read correctly?
-  lodbench localize PHOTO ... --city FILE          # where were your photos taken?
-  lodbench run dataset=folder dataset.root=DIR city=FILE   # a method over a dataset of your own
-{commands}
-"""
+__all__ = ["COMMANDS", "main", "usage"]
 
 
 def usage() -> str:
@@ -92,10 +17,10 @@ def usage() -> str:
     width = max(map(len, COMMANDS))
     lines: list[str] = []
     for name, (_, help_) in COMMANDS.items():
-        if name in _HEADINGS:
-            lines += ["", f"{_HEADINGS[name]}:"]
+        if name in HEADINGS:
+            lines += ["", f"{HEADINGS[name]}:"]
         lines.append(f"  {name.ljust(width)}  {help_}")
-    return _USAGE.format(commands="\n".join(lines))
+    return USAGE.format(commands="\n".join(lines))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from importlib import import_module
 
+from lodbench.cli.commands import COMMANDS
 from lodbench.cli.configs import config_files
 from lodbench.cli.parser import Parser, seen
 from lodbench.cli.setting_help import config_text, groups_of, settings_in
@@ -76,8 +77,6 @@ def main(argv: Sequence[str]) -> int:
 
 def answer(words: Sequence[str]) -> int:
     """Prints the completions of the last of some words, one a line; returns the exit code, always 0."""
-    from lodbench.cli import COMMANDS
-
     typed = words[-1] if words else ""
     found: Iterable[str]
     if len(words) < 2:
@@ -118,8 +117,6 @@ def _flags(command: str, before: Sequence[str], typed: str) -> Iterable[str]:
 
     Flags where one is begun, else the words that there is a choice of; where a file may stand, none.
     """
-    from lodbench.cli import COMMANDS
-
     if command not in COMMANDS:
         return []
     module = import_module(COMMANDS[command][0])

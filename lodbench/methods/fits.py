@@ -1,8 +1,8 @@
 """The fits a method can be told to use, by name: made from a query's building probabilities or its photo.
 
 iou: the paper's. soft_iou: with the probabilities as they are. confident_iou: the mask, each pixel weighted
-by how sure the network is. boundary: chamfer distance of outlines. region: no mask, what the photo looks like
-inside and outside (``method=region``).
+by how sure the network is. boundary: chamfer distance of outlines. region, of ``methods.region``: no mask,
+what the photo looks like inside and outside.
 """
 
 from __future__ import annotations
@@ -62,23 +62,6 @@ def confident_iou(probability: Probability) -> Fit:
 def boundary(probability: Probability) -> Fit:
     """Returns the chamfer similarity to the mask's outline."""
     return BoundaryFit(probability >= BUILDING_THRESHOLD)
-
-
-def region(photo: Photo, size: tuple[int, int]) -> Fit:
-    """Returns the code length that a silhouette saves of the photo's regions and edges, nats per pixel.
-
-    Args:
-        photo: As of ``read_picture``.
-        size: Width and height of the silhouettes to compare.
-    """
-    from lodbench.methods.region import Params
-    from lodbench.methods.region.evidence import PhotoFit
-
-    return PhotoFit(photo, size, Params(), is_coarse=True)
-
-
-# What a fit is made of; where nothing is said, a probability.
-region.input = Input.IMAGE  # type: ignore[attr-defined]
 
 
 def fit_input(name: str) -> Input:

@@ -26,7 +26,7 @@ Where something new goes:
   ``town/fittings.py``, all that stands alone in ``town/landmarks.py``;
 - a kind of block or landmark: a function in ``town/landmarks.py``, chosen in ``town/town.py``;
 - a camera path: a function and a line in ``CAMERA_PATHS`` of ``camera_paths.py`` (training pictures) or in
-  ``FLIGHT_PATHS`` beside it (flights); settings of its own in ``training_data/params.py`` and
+  ``FLIGHT_PATHS`` beside it (flights); its name and settings in ``training_data/params.py`` and
   ``conf/generate-training-data.yaml``;
 - a look of pictures (sun, air, season, sensor): a file in ``conf/training``; a new kind of change is a
   field of ``LookRanges`` in ``photo/look.py``, used in ``photo/renderer.py`` if the sensor makes

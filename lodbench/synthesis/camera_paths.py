@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise, product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +21,10 @@ from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler
 from lodbench.storage import random_stream
 from lodbench.synthesis.surroundings.ground import Ground
+from lodbench.synthesis.training_data.params import MOST_VIEWS, GenerateParams
 from lodbench.synthesis.view_sampling import target_near, view_of
 
-if TYPE_CHECKING:
-    from lodbench.synthesis.training_data.params import GenerateParams
-
 Floats = NDArray[np.float64]
-# Views of one path, before any is judged: each takes half a kilobyte, and a millisecond or more to judge.
-MOST_VIEWS = 2_000_000
 # Spacings to advise.
 _STEPS_M = range(1, 100_000)
 Pair = tuple[float, float]

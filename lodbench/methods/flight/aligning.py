@@ -14,10 +14,10 @@ from lodbench.citymap.corrected_map import corrected_map
 from lodbench.datasets.query import Query
 from lodbench.methods.contour_alignment.alignment import Aligner
 from lodbench.methods.flight.edge_terms import EdgePhoto, edge_photo, edge_terms
-from lodbench.methods.flight.joint import Solution, solve
+from lodbench.methods.flight.joint import solve
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import PhotoTerms, flight_terms
-from lodbench.methods.flight.state import State, differences
+from lodbench.methods.flight.state import Solution, State, differences
 
 # Scales of the robust kernel in the joint steps, first and last, pixels of the fine size.
 _REACHES_PX = (24.0, 4.0)

@@ -16,12 +16,12 @@ from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.methods.flight.aligning import Aligned
 from lodbench.methods.flight.building_heights import BuildingHeight, building_heights
 from lodbench.methods.flight.gone_buildings import gone_buildings
-from lodbench.methods.flight.joint import Solution, shared_covariance
+from lodbench.methods.flight.joint import shared_covariance
 from lodbench.methods.flight.map_views import views_of
 from lodbench.methods.flight.missing_buildings import missing_buildings
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.roof_sweep import sweep_roofs
-from lodbench.methods.flight.state import CONSTANTS, FOCAL
+from lodbench.methods.flight.state import CONSTANTS, FOCAL, Solution
 from lodbench.methods.flight.witnesses import APART_DEG, apart_deg, roof_middles
 
 Floats = NDArray[np.float64]

@@ -12,11 +12,9 @@ and its own. All is one sparse system.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.linalg import SuperLU
 
 from lodbench.geometry.pose_vector import rotation_derivatives
 from lodbench.methods.flight.error_groups import ErrorGroup
@@ -24,7 +22,7 @@ from lodbench.methods.flight.normal_equations import NormalEquations
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
 from lodbench.methods.flight.reconstruction import MOUNT, UNKNOWNS
-from lodbench.methods.flight.state import CONSTANTS, FEET, FOCAL, ROOFS, State, differences
+from lodbench.methods.flight.state import CONSTANTS, FEET, FOCAL, ROOFS, Solution, State, differences
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -33,40 +31,6 @@ Rows = NDArray[np.int64]
 _FREEDOM = 1.0
 # The longest step of a photo: a linearisation says little beyond it (metres, degrees).
 _LONGEST_STEP = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Solution:
-    """The normal equations, solved.
-
-    Attributes:
-        photo_steps: (P, 6) of the photos' poses.
-        shared_step: (S,) of what they share: constants, buildings, parts of roofs, similarity.
-        buildings: (N,) rows of the scene that the shared numbers speak of, ascending.
-        factorised: The curvature of photos, then what they share.
-        groups: Of errors that have a scale of their own, in the order of ``State.scales``.
-        members: How many errors of each have nothing to do with each other.
-        pulls: (S, 2 N) curvature between all unknowns and where the buildings stand, east and north of each:
-            what photos do not solve for, as more photos say nothing of it.
-    """
-
-    photo_steps: Floats
-    shared_step: Floats
-    buildings: Rows
-    factorised: SuperLU
-    groups: Sequence[ErrorGroup]
-    members: Sequence[int]
-    pulls: Floats
-
-    def moved_by_places(self) -> Floats:
-        """Returns (S, 2 N) how unknowns move per metre that each building stands east and north off."""
-        return np.asarray(-self.factorised.solve(self.pulls)) if self.pulls.size else self.pulls
-
-    def scales(self) -> Floats:
-        """Returns (6,) the scales that this calls for; see ``State.scales``."""
-        step = np.concatenate([self.photo_steps.ravel(), self.shared_step])
-        grouped = zip(self.groups, self.members, strict=True)
-        return np.array([group.scale_after(self.factorised, step, count) for group, count in grouped])
 
 
 def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> Solution:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.linalg import SuperLU
 
+from lodbench.methods.flight.error_groups import ErrorGroup
 from lodbench.methods.flight.photo_terms import LENS
 from lodbench.methods.flight.reconstruction import UNKNOWNS, Reconstruction
 from lodbench.methods.flight.relative_poses import RelativePose
 from lodbench.methods.flight.roof_parts import RoofParts
-
-if TYPE_CHECKING:
-    from lodbench.methods.flight.joint import Solution
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -23,6 +21,40 @@ Rows = NDArray[np.int64]
 # The shared numbers before the buildings': flight's error, lens, all roofs, all feet of walls.
 _FLIGHT, _LENS, ROOFS, FEET, CONSTANTS = slice(0, 6), slice(6, 6 + LENS), 6 + LENS, 7 + LENS, 8 + LENS
 FOCAL = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """The normal equations, solved.
+
+    Attributes:
+        photo_steps: (P, 6) of the photos' poses.
+        shared_step: (S,) of what they share: constants, buildings, parts of roofs, similarity.
+        buildings: (N,) rows of the scene that the shared numbers speak of, ascending.
+        factorised: The curvature of photos, then what they share.
+        groups: Of errors that have a scale of their own, in the order of ``State.scales``.
+        members: How many errors of each have nothing to do with each other.
+        pulls: (S, 2 N) curvature between all unknowns and where the buildings stand, east and north of each:
+            what photos do not solve for, as more photos say nothing of it.
+    """
+
+    photo_steps: Floats
+    shared_step: Floats
+    buildings: Rows
+    factorised: SuperLU
+    groups: Sequence[ErrorGroup]
+    members: Sequence[int]
+    pulls: Floats
+
+    def moved_by_places(self) -> Floats:
+        """Returns (S, 2 N) how unknowns move per metre that each building stands east and north off."""
+        return np.asarray(-self.factorised.solve(self.pulls)) if self.pulls.size else self.pulls
+
+    def scales(self) -> Floats:
+        """Returns (6,) the scales that this calls for; see ``State.scales``."""
+        step = np.concatenate([self.photo_steps.ravel(), self.shared_step])
+        grouped = zip(self.groups, self.members, strict=True)
+        return np.array([group.scale_after(self.factorised, step, count) for group, count in grouped])
 
 
 @dataclass(slots=True, eq=False)

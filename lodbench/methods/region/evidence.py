@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Query
 from lodbench.geometry import wrap_deg
 from lodbench.geometry.angles import rotations_from_euler
 from lodbench.geometry.pose_vector import vector_from_pose
 from lodbench.methods.region.params import Params
 from lodbench.methods.region.unknowns import CAMERAS, LENS
-from lodbench.rendering import ContourFit, RegionFit, Scorer, appearance_bins, edge_bins
+from lodbench.rendering import ContourFit, Fit, RegionFit, Scorer, appearance_bins, edge_bins
 from lodbench.rendering.bits import Words
 
 Floats = NDArray[np.float64]
@@ -58,6 +59,20 @@ class PhotoFit:
         other = copy(self)
         other.edge_weight = weight
         return other
+
+
+def region(photo: NDArray[Any], size: tuple[int, int]) -> Fit:
+    """Returns the code length that a silhouette saves of the photo's regions and edges, nats per pixel.
+
+    Args:
+        photo: As of ``read_picture``.
+        size: Width and height of the silhouettes to compare.
+    """
+    return PhotoFit(photo, size, Params(), is_coarse=True)
+
+
+# A fit is made of a probability where nothing is said.
+region.input = Input.IMAGE  # type: ignore[attr-defined]
 
 
 class Evidence:

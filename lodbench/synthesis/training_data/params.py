@@ -8,9 +8,12 @@ from typing import Any
 
 from lodbench.errors import ConfigError, require_choice, require_within
 from lodbench.geometry import Camera
-from lodbench.synthesis.camera_paths import CAMERA_PATHS, MOST_VIEWS
 from lodbench.synthesis.photo import LookRanges
 
+# Camera paths: the keys of ``CAMERA_PATHS``.
+SAMPLINGS = ("grid", "random", "anywhere", "trajectory", "priors")
+# Views of one path before any is checked: each takes half a kilobyte, and a millisecond or more to check.
+MOST_VIEWS = 2_000_000
 # Camera paths that stand at heights; that point cameras at pitches; laid out evenly; drawn by chance.
 _HIGH, _EVEN = ("grid", "random", "anywhere"), ("grid", "trajectory")
 _POINTED, _DRAWN, _AROUND = (*_HIGH, "trajectory"), ("random", "anywhere", "priors"), ("priors",)
@@ -22,7 +25,7 @@ def _setting(
     within: tuple[float, float] | None = None,
     *,
     among: tuple[str, ...] = (),
-    paths: tuple[str, ...] = tuple(CAMERA_PATHS),
+    paths: tuple[str, ...] = SAMPLINGS,
 ) -> Any:
     """Returns a field: its default, bounds or names, and the camera paths that do not leave it unheard."""
     told = {"default": default, "within": within, "among": among, "paths": paths}
@@ -50,7 +53,7 @@ class GenerateParams:
     props: str | None = None
     terrain: str | None = None
     renderer: str = _setting("raster", among=("raster", "pyrender"))
-    sampling: str = _setting("grid", among=tuple(CAMERA_PATHS))
+    sampling: str = _setting("grid", among=SAMPLINGS)
     pitch: list[float] = _setting([30.0, 60.0], (0.0, 90.0), paths=_POINTED)  # noqa: RUF009
     pitch_from: str = _setting("nadir", among=("nadir", "horizon"))
     height: list[float] = _setting([100.0, 150.0], (1.0, 5000.0), paths=_HIGH)  # noqa: RUF009

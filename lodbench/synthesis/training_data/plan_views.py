@@ -17,9 +17,9 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Pose
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import random_stream
-from lodbench.synthesis.camera_paths import CAMERA_PATHS, MOST_VIEWS, Place
+from lodbench.synthesis.camera_paths import CAMERA_PATHS, Place
 from lodbench.synthesis.surroundings.ground import Ground
-from lodbench.synthesis.training_data.params import GenerateParams
+from lodbench.synthesis.training_data.params import MOST_VIEWS, GenerateParams
 
 SPLITS = ("train", "val", "test")
 # Views are judged on pictures this wide: a building of three pixels there has some 40 in full size.
