@@ -200,6 +200,8 @@ class Params:
     def over(self, pixels_per_m: float) -> Params:
         """Returns these parameters for buildings of such a scale, pixels of the fine size per metre.
 
+        Eq. (C16) of docs/methods/contour_alignment.md.
+
         Near buildings need closer starts. A degree is as many pixels over all: its stride grows instead.
         """
         share = max(_CLOSEST, _STRIDE_PX / max(_STRIDE_PX, pixels_per_m * self.stride_m))

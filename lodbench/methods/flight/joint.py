@@ -59,7 +59,10 @@ class Solution:
     pulls: Floats
 
     def moved_by_places(self) -> Floats:
-        """Returns (S, 2 N) how unknowns move per metre that each building stands east and north off."""
+        """Returns (S, 2 N) how unknowns move per metre that each building stands east and north off.
+
+        Eq. (F18) of docs/methods/flight.md.
+        """
         return np.asarray(-self.factorised.solve(self.pulls)) if self.pulls.size else self.pulls
 
     def scales(self) -> Floats:
@@ -70,7 +73,7 @@ class Solution:
 
 
 def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> Solution:
-    """Returns one Gauss-Newton step of the joint problem.
+    """Returns one Gauss-Newton step of the joint problem. Eqs. (F1), (F2) of docs/methods/flight.md.
 
     Args:
         state: Where it stands.
@@ -181,7 +184,10 @@ def _add_alike(group: ErrorGroup, these: Rows, those: Rows | int, gaps: Floats, 
 
 
 def precisions_of(gaps: Floats, sigma_m: float) -> Floats:
-    """Returns how precisely heights are known beforehand that are so far apart now: of Student's t."""
+    """Returns how precisely heights are known beforehand that are so far apart now: of Student's t.
+
+    Eq. (F7) of docs/methods/flight.md.
+    """
     sigma = max(sigma_m, 1e-4)
     return np.asarray((_FREEDOM + 1.0) / (_FREEDOM + (gaps / sigma) ** 2) / sigma**2)
 

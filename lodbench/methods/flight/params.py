@@ -134,6 +134,8 @@ class Params:
     def with_scatter(self, gaps: Floats) -> Params:
         """Returns the parameters with photos' own errors as large as they are found to be, or as declared.
 
+        Eq. (F13) of docs/methods/flight.md.
+
         Args:
             gaps: (P, 6) where a block of photos has each, less what sensors say: metres and degrees.
         """

@@ -1,0 +1,121 @@
+"""Equations of docs/methods: code cites each of them, and no other; pages state the settings there are."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from collections import Counter
+from dataclasses import fields
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from lodbench.methods import contour_alignment, flight, lodlocv2, region
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted((ROOT / "docs/methods").glob("*.md"))
+# Eq. (R4) of docs/methods/region.md; Eqs. (C6), (C7) of ...: wherever the line breaks.
+CITED = re.compile(r"Eqs?\.\s+((?:\(\w+\)(?:,\s+)?)+)\s+of\s+docs/methods/(\w+)\.md")
+NUMBER = re.compile(r"\(([A-Z]\d+)\)")
+
+
+@pytest.fixture(scope="module")
+def equations() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("equations", ROOT / "docs/equations.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def numbered(module: ModuleType) -> list[tuple[str, str]]:
+    """Returns page and number of each equation."""
+    texts = {page.stem: page.read_text("utf-8") for page in PAGES}
+    return [
+        (stem, tag)
+        for stem, text in texts.items()
+        for block in module.BLOCK.findall(text)
+        for tag in module.TAG.findall(block)
+    ]
+
+
+def cited() -> set[tuple[str, str]]:
+    found = set()
+    for path in (ROOT / "lodbench").rglob("*.py"):
+        for numbers, page in CITED.findall(path.read_text("utf-8")):
+            found |= {(page, number) for number in NUMBER.findall(numbers)}
+    return found
+
+
+def test_code_cites_every_equation_and_no_other(equations):
+    there = numbered(equations)
+    assert len(there) > 70
+    assert {number: many for number, many in Counter(there).items() if many > 1} == {}
+    assert set(there) - cited() == set()
+    assert cited() - set(there) == set()
+
+
+def test_numbers_run_from_1_in_the_order_of_the_page(equations):
+    for page in PAGES:
+        tags = [tag for stem, tag in numbered(equations) if stem == page.stem]
+        assert tags == [f"{tags[0][0]}{k}" for k in range(1, len(tags) + 1)]
+
+
+def test_text_names_no_equation_that_is_not_there(equations):
+    there = {tag for _, tag in numbered(equations)}
+    for page in PAGES:
+        text = equations.BLOCK.sub("", page.read_text("utf-8"))
+        assert set(re.findall(r"\(([MLCRF]\d+)\)", text)) <= there, page
+
+
+def test_equations_are_drawn_with_their_number_and_without_a_script(equations):
+    for page in PAGES:
+        text = page.read_text("utf-8")
+        count = len(equations.BLOCK.findall(text))
+        assert count == text.count("```math")
+        drawn = equations.on_page_markdown(text)
+        assert "```math" not in drawn
+        assert "<script" not in drawn
+        assert drawn.count("<svg") == count
+        for tag in (tag for stem, tag in numbered(equations) if stem == page.stem):
+            assert drawn.count(f'<div id="{tag.lower()}"') == 1
+            assert f"<span>({tag})</span>" in drawn
+
+
+@pytest.mark.parametrize("method", [contour_alignment, flight, lodlocv2, region])
+def test_tables_have_the_settings_there_are_and_their_defaults(method):
+    """Rows of "Priors and settings" name a setting or several in backquotes, and their defaults in order."""
+    page = ROOT / f"docs/methods/{method.__name__.rpartition('.')[2]}.md"
+    defaults = {each.name: each.default for each in fields(method.Params)}
+    stated: dict[str, str] = {}
+    for line in (
+        page.read_text("utf-8").partition("ettings\n\n| symbol")[2].partition("\n## ")[0].splitlines()
+    ):
+        cells = [cell.strip() for cell in line.split("|")]
+        names = re.findall(r"`(\w+)`", cells[2]) if len(cells) > 4 else []
+        values = [value.strip() for value in cells[3].split(",")] if names else []
+        # One default for all that a row names, or one for each.
+        stated |= dict(zip(names, values if len(values) == len(names) else values * len(names), strict=True))
+    assert stated.keys() <= defaults.keys()
+    for name, value in stated.items():
+        assert value.strip("`") == shown(defaults[name]), name
+    # All that are searched or weighed by, but for sizes and names that the page's text has.
+    assert defaults.keys() - stated.keys() <= NOT_IN_TABLES[page.stem]
+
+
+# Sizes of pictures, names, and what the text says.
+NOT_IN_TABLES = {
+    "contour_alignment": {"name", "coarse_size", "fine_size", "search", "spacing_px"},
+    "flight": {"name", "relative_poses"},
+    "lodlocv2": {"name"},
+    "region": {"name", "coarse_width", "fine_width", "edge_blur_px"},
+}
+
+
+def shown(default: object) -> str:
+    """Returns a default as the tables have it."""
+    if isinstance(default, bool):
+        return "on" if default else "off"
+    if isinstance(default, tuple):
+        return " x ".join(map(str, default))
+    return f"{default:g}" if isinstance(default, float) else str(default)
