@@ -1,6 +1,6 @@
 """Typesets the ```` ```math ```` blocks of pages as SVG while the site is built: no script, nothing fetched.
 
-GitHub shows the same blocks by itself. A hook of mkdocs (mkdocs.yml), by matplotlib's mathtext, which understands
+GitHub shows the same blocks by itself. A hook of mkdocs (mkdocs.yml), by matplotlib's mathtext, which knows
 a part of LaTeX: https://matplotlib.org/stable/users/explain/text/mathtext.html.
 """
 
