@@ -119,3 +119,24 @@ def shown(default: object) -> str:
     if isinstance(default, tuple):
         return " x ".join(map(str, default))
     return f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def test_names_that_the_glossary_explains_are_in_the_code():
+    table = (ROOT / "docs/concepts.md").read_text("utf-8").partition("### Names in code and settings")[2]
+    names = [
+        name
+        for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
+        for name in re.findall(r"`(\w+)`", row)
+    ]
+    code = "\n".join(path.read_text("utf-8") for path in (ROOT / "lodbench").rglob("*.py"))
+    known = set(re.findall(r"\w+", code))
+    assert len(names) > 30
+    assert [name for name in names if name not in known] == []
+    assert len(set(names)) == len(names)
+
+
+def test_the_glossary_is_in_the_order_of_the_alphabet():
+    text = (ROOT / "docs/concepts.md").read_text("utf-8").partition("## Glossary")[2].partition("### ")[0]
+    terms = [row.strip("`").lower() for row in re.findall(r"^\| (.*?) \|", text, re.MULTILINE)[1:]]
+    assert len(terms) > 50
+    assert terms == sorted(terms, key=lambda term: re.sub(r"[^a-z0-9]+", " ", term))
