@@ -1,4 +1,4 @@
-"""Equations of docs/methods: code cites each of them, and no other; pages state the settings there are."""
+"""What pages say of the code is so: equations it cites, settings, names, layers, and where things are."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from types import ModuleType
 import pytest
 
 from lodbench.methods import contour_alignment, flight, lodlocv2, region
+from tests.test_architecture import LAYERS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted((ROOT / "docs/methods").glob("*.md"))
@@ -20,12 +21,16 @@ CITED = re.compile(r"Eqs?\.\s+((?:\(\w+\)(?:,\s+)?)+)\s+of\s+docs/methods/(\w+)\
 NUMBER = re.compile(r"\(([A-Z]\d+)\)")
 
 
-@pytest.fixture(scope="module")
-def equations() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("equations", ROOT / "docs/equations.py")
+def script(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / f"docs/{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def equations() -> ModuleType:
+    return script("equations")
 
 
 def numbered(module: ModuleType) -> list[tuple[str, str]]:
@@ -140,3 +145,31 @@ def test_the_glossary_is_in_the_order_of_the_alphabet():
     terms = [row.strip("`").lower() for row in re.findall(r"^\| (.*?) \|", text, re.MULTILINE)[1:]]
     assert len(terms) > 50
     assert terms == sorted(terms, key=lambda term: re.sub(r"[^a-z0-9]+", " ", term))
+
+
+def test_the_picture_of_the_layers_is_that_of_the_layers():
+    drawing = script("draw_architecture")
+    shown = [layer for row in drawing.ROWS for layer in row.layers]
+    assert shown[::-1] == LAYERS
+    assert drawing.OUT.read_text("utf-8") == drawing.drawn()
+
+
+def test_the_steps_in_the_picture_are_those_of_the_lists():
+    text = (ROOT / "docs/architecture.md").read_text("utf-8")
+    drawing = script("draw_architecture")
+    for title, column in (("lodbench run", "run"), ("lodbench localize", "photo")):
+        steps = re.findall(
+            r"^(\d+)\. ", text.partition(f"through `{title}`")[2].partition("\n## ")[0], re.MULTILINE
+        )
+        numbered = {number for row in drawing.ROWS for number in re.findall(r"\d+", getattr(row, column))}
+        assert numbered == set(steps)
+
+
+@pytest.mark.parametrize("page", ["docs/architecture.md", *(f"docs/methods/{page.name}" for page in PAGES)])
+def test_files_and_names_that_a_page_points_to_are_there(page):
+    text = (ROOT / page).read_text("utf-8")
+    paths = re.findall(r"`((?:lodbench|conf|docs|baselines|tests)/[\w./]*)`", text)
+    assert paths
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+    for name, path in re.findall(r"`(_?[A-Z][A-Z_]+)`, `(lodbench/[\w/]+\.py)`", text):
+        assert re.search(rf"^{name}\b", (ROOT / path).read_text("utf-8"), re.MULTILINE), (name, path)
