@@ -12,6 +12,7 @@ from types import ModuleType
 import pytest
 
 from lodbench.methods import contour_alignment, flight, lodlocv2, region
+from lodbench.methods.contour_alignment.world_errors import TRACKS
 from tests.test_architecture import LAYERS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -106,6 +107,22 @@ def test_tables_have_the_settings_there_are_and_their_defaults(method):
         assert value.strip("`") == shown(defaults[name]), name
     # All that are searched or weighed by, but for sizes and names that the page's text has.
     assert defaults.keys() - stated.keys() <= NOT_IN_TABLES[page.stem]
+
+
+def test_the_table_of_worlds_is_that_of_the_code():
+    text = (ROOT / "docs/methods/contour_alignment.md").read_text("utf-8")
+    rows = re.findall(
+        r"^\| ([a-z, ]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| (\S+) ± (\S+) \| (\S+) ± (\S+) \|$",
+        text,
+        re.M,
+    )
+    worlds = {world.name: world for track, _ in TRACKS for world in track}
+    assert [name for name, *_ in rows] == list(worlds)
+    for name, *numbers in rows:
+        world = worlds[name]
+        assert world.roof_m == world.part_m
+        stated = world.odds, world.roof_m, world.base_m, *world.roofs_m, *world.bases_m
+        assert tuple(map(float, numbers)) == stated, name
 
 
 # Sizes of pictures, names, and what the text says.

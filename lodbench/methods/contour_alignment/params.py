@@ -1,4 +1,4 @@
-"""Parameters of the six-degree-of-freedom method; docs/adr/0013 says how the defaults were chosen."""
+"""Parameters of contour alignment; docs/methods/contour_alignment.md says where the defaults come from."""
 
 from __future__ import annotations
 

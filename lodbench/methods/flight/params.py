@@ -1,4 +1,4 @@
-"""Parameters of the joint alignment of flights."""
+"""Parameters of the joint alignment of flights; docs/methods/flight.md says where defaults come from."""
 
 from __future__ import annotations
 

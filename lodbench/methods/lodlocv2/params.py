@@ -1,4 +1,4 @@
-"""Parameters of LoD-Loc v2; the defaults are the paper's where it gives them (docs/adr/0002)."""
+"""Parameters of LoD-Loc v2; the defaults are the paper's where it gives them (docs/methods/lodlocv2.md)."""
 
 from __future__ import annotations
 
