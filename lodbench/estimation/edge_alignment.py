@@ -108,14 +108,20 @@ class EdgeLikelihood:
         return EdgeAlignment(refined[:_POSE], covariance, evidence, evidence - self.log_posterior(start))
 
     def log_posterior(self, vector: Floats) -> float:
-        """Returns how much likelier the lines of a pose and lens, (10,), are than background; with priors."""
+        """Returns how much likelier the lines of a pose and lens, (10,), are than background; with priors.
+
+        Eq. (R22) of docs/methods/region.md.
+        """
         lines = self._lines(vector)
         prior = -0.5 * float(((self._away(vector) / self._sigmas) ** 2).sum())
         ratios = self._ratios(self._laid(lines, vector), _SIGMAS_PX[-1])[0]
         return prior + float((lines.lengths_px * np.log(1.0 - _SHOWN + ratios)).sum()) / _TOGETHER_PX
 
     def _step(self, lines: ModelLines, vector: Floats, sigma_px: float) -> tuple[Floats, Floats]:
-        """Returns the next (10,), and the information on what is free of it."""
+        """Returns the next (10,), and the information on what is free of it.
+
+        Eq. (R23) of docs/methods/region.md.
+        """
         laid = self._laid(lines, vector)
         ratios, distances = self._ratios(laid, sigma_px)
         shown = ratios / (ratios + 1.0 - _SHOWN)
@@ -128,7 +134,10 @@ class EdgeLikelihood:
         return stepped, information
 
     def _ratios(self, laid: Projected, sigma_px: float) -> tuple[Floats, Floats]:
-        """Returns (N,) how much likelier an edge of the line is than background, and its (N,) distance."""
+        """Returns (N,) how much likelier an edge of the line is than background, and its (N,) distance.
+
+        Eq. (R21) of docs/methods/region.md.
+        """
         count, (density, strength) = len(laid.pixels), self._background
         edges = self._edges.across(laid.pixels, laid.normals, _REACH * sigma_px)
         normal = np.exp(-0.5 * (edges.distances / sigma_px) ** 2) / (sigma_px * np.sqrt(2.0 * np.pi))

@@ -53,6 +53,8 @@ class Candidates(NamedTuple):
     def expected(self, count: int, sigma_px: float) -> tuple[Floats, Floats]:
         """Returns (count,) expected distances, and (count,) probabilities that there is an edge.
 
+        Eq. (F5) of docs/methods/flight.md.
+
         Args:
             count: Of points.
             sigma_px: Standard deviation of how far the photo's edge is from the line.

@@ -66,7 +66,10 @@ def _angles_of(rotation: Matrix) -> EulerAngles:
 
 
 def rotation_from_euler(angles: EulerAngles) -> Matrix:
-    """Returns cam_from_world, (3, 3), of a camera with the datasets' angles in degrees."""
+    """Returns cam_from_world, (3, 3), of a camera with the datasets' angles in degrees.
+
+    Eq. (M1) of docs/methods/index.md.
+    """
     world_from_cam = _rz_ry_rx(*angles) @ _FLIP_YZ
     return np.ascontiguousarray(world_from_cam.T)
 

@@ -154,7 +154,10 @@ class Camera:
         return replace(self, distortion=(), lens="OPENCV")
 
     def project(self, points_cam: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Returns (N, 2) pixels of (N, 3) points in camera axes, metres; NaN behind the camera."""
+        """Returns (N, 2) pixels of (N, 3) points in camera axes, metres; NaN behind the camera.
+
+        Eq. (M2) of docs/methods/index.md.
+        """
         points = np.asarray(points_cam, dtype=np.float64)
         z = np.where(points[:, 2] > 0, points[:, 2], np.nan)
         x, y = points[:, 0] / z, points[:, 1] / z

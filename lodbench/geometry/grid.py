@@ -26,7 +26,10 @@ class AxisRange:
             )
 
     def offsets(self) -> NDArray[np.float64]:
-        """Returns ``count`` offsets from -width/2 to +width/2, ends included; one sample is the centre."""
+        """Returns ``count`` offsets from -width/2 to +width/2, ends included; one sample is the centre.
+
+        Eq. (L1) of docs/methods/lodlocv2.md.
+        """
         if self.count == 1:
             return np.zeros(1)
         steps = np.arange(self.count, dtype=np.float64)

@@ -52,6 +52,8 @@ def assessed(
 ) -> Estimate:
     """Returns an answer with the uncertainty of the camera in its covariance, and a calibrated probability.
 
+    Eq. (M6) of docs/methods/index.md.
+
     Args:
         estimate: A method's answer, scene frame.
         query: What it answers.
@@ -93,6 +95,8 @@ def assessed(
 def camera_columns(laid: Projected, lines: ModelLines, prior_sigmas: Floats) -> Floats:
     """Returns (6, 4) how far an answer moves per unit that the camera is not as declared.
 
+    Eq. (M5) of docs/methods/index.md.
+
     The pose makes up for the camera as far as outlines weigh more than the prior: least squares, linearised.
 
     Args:
@@ -108,6 +112,8 @@ def camera_columns(laid: Projected, lines: ModelLines, prior_sigmas: Floats) -> 
 
 def edge_excess(edges: PhotoEdges, laid: Projected) -> float | None:
     """Returns which share of lines lies on edges of the photo, less what does by chance.
+
+    Eq. (M7) of docs/methods/index.md.
 
     None where there are few lines, or no edge anywhere beside them: such a photo contradicts nothing.
 

@@ -116,7 +116,10 @@ def _is_grey(photo: Picture) -> bool:
 
 
 def _local(channel: Picture) -> Picture:
-    """Returns a channel less most of its own average around each pixel: what haze and vignettes change."""
+    """Returns a channel less most of its own average around each pixel: what haze and vignettes change.
+
+    Eq. (R1) of docs/methods/region.md.
+    """
     around = mean_around(channel, channel.shape[1] / _LOCAL_PARTS)
     return np.asarray(channel - np.float32(_LOCAL_SHARE) * around, dtype=np.float32)
 

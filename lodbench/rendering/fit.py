@@ -76,7 +76,7 @@ class IouFit:
         self._words = pack_mask(mask)
 
     def __call__(self, words: Words) -> Floats:
-        """Returns the (N,) IoU of N silhouettes."""
+        """Returns the (N,) IoU of N silhouettes. Eq. (L3) of docs/methods/lodlocv2.md."""
         shared, area = count_overlaps(words, self._words)
         return _ratio(shared, area + count_bits(self._words) - shared)
 
@@ -115,7 +115,7 @@ class SoftIouFit:
         self._weight = _row_sums(weight)
 
     def __call__(self, words: Words) -> Floats:
-        """Returns the (N,) weighted soft IoU of N silhouettes."""
+        """Returns the (N,) weighted soft IoU of N silhouettes. Eq. (L8) of docs/methods/lodlocv2.md."""
         shared = sum_under(words, self._inside)
         return _ratio(shared, sum_under(words, self._weight) + self._outside_total - shared)
 
@@ -148,7 +148,7 @@ class BoundaryFit:
         self._grown = dilations(self._outline, self._valid, self.size[0], reach_px)
 
     def __call__(self, words: Words) -> Floats:
-        """Returns the (N,) fit of N silhouettes' outlines."""
+        """Returns the (N,) fit of N silhouettes' outlines. Eq. (L9) of docs/methods/lodlocv2.md."""
         length = count_bits(self._outline)
         to_query, from_query, lengths = distance_sums(
             words, self._outline, self._grown, self._valid, self.size[0]

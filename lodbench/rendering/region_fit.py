@@ -49,7 +49,7 @@ class RegionFit:
         )
 
     def __call__(self, words: Words) -> Floats:
-        """Returns the (N,) fit of N silhouettes."""
+        """Returns the (N,) fit of N silhouettes. Eqs. (R2), (R3) of docs/methods/region.md."""
         saved = code_lengths_saved(words, self._bins, self._totals, self._log_gamma)
         return np.asarray(np.maximum(saved, 0.0) / (self.size[0] * self.size[1]))
 
@@ -74,6 +74,6 @@ class ContourFit:
         self.size = self._beside.size
 
     def __call__(self, words: Words) -> Floats:
-        """Returns the (N,) fit of N silhouettes."""
+        """Returns the (N,) fit of N silhouettes. Eq. (R4) of docs/methods/region.md."""
         beside, upright = outline_sides(words, self.size[0])
         return np.asarray(self._beside(beside) + self._upright(upright))

@@ -15,6 +15,8 @@ _STRIDE = 3
 def mapped_overlap(silhouette: Mask, mask: Mask) -> float:
     """Returns how much more of the mapped buildings than of their surroundings a mask holds.
 
+    Eq. (C15) of docs/methods/contour_alignment.md.
+
     1 where both agree around the map's buildings, 0 where they do by chance; the surroundings are the pixels
     nearest to the silhouette, as many as it has. Buildings further off, which the map may lack, do not count.
     For masks that err little it is the IoU; an empty silhouette has 0.

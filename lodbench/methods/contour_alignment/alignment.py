@@ -105,7 +105,10 @@ class Linearization:
     iou: float
 
     def step(self) -> Floats:
-        """Returns (7,) the Gauss-Newton step, no longer than a linearisation is good for."""
+        """Returns (7,) the Gauss-Newton step, no longer than a linearisation is good for.
+
+        Eq. (C4) of docs/methods/contour_alignment.md.
+        """
         return shortened(np.asarray(-np.linalg.solve(self.information, self.gradient)))
 
 
@@ -161,6 +164,8 @@ class Aligner:
     def linearize(self, vector: Floats, reach_px: float, size: tuple[int, int]) -> Linearization | None:
         """Returns what the outlines say at a pose; None if too little outline is seen.
 
+        Eq. (C2) of docs/methods/contour_alignment.md.
+
         Args:
             vector: (7,) centre in metres, angles in degrees, and by how many percent the lens is longer.
             reach_px: Scale of the robust kernel, pixels of the fine size.
@@ -200,7 +205,10 @@ class Aligner:
         return sample_outline(self.edges, camera, pose, derivatives, silhouette, spacing), iou
 
     def measure(self, vector: Floats, size: tuple[int, int]) -> Residuals | None:
-        """Returns how far a pose's outline lies from the mask's; None if too little outline is seen."""
+        """Returns how far a pose's outline lies from the mask's; None if too little outline is seen.
+
+        Eq. (C1) of docs/methods/contour_alignment.md.
+        """
         level = self.level(size)
         points, iou = self.outline(vector, size)
         count = len(points)
@@ -254,6 +262,8 @@ def _distance(mask: Mask) -> NDArray[np.float32]:
 
 def _without_roofs(products: Floats, gradients: Floats, roof_m: float) -> tuple[Floats, Floats]:
     """Returns information (7, 7) and gradient (7,) with each building's height eliminated.
+
+    Eq. (C3) of docs/methods/contour_alignment.md.
 
     Args:
         products: (B, 8, 8) weighted products of slopes by building; the height comes last.

@@ -106,6 +106,8 @@ def _cuts(counts: NDArray[np.int64]) -> list[int]:
 def outline_noise(here: Residuals, distances: Floats) -> float:
     """Returns the standard deviation of the mask's outline in pixels, from the median distance.
 
+    Eq. (C8) of docs/methods/contour_alignment.md.
+
     Args:
         here: The points.
         distances: (N,) pixels, less what is known to be shared.
@@ -116,7 +118,7 @@ def outline_noise(here: Residuals, distances: Floats) -> float:
 
 
 def sum_up(points: Points, world: WorldErrors, shared: Floats, params: Params, anywhere: float) -> Sums:
-    """Returns what an outline says under a hypothesis.
+    """Returns what an outline says under a hypothesis. Eqs. (C5), (C10) of docs/methods/contour_alignment.md.
 
     Args:
         points: The outline.
@@ -173,6 +175,7 @@ def _covariance(
     roofs_and_bases: tuple[float, float, float],
     params: Params,
 ) -> Floats:
+    """Returns half of a chunk's covariance: Eqs. (C6), (C7) of docs/methods/contour_alignment.md."""
     return np.asarray(
         error_covariance(
             points.pixels[chunk],
@@ -199,7 +202,10 @@ def _judged(
 def _weights(
     here: Residuals, slopes: Floats, distances: Floats, noise_px: float, world: WorldErrors, params: Params
 ) -> Floats:
-    """Returns (N,) in (0, 1]: little for points far beyond what the hypothesis expects."""
+    """Returns (N,) in (0, 1]: little for points far beyond what the hypothesis expects.
+
+    Eq. (C9) of docs/methods/contour_alignment.md.
+    """
     expected = max(noise_px, 1.0) ** 2 + (slopes[:, CAMERA] ** 2) * (world.roof_m**2 + world.part_m**2)
     expected += (slopes[:, CAMERA + 1] * world.base_m) ** 2
     rough = float(np.clip((noise_px - _FINE_PX) / (_ROUGH_PX - _FINE_PX), 0.0, 1.0))

@@ -116,6 +116,8 @@ def sample_outline(
 ) -> OutlinePoints:
     """Returns points along those edges that separate a silhouette from what is not covered.
 
+    Eq. (M3) of docs/methods/index.md.
+
     Args:
         edges: Of the buildings in reach.
         camera: Pinhole of the silhouette's size.

@@ -1,4 +1,4 @@
-"""Parameters of the six-degree-of-freedom method; docs/adr/0013 says how the defaults were chosen."""
+"""Parameters of contour alignment; docs/methods/contour_alignment.md says where the defaults come from."""
 
 from __future__ import annotations
 
@@ -199,6 +199,8 @@ class Params:
 
     def over(self, pixels_per_m: float) -> Params:
         """Returns these parameters for buildings of such a scale, pixels of the fine size per metre.
+
+        Eq. (C16) of docs/methods/contour_alignment.md.
 
         Near buildings need closer starts. A degree is as many pixels over all: its stride grows instead.
         """

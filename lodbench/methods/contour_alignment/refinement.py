@@ -99,6 +99,7 @@ def refine(aligner: Aligner, vector: Floats, params: Params) -> Refined | None:
 
 
 def _mixture(aligner: Aligner, tracks: list[_Track]) -> Refined:
+    """Returns what is left as a mixture of Gaussians: Eq. (C12) of docs/methods/contour_alignment.md."""
     best = max(tracks, key=lambda track: track.evidence)
     # A hypothesis followed on several tracks counts once: where it explains most.
     found: dict[tuple[str, bool, bool], Mode] = {}
@@ -153,7 +154,10 @@ def _likeliest(modes: Iterable[Mode], *, needs_tilt: bool, needs_lens: bool) -> 
 
 
 def _modes(offset: Floats, world: WorldErrors, shared: Floats, said: Sums, params: Params) -> list[Mode]:
-    """Returns a world's hypotheses of tilt and lens, given how far from the prior the camera stands, (7,)."""
+    """Returns a world's hypotheses of tilt and lens, given how far from the prior the camera stands, (7,).
+
+    Eq. (C11) of docs/methods/contour_alignment.md.
+    """
     away = np.concatenate([offset, shared - world.shared_mean])
     modes = []
     for is_tilt_free, is_lens_free in product((False, True), repeat=2):

@@ -49,7 +49,10 @@ class Answer:
 
 
 def answer_of(refined: Refined) -> Answer:
-    """Returns the answer that a mixture of hypotheses gives."""
+    """Returns the answer that a mixture of hypotheses gives.
+
+    Eq. (C13) of docs/methods/contour_alignment.md.
+    """
     kept = int(np.count_nonzero(refined.weights >= _LEAST_WEIGHT))
     modes, weights = refined.modes[:kept], refined.weights[:kept] / refined.weights[:kept].sum()
     counts = np.maximum(8, np.rint(_DRAWS * weights).astype(int))
@@ -74,6 +77,8 @@ def answer_of(refined: Refined) -> Answer:
 
 def among_rivals(answer: Answer, ends: Floats, ious: Floats) -> Answer:
     """Returns an answer whose probabilities are shared with places where the silhouette fits nearly as well.
+
+    Eq. (C14) of docs/methods/contour_alignment.md.
 
     Outlines there are other points, whose densities do not compare with the answer's; IoUs do.
 
@@ -125,6 +130,8 @@ def _others(
 
 def probability_within(covariance_6: Floats, vector: Floats) -> float:
     """Returns the probability that an estimate with a Gaussian error lies within (2 m, 2 deg).
+
+    Eq. (M4) of docs/methods/index.md.
 
     Args:
         covariance_6: (6, 6) of x, y, z (metres), pitch, roll and yaw (degrees).

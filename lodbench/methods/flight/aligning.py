@@ -99,7 +99,10 @@ class _Evidence:
 
 
 def _leave_out_lost(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> None:
-    """Takes the weight from photos that are further from where the flight says than sensors err."""
+    """Takes the weight from photos that are further from where the flight says than sensors err.
+
+    Eq. (F15) of docs/methods/flight.md.
+    """
     gaps = differences(state.vectors, state.priors) - state.offset
     away = np.sqrt(((gaps / params.own_sigmas()) ** 2).mean(axis=1))
     fits = np.array([0.0 if term is None else term.overlap for term in terms])

@@ -72,6 +72,8 @@ def building_heights(
 ) -> dict[int, BuildingHeight]:
     """Returns the heights of buildings whose outlines or pixels tell them, by row of the scene.
 
+    Eq. (F20) of docs/methods/flight.md.
+
     Args:
         aligned: Where the flight ended.
         curves: What pixels say of heights; see ``sweep_roofs``.

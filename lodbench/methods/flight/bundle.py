@@ -175,7 +175,10 @@ def _is_wide(seen: Observations, vectors: Floats, points: Floats) -> NDArray[np.
 def _step(
     seen: Observations, vectors: Floats, points: Floats, start: Floats, sigmas: Floats, reach: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Returns a Gauss-Newton step of poses (P, 6) and of points (T, 3), and residuals (N, 2) before it."""
+    """Returns a Gauss-Newton step of poses (P, 6) and of points (T, 3), and residuals (N, 2) before it.
+
+    Eq. (F9) of docs/methods/flight.md.
+    """
     of_pose, of_point, residuals = _linearized(seen, vectors, points)
     weights = 1.0 / (1.0 + (residuals**2).sum(axis=1) / reach**2) / reach**2
     in_front = np.isfinite(weights)

@@ -24,6 +24,8 @@ def flight_error(
 ) -> tuple[Floats, float]:
     """Returns (6,) what the sensors of a flight are wrong about alike, and the mean IoU with it.
 
+    Eq. (F14) of docs/methods/flight.md.
+
     Args:
         queries: The photos.
         priors: (P, 6) what the sensors said, metres and degrees.

@@ -67,7 +67,7 @@ class ErrorGroup:
         self._record(np.tile(rows, 2), columns, slopes, roots * gaps)
 
     def scale_after(self, factorised: SuperLU, step: Floats, members: int) -> float:
-        """Returns the scale that a solution calls for.
+        """Returns the scale that a solution calls for. Eq. (F12) of docs/methods/flight.md.
 
         Args:
             factorised: The curvature.

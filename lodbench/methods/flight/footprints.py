@@ -22,6 +22,8 @@ def footprint_covariance(
 ) -> Floats:
     """Returns the covariance of what all cameras are off by with the buildings they show, (size, size).
 
+    Eq. (F17) of docs/methods/flight.md.
+
     East and north come first, square metres; all else is 0.
 
     Args:

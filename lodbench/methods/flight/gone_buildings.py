@@ -35,6 +35,8 @@ _SIZE_STEP = 0.25
 def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, Any]]:
     """Returns the map's buildings that photos do not show, the surest first.
 
+    Eq. (F23) of docs/methods/flight.md.
+
     Each with ``id``, ``probability``, the ``photos`` that should show it and do not, and ``apart_deg``
     between the directions that they look from: photos from one side err alike.
     """

@@ -34,7 +34,7 @@ _LONGEST_STEP = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0])
 
 
 def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> Solution:
-    """Returns one Gauss-Newton step of the joint problem.
+    """Returns one Gauss-Newton step of the joint problem. Eqs. (F1), (F2) of docs/methods/flight.md.
 
     Args:
         state: Where it stands.
@@ -145,7 +145,10 @@ def _add_alike(group: ErrorGroup, these: Rows, those: Rows | int, gaps: Floats, 
 
 
 def precisions_of(gaps: Floats, sigma_m: float) -> Floats:
-    """Returns how precisely heights are known beforehand that are so far apart now: of Student's t."""
+    """Returns how precisely heights are known beforehand that are so far apart now: of Student's t.
+
+    Eq. (F7) of docs/methods/flight.md.
+    """
     sigma = max(sigma_m, 1e-4)
     return np.asarray((_FREEDOM + 1.0) / (_FREEDOM + (gaps / sigma) ** 2) / sigma**2)
 

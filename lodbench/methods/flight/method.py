@@ -297,6 +297,8 @@ class FlightMethod:
     def _misfit(self, state: State) -> float:
         """Returns by how much less all is known where photos agree on what masks and map can hardly be.
 
+        Eq. (F19) of docs/methods/flight.md.
+
         Masks that are all far too large, or roofs all far too high, stand for an error of another kind.
         """
         common = slice(6 + LENS - 1, CONSTANTS)

@@ -109,7 +109,10 @@ def _squares(views: Sequence[View], corner: Floats, counts: tuple[int, int]) -> 
 
 
 def _shares(places: Floats, ground: _Ground, views: Sequence[View], known: Sequence[Mask]) -> Floats:
-    """Returns which share of the photos that see (N, 2) places past buildings call them one, (H, N)."""
+    """Returns which share of the photos that see (N, 2) places past buildings call them one, (H, N).
+
+    Eq. (F24) of docs/methods/flight.md.
+    """
     hits = np.zeros((len(_HEIGHTS_M), len(places)))
     looks = np.zeros_like(hits)
     floors, heights = ground.at(places), np.array(_HEIGHTS_M)

@@ -1,4 +1,4 @@
-"""Parameters of the joint alignment of flights."""
+"""Parameters of the joint alignment of flights; docs/methods/flight.md says where defaults come from."""
 
 from __future__ import annotations
 
@@ -133,6 +133,8 @@ class Params:
 
     def with_scatter(self, gaps: Floats) -> Params:
         """Returns the parameters with photos' own errors as large as they are found to be, or as declared.
+
+        Eq. (F13) of docs/methods/flight.md.
 
         Args:
             gaps: (P, 6) where a block of photos has each, less what sensors say: metres and degrees.

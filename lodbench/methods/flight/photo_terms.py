@@ -179,6 +179,8 @@ def summed_up(
 ) -> PhotoTerms:
     """Returns the quadratic that residuals make under errors that go together.
 
+    Eq. (F3) of docs/methods/flight.md.
+
     Args:
         seen: The residuals, where the heights found have moved the points.
         rows: (N,) of the scene's buildings that they are of.
@@ -252,7 +254,10 @@ def _covariance(
 
 
 def _through_lens(aligner: Aligner, points: OutlinePoints, lens: Floats, size: tuple[int, int]) -> Residuals:
-    """Returns outline points as a lens of another focal length and with distortion shows them."""
+    """Returns outline points as a lens of another focal length and with distortion shows them.
+
+    Eq. (F6) of docs/methods/flight.md.
+    """
     level = aligner.level(size)
     camera = level.camera
     away = points.pixels - np.array([camera.cx, camera.cy])
@@ -277,6 +282,8 @@ def _through_lens(aligner: Aligner, points: OutlinePoints, lens: Floats, size: t
 
 def _outline_noise(seen: Residuals, reach_px: float | None) -> tuple[float, Floats]:
     """Returns the standard deviation of the mask's outline in pixels, and (N,) how far points count.
+
+    Eq. (F4) of docs/methods/flight.md.
 
     Points are on the outline, or on none: trees and holes cut into a mask, yards and neighbours add to it.
     How often they do either, and how far the rest is off, is found from the view itself (expectation

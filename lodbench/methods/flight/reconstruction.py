@@ -53,7 +53,7 @@ class Reconstruction:
         return None if found is None else replace(found, mount=self.mount)
 
     def moved(self, step: Floats) -> Reconstruction:
-        """Returns it after a step of its (10,) unknowns."""
+        """Returns it after a step of its (10,) unknowns. Eq. (F10) of docs/methods/flight.md."""
         turn, tip = (Rotation.from_rotvec(step[part]).as_matrix() for part in (slice(3, 6), MOUNT))
         scale = float(np.exp(step[6]))
         poses = {
@@ -67,6 +67,8 @@ class Reconstruction:
 
     def linearize(self, photo: int, vectors: Floats, derivatives: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Returns (6,) how far a photo's pose is from its own, and (6, 16) the change per unit of both.
+
+        Eq. (F10) of docs/methods/flight.md.
 
         Args:
             photo: Its number.

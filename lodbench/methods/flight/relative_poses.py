@@ -44,6 +44,8 @@ class RelativePose:
     ) -> tuple[Floats, Floats]:
         """Returns (5,) how far two poses are from it, and (5, 13) the change per unit of them and the focal.
 
+        Eq. (F8) of docs/methods/flight.md.
+
         Args:
             vectors: (P, 6) poses of all photos, metres and degrees.
             derivatives: Of each, from ``rotation_derivatives``.
@@ -74,7 +76,10 @@ class RelativePose:
 
 
 def robust(information: Floats, residuals: Floats) -> Floats:
-    """Returns an information matrix scaled by Cauchy's weight of its residuals."""
+    """Returns an information matrix scaled by Cauchy's weight of its residuals.
+
+    Eq. (F11) of docs/methods/flight.md.
+    """
     square = float(residuals @ information @ residuals) / len(residuals)
     return information / (1.0 + square / _OUTLIER_SIGMAS**2)
 

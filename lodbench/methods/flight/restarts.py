@@ -65,7 +65,7 @@ class Ends:
 
 
 def ends_of(found: Sequence[tuple[Floats, Floats, float]]) -> Ends:
-    """Returns where starts end, but for those that fit worse.
+    """Returns where starts end, but for those that fit worse. Eq. (F16) of docs/methods/flight.md.
 
     Args:
         found: Of each end (P, 6) poses of the same photos, (13,) what they share, and the mean IoU; the first

@@ -41,7 +41,7 @@ class EdgeEvidence(NamedTuple):
     photos: int
 
     def nats(self) -> Floats:
-        """Returns (H,) how well each height explains the photos."""
+        """Returns (H,) how well each height explains the photos. Eq. (F22) of docs/methods/flight.md."""
         return np.asarray(_ALONE * math.sqrt(min(self.seen, _MOST_SEEN)) * self.logs / self.seen)
 
 

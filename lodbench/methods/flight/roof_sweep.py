@@ -216,6 +216,8 @@ def _take_exposures_away(roofs: Mapping[int, Floats], seen: Mapping[int, Sequenc
 def _curve(points: Floats, photos: Sequence[_Shown]) -> RoofCurve | None:
     """Returns how well heights of a roof explain its photos; None where too little is seen often enough.
 
+    Eq. (F21) of docs/methods/flight.md.
+
     Args:
         points: (N, 4) of the roof, and which share of the building's height they have.
         photos: Those that show it.

@@ -47,7 +47,10 @@ class Solution:
     pulls: Floats
 
     def moved_by_places(self) -> Floats:
-        """Returns (S, 2 N) how unknowns move per metre that each building stands east and north off."""
+        """Returns (S, 2 N) how unknowns move per metre that each building stands east and north off.
+
+        Eq. (F18) of docs/methods/flight.md.
+        """
         return np.asarray(-self.factorised.solve(self.pulls)) if self.pulls.size else self.pulls
 
     def scales(self) -> Floats:

@@ -115,7 +115,10 @@ def search(
 
 
 def select(score: Scoring, centers: Floats, yaws_deg: Floats) -> Particles:
-    """Returns the one best pose of a grid; ties go to the first (paper section 3.2)."""
+    """Returns the one best pose of a grid; ties go to the first (paper section 3.2).
+
+    Eq. (L4) of docs/methods/lodlocv2.md.
+    """
     scored = score(centers, yaws_deg)
     return _take(scored, np.array([int(np.argmax(scored.scores))]))
 
@@ -124,6 +127,8 @@ def refine(
     score: Scoring, start: Particles, params: Params, streams: Streams
 ) -> tuple[Particles, dict[str, tuple[float, ...]]]:
     """Returns the best pose after the filter's last step, and the best score after each step.
+
+    Eq. (L7) of docs/methods/lodlocv2.md.
 
     The scores are those of all beams (``fine``) and of each (``fine beam 1`` and so on).
 
@@ -149,7 +154,10 @@ def refine(
 def _moved(
     beams: list[Particles], params: Params, scale: float, generator: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Returns moved copies of every beam's kept poses: centres (N, 3) and yaws (N,), beam by beam."""
+    """Returns moved copies of every beam's kept poses: centres (N, 3) and yaws (N,), beam by beam.
+
+    Eq. (L5) of docs/methods/lodlocv2.md.
+    """
     copies = params.children_per_parent
     centers = np.concatenate([np.repeat(beam.centers, copies, axis=0) for beam in beams])
     yaws = np.concatenate([np.repeat(beam.yaws_deg, copies) for beam in beams])

@@ -1,4 +1,4 @@
-"""Parameters of LoD-Loc v2; the defaults are the paper's where it gives them (docs/adr/0002)."""
+"""Parameters of LoD-Loc v2; the defaults are the paper's where it gives them (docs/methods/lodlocv2.md)."""
 
 from __future__ import annotations
 
@@ -97,6 +97,8 @@ class Params:
     def for_prior(self, prior: UniformPrior) -> Params:
         """Returns these parameters with a grid that covers a prior's error at the same stride.
 
+        Eq. (L2) of docs/methods/lodlocv2.md.
+
         An axis of one sample has no stride and stays as it is.
         """
         wanted = {"x": prior.x_m, "y": prior.y_m, "z": prior.z_m, "yaw": prior.yaw_deg}
@@ -114,5 +116,8 @@ class Params:
         return replace(self, **changes)  # type: ignore[arg-type]
 
     def scale(self, step: int) -> float:
-        """Returns the factor on sigma and spread at a step: linear decay with a floor at gamma."""
+        """Returns the factor on sigma and spread at a step: linear decay with a floor at gamma.
+
+        Eq. (L6) of docs/methods/lodlocv2.md.
+        """
         return max(self.gamma, (self.steps - step) / self.steps)

@@ -65,7 +65,10 @@ class Aligned(NamedTuple):
         return float(whole[0] - whole[1])
 
     def lead_over(self, other: Aligned) -> float:
-        """Returns by how many nats its lines are likelier than another's, at least in the eyes of either."""
+        """Returns by how many nats its lines are likelier than another's, at least in the eyes of either.
+
+        Eq. (R15) of docs/methods/region.md.
+        """
         both = np.stack([self.vector, other.vector])
         return min(float(lines(both) @ (1.0, -1.0)) for lines in (self.lines, other.lines))
 
@@ -85,7 +88,10 @@ class _Round(NamedTuple):
     cloud: Cloud
 
     def evidence(self) -> float:
-        """Returns the logarithm of what speaks for where it is, up to a constant that all starts share."""
+        """Returns the logarithm of what speaks for where it is, up to a constant that all starts share.
+
+        Eq. (R13) of docs/methods/region.md.
+        """
         here = self.vector[None]
         regions = _REGIONS_SHARE * self.regions.nats(here) + self.regions.log_prior(here)
         return float((self.lines(here) + regions)[0])

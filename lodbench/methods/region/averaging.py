@@ -74,6 +74,8 @@ def posterior_mean(
 ) -> Floats:
     """Returns the mean of the posterior around a point, (D,): a pose, and what else is not known.
 
+    Eq. (R16) of docs/methods/region.md.
+
     By adaptive multiple importance sampling: poses are drawn from a Gaussian, the next Gaussian is that of
     all poses so far, and each weighs what the posterior is there over the mean density of all Gaussians
     (Cornuet et al., "Adaptive multiple importance sampling", 2012; docs/adr/0066).
@@ -108,7 +110,10 @@ def posterior_mean(
 
 
 def _share_that_leaves(least_m: float, poses: Floats, nats: Floats, rest: Floats) -> float:
-    """Returns which share of the nats leaves the place so wide, metres; all where they do."""
+    """Returns which share of the nats leaves the place so wide, metres; all where they do.
+
+    Eq. (R17) of docs/methods/region.md.
+    """
 
     def excess(log_share: float) -> float:
         _, covariance = _moments(poses, math.exp(log_share) * nats + rest)

@@ -50,7 +50,7 @@ class PhotoFit:
         self._contour = ContourFit(*edge_bins(photo, size, params.edge_blur_px))
 
     def __call__(self, words: Words) -> Floats:
-        """Returns the (N,) fit of N silhouettes, nats per pixel."""
+        """Returns the (N,) fit of N silhouettes, nats per pixel. Eq. (R5) of docs/methods/region.md."""
         regions = self._region(words)
         return regions + self.edge_weight * self._contour(words) if self.edge_weight > 0 else regions
 
@@ -109,11 +109,17 @@ class Evidence:
         return self.nats(vectors) + self.log_prior(vectors)
 
     def nats(self, vectors: Floats) -> Floats:
-        """Returns the (N,) logarithm of the likelihood of poses or cameras, up to a constant."""
+        """Returns the (N,) logarithm of the likelihood of poses or cameras, up to a constant.
+
+        Eq. (R6) of docs/methods/region.md.
+        """
         return np.asarray(self._samples * self.fits(vectors))
 
     def log_prior(self, vectors: Floats) -> Floats:
-        """Returns the (N,) logarithm of the prior of poses (N, 6), up to a constant."""
+        """Returns the (N,) logarithm of the prior of poses (N, 6), up to a constant.
+
+        Eq. (R7) of docs/methods/region.md.
+        """
         offsets = self.offsets(vectors)
         beyond = np.maximum(np.abs(offsets) - self._range, 0.0) / (_EDGE_SHARES * self._range)
         through = np.maximum(np.abs(offsets) - _WALLS * self._range, 0.0) / (_WALL_SHARE * self._range)

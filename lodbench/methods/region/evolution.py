@@ -128,6 +128,8 @@ class _Walkers:
     def walk(self, values: Floats) -> None:
         """Moves each towards the better half of its generation drawn last, and learns its shape.
 
+        Eq. (R9) of docs/methods/region.md.
+
         Args:
             values: (W, M) of the points.
         """

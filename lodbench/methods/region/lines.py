@@ -48,6 +48,8 @@ _LEAST_SIGMA_M = 1e-9
 def _log_ratios() -> Floats:
     """Returns (A, 16): by strength, how much likelier a level is on a line than anywhere, logarithm.
 
+    Eq. (R10) of docs/methods/region.md.
+
     Anywhere, levels are equally likely; on a line their density rises with the cube.
     """
     rise = ((np.arange(EDGE_LEVELS) + 0.5) / EDGE_LEVELS) ** 3
@@ -112,6 +114,8 @@ class LineFit:
     def __call__(self, vectors: Floats, share: float = 1.0) -> Floats:
         """Returns the (N,) logarithm of the likelihood of cameras and the map (N, 10), up to a constant.
 
+        Eq. (R11) of docs/methods/region.md.
+
         How strongly edges stand out along outlines and along creases is taken as fits the first pose best.
 
         Args:
@@ -142,6 +146,8 @@ class LineFit:
 
     def sharpness(self, vector: Floats) -> float:
         """Returns which share of their height edges have lost 3 to 4 pixels beside the lines.
+
+        Eq. (R14) of docs/methods/region.md.
 
         1 beside lines drawn by a pen, 0 or less where nothing stands out.
         """

@@ -37,6 +37,8 @@ def covariance_under_map_errors(
 ) -> Floats:
     """Returns the covariance (6, 6) of an answer's error, metres and degrees.
 
+    Eq. (R19) of docs/methods/region.md.
+
     An answer is where the slopes of likelihood and prior cancel; each error of the map adds to the former in
     the way in which it moves the outline. So the curvature is that of outlines whose every pixel is worth the
     same, and the error is the sandwich of that curvature and the variance of its slope (White, "Maximum

@@ -1,4 +1,4 @@
-"""Parameters of region-based localisation; docs/adr/0021 says how the defaults were chosen."""
+"""Parameters of region-based localisation; docs/methods/region.md says where the defaults come from."""
 
 from __future__ import annotations
 

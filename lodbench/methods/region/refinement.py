@@ -26,6 +26,8 @@ def surer_by_edges(
 ) -> EdgeAlignment | None:
     """Returns an answer refined by the edges of roofs, or None where these are no surer of the place.
 
+    Eq. (R24) of docs/methods/region.md.
+
     Edges have to be likelier there, plainly likelier than background, and leave the smaller variance; the
     answer's tilt must not have overruled the prior's.
 

@@ -200,7 +200,7 @@ class RoofEvidence:
         return nats
 
     def log_prior(self, vectors: Floats) -> Floats:
-        """Returns the (N,) logarithm of the prior, up to a constant."""
+        """Returns the (N,) logarithm of the prior, up to a constant. Eq. (R12) of docs/methods/region.md."""
         poses, eaves = self._evidence(0).log_prior(vectors[:, POSE]), vectors[:, EAVES]
         roofs_sigma_m, feet_sigma_m, wide = self._sigmas_m
         exact = np.minimum(_EXACT_M, wide)

@@ -163,6 +163,8 @@ class Surroundings:
     ) -> Cloud | None:
         """Returns poses whose outlines lie about ``spread_px`` apart, or the prior allows no more.
 
+        Eq. (R8) of docs/methods/region.md.
+
         None where no outline is in view.
 
         Args:

@@ -56,7 +56,7 @@ TYPICAL_LINES, NO_LINES = LineSigns(1.1, 150.0, 0.5), LineSigns(3.0, 0.0, 0.0)
 
 
 def trust_of(signs: Signs) -> float:
-    """Returns the probability that an answer is within (2 m, 2 deg)."""
+    """Returns the probability that an answer is within (2 m, 2 deg). Eq. (R20) of docs/methods/region.md."""
     probability = np.clip(signs.probability, _LEAST_PROBABILITY, 1.0 - _LEAST_PROBABILITY)
     return float(
         expit(

@@ -25,6 +25,8 @@ def information_at(
 ) -> Floats:
     """Returns the curvature (6, 6) of the likelihood at a mode: what the photo says if the map is right.
 
+    Eq. (R18) of docs/methods/region.md.
+
     A quadratic is fitted to the likelihood of poses around the mode. What curves upwards there says nothing.
 
     Args:
@@ -54,6 +56,8 @@ def information_at(
 
 def share_of_best(evidence: Floats) -> float:
     """Returns the posterior share of the best of some modes, their widths taken to be alike.
+
+    Eq. (R13) of docs/methods/region.md.
 
     Args:
         evidence: (M,) the logarithm of what speaks for each, up to a constant.
