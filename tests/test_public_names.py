@@ -35,6 +35,7 @@ PUBLIC = [
 ]
 PLUG_INS = {
     "lodbench.methods": [
+        "auto",
         "lodlocv2",
         "contour_alignment",
         "flight",
@@ -139,6 +140,7 @@ ARGUMENTS = {
         "threads",
         "lens_percent",
         "camera_sigmas",
+        "segment",
     ],
     "localize_flight": ["photos", "city", "options"],
     "localize_photo": ["photo", "city", "options"],

@@ -37,7 +37,7 @@ _LOGGER = logging.getLogger(__name__)
 # Exit code where there is a pose, and it is more likely wrong than right.
 NOT_TRUSTED = 3
 # The methods of one photo, by what there is of it.
-_BY_MASK, _BY_PIXELS = "contour_alignment", "region"
+_BY_MASK, _BY_PIXELS = "contour_alignment", "auto"
 _NO_FLIGHT = "Leave --each-alone and --method out."
 # Of the help.
 _OPTION = "a setting of it, as in lodbench run --help; may be repeated"
@@ -50,8 +50,8 @@ probable it is that the pose is right.
 _EXAMPLES = """\
 One photo: the rough pose comes from the photo's metadata (EXIF, and XMP of DJI, Autel, Parrot or Skydio);
 options given here take precedence. Without a mask the photo's own pixels are aligned with the map (--method
-region); where they leave the pose open, a network makes a mask, and the more probable of the two poses is
-taken. The search covers 10 m around the rough pose, 30 m up and down and 7.5 degrees to either side;
+auto, by region); where they leave the pose open, a network makes a mask, and the more probable of the two
+poses is taken. The search covers 10 m around the rough pose, 30 m up and down and 7.5 degrees to either side;
 --prior-range, --prior-height and --prior-yaw widen it.
 
 Several photos, or a folder, are taken as flights, separated by camera and by the time in EXIF, and each is
@@ -201,12 +201,16 @@ def _method(asked: argparse.Namespace, is_one: bool, masks: Path | None) -> Meth
 
     given = [name for name in ("mask", "masks", "segmenter", "segmenter_option") if getattr(asked, name)]
     named = [f"--{name.replace('_', '-')}" for name in given]
-    alone = _BY_MASK if named or masks is not None else _BY_PIXELS
+    # Settings without a method are those of the one by pixels, which looks at no mask.
+    by_pixels = "region" if asked.method_option else _BY_PIXELS
+    alone = _BY_MASK if named or masks is not None else by_pixels
     name = asked.method or (alone if is_one or asked.each_alone else "flight")
     method = with_prior_width(
         configure_method({**option_pairs(asked.method_option), "name": name}), asked
     ).make()
-    if named and "mask" not in method.requires:
+    takes_mask = "mask" in method.requires
+    makes_mask = "mask_on_demand" in method.requires and not (asked.mask or asked.masks)
+    if named and not takes_mask and not makes_mask:
         hint = f"Leave {named[0]} out, or take --method {_BY_MASK}."
         raise ConfigError(f"Method {method.name} looks at no mask.", hint)
     return method
@@ -214,16 +218,12 @@ def _method(asked: argparse.Namespace, is_one: bool, masks: Path | None) -> Meth
 
 def _request(asked: argparse.Namespace, photo: Path, method: Method, masks: Path | None) -> PhotoRequest:
     from lodbench.harness.photo.request import PhotoRequest
-    from lodbench.methods.registry import configure_method
 
-    segmenter = by_mask = None
-    if asked.mask is None and masks is None and "mask" in method.requires:
+    segmenter = None
+    if asked.mask is None and masks is None and {"mask", "mask_on_demand"} & set(method.requires):
         segmenter = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
-    elif asked.method is None and method.name == _BY_PIXELS:
-        segmenter = segmenter_of(FOR_PHOTOS)
-        by_mask = with_prior_width(configure_method({"name": _BY_MASK}), asked).make()
     own = {"photo": photo, "mask": asked.mask, "segmenter": segmenter, "seed": asked.seed}
-    own |= {"method": method, "by_mask": by_mask}
+    own |= {"method": method}
     return PhotoRequest(**city_settings(asked), **rough_settings(asked), **own)
 
 
@@ -304,7 +304,8 @@ def parser() -> Parser:
     add(
         "--method",
         metavar="NAME",
-        help="default: flight; for one photo region, or with --mask or --segmenter contour_alignment",
+        help="default: flight; for one photo auto, with --mask or --segmenter contour_alignment, with "
+        "--method-option region",
     )
     add("--method-option", action="append", default=[], metavar="KEY=VALUE", help=_OPTION)
     add("--each-alone", action="store_true", help="localise each of several photos by itself")

@@ -15,6 +15,7 @@ class Input(StrEnum):
     Attributes:
         MASK: Probability of building at each pixel. Of a dataset: masks made beforehand.
         INSTANCES: A mask of each building in the photo. Of a dataset: labels made beforehand.
+        MASK_ON_DEMAND: Such a mask where the method calls ``Query.segment``, and only then.
         IMAGE: The photo.
         REFERENCES: Posed pictures of the place.
         TEXTURED_MAP: A city model with photographed surfaces.
@@ -26,6 +27,7 @@ class Input(StrEnum):
 
     MASK = "mask"
     INSTANCES = "instances"
+    MASK_ON_DEMAND = "mask_on_demand"
     IMAGE = "image"
     REFERENCES = "references"
     TEXTURED_MAP = "textured_map"
@@ -43,6 +45,7 @@ _WORDS = {
         "Put labels (0 = none, one value per building) in each split's folder instances, or name a segmenter "
         "that makes them: segmenter=NAME.",
     ),
+    Input.MASK_ON_DEMAND: ("what makes masks", "Name a segmenter that makes them: segmenter=NAME."),
     Input.IMAGE: (
         "photos",
         "Put them in Query_image; "

@@ -30,8 +30,9 @@ class Query:
         image: The photo, or None where the dataset has none.
         hypotheses: All rough poses the dataset states, the prior first; may be empty.
         instances: (N, H, W) bool, read-only, a mask of each building, for a method that requires them.
-        segment: Returns the mask again, guided by the map from a better pose (scene frame), where the
-            segmenter is one that looks at the map; None otherwise. Raises QueryFault.
+        segment: Returns the mask that the segmenter makes, for a method that requires masks on demand; or
+            the mask again, guided by the map from a better pose (scene frame), where the segmenter is one
+            that looks at the map; None otherwise. Raises QueryFault.
         true_pixels: Returns where (N, 3) points of the scene are in the photo in truth, (N, 2) COLMAP
             pixels, NaN behind the camera: for a method that requires it, which is an oracle and told as one.
         sequence: Name of the flight it was taken on, unique within its split; "" where nobody says.

@@ -62,7 +62,7 @@ def assessed(
             priors are taken.
         is_camera_solved: Whether what is not known of the camera stands in the covariance already.
     """
-    if estimate.probability is None:
+    if estimate.probability is None or estimate.is_assessed:
         return estimate
     vector = vector_from_pose(estimate.pose)
     camera = _small(query.camera)
@@ -89,7 +89,9 @@ def assessed(
     for doubt in (*_bounds(query, vector, params), *_edge_doubts(query, laid, lines, camera)):
         notes.append(doubt)
         probability = min(probability, _DOUBTFUL)
-    return replace(estimate, covariance=covariance, probability=probability, notes=tuple(notes))
+    return replace(
+        estimate, covariance=covariance, probability=probability, notes=tuple(notes), is_assessed=True
+    )
 
 
 def camera_columns(laid: Projected, lines: ModelLines, prior_sigmas: Floats) -> Floats:

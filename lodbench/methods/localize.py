@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -36,6 +37,7 @@ def localize(
     threads: int | None = None,
     lens_percent: float | None = None,
     camera_sigmas: CameraSigmas | None = None,
+    segment: Callable[[Pose], NDArray[np.float32]] | None = None,
 ) -> Estimate:
     """Returns the pose of one photo, from its building mask or its pixels, and a rough pose.
 
@@ -52,6 +54,8 @@ def localize(
         threads: Threads of the renderer, None for one per core; never changes the answer.
         lens_percent: Standard deviation of the camera's focal length, percent, where that is not calibrated.
         camera_sigmas: Standard deviations of all of the camera's numbers; None: as calibrated.
+        segment: Makes a mask as of ``mask``, for a method that has one made where it needs it; its argument,
+            the pose to guide it, is in the scene's frame.
 
     Raises:
         QueryFault: The mask is not as described or holds no building, or no building is near the prior.
@@ -71,6 +75,7 @@ def localize(
         photo,
         lens_percent=lens_percent,
         camera_sigmas=camera_sigmas,
+        segment=segment,
     )
     city_map = CityMap(scene, threads=threads)
     streams = partial(random_stream, seed, "localize", "photo")

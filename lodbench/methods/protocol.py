@@ -39,6 +39,8 @@ class Estimate:
         alternative_probabilities: How probable it is that the camera is near each of these rather, where the
             method knows it.
         notes: What a reader should know of the answer, in sentences.
+        mask: The mask that the answer rests on, where the method had it made (``Query.segment``).
+        is_assessed: Whether covariance and probability went through ``assessment.assessed`` already.
     """
 
     pose: Pose
@@ -51,6 +53,8 @@ class Estimate:
     alternatives: tuple[Pose, ...] = ()
     alternative_probabilities: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
+    mask: NDArray[np.float32] | None = field(default=None, repr=False)
+    is_assessed: bool = False
 
 
 class Method(Protocol):

@@ -107,7 +107,8 @@ class TestFromPixels:
         alone = localize(capsys, case, tmp_path / "out", code=3)
         right, prior = pose_of(alone["pose"]), pose_of(alone["prior"])
         assert pose_error(right, case.truth).translation_m < 2.0
-        assert any("efficient_unet made" in note and "10 %" in note for note in alone["notes"])
+        assert any("a segmenter's mask" in note and "10 %" in note for note in alone["notes"])
+        assert "the mask was made by efficient_unet" in alone["notes"]
         # What the pixels said is still there, as another place.
         other = alone["alternatives"][0]
         assert pose_of(other).center == pytest.approx(prior.center + 20.0)
@@ -123,7 +124,7 @@ class TestFromPixels:
             patch.setattr(EfficientUnet, "segment", lambda *_: nothing)
             kept = localize(capsys, case, tmp_path / "nothing", code=3)
         assert pose_of(kept["pose"]).center == pytest.approx(right.center)
-        assert any("a network's mask was tried as well, without result" in note for note in kept["notes"])
+        assert any("a mask was tried as well, without result" in note for note in kept["notes"])
         # A method that was named, and an answer that is to be trusted, have no second one.
         region_says(0.1)
         assert localize(capsys, case, tmp_path / "named", "--method", "region", code=3)["moved_m"] == 0.0

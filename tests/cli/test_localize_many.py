@@ -167,7 +167,7 @@ class TestCodeOfOthers:
         out = tmp_path / "out"
         assert main(["localize", str(case.photo), "--city", str(case.city), "--out", str(out)]) == 2
         error = capsys.readouterr().err
-        assert error.splitlines()[0] == "lodbench: method region raised ZeroDivisionError"
+        assert error.splitlines()[0] == "lodbench: method auto raised ZeroDivisionError"
         assert str(out / "tracebacks" / f"{case.photo.name}.txt") in error
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,10 +21,14 @@ from lodbench.datasets.photo_notes import place_notes, xmp_note
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
-from lodbench.harness.photo.by_mask import more_probable
 from lodbench.harness.photo.depth import telling_of_depth
 from lodbench.harness.photo.outputs import PhotoView, photo_features, write_photo_overlay
-from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo, undistorted_photo
+from lodbench.harness.photo.prepare import (
+    PreparedPhoto,
+    pinhole_mask,
+    prepare_photo,
+    undistorted_photo,
+)
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
 from lodbench.harness.tracebacks import told_as_fault
 from lodbench.methods import Estimate, Method
@@ -38,7 +42,7 @@ from lodbench.storage import file_digest, make_folder, write_text
 from lodbench.storage.json_text import parse_json
 
 # What one photo has; masks come with --mask or from a segmenter.
-_GIVEN = frozenset({Input.MASK, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP})
+_GIVEN = frozenset({Input.MASK, Input.MASK_ON_DEMAND, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP})
 
 
 STEPS = 3
@@ -77,10 +81,13 @@ def localize_photo(request: PhotoRequest, advance: Callable[[], None] = lambda: 
                 seed=request.seed,
                 lens_percent=photo.lens_percent,
                 camera_sigmas=photo.camera_sigmas,
+                segment=lambda pose: pinhole_mask(request, photo.camera, photo.pinhole),
             )
-    answered, estimate = more_probable(photo, place.scene, prior, estimate)
     advance()
-    return write_answer(answered, view if answered is photo else answered.view(), place, prior, estimate)
+    if estimate.mask is None:
+        return write_answer(photo, view, place, prior, estimate)
+    photo = replace(photo, mask=estimate.mask)
+    return write_answer(photo, photo.view(), place, prior, estimate)
 
 
 def inputs_of(method: Method) -> frozenset[str]:
@@ -204,6 +211,8 @@ def _notes(photo: PreparedPhoto, place: OpenMap, view: PhotoView, estimate: Esti
     notes = [*place.city.notes()]
     if photo.mask is not None and photo.request.mask is None:
         notes += notes_of(photo.request.segmenter)
+    if estimate.mask is not None and photo.request.segmenter is not None:
+        notes.append(f"the mask was made by {photo.request.segmenter.name}")
     request = photo.request
     has_height = request.center is not None or request.given.height_m is not None
     notes += estimate.notes

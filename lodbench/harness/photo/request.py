@@ -30,14 +30,12 @@ class PhotoRequest(RoughRequest):
         photo: The photo.
         mask: Building mask of the photo as it is stored, white = building; goes before the segmenter.
         method: How to localise; LoD-Loc v2 by default.
-        by_mask: How else, by the segmenter's mask, where that answer is not to be trusted.
         seed: Seed of the search.
     """
 
     photo: Path
     mask: Path | None = None
     method: Method | None = None
-    by_mask: Method | None = None
     seed: int = 0
 
 

@@ -45,8 +45,9 @@ class Preparation:
         scene: The city; queries are moved into its local frame.
         segmenter: Makes the masks.
         tilt: ``prior``, or ``truth`` to replace the prior's pitch and roll by the true ones.
-        needs: What is looked at of ``mask`` and ``instances``, which are asked of the segmenter, of the
-            truth, ``true_pixels``, and of ``image``, which must then be fit for the camera; no more is made.
+        needs: What is looked at of ``mask``, ``mask_on_demand`` and ``instances``, which are asked of the
+            segmenter, of the truth, ``true_pixels``, and of ``image``, which must then be fit for the
+            camera; no more is made.
         city_map: The map that a segmenter may look at; one of its own if None.
     """
 
@@ -99,8 +100,9 @@ class Preparation:
         if Input.IMAGE in self.needs:
             require_photo(entry)
         camera, local = entry.camera, self.local(prior)
-        guided = isinstance(self.segmenter, MapGuidedSegmenter)
         needs_mask = Input.MASK in self.needs
+        again = needs_mask and isinstance(self.segmenter, MapGuidedSegmenter)
+        segments = again or Input.MASK_ON_DEMAND in self.needs
         return Query(
             name=entry.name,
             split=entry.split,
@@ -113,7 +115,7 @@ class Preparation:
                 for pose in entry.hypotheses
             ),
             instances=self._instances(entry, camera, local) if Input.INSTANCES in self.needs else None,
-            segment=partial(self._probability, entry, camera) if guided and needs_mask else None,
+            segment=partial(self._probability, entry, camera) if segments else None,
             true_pixels=self._true_pixels(entry, camera) if Input.TRUE_PIXELS in self.needs else None,
             sequence=entry.sequence,
             reconstructed=entry.reconstructed,

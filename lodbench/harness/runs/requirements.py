@@ -11,7 +11,7 @@ from lodbench.segmentation import Segmenter
 from lodbench.segmentation.oracle import Oracle
 
 # What segmenters make, from whatever they themselves need.
-SEGMENTED = frozenset({Input.MASK, Input.INSTANCES})
+SEGMENTED = frozenset({Input.MASK, Input.INSTANCES, Input.MASK_ON_DEMAND})
 _LACKING = "the dataset has none"
 
 
@@ -60,6 +60,7 @@ def require_run_inputs(
     made = frozenset[Input]()
     if needs_segmenter(method):
         made = declared_inputs(segmenter, "provides", {Input.MASK})
+        made |= {Input.MASK_ON_DEMAND} if Input.MASK in made else set()
         name = f"segmenter={segmenter.name}"
         require_inputs(f"method={method.name}", requires & SEGMENTED, made, f"{name} makes none")
         require_inputs(name, declared_inputs(segmenter, "requires"), has, _LACKING)

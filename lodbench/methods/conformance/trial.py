@@ -123,9 +123,11 @@ def make_trial(folder: Path, method: object) -> Trial:
         angles = EulerAngles(pitch, roll, yaw + _PRIOR_OFF_YAW_DEG)
         prior = Pose.from_euler(angles, truth.center + np.array(_PRIOR_OFF))
         photo = picture(f"view_{k}.png", truth)
-        mask = city_map.render(_CAMERA, truth).astype(np.float32) if has_mask else None
+        mask = _silhouette(city_map, truth) if has_mask else None
         instances = _instances(city_map, truth) if Input.INSTANCES in requires else None
         query = Query(photo.name, "trial", _CAMERA, prior, mask, photo, (prior,), instances=instances)
+        if Input.MASK_ON_DEMAND in requires:
+            query = replace(query, segment=partial(_silhouette, city_map, truth))
         if Input.TRUE_PIXELS in requires:
             query = replace(query, true_pixels=partial(_pixels, truth))
         queries.append(query)
@@ -136,6 +138,11 @@ def make_trial(folder: Path, method: object) -> Trial:
         name = f"reference_{k}.png"
         references.append(Reference(name, picture(name, pose), _CAMERA, pose))
     return Trial(city_map, tuple(queries), tuple(truths), tuple(references), folder)
+
+
+def _silhouette(city_map: CityMap, pose: Pose, _guide: Pose | None = None) -> NDArray[np.float32]:
+    """Returns the (H, W) mask that the truth has."""
+    return np.asarray(city_map.render(_CAMERA, pose), dtype=np.float32)
 
 
 def _instances(city_map: CityMap, pose: Pose) -> NDArray[np.bool_]:

@@ -1,0 +1,99 @@
+"""The method: a pose from the photo's own pixels; where they leave it open, from a mask as well."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lodbench.citymap import CityMap
+from lodbench.datasets.inputs import Input
+from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.query import Query
+from lodbench.errors import QueryFault
+from lodbench.geometry import Pose
+from lodbench.methods.assessment import assessed
+from lodbench.methods.auto.params import Params
+from lodbench.methods.contour_alignment import ContourAlignment
+from lodbench.methods.protocol import Estimate, Streams
+from lodbench.methods.region import Region
+from lodbench.methods.region.trust import TRUSTED
+
+# Two answers within 2 m and 2 degrees of the truth are no farther from each other than this.
+_TOGETHER_M, _TOGETHER_DEG = 4.0, 4.0
+# What a mask's probability is worth where the pixels say another place (docs/adr/0059).
+_ALONE = 0.5
+
+
+class Auto:
+    """Takes ``region``'s answer; where it is not to be trusted, the more probable of it and one by a mask."""
+
+    params_type = Params
+    name = "auto"
+    requires = frozenset({Input.IMAGE, Input.MASK_ON_DEMAND})
+
+    def __init__(self, params: Params | None = None) -> None:
+        self.params = params or Params()
+        self._by_pixels = Region(self.params.by_pixels())
+        self._by_mask = ContourAlignment(self.params.by_mask())
+
+    def params_for_prior(self, prior: UniformPrior) -> Params:
+        """Returns the parameters that search all that such a prior leaves open, tilt included."""
+        return self.params.for_prior(prior)
+
+    def params_for_true_tilt(self) -> Params:
+        """Returns the parameters for priors of the true pitch and roll: a range of 0 holds them."""
+        return replace(self.params, range_tilt_deg=0.0)
+
+    def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
+        """Returns the more probable of two answers; the mask is made only where the pixels' is doubtful.
+
+        The answer is assessed already, as the two had to be compared.
+
+        Raises:
+            QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
+            ConfigError: The segmenter's weights are missing or no network.
+        """
+        found = self._by_pixels.localize(query, city_map, streams)
+        by_pixels = assessed(found, query, city_map, self._by_pixels.params)
+        if query.segment is None or (by_pixels.probability or 0.0) >= TRUSTED:
+            return by_pixels
+        try:
+            query = replace(query, building_probability=query.segment(query.prior))
+            found = self._by_mask.localize(query, city_map, streams)
+        except QueryFault as fault:
+            note = f"a mask was tried as well, without result: {fault.message.rstrip('.')}"
+            return replace(by_pixels, notes=(*by_pixels.notes, note))
+        by_mask = assessed(found, query, city_map, self._by_mask.params)
+        return more_probable(by_pixels, replace(by_mask, mask=query.building_probability))
+
+
+def more_probable(by_pixels: Estimate, by_mask: Estimate) -> Estimate:
+    """Returns the answer by pixels, or the one by a mask where that is more probable, with a note.
+
+    Where the two lie apart, the mask's probability counts half (docs/adr/0059), and the pose by pixels is the
+    first of the alternatives.
+    """
+    weight = 1.0 if _are_together(by_pixels.pose, by_mask.pose) else _ALONE
+    own, probability = by_pixels.probability or 0.0, (by_mask.probability or 0.0) * weight
+    seconds = by_pixels.seconds | {f"mask: {stage}": s for stage, s in by_mask.seconds.items()}
+    if probability <= own:
+        return replace(by_pixels, seconds=seconds)
+    note = (
+        "this pose is from a segmenter's mask (method contour_alignment); the pose from the photo's own "
+        f"pixels had a probability of {100.0 * own:.0f} %"
+    )
+    return replace(
+        by_mask,
+        probability=probability,
+        notes=(*by_mask.notes, note),
+        alternatives=(by_pixels.pose, *by_mask.alternatives),
+        alternative_probabilities=(own, *by_mask.alternative_probabilities),
+        seconds=seconds,
+    )
+
+
+def _are_together(first: Pose, second: Pose) -> bool:
+    cosine = 0.5 * (np.trace(first.rotation.T @ second.rotation) - 1.0)
+    apart_deg = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return bool(np.linalg.norm(first.center - second.center) <= _TOGETHER_M and apart_deg <= _TOGETHER_DEG)
