@@ -16,7 +16,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.photo_pose import RoughPlace
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.geometry.angles import heading_from_yaw
+from lodbench.geometry.looking import look_from_rotation
 from lodbench.harness.track.frames import Footage
 from lodbench.harness.track.track import Track, TrackRequest, track
 from lodbench.segmentation import Segmenter
@@ -125,7 +125,7 @@ def _tracked(
     options: TrackingOptions,
 ) -> Track:
     first: Pose = drawn[0].truth.shifted(scene.origin)
-    pitch, roll, yaw = first.euler
+    heading, pitch, roll = look_from_rotation(first.rotation)
     x, y, z = (float(v) for v in first.center + _OFF_M)
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -139,9 +139,7 @@ def _tracked(
                 city=city,
                 out=folder / "out",
                 camera=RGB_CAMERA.scaled(*options.size),
-                given=RoughPlace(
-                    heading_deg=heading_from_yaw(yaw) + _OFF_DEG, pitch_deg=pitch - 90.0, roll_deg=roll
-                ),
+                given=RoughPlace(heading_deg=heading + _OFF_DEG, pitch_deg=pitch, roll_deg=roll),
                 center=(x, y, z),
                 segmenter=segmenter,
             )

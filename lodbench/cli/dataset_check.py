@@ -74,12 +74,12 @@ def _split_lines(split: SplitReport) -> list[str]:
         beside = "" if paper is None else f" (paper: {paper[0]:g} m / {paper[1]:g} deg)"
         medians = f"{split.prior.translation_m:.2f} m / {split.prior.rotation_deg:.2f} deg"
         lines.append(f"priors off by {medians} in the median{beside}")
-    if split.height_m is not None and split.pitch_deg is not None:
+    if split.height_m is not None and split.off_nadir_deg is not None:
         low, mid, high = split.height_m
-        flat, tilted, most = split.pitch_deg
+        flat, tilted, most = split.off_nadir_deg
         lines.append(
             f"cameras {low:.0f} to {high:.0f} m above the city's lowest point (median {mid:.0f}), "
-            f"pitch {flat:.0f} to {most:.0f} deg from nadir (median {tilted:.0f})"
+            f"looking {flat:.0f} to {most:.0f} deg off straight down (median {tilted:.0f})"
         )
     return lines
 
@@ -113,7 +113,7 @@ def _values(report: DatasetReport) -> dict[str, Any]:
                 "prior_median": None if split.prior is None else list(split.prior),
                 "paper_prior_median": None if split.paper_prior is None else list(split.paper_prior),
                 "height_m": split.height_m,
-                "pitch_deg": split.pitch_deg,
+                "off_nadir_deg": split.off_nadir_deg,
             }
             for split in report.splits
         },

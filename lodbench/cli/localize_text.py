@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from lodbench.datasets.exchange.survey import survey_sigmas
+from lodbench.geometry.looking import look_from_rotation
 from lodbench.reporting.aligned_text import count_of, format_columns
 from lodbench.reporting.answers import trust_word
 from lodbench.reporting.safe_text import plain_text
@@ -89,11 +91,10 @@ def _flight_lines(answers: Answers) -> list[str]:
 def describe(found: LocalizedPhoto) -> str:
     """Returns what a reader is told."""
     x, y, z = (float(v) for v in found.pose.center)
-    pitch, roll, yaw = found.pose.euler
     lens = "" if found.lens_percent is None else f", its focal length good to {found.lens_percent:.1f} %"
     rows = [
+        *_place_rows(found),
         ("local", f"{x:.2f} {y:.2f} {z:.2f} m in {found.crs or 'the frame of the city model'}"),
-        ("", f"pitch {pitch:.2f}  roll {roll:.2f}  yaw {yaw:.2f} deg (0 looks down; yaw from grid north)"),
         ("prior", f"{found.moved.translation_m:.2f} m and {found.moved.rotation_deg:.2f} deg away"),
         *_trust_rows(found),
         ("with", f"LoD {found.lod or 'unnamed'} of the map; camera: {found.camera_source}{lens}"),
@@ -102,17 +103,27 @@ def describe(found: LocalizedPhoto) -> str:
     ]
     if found.geojson is not None:
         rows.append(("map", str(found.geojson)))
-    place = found.place
-    if place is not None:
-        rows = [
-            ("latitude", f"{place.latitude_deg:.7f}"),
-            ("longitude", f"{place.longitude_deg:.7f}"),
-            ("height", f"{place.height_m:.2f} m, in the city's heights"),
-            ("heading", f"{place.heading_deg:.2f} deg from true north, pitch {place.pitch_deg:.2f}"),
-            *rows,
-        ]
     lines = [found.photo, *(f"  {name:<9}  {text}" for name, text in rows)]
     return "\n".join([*lines, *(f"  note: {note}" for note in found.notes)])
+
+
+def _place_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
+    """Returns where on Earth the camera is, if anybody knows, and where it looks."""
+    place = found.place
+    if place is None:
+        return [("heading", _look_words(*look_from_rotation(found.pose.rotation), "grid"))]
+    return [
+        ("latitude", f"{place.latitude_deg:.7f}"),
+        ("longitude", f"{place.longitude_deg:.7f}"),
+        ("height", f"{place.height_m:.2f} m, in the city's heights"),
+        ("heading", _look_words(place.heading_deg, place.pitch_deg, place.roll_deg, "true")),
+    ]
+
+
+def _look_words(heading_deg: float, pitch_deg: float, roll_deg: float, north: str) -> str:
+    # A heading just west of north would be printed as 360.
+    heading = round(heading_deg, 2) % 360.0
+    return f"{heading:.2f} deg clockwise from {north} north, pitch {pitch_deg:z.2f}, roll {roll_deg:z.2f}"
 
 
 def _trust_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
@@ -126,11 +137,11 @@ def _trust_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
     else:
         percent = f"{100 * found.probability:.0f} % within 2 m and 2 deg"
         rows.append(("sure", f"{percent}: {trust_word(found.probability)}"))
-    if found.sigmas is not None:
-        x, y, z, pitch, roll, yaw = found.sigmas
-        rows.append(
-            ("sigmas", f"{x:.2f} {y:.2f} {z:.2f} m; pitch {pitch:.2f}  roll {roll:.2f}  yaw {yaw:.2f} deg")
-        )
+    if found.covariance is not None:
+        x, y, z, *turns = survey_sigmas(found.pose, found.covariance)
+        heading, pitch, roll = (f"{turn:.2f}" for turn in turns)
+        place = f"{x:.2f} {y:.2f} {z:.2f} m"
+        rows.append(("sigmas", f"{place}; heading {heading}  pitch {pitch}  roll {roll} deg"))
     if found.alternatives:
         away = found.alternatives[0].center - found.pose.center
         x, y, z = (float(v) for v in away)

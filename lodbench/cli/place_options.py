@@ -125,7 +125,7 @@ def add_rough_pose_options(parser: argparse.ArgumentParser, title: str) -> None:
     )
     add("--heading", type=float, metavar="DEG", help="clockwise from true north")
     add("--pitch", type=float, metavar="DEG", help="0 at the horizon, -90 straight down")
-    add("--roll", type=float, metavar="DEG", help="about the optical axis")
+    add("--roll", type=float, metavar="DEG", help="about the optical axis; > 0: the image's right side dips")
     add(
         "--center",
         type=float,

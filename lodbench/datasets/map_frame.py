@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from lodbench.citymodel.crs import require_crs
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
-from lodbench.geometry.angles import heading_from_yaw
 from lodbench.geometry.frames import grid_convergence_deg
+from lodbench.geometry.looking import look_from_rotation
 
 if TYPE_CHECKING:
     from pyproj import Transformer
@@ -26,9 +26,9 @@ class Place(NamedTuple):
         latitude_deg: WGS 84.
         longitude_deg: WGS 84.
         height_m: In the city's own heights.
-        heading_deg: Clockwise from true north, in [0, 360): where the picture's top points at nadir.
-        pitch_deg: Above the horizon, as gimbals state it: -90 is straight down.
-        roll_deg: As the datasets have it.
+        heading_deg: As of ``LookAngles``, from true north.
+        pitch_deg: As of ``LookAngles``: -90 is straight down.
+        roll_deg: As of ``LookAngles``: about the optical axis.
     """
 
     latitude_deg: float
@@ -127,9 +127,8 @@ class MapFrame:
         """Returns where a pose in the city's coordinates is on Earth, and where it looks."""
         east, north, height = (float(v) for v in pose.center)
         latitude, longitude = self.latitude_longitude(east, north)
-        angles = pose.euler
-        heading = heading_from_yaw(angles.yaw_deg - self.convergence_deg(east, north))
-        return Place(latitude, longitude, height, heading, angles.pitch_deg - 90.0, angles.roll_deg)
+        look = look_from_rotation(pose.rotation, self.convergence_deg(east, north))
+        return Place(latitude, longitude, height, *look)
 
 
 # Kept for the process: PROJ looks a tenth of a second for the best of the ways between two systems.

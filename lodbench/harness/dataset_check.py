@@ -28,6 +28,7 @@ from lodbench.datasets.published.spec import Download
 from lodbench.datasets.query import Dataset, repeated_keys
 from lodbench.evaluation.errors import PoseError, pose_error
 from lodbench.findings import Findings
+from lodbench.geometry.looking import off_nadir_deg
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.harness.contradictions import check_views
 from lodbench.harness.dataset_parts import check_parts
@@ -53,7 +54,8 @@ class SplitReport:
         prior: Median errors of the priors, or None without any.
         paper_prior: The paper's, or None.
         height_m: Lowest, median and highest camera above the city's lowest point; None without a city.
-        pitch_deg: Lowest, median and highest pitch from nadir; None without true poses.
+        off_nadir_deg: Least, median and largest angle of optical axes from straight down; None without true
+            poses.
     """
 
     name: str
@@ -66,7 +68,7 @@ class SplitReport:
     prior: PoseError | None
     paper_prior: tuple[float, float] | None
     height_m: tuple[float, float, float] | None
-    pitch_deg: tuple[float, float, float] | None
+    off_nadir_deg: tuple[float, float, float] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,9 +153,9 @@ def _report_split(
     truths = [dataset.truth[entry.key] for entry in entries if entry.key in dataset.truth]
     known = SPECS.get(dataset.name)
     spec = next((part for part in known.splits if part.name == split), None) if known else None
-    heights = pitches = None
+    heights = tilts = None
     if truths:
-        pitches = _spread([pose.euler.pitch_deg for pose in truths])
+        tilts = _spread([off_nadir_deg(pose.rotation) for pose in truths])
     if truths and scene is not None:
         ground = float(scene.extent_m[0][2] + scene.origin[2])
         heights = _spread([float(pose.center[2]) - ground for pose in truths])
@@ -168,7 +170,7 @@ def _report_split(
         prior=prior_median(dataset, split),
         paper_prior=spec.prior_median if spec else None,
         height_m=heights,
-        pitch_deg=pitches,
+        off_nadir_deg=tilts,
     )
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from lodbench.evaluation.predictions import Prediction
+from lodbench.geometry.looking import look_from_rotation
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_columns import finite_text
@@ -23,13 +24,15 @@ _WORDS = ((0.9, "good"), (TRUSTED_PROBABILITY, "doubtful"), (0.0, UNTRUSTED))
 
 
 def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction]) -> str:
-    """Returns position, angles, score, probability and a word of trust per query, as aligned text.
+    """Returns position, heading, pitch, roll, score, probability and a word of trust per query, as text.
+
+    Columns are aligned; headings are clockwise from grid north.
 
     Args:
         queries: As ``lodbench.evaluation.queries`` has them.
         predictions: By the index of the queries; poses in the dataset's frame.
     """
-    head = ["", "x m", "y m", "z m", "pitch deg", "yaw deg", "score", "probability", "trust"]
+    head = ["", "x m", "y m", "z m", "heading deg", "pitch deg", "roll deg", "score", "probability", "trust"]
     lines = [_cells(str(key), predictions[str(key)]) for key in queries.index]
     answered = sum(predictions[str(key)].pose is not None for key in queries.index)
     is_said = any(predictions[str(key)].probability is not None for key in queries.index)
@@ -87,9 +90,9 @@ def trust_word(probability: float) -> str:
 
 
 def _cells(key: str, found: Prediction) -> list[str]:
-    place = ["-"] * 5
+    place = ["-"] * 6
     if found.pose is not None:
-        pitch, _, yaw = found.pose.euler
-        place = [f"{value:.2f}" for value in (*found.pose.center, pitch, yaw)]
+        look = look_from_rotation(found.pose.rotation)
+        place = [f"{value:z.2f}" for value in (*found.pose.center, *look)]
     known = (math.nan if value is None else value for value in (found.score, found.probability))
     return [plain_text(key), *place, *(finite_text(value, ".3f") for value in known), trust_of(found)]

@@ -186,8 +186,8 @@ def test_the_surveyors_table(capsys, tmp_path, run, crs):
     for name, pose in read_poses(run / "poses.txt").items():
         row, ahead = table.loc[name], pose.rotation[2]
         np.testing.assert_allclose(row[PLACE].astype(float), pose.center, atol=6e-4)
-        assert row["pitch_deg"] == pytest.approx(np.degrees(np.arcsin(ahead[2])), abs=1e-2)
-        heading = np.degrees(np.arctan2(*pose.rotation[0, :2])) - 90  # the right side, turned to the front
+        assert row["pitch_deg"] == pytest.approx(np.degrees(np.arcsin(ahead[2])), abs=6e-4)
+        heading = np.degrees(np.arctan2(ahead[0], ahead[1]))
         if crs is None:
             assert np.isnan(row["latitude_deg"])
         else:

@@ -286,6 +286,11 @@ def test_a_photo_that_a_program_turned_is_told_and_found_by_its_roll(capsys, tmp
     found = localize(capsys, case, tmp_path / "o", *words, "--roll", "90")
     assert not any("turned since" in note for note in found["notes"])
     assert found["trusted"]
+    # Turned about its axis, the camera looks where it looked.
+    level, place = case.frame.place_of(case.truth), found["place"]
+    assert (place["heading_deg"] - level.heading_deg + 180) % 360 - 180 == pytest.approx(0, abs=1.0)
+    assert place["pitch_deg"] == pytest.approx(level.pitch_deg, abs=1.0)
+    assert place["roll_deg"] == pytest.approx(level.roll_deg + 90, abs=1.0)
 
 
 class TestWithoutMetadata:

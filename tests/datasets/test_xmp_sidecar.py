@@ -45,6 +45,16 @@ def test_a_sidecar_says_the_pose(tmp_path, angles, height):
     assert error.rotation_deg < 0.01
 
 
+def test_the_direction_of_the_picture_is_that_of_the_optical_axis(tmp_path):
+    """Of a camera turned about it by two thirds of a right angle and a right angle, too."""
+    east, north = 281031.0, 5657482.28
+    turned = rotation_from_dji(167.07, -63.0, -120.6, FRAME.convergence_deg(east, north))
+    path = write_sidecar(tmp_path / "a.JPG", Pose.from_center(turned, (east, north, 146.0)), FRAME)
+    assert path is not None
+    assert 'exif:GPSImgDirection="16707/100"' in path.read_text()
+    assert 'drone-dji:GimbalYawDegree="+167.0700"' in path.read_text()
+
+
 def test_another_program_s_sidecar_is_left_alone_and_one_s_own_is_not(tmp_path):
     pose = Pose.from_euler(EulerAngles(30.0, 0.0, 0.0), (281031.0, 5657482.28, 146.0))
     theirs = tmp_path / "a.xmp"

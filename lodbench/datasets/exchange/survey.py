@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.map_frame import Place
 from lodbench.geometry import Pose
-from lodbench.geometry.angles import heading_from_yaw
+from lodbench.geometry.looking import look_covariance, look_from_rotation
 
 # Columns of a pose, and decimals that tables and maps keep: millimetres on the ground, 0.001 degrees.
 POSE_DECIMALS = {
@@ -27,8 +27,6 @@ SIGMA_COLUMNS = (
     "sigma_roll_deg",
 )  # fmt: skip
 SURVEY_COLUMNS = (*POSE_DECIMALS, *SIGMA_COLUMNS)
-# Where those of SIGMA_COLUMNS are in a covariance of x, y, z, pitch, roll, yaw.
-_IN_COVARIANCE = (0, 1, 2, 5, 3, 4)
 
 
 def survey_row(
@@ -42,10 +40,9 @@ def survey_row(
         covariance: (6, 6) of the error in x, y, z (metres), pitch, roll, yaw (degrees), or the 21 numbers on
             and above its diagonal, row by row; None or empty where it is not known.
 
-    Pitch is 0 at the horizon and -90 straight down, as gimbals state it.
+    Heading, pitch and roll are those of ``LookAngles``, and so are their standard deviations.
     """
-    pitch, roll, yaw = pose.euler
-    values: tuple[float | None, ...] = (None, None, heading_from_yaw(yaw), pitch - 90.0, roll)
+    values: tuple[float | None, ...] = (None, None, *look_from_rotation(pose.rotation))
     if place is not None:
         angles = place.heading_deg, place.pitch_deg, place.roll_deg
         values = (place.latitude_deg, place.longitude_deg, *angles)
@@ -57,14 +54,21 @@ def survey_row(
     if row["heading_deg"] == 360.0:
         row["heading_deg"] = 0.0
     if covariance is not None and len(covariance):
-        row |= dict(zip(SIGMA_COLUMNS, _sigmas(np.asarray(covariance, np.float64)), strict=True))
+        row |= dict(zip(SIGMA_COLUMNS, survey_sigmas(pose, covariance), strict=True))
     return row
 
 
-def _sigmas(covariance: NDArray[np.float64]) -> list[float]:
-    if covariance.ndim == 2:
-        variances = np.diagonal(covariance)
-    else:
+def survey_sigmas(pose: Pose, covariance: Sequence[float] | NDArray[np.float64]) -> list[float]:
+    """Returns the standard deviations of easting, northing, height (metres), heading, pitch, roll (degrees).
+
+    Args:
+        pose: In the city's coordinates.
+        covariance: As of ``survey_row``, and known.
+    """
+    whole = np.asarray(covariance, np.float64)
+    if whole.ndim == 1:
         rows, columns = np.triu_indices(6)
-        variances = covariance[rows == columns]
-    return [round(float(sigma), 4) for sigma in np.sqrt(variances)[list(_IN_COVARIANCE)]]
+        whole = np.zeros((6, 6))
+        whole[rows, columns] = whole[columns, rows] = covariance
+    looks = look_covariance(pose.rotation, whole[3:, 3:])
+    return [round(float(sigma), 4) for sigma in np.sqrt([*np.diagonal(whole)[:3], *np.diagonal(looks)])]
