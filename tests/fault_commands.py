@@ -212,6 +212,10 @@ TRACK = _in(
     "{}/track",
 )
 LOCALIZE = _in("localize", PHOTO, "--mask", MASK, *ABOUT, "--crs", CRS, *ONE_STEP, "--out", "{}/found")
+LOCALIZE_START = _in(
+    *("localize", PHOTO, "--mask", MASK, *ABOUT[:2], *ABOUT[-2:], *ONE_STEP, "--out", "{}/found"),
+    *("--start", "{}/town/data/GPS_pose.txt"),
+)
 LOCATE = _in("locate", PHOTO, *PLACED, "--found", "{}/found", "--pixel", "160", "120")
 TRACE = _in(
     *("trace", "{}/traced", "--images", "{}/three/data/masks", "--polygons", "{}/traced.json", "--metric"),
@@ -243,6 +247,7 @@ COMMANDS = [
     Command("city convert over a scene", _convert("scene"), (_convert("scene"),)),
     Command("render", RENDER),
     Command("localize", _in("localize", PHOTO, "--mask", MASK, *ABOUT, *ONE_STEP, "--out", "{}/found")),
+    Command("localize from rough poses", LOCALIZE_START),
     Command("locate", LOCATE, (LOCALIZE,)),
     Command(
         "localize a flight",

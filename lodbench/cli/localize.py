@@ -7,6 +7,7 @@ import json
 import logging
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +18,15 @@ from lodbench.cli.place_options import (
     add_map_options,
     add_prior_options,
     add_rough_pose_options,
+    add_start_option,
     city_settings,
+    require_start_alone,
     rough_settings,
     with_prior_width,
 )
 from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
 from lodbench.cli.source_profiles import option_pairs
+from lodbench.datasets.photo_pose import START_OF_EACH
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.segmentation.choice import FOR_PHOTOS
@@ -48,11 +52,15 @@ probable it is that the pose is right.
 """
 
 _EXAMPLES = """\
-One photo: the rough pose comes from the photo's metadata (EXIF, and XMP of DJI, Autel, Parrot or Skydio);
-options given here take precedence. Without a mask the photo's own pixels are aligned with the map (--method
-auto, by region); where they leave the pose open, a network makes a mask, and the more probable of the two
-poses is taken. The search covers 10 m around the rough pose, 30 m up and down and 7.5 degrees to either side;
---prior-range, --prior-height and --prior-yaw widen it.
+The rough pose of a photo comes from the photo's metadata (EXIF, and XMP of DJI, Autel, Parrot or Skydio);
+options given here take precedence. --start FILE has a rough pose for each photo instead, in the city's
+coordinates: lines "name qw qx qy qz tx ty tz" (world to camera), a table of Metashape, or another format that
+lodbench reads.
+
+One photo: without a mask its own pixels are aligned with the map (--method auto, by region); where they leave
+the pose open, a network makes a mask, and the more probable of the two poses is taken. The search covers 10 m
+around the rough pose, 30 m up and down and 7.5 degrees to either side; --prior-range, --prior-height and
+--prior-yaw widen it.
 
 Several photos, or a folder, are taken as flights, separated by camera and by the time in EXIF, and each is
 solved as a whole (--method flight). Masks come from --masks, else from a folder named masks in it, else from
@@ -69,6 +77,7 @@ examples:
   lodbench localize DJI_0001.JPG --city city.gml --mask mask.png --takeoff 61.5
   lodbench localize DJI_0001.JPG --city city.gml --prior-range 100 --prior-yaw 180
   lodbench localize FLIGHT --city city.gml --masks MASKS --out found
+  lodbench localize FLIGHT --city city.obj --start rough.txt --camera 'PINHOLE 400 300 290 290 200 150'
   lodbench localize flight1 flight2/*.JPG --city city.gml --each-alone --out found
   lodbench localize photo.jpg --city city.obj --mask mask.png --camera 'PINHOLE 400 300 290 290 200 150' \\
       --center 120 -40 95 --heading 30 --pitch -50
@@ -110,7 +119,7 @@ def localized(asked: argparse.Namespace) -> LocalizedPhoto | Answers:
     masks = masks if "mask" in method.requires else None
     if masks is not None:
         require_some_mask(masks, [f"{photo.parent.name}/{photo.name}" for photo in photos], photos)
-    request = _request(asked, photos[0], method, masks)
+    request = _with_start(_request(asked, photos[0], method, masks), photos, asked)
     _tell_unused(photos, asked)
     if asked.sidecars:
         require_sidecars(open_map(request).scene.crs, {photo.parent for photo in photos})
@@ -227,6 +236,20 @@ def _request(asked: argparse.Namespace, photo: Path, method: Method, masks: Path
     return PhotoRequest(**city_settings(asked), **rough_settings(asked), **own)
 
 
+def _with_start(request: PhotoRequest, photos: Sequence[Path], asked: argparse.Namespace) -> PhotoRequest:
+    """Returns a request with the rough poses that --start names, if it does.
+
+    Raises:
+        LodbenchError: They or the city cannot be read, or are of none of the photos.
+    """
+    if asked.start is None:
+        return request
+    from lodbench.harness.photo.localize import open_map
+    from lodbench.harness.photo.rough_poses import read_rough_poses
+
+    return replace(request, start=read_rough_poses(asked.start, photos, open_map(request).scene.crs))
+
+
 def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
     """Refuses a city where photos are meant, and what is meant for one photo and given for many, and back.
 
@@ -244,9 +267,10 @@ def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
     absent = [photo for photo in asked.photos if not photo.exists()]
     if absent:
         raise DatasetError(f"The photo {absent[0]} does not exist.", "Check the path.")
+    require_start_alone(asked)
     own = [f"--{name}" for name in ("mask", "lat", "lon", "center") if getattr(asked, name) is not None]
     if own and not is_one:
-        hint = "Use --masks DIR for several." if own[0] == "--mask" else "Give one photo, or leave it out."
+        hint = "Use --masks DIR for several." if own[0] == "--mask" else f"For several: {START_OF_EACH}."
         raise ConfigError(f"{own[0]} works with one photo.", hint)
     if asked.masks is not None and is_one:
         raise ConfigError("--masks is for several photos.", "Give --mask FILE.")
@@ -299,6 +323,7 @@ def parser() -> Parser:
     add("--segmenter", metavar="NAME", help=f"what makes a mask where needed (default: {FOR_PHOTOS})")
     add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help=_OPTION)
     add_rough_pose_options(parser, "rough pose (takes precedence over the photo's metadata)")
+    add_start_option(parser)
     add_prior_options(parser)
     add_height_options(parser)
     add(

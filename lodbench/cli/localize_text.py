@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from lodbench.datasets.exchange.survey import survey_sigmas
@@ -12,11 +13,13 @@ from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_columns import finite_text
 
 if TYPE_CHECKING:
-    from lodbench.harness.photo.many import Answers
+    from lodbench.harness.photo.many import Answers, PhotoAnswer
     from lodbench.harness.photo.request import LocalizedPhoto
 
 # Lines about single answers that are not to be trusted: more stand in the table.
 _MOST_DOUBTS = 10
+# Photos named on a line about all that failed alike; the table has every one.
+_MOST_NAMED = 3
 
 
 def describe_many(answers: Answers, has_masks: bool) -> str:
@@ -28,11 +31,7 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
     """
     lines = [] if not answers.flights else [*_flight_lines(answers), ""]
     lines += [_photo_table(answers), ""]
-    lines += [
-        f"failed: {plain_text(str(a.photo))}: {plain_text(a.failure)}"
-        for a in answers.photos
-        if a.found is None
-    ]
+    lines += _failure_lines(answers)
     lines += [f"hint: {hint}" for hint in dict.fromkeys(filter(None, (a.hint for a in answers.photos)))]
     shared = [set(found.notes) for found in answers.found]
     lines += [f"note: {note}" for note in sorted(set.intersection(*shared))] if shared else []
@@ -59,16 +58,38 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
 
 
 def _photo_table(answers: Answers) -> str:
-    rows = [["", "latitude", "longitude", "height m", "heading deg", "pitch deg", "moved m", "sure", "trust"]]
-    cells = [
-        *((name, ".7f") for name in ("latitude_deg", "longitude_deg")),
-        *((name, ".2f") for name in ("height_m", "heading_deg", "pitch_deg", "moved_m", "probability")),
-    ]
+    """Returns a line per photo: its place on Earth, or in the city's coordinates where that is not known."""
+    is_local = bool(answers.found) and all(found.place is None for found in answers.found)
+    where = ["easting m", "northing m"] if is_local else ["latitude", "longitude"]
+    places = [("easting_m", ".2f"), ("northing_m", ".2f")]
+    if not is_local:
+        places = [("latitude_deg", ".7f"), ("longitude_deg", ".7f")]
+    rows = [["", *where, "height m", "heading deg", "pitch deg", "roll deg", "moved m", "sure", "trust"]]
+    numbers = ("height_m", "heading_deg", "pitch_deg", "roll_deg", "moved_m", "probability")
+    cells = [*places, *((name, ".2f") for name in numbers)]
     for answer in answers.photos:
         row = answer.row()
         texts = ["-" if row[name] is None else format(row[name], spec) for name, spec in cells]
         rows.append([plain_text(str(answer.photo)), *texts, answer.trust])
     return format_columns(rows)
+
+
+def _failure_lines(answers: Answers) -> list[str]:
+    """Returns why photos have no pose: a line per reason, with the photos that have it alike."""
+    alike: dict[str, list[PhotoAnswer]] = defaultdict(list)
+    for answer in answers.photos:
+        if answer.found is None:
+            alike[answer.failure.replace(answer.photo.name, "the photo")].append(answer)
+    lines = []
+    for reason, failed in alike.items():
+        names = ", ".join(str(answer.photo) for answer in failed[:_MOST_NAMED])
+        if len(failed) == 1:
+            words = f"{names}: {failed[0].failure}"
+        else:
+            more = ", ..." if len(failed) > _MOST_NAMED else ""
+            words = f"{count_of(len(failed), 'photos')} ({names}{more}): {reason}"
+        lines.append(f"failed: {plain_text(words)}")
+    return lines
 
 
 def _doubt_lines(answers: Answers) -> list[str]:

@@ -10,7 +10,7 @@ from lodbench.cli.source_profiles import DATE_HELP, load_profile
 from lodbench.datasets.photo_pose import HeightOptions, HeightSource, RoughPlace
 from lodbench.datasets.pose_text import parse_camera
 from lodbench.datasets.priors import UniformPrior
-from lodbench.errors import ConfigError, LodbenchError, require_choice, require_within
+from lodbench.errors import ConfigError, DatasetError, LodbenchError, require_choice, require_within
 from lodbench.geometry import Camera, CameraSigmas
 from lodbench.storage import can_write
 
@@ -133,6 +133,30 @@ def add_rough_pose_options(parser: argparse.ArgumentParser, title: str) -> None:
         metavar=("E", "N", "UP"),
         help="position in the city's own coordinates",
     )
+
+
+def add_start_option(parser: argparse.ArgumentParser) -> None:
+    """Adds the option that names rough poses of photos, which takes the place of all others of a place."""
+    words = "rough poses by photo name, in the city's coordinates, instead of the options above"
+    parser.add_argument("--start", type=Path, metavar="FILE", help=words)
+
+
+def require_start_alone(asked: argparse.Namespace) -> None:
+    """Refuses --start that is not there, or what else says where photos were taken beside it.
+
+    Raises:
+        ConfigError: There is such an option.
+        DatasetError: The file is not there.
+    """
+    if asked.start is None:
+        return
+    if not asked.start.exists():
+        raise DatasetError(f"{asked.start} does not exist.", "Check the path.")
+    names = ("lat", "lon", "height", "heading", "pitch", "roll", "center")
+    unused = [f"--{name}" for name in names if getattr(asked, name) is not None] + height_flags(asked)
+    if unused:
+        hint = f"--start has the whole pose: leave {unused[0]} or --start out."
+        raise ConfigError(f"{unused[0]} is not used with --start.", hint)
 
 
 def add_camera_option(parser: argparse.ArgumentParser, words: str) -> None:

@@ -25,6 +25,8 @@ from lodbench.errors import ConfigError, DatasetError, nearest_names, require_wi
 from lodbench.geometry import Pose
 from lodbench.geometry.angles import rotation_from_dji
 
+# What says of many photos where each was taken.
+START_OF_EACH = "--start FILE with a rough pose of each photo by its name"
 HeightSource = Literal["auto", "sea_level", "ellipsoid", "takeoff"]
 
 
@@ -118,12 +120,27 @@ class RoughPlace:
         require_within("--roll", self.roll_deg, -360, 360)
 
 
+class PoseNotStated(DatasetError):
+    """Neither a photo nor anybody else says where it was taken, or what for a pose is needed besides.
+
+    Args:
+        message: As of ``LodbenchError``.
+        hint: Likewise, of one photo.
+        hint_for_many: What to do where it is one of many.
+    """
+
+    def __init__(self, message: str, hint: str, hint_for_many: str) -> None:
+        super().__init__(message, hint)
+        self.hint_for_many = hint_for_many
+
+
 def require_stated(
     photo: PhotoMetadata,
     heights: HeightOptions | None = None,
     given: RoughPlace | None = None,
     *,
     knows_place: bool = False,
+    knows_look: bool = False,
     knows_camera: bool = True,
 ) -> None:
     """Makes sure that all that a rough pose needs is in a photo or given.
@@ -133,11 +150,12 @@ def require_stated(
         heights: How the drone's heights become the city's.
         given: What is known better, or not in the photo.
         knows_place: Whether the place is known from elsewhere.
+        knows_look: Whether the angles are.
         knows_camera: Whether the camera is.
 
     Raises:
-        DatasetError: Something is missing; the one message names all of it, the hint the options for it.
-            Or it is a panorama.
+        PoseNotStated: Something is missing; the one message names all of it, the hint the options for it.
+        DatasetError: It is a panorama.
     """
     require_lens_picture(photo)
     given = given or RoughPlace()
@@ -151,22 +169,33 @@ def require_stated(
         if given.height_m is None and _stated_height(photo, source) is None:
             kind = "above its take-off point" if source == "takeoff" else "absolute"
             lacking.append((f"how high it was ({kind})", "--height, in the city's heights"))
-    if _first(given.heading_deg, photo.gimbal_yaw_deg) is None or (
-        _first(given.pitch_deg, photo.gimbal_pitch_deg) is None
-    ):
+    states_look = None not in (
+        _first(given.heading_deg, photo.gimbal_yaw_deg),
+        _first(given.pitch_deg, photo.gimbal_pitch_deg),
+    )
+    if not knows_look and not states_look:
         looks = "--heading and --pitch (0 at the horizon, -90 straight down)"
         lacking.append((f"where its camera looked ({_why_unknown(photo)})", looks))
+    many = [_flags_for_many([flags for _, flags in lacking])] if lacking else []
     if not knows_camera and not states_focal_length(photo):
-        lacking.append(
-            (f"its camera's focal length{why_no_focal_length(photo)}", camera_flag(photo.width, photo.height))
-        )
+        many.append(camera_flag(photo.width, photo.height))
+        lacking.append((f"its camera's focal length{why_no_focal_length(photo)}", many[-1]))
     if lacking:
         what, flags = (_listed(words) for words in zip(*lacking, strict=True))
         local = "" if knows_place else " For a city without a reference system give --center EAST NORTH UP."
         fault = f": {photo.xmp_fault}" if photo.xmp_fault else ""
-        raise DatasetError(
-            f"{photo.name} does not say {what}{fault}.", f"lodbench localize takes {flags}.{local}"
+        raise PoseNotStated(
+            f"{photo.name} does not say {what}{fault}.",
+            f"lodbench localize takes {flags}.{local}",
+            f"lodbench localize takes {_listed(many)}.",
         )
+
+
+def _flags_for_many(flags: Sequence[str]) -> str:
+    """Returns the options for photos that lack what these say of one: a place can only be of one photo."""
+    if any("--lat" in each for each in flags):
+        return START_OF_EACH
+    return f"{_listed(flags)}, the same for all, or {START_OF_EACH}"
 
 
 def _listed(words: Sequence[str]) -> str:

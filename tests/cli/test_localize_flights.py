@@ -179,8 +179,8 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_solved(capsys, flight, tmp
     assert code == 3
     for line in (
         "town.JPG: By its position town.JPG was taken",
-        "nowhere_0.JPG: nowhere_0.JPG does not say where it was taken",
-        "nowhere_2.JPG: nowhere_2.JPG does not say where it was taken",
+        f"failed: 3 photos ({', '.join(str(folder / f'a/nowhere_{k}.JPG') for k in range(3))}): the photo "
+        "does not say where it was taken",
         "broken.JPG is not a JPEG, PNG or TIFF picture",
         "copy.JPG: it is a copy of",
         "DJI_0004.png may be of",

@@ -61,7 +61,10 @@ def test_each_photo_has_its_row_its_place_and_its_own_files(capsys, case, flight
     )
     assert missing in told
     assert "focal length" in told
-    assert "hint: lodbench localize takes --lat and --lon" in told
+    assert (
+        "hint: lodbench localize takes --start FILE with a rough pose of each photo by its name and --camera"
+        in told
+    )
     with (out / "localized.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [row["photo"] for row in rows] == [

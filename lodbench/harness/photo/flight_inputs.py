@@ -76,10 +76,16 @@ def poses_in_model(model: Path | None, photos: Sequence[Path]) -> dict[Path, Pos
     Raises:
         DatasetError: The model cannot be read, or has none of the photos.
     """
-    if model is None:
-        return {}
+    return {} if model is None else poses_by_photo(model, list(read_colmap(model)), photos)
+
+
+def poses_by_photo(source: Path, found: Sequence[FoundPose], photos: Sequence[Path]) -> dict[Path, Pose]:
+    """Returns the poses of photos among those of a file or model, by photo; names as of ``poses_in_model``.
+
+    Raises:
+        DatasetError: There is none of any of the photos.
+    """
     images: dict[str, list[FoundPose]] = defaultdict(list)
-    found = list(read_colmap(model))
     for image in found:
         images[_bare(PurePosixPath(image.name)).name].append(image)
     named = Counter(photo.name for photo in photos)
@@ -95,7 +101,7 @@ def poses_in_model(model: Path | None, photos: Sequence[Path]) -> dict[Path, Pos
     known = {photo: image.pose for photo, image in matched.items() if claims[image.name] == 1}
     if not known:
         raise DatasetError(
-            f"{model} has none of these photos.",
+            f"{source} has none of these photos.",
             f"Its images are called {', '.join(image.name for image in found[:3])}.",
         )
     return known

@@ -36,6 +36,7 @@ from lodbench.harness.photo.many import (
     FLIGHTS_FILE,
     Answers,
     PhotoAnswer,
+    hint_for_many,
     numbered,
     write_answers,
 )
@@ -93,7 +94,7 @@ def localize_flights(
                 estimates[row] = estimate
         taken = _taken(flight, [names[row] for row in rows])
         taken += tied_notes(reconstruction, [photos[row] for row in mine], known)
-        if request.center is None and request.given.height_m is None:
+        if not request.has_height:
             taken += height_notes([ready[row][0].stated for row in mine], request.heights)
         name, paths = f"flight {len(flights) + 1}", tuple(photos[row] for row in mine)
         flights.append(FlightAnswer(name, paths, tuple(taken), found.findings))
@@ -145,7 +146,7 @@ def _ready(
                     prepared = with_small_mask(prepare_photo(wanted, requires))
                     ready[row] = prepared, prepared.prior(place.scene, place.frame)
                 except LodbenchError as fault:
-                    failures[row], hints[row] = fault.message.rstrip("."), fault.hint
+                    failures[row], hints[row] = fault.message.rstrip("."), hint_for_many(fault)
             progress.advance()
     return ready
 

@@ -214,13 +214,13 @@ def _notes(photo: PreparedPhoto, place: OpenMap, view: PhotoView, estimate: Esti
     if estimate.mask is not None and photo.request.segmenter is not None:
         notes.append(f"the mask was made by {photo.request.segmenter.name}")
     request = photo.request
-    has_height = request.center is not None or request.given.height_m is not None
     notes += estimate.notes
-    notes += place_notes(place.frame, () if has_height else (photo.stated,), request.heights)
+    notes += place_notes(place.frame, () if request.has_height else (photo.stated,), request.heights)
+    notes += () if request.start is None else request.start.notes
     notes += filter(None, [xmp_note([photo.stated])])
     if photo.stated.orientation > 1:
         notes.append("EXIF rotates this photo for display: camera and mask refer to the pixels as stored")
-    if photo.stated.is_turned and request.given.roll_deg is None:
+    if photo.stated.is_turned and request.given.roll_deg is None and request.start is None:
         notes.append(
             "the photo was rotated after capture (its size differs from EXIF's): give --roll 90 or -90"
         )
@@ -229,20 +229,24 @@ def _notes(photo: PreparedPhoto, place: OpenMap, view: PhotoView, estimate: Esti
     if view.camera.distortion:
         notes.append(f"the lens distortion ({view.camera.lens}) was corrected before localising")
     if not is_trusted(estimate.probability, estimate.score, view.mask is not None):
-        notes.append(
-            _warning(estimate, view.mask is not None, isinstance(request.method, SupportsPriorWidth))
-        )
+        notes.append(_warning(photo, estimate))
     return tuple(notes)
 
 
-def _warning(estimate: Estimate, has_mask: bool, can_look_farther: bool) -> str:
+def _warning(photo: PreparedPhoto, estimate: Estimate) -> str:
+    request, has_mask = photo.request, photo.mask is not None
     if has_mask and estimate.score < TRUSTED_OVERLAP:
         reason = f"unreliable pose: IoU of mask and model is only {estimate.score:.2f}"
     else:
         reason = f"unreliable pose: its probability is only {estimate.probability:.2f}"
     mask = f"{'correct' if has_mask else 'make'} the mask (lodbench mask PHOTO) and give --mask FILE"
-    farther = " or a wider --prior-range" if can_look_farther else ""
-    better = f"give a better position, --height or --heading{farther}"
+    better = "give a better position, --height or --heading"
+    if request.start is not None:
+        better = f"give a better pose in {request.start.source}"
+    elif photo.stated.gimbal_roll_deg is None and request.given.roll_deg is None:
+        better = "give --roll if the camera was not level, a better position, --height or --heading"
+    if isinstance(request.method, SupportsPriorWidth):
+        better += " or a wider --prior-range"
     return f"{reason}; check the overlay, {better}, or {mask}"
 
 

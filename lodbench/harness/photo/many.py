@@ -16,6 +16,7 @@ from lodbench.datasets.exchange.geopackage import write_geopackage
 from lodbench.datasets.exchange.survey import SURVEY_COLUMNS, survey_row
 from lodbench.datasets.own import find_mask
 from lodbench.datasets.photo_files import find_photos, require_photos
+from lodbench.datasets.photo_pose import PoseNotStated
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.execution import Progress
 from lodbench.harness.last_write import last_write
@@ -222,7 +223,12 @@ def _answer(request: PhotoRequest, masks: Path | None) -> PhotoAnswer:
             raise DatasetError(f"{masks} holds no mask of it")
         return PhotoAnswer(request.photo, localize_photo(request))
     except LodbenchError as fault:
-        return PhotoAnswer(request.photo, None, fault.message.rstrip("."), hint=fault.hint)
+        return PhotoAnswer(request.photo, None, fault.message.rstrip("."), hint=hint_for_many(fault))
+
+
+def hint_for_many(fault: LodbenchError) -> str:
+    """Returns what to do about the fault of one of many photos."""
+    return fault.hint_for_many if isinstance(fault, PoseNotStated) else fault.hint
 
 
 def _write_table(path: Path, answers: Sequence[PhotoAnswer]) -> None:

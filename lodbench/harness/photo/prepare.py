@@ -19,7 +19,14 @@ from lodbench.datasets.photo_camera import (
     require_photo_size,
 )
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_pose import latitude_longitude_of, pose_at, pose_from_photo, require_stated
+from lodbench.datasets.photo_pose import (
+    START_OF_EACH,
+    PoseNotStated,
+    latitude_longitude_of,
+    pose_at,
+    pose_from_photo,
+    require_stated,
+)
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Entry
 from lodbench.datasets.undistort import pinhole_of, undistorted
@@ -70,7 +77,7 @@ class PreparedPhoto:
             DatasetError: Nobody states it, or it is far outside the city, or below.
         """
         what = f"By its position {self.stated.name} was taken"
-        if frame is not None and self.request.center is None:
+        if frame is not None and self.request.center is None and self.request.start is None:
             place = latitude_longitude_of(self.stated, self.request.given)
             require_same_region(what, *place, scene)
         prior = _prior(self.request, self.stated, frame)
@@ -85,8 +92,15 @@ def prepare_photo(request: PhotoRequest, requires: Collection[str]) -> PreparedP
         LodbenchError: The photo, its metadata, mask or camera is missing or not fit.
     """
     stated = read_photo_metadata(request.photo)
-    has_camera, has_place = request.camera is not None, request.center is not None
-    require_stated(stated, request.heights, request.given, knows_place=has_place, knows_camera=has_camera)
+    rough = None if request.start is None else request.start.of(request.photo)
+    require_stated(
+        stated,
+        request.heights,
+        request.given,
+        knows_place=rough is not None or request.center is not None,
+        knows_look=rough is not None,
+        knows_camera=request.camera is not None,
+    )
     found = _camera(request, stated)
     pinhole = pinhole_of(found.camera)
     mask = pinhole_mask(request, found.camera, pinhole) if Input.MASK in requires else None
@@ -148,13 +162,16 @@ def pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDAr
 
 
 def _prior(request: PhotoRequest, photo: PhotoMetadata, frame: MapFrame | None) -> Pose:
+    if request.start is not None:
+        return request.start.of(request.photo)
     if request.center is not None:
         east, north, _ = request.center
         convergence = 0.0 if frame is None else frame.convergence_deg(east, north)
         return pose_at(request.center, convergence, photo, request.given)
     if frame is None:
-        raise DatasetError(
+        raise PoseNotStated(
             f"{request.city.name} names no reference system, so GPS means nothing in it.",
             "Name it with --crs, or give --center EAST NORTH UP in the city's coordinates.",
+            f"Name it with --crs, or give {START_OF_EACH}.",
         )
     return pose_from_photo(photo, frame, request.heights, request.given)

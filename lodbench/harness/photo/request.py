@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.map_frame import Place
 from lodbench.datasets.pose_text import format_camera
+from lodbench.errors import DatasetError
 from lodbench.evaluation import PoseError
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.harness.requests import RoughRequest
@@ -20,6 +22,33 @@ from lodbench.reporting.answers import UNTRUSTED, trust_word
 from lodbench.storage.json_text import finite
 
 _SIGMA_NAMES = ("x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoughPoses:
+    """What a file says of photos.
+
+    Attributes:
+        source: The file.
+        poses: By the photo's file, in the city's coordinates.
+        notes: What the reader should know of them.
+    """
+
+    source: Path
+    poses: Mapping[Path, Pose]
+    notes: tuple[str, ...] = ()
+
+    def of(self, photo: Path) -> Pose:
+        """Returns the rough pose of a photo.
+
+        Raises:
+            DatasetError: The file has none.
+        """
+        if photo not in self.poses:
+            raise DatasetError(
+                f"{self.source} has no pose of {photo.name}.", "--start needs one of each photo."
+            )
+        return self.poses[photo]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,12 +60,19 @@ class PhotoRequest(RoughRequest):
         mask: Building mask of the photo as it is stored, white = building; goes before the segmenter.
         method: How to localise; LoD-Loc v2 by default.
         seed: Seed of the search.
+        start: Rough poses of photos, which go before all else that is known of these; None without any.
     """
 
     photo: Path
     mask: Path | None = None
     method: Method | None = None
     seed: int = 0
+    start: RoughPoses | None = None
+
+    @property
+    def has_height(self) -> bool:
+        """Returns whether the rough pose's height is in the city's heights, and not what a drone states."""
+        return self.start is not None or self.center is not None or self.given.height_m is not None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
