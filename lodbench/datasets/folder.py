@@ -54,6 +54,7 @@ RENDERED_TRUTH_FILE, RENDERED_IMAGES = "poses.txt", "images"
 _LAYOUT_HINT = (
     f"A dataset folder holds {TRUTH_FILE}, {PRIOR_FILE} and {CAMERA_FILE}, or such folders as splits."
 )
+_NO_TRUTH_HINT = f'Where true poses are not known, a {ABOUT_FILE} in that folder says so: {{"truth": false}}.'
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,12 +176,13 @@ def select_splits(dataset: Dataset, wanted: Sequence[str]) -> tuple[str, ...]:
 def _split_folders(root: Path) -> list[Path]:
     folders = sorted(child for child in root.iterdir() if _is_split(child))
     if not folders:
-        raise DatasetError(f"{root} holds no {TRUTH_FILE}.", _LAYOUT_HINT)
+        is_of_photos = _first_file(root, [PRIOR_FILE, CAMERA_FILE]) is not None
+        raise DatasetError(f"{root} holds no {TRUTH_FILE}.", _NO_TRUTH_HINT if is_of_photos else _LAYOUT_HINT)
     for child in sorted(set(root.iterdir()) - set(folders)):
         if found := _first_file(child, [PRIOR_FILE, CAMERA_FILE]):
             raise DatasetError(
                 f"{child} holds {found.name} and no {TRUTH_FILE}: as a split it would be left out.",
-                f'Where its truth is not known, a {ABOUT_FILE} says so: {{"truth": false}}.',
+                _NO_TRUTH_HINT,
             )
     return folders
 

@@ -237,6 +237,18 @@ class TestFaults:
         with pytest.raises(DatasetError, match=r"holds no GT_pose\.txt"):
             open_at(tmp_path / "empty", city)
 
+    def test_one_made_by_hand_without_true_poses_is_told_how_to_say_so(self, tmp_path, city):
+        root = write_split(tmp_path / "mine")
+        (root / "GT_pose.txt").unlink()
+        with pytest.raises(DatasetError, match=r"mine holds no GT_pose\.txt") as caught:
+            open_at(root, city)
+        told = caught.value.hint
+        (root / "dataset.json").write_text(told[told.index("{") : told.index("}") + 1])
+        dataset = open_at(root, city)
+        assert [entry.key for entry in dataset.entries] == ["mine/a.jpg"]
+        assert dataset.truth == {}
+        assert dataset.notes == ("mine: there is no truth, so nothing is scored",)
+
     @pytest.mark.parametrize("file", ["GPS_pose.txt", "intrinsic.txt"])
     def test_a_missing_file_is_named(self, tmp_path, city, file):
         root = write_split(tmp_path / "d")
