@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from lodbench.citymodel.crs import is_same_plane, require_crs
@@ -26,6 +27,7 @@ from lodbench.harness.export.export import (
     make_format,
     wanted_by,
 )
+from lodbench.harness.export.localized import is_localized, read_localized_folder
 from lodbench.harness.runs.stored import StoredRun, read_whole_run, require_writable
 from lodbench.plugins import blaming, plugin_names
 from lodbench.reporting.aligned_text import count_of
@@ -34,6 +36,8 @@ _EPILOG = """\
 csv is the table for people: easting, northing, height, latitude, longitude, heading, pitch, roll, standard
 deviations, probability and trust of each photo. queries is the run's own table, with quaternions (world to
 camera) and covariances; parquet the same, typed. geojson and gpkg (GeoPackage) are maps.
+
+A folder that lodbench localize wrote is exported likewise: each photo is a query, with its camera as stored.
 
 Poses are written in the dataset's coordinates; queries without one are named, not written (in tables and maps
 they have no place). COLMAP, kapture and nerfstudio hold cameras, which come from the dataset.
@@ -45,12 +49,19 @@ frame; `rerun FILE` opens it. Of files that are there only earlier exports in th
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
-    folders = run_folders(asked.runs, asked.out)
+    localized = [folder for folder in asked.runs if is_localized(folder)]
+    others = [folder for folder in asked.runs if folder not in localized]
+    folders = [*localized, *(run_folders(others, asked.out) if others else ())]
+    if asked.out is not None and len(folders) > 1:
+        raise ConfigError(f"--out {asked.out} is one place, for {len(folders)} folders.", "Leave --out out.")
     require_writable(asked.out, folders, may_be_folder=True)
     form = make_format(asked.format)
     _require_heard(asked, form)
     for folder in folders:
-        export = _opened(asked, read_whole_run(folder), form)
+        if folder in localized:
+            export = _localized(asked, folder, form)
+        else:
+            export = _opened(asked, read_whole_run(folder), form)
         with blaming("export_formats", asked.format, "write the run"):
             _report(export_run(export, form, asked.out))
     return 0
@@ -70,6 +81,25 @@ def _require_heard(asked: argparse.Namespace, form: ExportFormat) -> None:
         raise ConfigError(
             f"--format {asked.format} needs poses alone.", "Leave --dataset-root and --city out."
         )
+
+
+def _localized(asked: argparse.Namespace, folder: Path, form: ExportFormat) -> Export:
+    """Returns what `lodbench localize` wrote into a folder, with what the format takes of it.
+
+    Raises:
+        LodbenchError: It cannot be read, the format requires a city, or the poses are in another system than
+            is told.
+    """
+    if CITY in form.requires:
+        raise ConfigError(
+            f"--format {asked.format} needs a run of a dataset, and {folder} is of lodbench localize.",
+            "Make one of the photos: lodbench dataset init.",
+        )
+    if asked.dataset_root is not None or asked.city_model is not None:
+        hint = "Leave --dataset-root and --city out; --crs names the system of a local frame."
+        raise ConfigError(f"{folder}, of lodbench localize, has cameras and reference system itself.", hint)
+    export = read_localized_folder(folder)
+    return replace(export, crs=_one_system([export.crs, asked.crs], asked.crs))
 
 
 def _opened(asked: argparse.Namespace, run: StoredRun, form: ExportFormat) -> Export:
@@ -139,7 +169,7 @@ def _city_of(dataset: Dataset) -> Scene:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("lodbench export", "Write a run's poses for another program.", _EPILOG)
-    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run folders")
+    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="folders of run or localize")
     names = ", ".join(plugin_names("export_formats"))
     parser.add_argument("--format", required=True, metavar="FORMAT", help=names)
     parser.add_argument(

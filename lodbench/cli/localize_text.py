@@ -66,7 +66,7 @@ def _photo_table(answers: Answers) -> str:
         places = [("latitude_deg", ".7f"), ("longitude_deg", ".7f")]
     rows = [["", *where, "height m", "heading deg", "pitch deg", "roll deg", "moved m", "sure", "trust"]]
     numbers = ("height_m", "heading_deg", "pitch_deg", "roll_deg", "moved_m", "probability")
-    cells = [*places, *((name, ".2f") for name in numbers)]
+    cells = [*places, *((name, "z.2f") for name in numbers)]
     for answer in answers.photos:
         row = answer.row()
         texts = ["-" if row[name] is None else format(row[name], spec) for name, spec in cells]
