@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from lodbench.datasets.exchange.posed import inverted
 from lodbench.datasets.pose_text import format_pose, lines_to_text, read_poses
+from lodbench.geometry import Pose
 from tests.data.published_layouts import UAVD4L_NAMES, write_swiss, write_uavd4l
 from tests.town import write_dataset
 
@@ -112,6 +114,22 @@ class TestCheck:
         assert values["splits"]["data"]["prior_median"] == pytest.approx([77**0.5, 3.0], abs=1e-6)
         code, values = check(lodbench, str(root))
         assert (code, found(values)) == (1, {"FILE_MISSING": 1})
+
+    def test_how_far_cameras_look_off_straight_down_whatever_way_they_are_turned(self, lodbench, tmp_path):
+        """A kite's camera turns about its optical axis: at 20 degrees off, angles told -14 to 13."""
+        root, city = write_dataset(tmp_path / "town", count=6)
+        turned = {}
+        for number, (name, pose) in enumerate(read_poses(root / "GT_pose.txt").items()):
+            about_axis = Rotation.from_euler("z", 35.0 + 70.0 * number, degrees=True).as_matrix()
+            turned[name] = Pose.from_center(about_axis @ pose.rotation, pose.center)
+        (root / "GT_pose.txt").write_text(lines_to_text(format_pose(*each) for each in turned.items()))
+        off = [np.degrees(np.arccos(-pose.rotation[2, 2])) for pose in turned.values()]
+        assert min(off) > 19
+        _, values = check(lodbench, str(root), "--city", str(city))
+        expected = [min(off), np.median(off), max(off)]
+        assert values["splits"]["data"]["off_nadir_deg"] == pytest.approx(expected)
+        told = lodbench("dataset", "check", str(root), "--city", str(city)).stdout
+        assert f"looking {min(off):.0f} to {max(off):.0f} deg off straight down" in told
 
     def test_missing_data_is_explained(self, lodbench, tmp_path):
         done = lodbench("dataset", "check", "swiss_epflv2", "--root", str(tmp_path / "none"))

@@ -165,7 +165,7 @@ def test_an_unreliable_pose_of_a_photo_without_a_roll_hints_at_it(capsys, folder
     for name, words in {"none": place, "given": (*place, "--roll", "0"), "file": start(folder)}.items():
         assert localize(folder, *words, *mask, photos="photos/b.jpg") == 3
         said[name] = capsys.readouterr().out
-    assert "give --roll if the camera was not level" in said["none"]
+    assert "--height, --heading or --roll (0 was assumed) or a wider --prior-range" in said["none"]
     assert "--roll" not in said["given"]
     assert "--roll" not in said["file"]
     assert f"give a better pose in {folder / 'rough.txt'} or a wider --prior-range" in said["file"]

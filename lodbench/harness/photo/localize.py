@@ -244,7 +244,7 @@ def _warning(photo: PreparedPhoto, estimate: Estimate) -> str:
     if request.start is not None:
         better = f"give a better pose in {request.start.source}"
     elif photo.stated.gimbal_roll_deg is None and request.given.roll_deg is None:
-        better = "give --roll if the camera was not level, a better position, --height or --heading"
+        better = "give a better position, --height, --heading or --roll (0 was assumed)"
     if isinstance(request.method, SupportsPriorWidth):
         better += " or a wider --prior-range"
     return f"{reason}; check the overlay, {better}, or {mask}"
