@@ -17,13 +17,14 @@ def lazy_names(
 
     Args:
         package: Its ``__name__``.
-        homes: Public names, and the module inside the package that defines each.
+        homes: Public names, and the module that defines each, relative to the package: ``.other.module``
+            is one of the package above.
     """
 
     def load(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        found = getattr(import_module(f"{package}.{homes[name]}"), name)
+        found = getattr(import_module(f".{homes[name]}", package), name)
         setattr(sys.modules[package], name, found)  # found at once from now on
         return found
 
