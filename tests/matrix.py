@@ -2,8 +2,8 @@
 
 `python -m tests.matrix` tries every row, `python -m tests.matrix NAME ...` some. A row makes an environment,
 installs a wheel or an sdist with oldest, pinned or newest packages, and then wants
-`lodbench doctor --thorough` to say what is so (the base works, the extras asked for are ready) and two queries
-of the demo answered.
+`lodbench doctor --thorough` to say what is so (the base works, the extras asked for are ready) and two
+queries of the demo answered.
 """
 
 from __future__ import annotations
