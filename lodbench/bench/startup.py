@@ -104,8 +104,9 @@ class Build:
         done = subprocess.run(command, cwd=self.place, env=known, capture_output=True, text=True)  # noqa: S603
         code, cpu_s, wall_s, peak = json.loads(done.stdout)
         if code not in _DONE.get(words[0], (0,)):
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            raise LodbenchError(f"{self.name}: lodbench {' '.join(words)}: {last}")
+            lines = done.stderr.strip().splitlines() or ["no message"]
+            said = next((line for line in lines if line.startswith("lodbench: ")), lines[-1])
+            raise LodbenchError(f"{self.name}: lodbench {words[0]}: {said.removeprefix('lodbench: ')}")
         return Cost(cpu_s, wall_s, peak / (2**20 if sys.platform == "darwin" else 2**10))
 
 

@@ -79,7 +79,7 @@ def test_a_process_is_measured_with_what_it_starts(tmp_path):
     assert cost.wall_s > 0
     # That of the process alone, not of this one, which holds far more.
     assert 5 < cost.peak_mib < 60
-    with pytest.raises(LodbenchError, match=r"own: lodbench nothing: .*hint|There is no command"):
+    with pytest.raises(LodbenchError, match="own: lodbench nothing: There is no command"):
         build.run(["nothing"])
 
 
