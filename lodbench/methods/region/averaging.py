@@ -18,6 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from lodbench.methods.region.roots import brent_root
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
@@ -123,11 +124,7 @@ def _share_that_leaves(least_m: float, poses: Floats, nats: Floats, rest: Floats
     least = math.log(_LEAST_SHARE)
     if excess(0.0) >= 0.0:
         return 1.0
-    return (
-        math.exp(scipy.optimize.brentq(excess, least, 0.0, xtol=0.01))
-        if excess(least) > 0.0
-        else _LEAST_SHARE
-    )
+    return math.exp(brent_root(excess, least, 0.0, 0.01)) if excess(least) > 0.0 else _LEAST_SHARE
 
 
 def _moments(poses: Floats, logs: Floats) -> tuple[Floats, Floats]:
