@@ -20,6 +20,7 @@ COMMANDS = {
     "--help": ("--help",),
     "run --help": ("run", "--help"),
     "run method=region --help": ("run", "method=region", "--help"),
+    "run method=auto --help": ("run", "method=auto", "--help"),
     "train --help": ("train", "--help"),
     "dataset list": ("dataset", "list"),
     "dataset card": ("dataset", "card", "demo"),
