@@ -42,7 +42,7 @@ ROWS = (
     Row(("citymodel",), "from any file to a scene", "3", "3"),
     Row(("geometry",), "poses, cameras, lenses, angles"),
     Row(("storage",), "files, digests, random streams"),
-    Row(("findings", "plugins", "params", "checks", "extras", "errors"), "what all others use"),
+    Row(("findings", "plugins", "params", "checks", "extras", "lazy_names", "errors"), "what all others use"),
 )
 
 _WIDTH, _TOP, _ROW, _RUN, _PHOTO = 620, 46, 34, 492, 572

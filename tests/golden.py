@@ -124,6 +124,8 @@ def run_case(case: Case, folder: Path) -> dict[str, bytes]:
     for path in sorted(work.rglob("*")):
         if path.is_file() and path.name not in APART:
             name = re.sub(r"\b[0-9a-f]{12}\b", "DIGEST", path.relative_to(work).as_posix())
+            while name in files:  # of several runs of one method
+                name += "'"
             files[name] = path.read_bytes()
     return {name: without_changing(content, folder) for name, content in files.items()}
 

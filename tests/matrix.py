@@ -1,8 +1,9 @@
 """Installs lodbench as people do, and asks each installation whether it works.
 
 `python -m tests.matrix` tries every row, `python -m tests.matrix NAME ...` some. A row makes an environment,
-installs a wheel or an sdist with oldest, pinned or newest packages, and then wants `lodbench doctor` to say
-what is so (the base works, the extras asked for are ready) and two queries of the demo answered.
+installs a wheel or an sdist with oldest, pinned or newest packages, and then wants
+`lodbench doctor --thorough` to say what is so (the base works, the extras asked for are ready) and two
+queries of the demo answered.
 """
 
 from __future__ import annotations
@@ -134,7 +135,7 @@ def examine(row: Row, programs: Path, folder: Path) -> str:
         for path in [programs.parent, *programs.parent.rglob("*")]:
             if not path.is_symlink():
                 path.chmod(path.stat().st_mode & ~0o222)
-    told = call(*lodbench, "doctor", "--json", cwd=place, **options)
+    told = call(*lodbench, "doctor", "--thorough", "--json", cwd=place, **options)
     checks = [json.loads(line) for line in told.splitlines()]
     broken = [check["name"] for check in checks if check["is_base"] and check["status"] != "ok"]
     assert not broken, broken

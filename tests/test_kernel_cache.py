@@ -21,7 +21,7 @@ OUTER = (
     "@njit(cache=True)\ndef outer():\n    return inner()\n"
 )
 MAIN = (
-    "import pathlib, lodbench.kernel_cache as k; k.keep_kernels_apart(pathlib.Path('fake'));"
+    "import pathlib, numba, lodbench.kernel_cache as k; k.keep_kernels_apart(pathlib.Path('fake'));"
     "from fake.outer import outer; print(outer())"
 )
 

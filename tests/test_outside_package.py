@@ -179,6 +179,7 @@ def test_each_part_is_used_by_the_commands(env):
         "check": ["dataset", "check", "alps", "--root", str(env.root), "--city", str(env.city)],
         "help": ["run", "--help"],
         "doctor": ["doctor"],
+        "thorough doctor": ["doctor", "--thorough"],
     }  # fmt: skip
     told = dict(zip(commands, env.call(*commands.values()), strict=True))
     for what, (code, text) in told.items():
@@ -197,6 +198,7 @@ def test_each_part_is_used_by_the_commands(env):
         assert name in text["help"], name
     for kind, name, _ in PARTS:
         assert f"{kind} {name}" in text["doctor"]
+        assert f"{kind} {name}" in text["thorough doctor"]
 
 
 def test_unknown_names_are_told_with_those_of_plug_ins(env):
@@ -255,7 +257,9 @@ def test_with_all_parts_and_the_configuration_broken_the_rest_works(env):
         for file in files[2:]:
             file.write_text("raise RuntimeError('broken on purpose')\n")
         yaml.write_text("name: [halfway\n")
-        (lost, told), (code, said), (_, doctor) = env.call([*env.run, "method=halfway"], ours, ["doctor"])
+        (lost, told), (code, said), (_, doctor) = env.call(
+            [*env.run, "method=halfway"], ours, ["doctor", "--thorough"]
+        )
         assert (lost, code) == (2, 0), told + said
         assert "Traceback" not in told
         assert doctor.count("broken on purpose") == len(PARTS)

@@ -1,6 +1,17 @@
 """The map that methods are handed: all that can be asked of a city, batched over poses and counted."""
 
-from lodbench.citymap.city_map import CityMap
-from lodbench.citymap.usage import MapUsage
+from typing import TYPE_CHECKING
 
-__all__ = ["CityMap", "MapUsage"]
+from lodbench.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from lodbench.citymap.city_map import CityMap as CityMap
+    from lodbench.citymap.usage import MapUsage as MapUsage
+
+__all__, __getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "CityMap": "city_map",
+        "MapUsage": "usage",
+    },
+)

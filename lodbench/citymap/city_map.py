@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from functools import cache, cached_property
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,15 @@ from lodbench.rendering.bits import Words
 from lodbench.rendering.edge_faces import EdgeFaces, edge_faces, edge_pairs
 from lodbench.rendering.model_edges import edges_in_view
 from lodbench.rendering.projection import require_poses, view_planes, visible_buildings
-from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.selection import bounding_spheres
 from lodbench.rendering.silhouette import SilhouetteRenderer
-from lodbench.rendering.textured import TexturedRenderer
 from lodbench.storage import random_stream
-from lodbench.synthesis.photo import PhotoRenderer, draw_look, look_ranges
+
+if TYPE_CHECKING:
+    from lodbench.rendering.pyrender_textured import PyrenderTextured
+    from lodbench.rendering.textured import TexturedRenderer
+    from lodbench.synthesis.photo import PhotoRenderer
 
 Floats = NDArray[np.float64]
 
@@ -169,6 +171,8 @@ class CityMap:
         self.usage.add("colour", len(centers))
         if self._textured is not None:
             return self._textured.colours(camera, rotations, centers)
+        from lodbench.synthesis.photo import draw_look, look_ranges
+
         look, response = draw_look(look_ranges("plain"), random_stream(0, "city map", "colour"))
         photos = [self._photos.photo(camera, pose, look, response) for pose in _poses(rotations, centers)]
         return np.array(photos, dtype=np.uint8).reshape(-1, camera.height, camera.width, 3)
@@ -219,16 +223,24 @@ class CityMap:
     def _textured(self) -> TexturedRenderer | PyrenderTextured | None:
         if self._textured_mesh is None:
             return None
-        return PyrenderTextured(self._textured_mesh) if self.name == "pyrender" else self._textured_raster
+        if self.name != "pyrender":
+            return self._textured_raster
+        from lodbench.rendering.pyrender_textured import PyrenderTextured
+
+        return PyrenderTextured(self._textured_mesh)
 
     @cached_property
     def _textured_raster(self) -> TexturedRenderer:
         if self._textured_mesh is None:
             raise RenderingError("This map has no textures.")
+        from lodbench.rendering.textured import TexturedRenderer
+
         return TexturedRenderer(self._textured_mesh, self._threads)
 
     @cached_property
     def _photos(self) -> PhotoRenderer:
+        from lodbench.synthesis.photo import PhotoRenderer
+
         return PhotoRenderer(self.scene, threads=self._threads)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 Floats = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ class Ground:
 
     def __init__(self, bases: Floats, sigma_m: float | None = None) -> None:
         self._bases, self._sigma_m = bases, sigma_m
-        self._tree = cKDTree(bases[:, :2])
+        self._tree = scipy.spatial.cKDTree(bases[:, :2])
 
     def at(self, places: Floats) -> GroundPlanes:
         """Returns the ground at (N, 2) places: robust least squares, near bases counting most."""

@@ -20,8 +20,9 @@ each thing goes:
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from lodbench.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from lodbench.citymodel.info import city_info as city_info
@@ -35,27 +36,18 @@ if TYPE_CHECKING:
     from lodbench.citymodel.read import read_city_model as read_city_model
     from lodbench.citymodel.scene import Scene as Scene
 
-_HOMES = {
-    "CityMesh": "meshing",
-    "CityModel": "model",
-    "ReadOptions": "options",
-    "Scene": "scene",
-    "city_info": "info",
-    "mesh_city": "meshing",
-    "mesh_model": "meshing",
-    "open_scene": "read",
-    "parse_city_model": "read",
-    "read_city_model": "read",
-}
-
-__all__ = sorted(_HOMES)
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__all__, __getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "CityMesh": "meshing",
+        "CityModel": "model",
+        "ReadOptions": "options",
+        "Scene": "scene",
+        "city_info": "info",
+        "mesh_city": "meshing",
+        "mesh_model": "meshing",
+        "open_scene": "read",
+        "parse_city_model": "read",
+        "read_city_model": "read",
+    },
+)

@@ -9,12 +9,10 @@ from dataclasses import asdict
 from functools import cache
 from glob import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lodbench.citymodel.lifespans import holds_on
-from lodbench.citymodel.meshing import CityMesh, mesh_model
-from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.read import read_city_model
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene
 from lodbench.citymodel.source import Source, open_sources
@@ -25,6 +23,10 @@ from lodbench.storage import digest_of, file_digest, make_folder
 from lodbench.storage.digest import digest_of_code, package_files
 from lodbench.storage.paths import cache_limit_bytes, cache_root
 from lodbench.storage.pruning import mark_used, prune_cache
+
+if TYPE_CHECKING:
+    from lodbench.citymodel.meshing import CityMesh
+    from lodbench.citymodel.model import CityModel
 
 _LOGGER = logging.getLogger(__name__)
 # What decides the numbers besides our own code. Those of extras need not be there.
@@ -74,6 +76,10 @@ def open_cached_city(
                 return known
         except CityModelError as fault:
             _LOGGER.warning("%s It is made anew.", fault)
+    # Not needed where the cache has the scene.
+    from lodbench.citymodel.meshing import mesh_model
+    from lodbench.citymodel.read import read_city_model
+
     model = read_city_model(path, options=options, progress=progress)
     city = open_city(model, mesh_model(model, lod, roof_height=roof_height))
     try:

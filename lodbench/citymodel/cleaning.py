@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel import small_cities
 from lodbench.citymodel.codes import DUPLICATE_POINTS, RING_NOT_CLOSED, RING_TOO_SHORT
 from lodbench.citymodel.model import Polygons
 from lodbench.citymodel.raw import RawCity, starts_of
@@ -32,7 +32,10 @@ def clean_polygons(raw: RawCity) -> tuple[Polygons, NDArray[np.int64]]:
     is_closed, is_repeated, is_short = marks
     is_kept = np.empty(len(raw.points), np.bool_)
     new_lengths = np.zeros(len(lengths), np.int64)
-    _mark_points(raw.points, raw.ring_starts, is_kept, new_lengths, is_closed, is_repeated)
+    mark_points = small_cities.mark_points
+    if not small_cities.is_few(raw.points.size):
+        from lodbench.citymodel.city_kernels import mark_points
+    mark_points(raw.points, raw.ring_starts, is_kept, new_lengths, is_closed, is_repeated)
     np.less(new_lengths, 3, out=is_short)
     # In formats without closing points a closing point is a repeat.
     is_repeated |= is_closed & np.logical_not(raw.has_closing_points)
@@ -59,34 +62,6 @@ def clean_polygons(raw: RawCity) -> tuple[Polygons, NDArray[np.int64]]:
         uv=None if raw.uv is None else raw.uv[is_kept],
     )
     return polygons, kept
-
-
-@numba.njit(cache=True, nogil=True)
-def _mark_points(
-    points: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    is_kept: NDArray[np.bool_],
-    lengths: NDArray[np.int64],
-    is_closed: NDArray[np.bool_],
-    is_repeated: NDArray[np.bool_],
-) -> None:  # pragma: no cover - compiled
-    """Fills which points stay, how many of each ring, which rings are closed and which repeat a point."""
-    for ring in range(len(starts) - 1):
-        first, last = starts[ring], starts[ring + 1] - 1
-        for p in range(first, last):
-            is_same = True
-            for k in range(3):
-                is_same &= points[p, k] == points[p + 1, k]
-            is_kept[p] = not is_same
-            is_repeated[ring] |= is_same
-        if last >= first:
-            is_same = last > first
-            for k in range(3):
-                is_same &= points[first, k] == points[last, k]
-            is_kept[last] = not is_same
-            is_closed[ring] = is_same
-        for p in range(first, last + 1):
-            lengths[ring] += is_kept[p]
 
 
 def _move_up(points: NDArray[np.float64], is_kept: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -6,18 +6,12 @@ other scripts, all of which Python's ``float`` takes.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-RING_SEPARATOR = ";"
+from lodbench.citymodel import small_cities
 
-_POWERS: NDArray[np.float64] = 10.0 ** np.arange(23, dtype=np.float64)  # all exact in float64
-_SEMICOLON, _PLUS, _MINUS, _DOT = 59, 43, 45, 46
-_LOWER_E, _UPPER_E, _ZERO, _NINE = 101, 69, 48, 57
-# Veltkamp's constant: splits a float64 into two halves whose products are exact.
-_SPLITTER = 134217729.0
-_MAX_MANTISSA = np.uint64(10**17)  # one digit more still fits an int64
+RING_SEPARATOR = ";"
 
 
 def parse_rings(
@@ -44,7 +38,11 @@ def parse_rings(
     if not joined.isascii() or joined.count(RING_SEPARATOR) != len(texts) - 1:
         foreign = [not text.isascii() or RING_SEPARATOR in text for text in texts]
         clean = ["?" if is_foreign else text for text, is_foreign in zip(texts, foreign, strict=True)]
-        joined = RING_SEPARATOR.join(clean)
+        texts, joined = clean, RING_SEPARATOR.join(clean)
+    if small_cities.is_few(len(joined) // 8):  # a number has seven characters and a blank at least, mostly
+        return small_cities.scan(texts)
+    from lodbench.citymodel.city_kernels import POWERS, scan
+
     if not texts:
         return np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.bool_)
     data = np.frombuffer(joined.encode("ascii"), dtype=np.uint8)
@@ -53,7 +51,7 @@ def parse_rings(
     while True:
         counts = np.zeros(len(texts), np.int64)
         is_bad = np.zeros(len(texts), np.bool_)
-        num_values, num_long = _scan(data, _POWERS, values, counts, is_bad, spans)
+        num_values, num_long = scan(data, POWERS, values, counts, is_bad, spans)
         if num_long <= len(spans):
             break
         spans = np.zeros((num_long, 2), np.int64)  # rare, so room is made only when there are some
@@ -86,114 +84,3 @@ def _repair_long(
         values[index] = float(token)
         if not np.isfinite(values[index]):
             is_bad[np.searchsorted(ends, index, side="right")] = True
-
-
-@numba.njit(cache=True, nogil=True)
-def _decimal(mantissa: np.uint64, exponent: int, powers: NDArray[np.float64]) -> float:  # pragma: no cover
-    """Returns mantissa * 10**exponent, |exponent| <= 22, rounded as float() rounds it."""
-    high = np.float64(mantissa)
-    low = np.float64(np.int64(mantissa) - np.int64(high))
-    if exponent >= 0:
-        scaled: float = (high + low) * powers[exponent]
-        return scaled
-    power = powers[-exponent]
-    quotient = high / power
-    # The exact product quotient * power in two parts (Dekker), then one step of long division.
-    a = _SPLITTER * quotient
-    a_high = a - (a - quotient)
-    a_low = quotient - a_high
-    b = _SPLITTER * power
-    b_high = b - (b - power)
-    b_low = power - b_high
-    product = quotient * power
-    error = ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
-    corrected: float = quotient + (((high - product) - error) + low) / power
-    return corrected
-
-
-@numba.njit(cache=True, nogil=True)
-def _scan(  # noqa: C901 - one state machine; as three functions it takes a tenth longer
-    data: NDArray[np.uint8],
-    powers: NDArray[np.float64],
-    values: NDArray[np.float64],
-    counts: NDArray[np.int64],
-    is_bad: NDArray[np.bool_],
-    spans: NDArray[np.int64],
-) -> tuple[int, int]:  # pragma: no cover
-    """Fills values, counts and is_bad; returns how many values, and how many long ones in spans."""
-    size = len(data)
-    position = 0
-    ring = 0
-    num_values = 0
-    num_long = 0
-    while position < size:
-        byte = data[position]
-        if byte == _SEMICOLON:
-            ring += 1
-            position += 1
-            continue
-        if byte == 32 or (9 <= byte <= 13):
-            position += 1
-            continue
-        start = position
-        is_negative = byte == _MINUS
-        if is_negative or byte == _PLUS:
-            position += 1
-        mantissa = np.uint64(0)
-        exponent = 0
-        num_digits = 0
-        is_long = False
-        seen_dot = False
-        while position < size:
-            byte = data[position]
-            if _ZERO <= byte <= _NINE:
-                num_digits += 1
-                if mantissa < _MAX_MANTISSA:
-                    mantissa = mantissa * np.uint64(10) + np.uint64(byte - _ZERO)
-                    if seen_dot:
-                        exponent -= 1
-                else:
-                    is_long = True
-            elif byte == _DOT and not seen_dot:
-                seen_dot = True
-            else:
-                break
-            position += 1
-        is_clean = num_digits > 0
-        if is_clean and position < size and (data[position] == _LOWER_E or data[position] == _UPPER_E):
-            position += 1
-            is_minus = position < size and data[position] == _MINUS
-            if position < size and (is_minus or data[position] == _PLUS):
-                position += 1
-            written = 0
-            exponent_digits = 0
-            while position < size and _ZERO <= data[position] <= _NINE:
-                if written < 100000:
-                    written = written * 10 + int(data[position] - _ZERO)
-                exponent_digits += 1
-                position += 1
-            is_clean = exponent_digits > 0
-            exponent += -written if is_minus else written
-        if position < size:
-            byte = data[position]
-            if not (byte == _SEMICOLON or byte == 32 or 9 <= byte <= 13):
-                is_clean = False
-                while position < size:
-                    byte = data[position]
-                    if byte == _SEMICOLON or byte == 32 or 9 <= byte <= 13:
-                        break
-                    position += 1
-        if not is_clean:
-            values[num_values] = np.nan
-            is_bad[ring] = True
-        elif is_long or exponent < -22 or exponent > 22 or (exponent > 0 and mantissa > 9007199254740992):
-            if num_long < len(spans):
-                spans[num_long, 0] = num_values
-                spans[num_long, 1] = start
-            num_long += 1
-        else:
-            value = _decimal(mantissa, exponent, powers)
-            values[num_values] = -value if is_negative else value
-        num_values += 1
-        counts[ring] += 1
-    return num_values, num_long

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel import small_cities
 from lodbench.citymodel.codes import DUPLICATE_POLYGON
 from lodbench.citymodel.identity import number_rows
 from lodbench.citymodel.model import Polygons, SurfaceKind
@@ -54,7 +54,10 @@ def _find_repeats(polygons: Polygons, chosen: NDArray[np.int64], kept_as: NDArra
     """Writes which polygon each of the chosen repeats, if any; the chosen are whole buildings."""
     hashes = np.zeros((2, len(chosen)), np.uint64)
     bits = polygons.points.view(np.uint64)
-    _hash_corners(bits, polygons.ring_starts, polygons.polygon_starts, chosen, hashes)
+    hash_corners = small_cities.hash_corners
+    if not small_cities.is_few(polygons.points.size):
+        from lodbench.citymodel.city_kernels import hash_corners
+    hash_corners(bits, polygons.ring_starts, polygons.polygon_starts, chosen, hashes)
     is_interior = polygons.kind[chosen] == SurfaceKind.INTERIOR
     owner = polygons.building[chosen].astype(np.uint64)
     # Most cities repeat nothing, which one sort of short keys tells.
@@ -78,33 +81,3 @@ def _find_repeats(polygons: Polygons, chosen: NDArray[np.int64], kept_as: NDArra
     rank, first = number_rows([group[own].astype(np.uint64), part[polygon[own]].astype(np.uint64)])
     stand_in[own] = polygon[own[first[rank]]]
     kept_as[polygon] = stand_in
-
-
-@numba.njit(cache=True, nogil=True)
-def _hash_corners(
-    bits: NDArray[np.uint64],
-    ring_starts: NDArray[np.int64],
-    polygon_starts: NDArray[np.int64],
-    chosen: NDArray[np.int64],
-    hashes: NDArray[np.uint64],
-) -> None:  # pragma: no cover - compiled
-    """Fills two 64-bit sums over the corners of each chosen polygon, equal for equal sets of corners."""
-    odd, mixer = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)
-    negative_zero, shift = np.uint64(1 << 63), np.uint64(31)
-    for i in range(len(chosen)):
-        total, twisted = np.uint64(0), np.uint64(0)
-        first = ring_starts[polygon_starts[chosen[i]]]
-        last = ring_starts[polygon_starts[chosen[i] + 1]]
-        for p in range(first, last):
-            key = np.uint64(0)
-            for k in range(3):
-                word = bits[p, k]
-                if word == negative_zero:
-                    word = np.uint64(0)
-                key = (key ^ word) * odd
-                key = (key ^ (key >> shift)) * mixer
-            key ^= key >> shift
-            total += key
-            twisted += (key * odd) ^ (key >> shift)
-        hashes[0, i] = total + np.uint64(last - first)
-        hashes[1, i] = twisted

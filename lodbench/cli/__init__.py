@@ -67,6 +67,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
 
 
+def _help_of_settings(words: list[str]) -> int | None:
+    """Writes the help of a command whose words are settings, without loading the command itself.
+
+    Returns:
+        The exit code; None where the command parses flags, and has help of its own.
+    """
+    from lodbench.cli.setting_words import SETTINGS_COMMANDS, names_method
+
+    command, *rest = words
+    if command not in SETTINGS_COMMANDS:
+        return None
+    from lodbench.cli.setting_help import help_text
+
+    is_of_method = command == "train" and names_method(rest)
+    sys.stdout.write(help_text(command, "train-method" if is_of_method else command, rest))
+    return 0
+
+
 # What a command does that is given again after it was stopped.
 _GOES_ON = dict.fromkeys(("run", "basin", "generate-training-data"), "goes on from here") | {
     "train": "goes on after the last epoch that was validated, if there is one, else from the start"
@@ -93,6 +111,8 @@ def _run(words: list[str]) -> int:
     # Names and texts of cities, photos and runs come from strangers.
     streams = PlainStream(sys.stdout), PlainStream(sys.stderr)
     with contextlib.redirect_stdout(streams[0]), contextlib.redirect_stderr(streams[1]):
-        code: int = import_module(COMMANDS[words[0]][0]).main(words[1:])
+        code = _help_of_settings(words) if {"-h", "--help"}.intersection(words) else None
+        if code is None:
+            code = int(import_module(COMMANDS[words[0]][0]).main(words[1:]))
     sys.stdout.flush()
     return code

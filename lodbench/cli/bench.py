@@ -17,6 +17,7 @@ from lodbench.bench.options import add_options, options_of
 from lodbench.bench.scale import ScaleOptions, measure_scale
 from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
 from lodbench.bench.slopes import SlopeOptions, measure_slopes
+from lodbench.bench.startup import StartupOptions, measure_startup
 from lodbench.bench.training_data import TrainingDataOptions, measure_training_data
 from lodbench.bench.workers import WorkerOptions, measure_workers
 from lodbench.cli import bench_flight_uses, bench_flights, bench_real, bench_segmentation, bench_views
@@ -67,6 +68,10 @@ def _training_data(given: argparse.Namespace, steps: ProgressCallback) -> Report
     return measure_training_data(city, asked, steps)
 
 
+def _startup(given: argparse.Namespace, steps: ProgressCallback) -> Report:
+    return measure_startup(replace(options_of(given, StartupOptions), is_cold=given.cold), steps)
+
+
 MEASURES: dict[str, Measure] = {
     "silhouettes": _of_city(measure_silhouettes, SilhouetteOptions),
     "scale": _plain(measure_scale, ScaleOptions),
@@ -79,6 +84,7 @@ MEASURES: dict[str, Measure] = {
     "real": bench_real.measure,
     "segmentation": bench_segmentation.measure_segmentation,
     "slopes": _plain(measure_slopes, SlopeOptions),
+    "startup": _startup,
     "tracking": bench_flight_uses.measure_track,
     "training-data": _training_data,
     "wide-priors": bench_views.wide_priors,
@@ -103,6 +109,10 @@ def _parser() -> argparse.ArgumentParser:
     add("scale", ScaleOptions, large)
     slopes = "CPU time and memory over hypotheses, pixels, buildings, queries, workers"
     add("slopes", SlopeOptions, slopes, "the picture")
+    starting = "CPU time, time and memory of whole commands, beside another build's: what starting costs"
+    startup = add("startup", StartupOptions, starting)
+    cold = "localize over an empty kernel cache as well, which compiles"
+    startup.add_argument("--cold", action="store_true", help=cold)
     bench_views.add_views(actions)
     reading = "reading and meshing a city model, beside the naive way and cjio; memory on a large file"
     add_city(add("city", CityOptions, reading))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, cast
 
 from lodbench.errors import ConfigError
 from lodbench.plugins import config_folders
+
+# What OmegaConf makes more of than YAML does: references to other settings, and 1e-3, a text in YAML 1.1.
+_OF_OMEGACONF = re.compile(r"\$\{|\d[eE]")
 
 
 def config_files(group: str, ending: str = ".yaml") -> dict[str, Path]:
@@ -26,17 +30,27 @@ def read_config(group: str, name: str) -> dict[str, Any] | None:
     Raises:
         ConfigError: It cannot be read.
     """
-    from omegaconf import OmegaConf
-
     file = config_files(group).get(name)
     if file is None:
         return None
     try:
-        config = OmegaConf.create({"paths": {"data_root": None, "runs": "runs"}, group: OmegaConf.load(file)})
-        values = OmegaConf.to_container(config, resolve=True)
+        values = _values_of(file, group)
     except Exception as error:  # the YAML reader's faults share no base with OmegaConf's
         raise ConfigError(f"{file} cannot be read: {str(error).splitlines()[0]}") from error
-    section = cast(dict[str, Any], values)[group]
+    section = values[group]
     if not isinstance(section, dict):
         raise ConfigError(f"{file} holds no settings.", "Lines are key: value.")
     return {str(key): value for key, value in section.items() if value != "???"}
+
+
+def _values_of(file: Path, group: str) -> dict[str, Any]:
+    """Returns what a file of a group says, under the group's name, references resolved."""
+    text = file.read_text(encoding="utf-8")
+    if not _OF_OMEGACONF.search(text):
+        import yaml
+
+        return {group: yaml.safe_load(text) or {}}
+    from omegaconf import OmegaConf
+
+    config = OmegaConf.create({"paths": {"data_root": None, "runs": "runs"}, group: OmegaConf.load(file)})
+    return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))

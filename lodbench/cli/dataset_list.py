@@ -69,7 +69,8 @@ def _other_values(plug_in: PlugIn) -> dict[str, Any]:
     card, fault = None, plug_in.fault
     try:
         card = config_card(plug_in.name)
-        plug_in.load()
+        if not plug_in.is_ours:  # a package of others may be broken
+            plug_in.load()
     except LodbenchError as error:
         fault = error.message
     title = card.title if card else "has no card"

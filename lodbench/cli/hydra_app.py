@@ -16,7 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 from lodbench.cli.composing import composed, hydra_version
 from lodbench.cli.console import report_fault
 from lodbench.cli.hydra_faults import explained
-from lodbench.cli.setting_help import groups_of, help_text
+from lodbench.cli.setting_help import groups_of
 from lodbench.cli.setting_words import settings_of, tell_old_names
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.plugins import config_folders
@@ -85,9 +85,6 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         except Exception as error:
             crashes.append(error)
 
-    if any(word in ("-h", "--help") for word in argv):
-        sys.stdout.write(help_text(command, config_name, argv))
-        return 0
     typed, argv = argv, settings_of(command, argv)
     _run_jobs(command, config_name, job, argv)
     if crashes:

@@ -21,7 +21,7 @@ from lodbench.evaluation.queries import ERROR, has_truth, is_answered, without_t
 from lodbench.execution.executor import ExecutorParams
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.remote.method import HERE, RunnerParams
-from lodbench.harness.runs.artefacts import summary_of, write_artefacts
+from lodbench.harness.runs.artefacts import queries_text, summary_of, write_artefacts
 from lodbench.harness.runs.gallery import chosen_queries, overlay_name, write_overlays
 from lodbench.harness.runs.prepare import require_choices
 from lodbench.harness.runs.requirements import SEGMENTED, segmented_inputs
@@ -138,8 +138,10 @@ def run_config(values: dict[str, Any]) -> Run:
     dataset, source = with_date(dataset, source)
     config |= data_identity(dataset_params, source)
     run = run_method(method, dataset, segmenter, settings)
+    before = queries_text(run.folder)
     write_artefacts(run, OmegaConf.to_yaml(OmegaConf.create(config), sort_keys=True))
-    write_overlays(run, run.preparation, run.scorer)
+    was_written = run.resumed == len(run.predictions) and before == queries_text(run.folder)
+    write_overlays(run, run.preparation, lambda: run.scorer, was_written)
     return run
 
 

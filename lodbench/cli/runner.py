@@ -14,8 +14,6 @@ from lodbench.errors import LodbenchError
 from lodbench.harness.remote.method import HERE, SUBPROCESS, RemoteMethod, RunnerParams
 from lodbench.harness.remote.process import RunnerFault
 from lodbench.methods import Method
-from lodbench.methods.conformance import check_answers, trial_settings
-from lodbench.methods.conformance.rules import known_inputs
 from lodbench.methods.registry import configure_method
 from lodbench.params import to_params
 
@@ -62,6 +60,9 @@ def remote_checks(name: str, words: Sequence[str]) -> Iterator[Check]:
     Raises:
         ConfigError: That Python cannot be started or has no lodbench, or a setting is wrong.
     """
+    from lodbench.methods.conformance import check_answers, trial_settings
+    from lodbench.methods.conformance.rules import known_inputs
+
     told = {key: value for key, value in option_pairs(words).items() if key.startswith(_PREFIX)}
     runner = to_params(
         {"name": SUBPROCESS, **{key.removeprefix(_PREFIX): value for key, value in told.items()}},

@@ -5,13 +5,14 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterator, Sequence
+from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
 from lodbench.cli.configs import config_files
 from lodbench.cli.setting_words import is_read, present_name
-from lodbench.plugins import config_folders
+from lodbench.plugins import config_folders, find_plugin
 
 _LINE = re.compile(r"(?P<indent> *)(?P<key>[\w.-]+):(?: +(?P<value>[^#\s][^#]*?))? *(?:# *(?P<meaning>.*))?$")
 _DEFAULT = re.compile(r"  - (?P<group>\w+)(?:@(?P<package>\w+))?: *(?P<name>[\w.-]+)")
@@ -67,11 +68,14 @@ def settings_of_group(key: str, folder: str, name: str) -> list[Setting]:
         folder: The group's folder in ``conf``.
         name: The file in it; an unknown one has no settings.
     """
-    prefix, meanings = f"{key}.", _documented(folder, name)
+    prefix = f"{key}."
+    settings = [s for s in settings_in(_group_text(folder, name), prefix) if s.key != f"{prefix}name"]
+    if all(setting.meaning for setting in settings):
+        return settings
+    meanings = _documented(folder, name)
     return [
         setting._replace(meaning=setting.meaning or meanings.get(setting.key.removeprefix(prefix), ""))
-        for setting in settings_in(_group_text(folder, name), prefix)
-        if setting.key != f"{prefix}name"
+        for setting in settings
     ]
 
 
@@ -125,11 +129,11 @@ def _conf(name: str) -> Path:
 
 def _frame(config_name: str) -> tuple[str, str]:
     """Returns what stands before and after the settings."""
-    from omegaconf import OmegaConf
+    import yaml
 
     name = "lodbench" if config_name == "run" else config_name
-    config: Any = OmegaConf.load(_conf("hydra") / "help" / f"{name}.yaml")
-    return str(config.header), str(config.footer)
+    config = yaml.safe_load((_conf("hydra") / "help" / f"{name}.yaml").read_text(encoding="utf-8"))
+    return config["header"], config["footer"]
 
 
 def _table(settings: Sequence[Setting]) -> str:
@@ -154,15 +158,16 @@ def _documented(folder: str, name: str) -> dict[str, str]:
 
 def _described_by(folder: str, name: str) -> Any:
     """Returns the class whose docstring tells of a group's settings; None where there is none."""
-    from lodbench.plugins import load_plugin
-
     if folder == "source":
         from lodbench.citymodel.options import ReadOptions
 
         return {"options": ReadOptions}
     if folder not in _PLUGINS or name == "auto":
         return None
-    part = load_plugin(_PLUGINS[folder], name)
+    plug_in = find_plugin(_PLUGINS[folder], name)
+    if plug_in.is_ours and hasattr(package := import_module(plug_in.point.module), "Params"):
+        return package.Params  # without the method itself, which takes a second to load
+    part = plug_in.load()
     if inspect.isfunction(part):  # a dataset is opened from its parameters
         return next(iter(get_type_hints(part).values()), None)
     return getattr(part, "params_type", part)

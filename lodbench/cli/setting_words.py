@@ -65,6 +65,11 @@ def has_flags_alone(words: Sequence[str]) -> bool:
     return bool(flags) and not any("=" in word for word in words if not word.startswith("-"))
 
 
+def names_method(words: Sequence[str]) -> bool:
+    """Tells whether words of `lodbench train` are of a method's training, not of a segmenter's."""
+    return any(word.removeprefix("--").split("=")[0] == "method" for word in words)
+
+
 def short_name(command: str, key: str) -> str:
     """Returns what a command calls a setting that has a shorter name than it has inside."""
     short = {inside: name for name, inside in _SHORT.items()} if command in _OF_DATASETS else {}

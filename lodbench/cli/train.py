@@ -10,6 +10,7 @@ from typing import Any, TypeVar, cast
 from omegaconf import DictConfig
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
+from lodbench.cli.setting_words import names_method
 from lodbench.errors import ConfigError
 from lodbench.params import to_params
 from lodbench.plugins import blaming, load_plugin
@@ -25,7 +26,7 @@ T = TypeVar("T")
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    if any(word.removeprefix("--").split("=")[0] == "method" for word in argv):
+    if names_method(argv):
         return run_hydra("train", "train-method", train_method, argv)
     return run_hydra("train", "train", task, argv)
 

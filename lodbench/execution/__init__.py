@@ -1,6 +1,19 @@
 """Long work: progress with time left, and a ledger to resume from."""
 
-from lodbench.execution.ledger import Ledger
-from lodbench.execution.progress import Progress, ProgressCallback
+from typing import TYPE_CHECKING
 
-__all__ = ["Ledger", "Progress", "ProgressCallback"]
+from lodbench.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from lodbench.execution.ledger import Ledger as Ledger
+    from lodbench.execution.progress import Progress as Progress
+    from lodbench.execution.progress import ProgressCallback as ProgressCallback
+
+__all__, __getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "Ledger": "ledger",
+        "Progress": "progress",
+        "ProgressCallback": "progress",
+    },
+)

@@ -21,18 +21,15 @@ Names are loaded when first used: `lodbench doctor` lives here too, and must sta
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from lodbench.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from lodbench.harness.runs.run import Run as Run
     from lodbench.harness.runs.run import RunSettings as RunSettings
     from lodbench.harness.runs.run import run_method as run_method
 
-__all__ = ["Run", "RunSettings", "run_method"]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module("lodbench.harness.runs.run"), name)
+__all__, __getattr__, __dir__ = lazy_names(
+    __name__, dict.fromkeys(("Run", "RunSettings", "run_method"), "runs.run")
+)

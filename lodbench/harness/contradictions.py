@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.codes import (
@@ -363,4 +363,4 @@ def _gradient_ranks(small: Photo) -> NDArray[np.float64]:
     """Returns (H, W) how strong a picture's gradients are, as ranks from 0 to 1."""
     lab = cv2.GaussianBlur(cv2.cvtColor(small, cv2.COLOR_BGR2LAB).astype(np.float32), (0, 0), 1.0)
     strength = (cv2.Sobel(lab, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(lab, cv2.CV_32F, 0, 1) ** 2).sum(axis=2)
-    return np.asarray(rankdata(strength).reshape(strength.shape) / strength.size)
+    return np.asarray(scipy.stats.rankdata(strength).reshape(strength.shape) / strength.size)

@@ -89,7 +89,7 @@ def run_method(
     done = run(asked, opened, segmenter, settings)
     # Through JSON: tuples are lists in a file.
     write_artefacts(done, yaml.safe_dump(json.loads(json.dumps(config)), sort_keys=True, allow_unicode=True))
-    write_overlays(done, done.preparation, done.scorer)
+    write_overlays(done, done.preparation, lambda: done.scorer)
     return read_whole_run(done.folder)
 
 

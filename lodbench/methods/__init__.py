@@ -5,7 +5,22 @@
 ``lodbench track`` does.
 """
 
-from lodbench.datasets.inputs import Input
-from lodbench.methods.protocol import Estimate, Method, Streams
+from typing import TYPE_CHECKING
 
-__all__ = ["Estimate", "Input", "Method", "Streams"]
+from lodbench.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from lodbench.datasets.inputs import Input as Input
+    from lodbench.methods.protocol import Estimate as Estimate
+    from lodbench.methods.protocol import Method as Method
+    from lodbench.methods.protocol import Streams as Streams
+
+__all__, __getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "Estimate": "protocol",
+        "Input": ".datasets.inputs",
+        "Method": "protocol",
+        "Streams": "protocol",
+    },
+)

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lodbench.citymap import CityMap
-from lodbench.datasets.priors import UniformPrior
-from lodbench.datasets.query import Query, Reference
-from lodbench.errors import QueryFault
-from lodbench.geometry import Pose
-from lodbench.methods.workspace import Workspace
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from lodbench.citymap import CityMap
+    from lodbench.datasets.priors import UniformPrior
+    from lodbench.datasets.query import Query, Reference
+    from lodbench.errors import QueryFault
+    from lodbench.geometry import Pose
+    from lodbench.methods.workspace import Workspace
 
 # Random numbers of one query: a stage's name and a step give a generator of their own.
 Streams = Callable[[str, int], np.random.Generator]

@@ -1,53 +1,65 @@
 """Renderers: the silhouette engine, its numpy reference, and back ends behind one protocol."""
 
-from lodbench.rendering.appearance_bins import AppearanceBins, EdgeBins, appearance_bins, edge_bins
-from lodbench.rendering.fit import BoundaryFit, Fit, IouFit, SoftIouFit
-from lodbench.rendering.instances import Instances
-from lodbench.rendering.layers import Layers
-from lodbench.rendering.model_edges import EdgeKind, ViewEdges
-from lodbench.rendering.protocol import (
-    DepthRenderer,
-    InstanceRenderer,
-    IouCounts,
-    LayerRenderer,
-    Renderer,
-    Scorer,
-)
-from lodbench.rendering.region_fit import ContourFit, RegionFit
-from lodbench.rendering.registry import (
-    DEPTH,
-    INSTANCES,
-    LAYERS,
-    make_renderer,
-    open_renderer,
-    renderers_with,
-)
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "DEPTH",
-    "INSTANCES",
-    "LAYERS",
-    "AppearanceBins",
-    "BoundaryFit",
-    "ContourFit",
-    "DepthRenderer",
-    "EdgeBins",
-    "EdgeKind",
-    "Fit",
-    "InstanceRenderer",
-    "Instances",
-    "IouCounts",
-    "IouFit",
-    "LayerRenderer",
-    "Layers",
-    "RegionFit",
-    "Renderer",
-    "Scorer",
-    "SoftIouFit",
-    "ViewEdges",
-    "appearance_bins",
-    "edge_bins",
-    "make_renderer",
-    "open_renderer",
-    "renderers_with",
-]
+from lodbench.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from lodbench.rendering.bins import AppearanceBins as AppearanceBins
+    from lodbench.rendering.bins import EdgeBins as EdgeBins
+    from lodbench.rendering.bins import appearance_bins as appearance_bins
+    from lodbench.rendering.bins import edge_bins as edge_bins
+    from lodbench.rendering.fit import BoundaryFit as BoundaryFit
+    from lodbench.rendering.fit import Fit as Fit
+    from lodbench.rendering.fit import IouFit as IouFit
+    from lodbench.rendering.fit import SoftIouFit as SoftIouFit
+    from lodbench.rendering.instances import Instances as Instances
+    from lodbench.rendering.layers import Layers as Layers
+    from lodbench.rendering.model_edges import EdgeKind as EdgeKind
+    from lodbench.rendering.model_edges import ViewEdges as ViewEdges
+    from lodbench.rendering.protocol import DepthRenderer as DepthRenderer
+    from lodbench.rendering.protocol import InstanceRenderer as InstanceRenderer
+    from lodbench.rendering.protocol import IouCounts as IouCounts
+    from lodbench.rendering.protocol import LayerRenderer as LayerRenderer
+    from lodbench.rendering.protocol import Renderer as Renderer
+    from lodbench.rendering.protocol import Scorer as Scorer
+    from lodbench.rendering.region_fit import ContourFit as ContourFit
+    from lodbench.rendering.region_fit import RegionFit as RegionFit
+    from lodbench.rendering.registry import DEPTH as DEPTH
+    from lodbench.rendering.registry import INSTANCES as INSTANCES
+    from lodbench.rendering.registry import LAYERS as LAYERS
+    from lodbench.rendering.registry import make_renderer as make_renderer
+    from lodbench.rendering.registry import open_renderer as open_renderer
+    from lodbench.rendering.registry import renderers_with as renderers_with
+
+__all__, __getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "AppearanceBins": "bins",
+        "BoundaryFit": "fit",
+        "ContourFit": "region_fit",
+        "DEPTH": "registry",
+        "DepthRenderer": "protocol",
+        "EdgeBins": "bins",
+        "EdgeKind": "model_edges",
+        "Fit": "fit",
+        "INSTANCES": "registry",
+        "InstanceRenderer": "protocol",
+        "Instances": "instances",
+        "IouCounts": "protocol",
+        "IouFit": "fit",
+        "LAYERS": "registry",
+        "LayerRenderer": "protocol",
+        "Layers": "layers",
+        "RegionFit": "region_fit",
+        "Renderer": "protocol",
+        "Scorer": "protocol",
+        "SoftIouFit": "fit",
+        "ViewEdges": "model_edges",
+        "appearance_bins": "bins",
+        "edge_bins": "bins",
+        "make_renderer": "registry",
+        "open_renderer": "registry",
+        "renderers_with": "registry",
+    },
+)

@@ -20,7 +20,7 @@ from lodbench.errors import RenderingError
 # A first context takes a second or two; a driver that is silent for this long hangs.
 _PATIENCE_S = 60.0
 _TRIAL = (sys.executable, "-m", "lodbench.rendering.gl_trial")
-_OTHER_WAYS = "See lodbench doctor; renderer=open3d and renderer=raster need no GL."
+_OTHER_WAYS = "See lodbench doctor --thorough; renderer=open3d and renderer=raster need no GL."
 
 _is_tried = threading.Event()
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from lodbench.segmentation.working_size import resized_photo, working_size
 
@@ -41,7 +41,9 @@ def adapted(logits: Logits, photo: NDArray[np.uint8], weight: float) -> Logits:
     """
     height, width = logits.shape
     small = working_size(width, height, _SIZE)
-    probability = expit(cv2.resize(logits, small, interpolation=cv2.INTER_AREA).astype(np.float64)).ravel()
+    probability = scipy.special.expit(
+        cv2.resize(logits, small, interpolation=cv2.INTER_AREA).astype(np.float64)
+    ).ravel()
     is_building, sureness = probability > 0.5, np.abs(2.0 * probability - 1.0)
     sure = np.array([sureness[~is_building].sum(), sureness[is_building].sum()])
     if weight == 0 or sure.min() < _FEWEST:
@@ -74,7 +76,7 @@ def _logistic_regression(
     coefficients = np.zeros(features.shape[1])
     ridge = np.full(features.shape[1], _RIDGE)
     for _ in range(_STEPS):
-        chances = expit(features @ coefficients)
+        chances = scipy.special.expit(features @ coefficients)
         curvature = (features.T * (weights * chances * (1.0 - chances))) @ features + np.diag(ridge)
         slope = features.T @ (weights * (labels - chances)) - ridge * coefficients
         coefficients = coefficients + np.linalg.solve(curvature, slope)

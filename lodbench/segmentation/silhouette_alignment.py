@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from lodbench.rendering import ContourFit, RegionFit, appearance_bins, edge_bins
 from lodbench.rendering.bits import pack_mask
@@ -79,7 +79,7 @@ def aligned(
     for start in _apart(grid, fits, np.array([1.5 * _STEP_PX, 1.5 * _STEP_PX, turn_deg / 2.0]), _STARTS):
         simplex = np.vstack([start, start + np.diag(_FIRST_STEPS)])
         options = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "xatol": 0.02, "fatol": 1e-6}
-        found = minimize(lambda m: -value(m), start, method="Nelder-Mead", options=options)
+        found = scipy.optimize.minimize(lambda m: -value(m), start, method="Nelder-Mead", options=options)
         tops.append(np.asarray(found.x, np.float64))
     values = np.array([value(top) for top in tops])
     return [

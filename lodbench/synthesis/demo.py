@@ -13,16 +13,12 @@ from pathlib import Path
 from lodbench.citymodel import open_scene
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.inputs import Input
-from lodbench.datasets.instance_labels import encoded_labels
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError
-from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import make_folder, random_stream, write_bytes
 from lodbench.storage.paths import cache_root
-from lodbench.synthesis.instance_degradation import degraded_instances
 from lodbench.synthesis.queries import written_once
-from lodbench.synthesis.survey.textured_map import write_textured_map
 from lodbench.synthesis.town.build import CITY_FILE, DEMO_CODE, FINE_CITY_FILE, build_demo, code_digest
 from lodbench.synthesis.town.town import TOWN_VERSION, grow_town
 
@@ -93,6 +89,8 @@ def textured_map_of_demo(root: Path, seed: int, look: str) -> Path:
     """Returns the textured map of a demo's town, made first if it is not there: minutes, once."""
 
     def write(folder: Path) -> None:
+        from lodbench.synthesis.survey.textured_map import write_textured_map
+
         scene = open_scene(root / CITY_FILE, lod="1")
         write_textured_map(folder / MAP_FILE, grow_town(seed, look), scene)
 
@@ -109,6 +107,10 @@ def instances_of_demo(demo: Dataset, city: Path, seed: int) -> Path:
     """
 
     def write(folder: Path) -> None:
+        from lodbench.datasets.instance_labels import encoded_labels
+        from lodbench.rendering.raster import RasterRenderer
+        from lodbench.synthesis.instance_degradation import degraded_instances
+
         scene = open_scene(city)
         raster = RasterRenderer(scene)
         for entry in demo.entries:

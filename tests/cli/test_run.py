@@ -287,17 +287,9 @@ def test_render_draws_the_mask_the_pose_sees(lodbench, tmp_path, dataset):
         assert np.array_equal(drawn, kept)
 
 
-def test_help_teaches_and_is_quick_to_import(lodbench):
+def test_help_teaches(lodbench):
     for command in ("run", "compare", "render", "city", "dataset", "bench"):
         assert command in lodbench("--help").stdout
-    heavy = ["numpy", "numba", "hydra", "lxml", "cv2"]
-    probe = f"import sys, lodbench.cli; print([m for m in {heavy} if m in sys.modules])"
-    import subprocess
-    import sys
-
-    assert (
-        subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True).stdout.strip() == "[]"
-    )
 
 
 def test_city_info_for_machines(lodbench, dataset):

@@ -129,7 +129,7 @@ def test_the_help_says_what_each_setting_means(lodbench):
     # Of the file's comments, and where it has none of the parameters' own words.
     assert "method.range_x_m=20.0" in text
     assert "metres" in next(line for line in text.splitlines() if "method.range_x_m=" in line)
-    assert "others: cadloc, contour_alignment" in text
+    assert "others: auto, cadloc, contour_alignment" in text
     assert ", region" not in text
     for command in ("basin", "evaluate", "render", "train", "generate-training-data"):
         done = lodbench(command, "--help")

@@ -60,7 +60,7 @@ class TestCache:
         def parse(*_: object, **__: object) -> None:
             raise AssertionError("the city was read again")
 
-        monkeypatch.setattr("lodbench.citymodel.cache.read_city_model", parse)
+        monkeypatch.setattr("lodbench.citymodel.read.read_city_model", parse)
         assert lodbench("render", *words, "out=second", **cache).returncode == 0
         first, second = ((tmp_path / name / "view.png").read_bytes() for name in ("first", "second"))
         assert first == second

@@ -39,7 +39,7 @@ def test_a_picture_without_its_mask_ends_no_run(dataset, tmp_path, answer):
     settings = RunSettings(tmp_path / "runs", {"method": {"name": "scripted"}}, threads=1, limit=1)
     done = run_method(Masked(), dataset, Odd(NoMaskParams()), settings)
     assert all(failures(done))
-    assert [path.suffix for path in write_overlays(done, done.preparation, done.scorer)] == [".png"]
+    assert [path.suffix for path in write_overlays(done, done.preparation, lambda: done.scorer)] == [".png"]
 
 
 NAN, FLAT = float("nan"), np.eye(6)

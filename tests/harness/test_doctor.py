@@ -122,7 +122,7 @@ def test_plug_ins_of_one_name_are_told_with_their_packages(monkeypatch, tmp_path
     for package in ("first", "second"):
         write_package(tmp_path, package, {"fits": {"same": f"{package}:Fit", package: "math:sqrt"}})
     monkeypatch.syspath_prepend(tmp_path)
-    names = [name for name in doctor._plugin_probes() if name.startswith("fit ")]
+    names = [name for name, _ in doctor._plugins_of_others() if name.startswith("fit ")]
     assert sorted(names) == ["fit first", "fit same of first 1.0", "fit same of second 1.0", "fit second"]
     for name in names:
         probes.main(name)

@@ -218,7 +218,7 @@ def test_no_picture_of_an_answer_s_earlier_place_is_left(dataset, tmp_path):
     failing = Scripted({first.rpartition("/")[2]: QueryFault("not yet")})
     for more, method in (({}, failing), ({"retries_failed": True}, Scripted())):
         done = run(method, dataset, tmp_path, **more)
-        written = write_overlays(done, done.preparation, done.scorer)
+        written = write_overlays(done, done.preparation, lambda done=done: done.scorer)
         assert sorted((done.folder / "overlays").iterdir()) == sorted(written)
     assert len(written) == 3
 

@@ -8,13 +8,16 @@ true vertical. Cameras do too: a gimbal keeps the picture's x axis level.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Pose
 from lodbench.geometry.frames import ShiftedEcef, enu_from_ecef_rotation
+
+if TYPE_CHECKING:
+    from lodbench.citymodel.scene import Scene
 
 ENU, SHIFTED_ECEF = "enu", "shifted_ecef"
 

@@ -5,20 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lodbench.citymodel.cache import open_cached_scene
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.codes import FRAME_ASSUMED, FRAMES_DIFFER, SPLIT_MISSING, TURNED_TO_ENU
 from lodbench.datasets.published.frames import ENU, SHIFTED_ECEF, frame_of_city, frame_of_poses
 from lodbench.datasets.published.layout import Survey, advice, require_data, survey
-from lodbench.datasets.published.read import SplitContent, read_split
 from lodbench.datasets.published.spec import PublishedSpec
 from lodbench.datasets.query import Dataset, Reference, notes_of
-from lodbench.datasets.references import read_references
 from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
 from lodbench.geometry.frames import ShiftedEcef
+
+if TYPE_CHECKING:
+    from lodbench.datasets.published.read import SplitContent
 
 _FRAMES = ("auto", ENU, SHIFTED_ECEF)
 
@@ -47,6 +48,9 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
         DatasetError: Parts are missing (the hint says which, and where to get them), or malformed.
         ConfigError: The frame is unknown, the origin no place, or the file of priors is nowhere.
     """
+    from lodbench.datasets.published.read import read_split
+    from lodbench.datasets.references import read_references
+
     if params.frame not in _FRAMES:
         raise ConfigError(f"dataset.frame={params.frame} is unknown.", nearest_names(params.frame, _FRAMES))
     if params.origin is not None and len(params.origin) != 3:
@@ -142,6 +146,8 @@ def _to_enu(
 
 
 def _city_frame(city: Path | None, ecef: ShiftedEcef) -> str | None:
+    from lodbench.citymodel.cache import open_cached_scene
+
     return None if city is None else frame_of_city(open_cached_scene(city), ecef)
 
 
@@ -157,4 +163,5 @@ def _turned(content: SplitContent, ecef: ShiftedEcef) -> SplitContent:
         )
         for entry in content.entries
     )
-    return SplitContent(entries, {key: ecef.pose_to_enu(pose) for key, pose in content.truth.items()})
+    truth = {key: ecef.pose_to_enu(pose) for key, pose in content.truth.items()}
+    return replace(content, entries=entries, truth=truth)

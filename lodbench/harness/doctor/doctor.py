@@ -16,10 +16,15 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, distribution, version
 from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from packaging.requirements import Requirement
 
 from lodbench.checks import OK, Check
+
+if TYPE_CHECKING:
+    from lodbench.plugins import PlugIn
 
 ABSENT, BROKEN = "absent", "broken"
 
@@ -37,36 +42,66 @@ NETWORKS = ("compact", "compact_instances", "efficient_unet")
 _ANSWER = '{"ok": '
 # Between a plug-in's name and its package, which is named where two have one of that name.
 PACKAGE_FOLLOWS = " of "
+# What a check says of a part that is there and was not used.
+_NOT_TRIED = "not tried (--thorough)"
 
 
-def examine(timeout_s: float = _PROBE_TIMEOUT_S) -> list[Check]:
-    """Returns everything there is to know; takes some seconds.
+def examine(is_thorough: bool = False, timeout_s: float = _PROBE_TIMEOUT_S) -> list[Check]:
+    """Returns everything there is to know of this installation; takes a second.
 
     Args:
+        is_thorough: Compile a function, draw with each renderer, ask each network and load each plug-in
+            as well, each in a process of its own; takes half a minute of processor time.
         timeout_s: How long each trial in a process of its own may take.
     """
     checks = [*_machine(), *_packages(), *_folders()]
-    trials = [("machine", "numba", True)]
-    trials += [("renderers", name, is_base) for name, is_base in RENDERER_TRIALS.items()]
-    trials += [("networks", name, True) for name in NETWORKS]
-    if find_spec("torch") and find_spec("torchvision"):
-        trials.append(("traps", "torchvision", False))
-    trials += [("plug-ins", name, False) for name in _plugin_probes()]
-    with ThreadPoolExecutor(_cores()) as pool:
-        checks += pool.map(lambda trial: run_probe(trial[0], trial[1], trial[2], timeout_s), trials)
+    checks += _tried(timeout_s) if is_thorough else _there(timeout_s)
     checks += _plugin_packages()
     order = ("machine", "packages", "extras", "folders", "renderers", "networks", "traps", "plug-ins")
     return sorted(checks, key=lambda check: order.index(check.section))
 
 
-def _plugin_probes() -> list[str]:
-    """Returns the trials that load the plug-ins of other packages."""
+def _there(timeout_s: float) -> Iterator[Check]:
+    """Yields what is there of what ``_tried`` tries."""
+    # Whether compiled packages fit this machine only their import tells, which may crash.
+    yield run_probe("machine", "imports", True, timeout_s)
+    for name, is_base in RENDERER_TRIALS.items():
+        if is_base or find_spec(name) is not None:
+            yield Check("renderers", name, OK, f"installed, {_NOT_TRIED}", is_base=is_base)
+        else:
+            hint = "pip install 'lodbench[render]'"
+            yield Check("renderers", name, ABSENT, "is not installed", hint)
+    weights = Path(__file__).parents[2] / "segmentation" / "weights"
+    for name in NETWORKS:
+        is_there = (weights / f"{name}.onnx").is_file()
+        status, detail = (OK, f"installed, {_NOT_TRIED}") if is_there else (BROKEN, "has no weights")
+        yield Check("networks", name, status, detail, "" if is_there else "Reinstall lodbench.", is_base=True)
+    for name, plug_in in _plugins_of_others():
+        of_package = f"of {plug_in.package}: {plug_in.point.value}"
+        detail = plug_in.fault or f"{of_package}, {_NOT_TRIED}"
+        yield Check("plug-ins", name, BROKEN if plug_in.fault else OK, detail)
+
+
+def _tried(timeout_s: float) -> list[Check]:
+    """Returns how everything went that may be used, each tried in a process of its own."""
+    trials = [("machine", "numba", True)]
+    trials += [("renderers", name, is_base) for name, is_base in RENDERER_TRIALS.items()]
+    trials += [("networks", name, True) for name in NETWORKS]
+    if find_spec("torch") and find_spec("torchvision"):
+        trials.append(("traps", "torchvision", False))
+    trials += [("plug-ins", name, False) for name, _ in _plugins_of_others()]
+    with ThreadPoolExecutor(_cores()) as pool:
+        return list(pool.map(lambda trial: run_probe(trial[0], trial[1], trial[2], timeout_s), trials))
+
+
+def _plugins_of_others() -> list[tuple[str, PlugIn]]:
+    """Returns the plug-ins of other packages, each with the name of the trial that loads it."""
     from lodbench.plugins import KINDS, installed
 
     others = [plug_in for group in KINDS for plug_in in installed(group) if not plug_in.is_ours]
     names = [f"{KINDS[plug_in.group].label} {plug_in.name}" for plug_in in others]
     return [
-        f"{name}{PACKAGE_FOLLOWS}{plug_in.package}" if names.count(name) > 1 else name
+        (f"{name}{PACKAGE_FOLLOWS}{plug_in.package}" if names.count(name) > 1 else name, plug_in)
         for name, plug_in in zip(names, others, strict=True)
     ]
 

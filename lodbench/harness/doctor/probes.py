@@ -10,12 +10,21 @@ import json
 import sys
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 
 import numpy as np
 
 from lodbench.errors import LodbenchError, RenderingError
 from lodbench.harness.doctor.doctor import NETWORKS, PACKAGE_FOLLOWS, RENDERER_TRIALS
 from lodbench.plugins import KINDS, installed, load_plugin
+
+
+def try_imports() -> str:
+    """Imports the compiled packages of the base install; returns what there is to say."""
+    names = ("numba", "scipy", "cv2", "lxml.etree", "pyproj", "shapely", "mapbox_earcut", "xxhash")
+    for name in names:
+        import_module(name)
+    return "the compiled packages load"
 
 
 def try_numba() -> str:
@@ -88,6 +97,7 @@ def try_plugin(kind: str, name: str, package: str = "") -> str:
 
 
 PROBES: dict[str, Callable[[], str]] = {
+    "imports": try_imports,
     "numba": try_numba,
     "torchvision": try_torchvision,
     **{name: partial(try_renderer, name) for name in RENDERER_TRIALS},

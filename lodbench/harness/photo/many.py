@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.exchange.geojson import nowhere_feature, write_geojson
-from lodbench.datasets.exchange.geopackage import write_geopackage
 from lodbench.datasets.exchange.survey import SURVEY_COLUMNS, survey_row
 from lodbench.datasets.own import find_mask
 from lodbench.datasets.photo_files import find_photos, require_photos
@@ -193,6 +192,8 @@ def write_answers(
     _write_table(written.table, answers)
     features = _features(answers)
     write_geojson(features, written.map)
+    from lodbench.datasets.exchange.geopackage import write_geopackage
+
     write_geopackage(features, written.geopackage)
     return written
 

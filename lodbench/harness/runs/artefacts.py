@@ -52,6 +52,14 @@ def write_artefacts(run: Result, config_yaml: str) -> None:
     write_text(run.folder / "provenance.json", _json(provenance))
 
 
+def queries_text(folder: Path) -> str:
+    """Returns a run folder's per-query rows as they are written; nothing where there are none yet."""
+    try:
+        return (folder / "queries.csv").read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return ""
+
+
 def _crs(run: Result) -> str | None:
     """Returns the reference system of poses; of a dataset's own account whatever text can hold of it."""
     crs = (run.preparation.scene.crs if isinstance(run, Run) else None) or run.dataset.crs

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +103,8 @@ def draw_scored(result: Result, segmenter: Segmenter, tilt: str) -> list[Path]:
         return []
     city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
     preparation = Preparation(dataset, city.scene, segmenter, tilt)
-    return write_overlays(result, preparation, make_renderer("silhouette", city.scene, None))
+    renderer = cache(partial(make_renderer, "silhouette", city.scene, None))
+    return write_overlays(result, preparation, renderer)
 
 
 def _method_name(settings: EvaluateSettings) -> str:

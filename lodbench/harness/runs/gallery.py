@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from lodbench.errors import STOPPED
 from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, is_answered
 from lodbench.execution.same_folder import staying_here
+from lodbench.harness.runs.predict import PREDICTIONS_FILE
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.result import Result
 from lodbench.plugins import blaming
@@ -31,13 +33,24 @@ if TYPE_CHECKING:
 COUNT = 3
 
 
-def write_overlays(result: Result, preparation: Preparation, renderer: Renderer) -> list[Path]:
-    """Writes pictures of the worst and best queries of each split, removes others; returns their files."""
+def write_overlays(
+    result: Result, preparation: Preparation, renderer: Callable[[], Renderer], was_written: bool = False
+) -> list[Path]:
+    """Writes pictures of the worst and best queries of each split, removes others; returns their files.
+
+    Args:
+        result: What was found.
+        preparation: Makes queries of its entries.
+        renderer: Returns who draws; called once a picture is drawn.
+        was_written: The folder has these very results from before: its pictures that are newer than the
+            answers, the photos and the code that draws stay.
+    """
     folder = result.folder / "overlays"
     make_folder(folder)
     remove_leftovers(folder)
     entries = {entry.key: entry for entry in result.dataset.entries}
-    written = []
+    written: list[Path] = []
+    sources = [result.folder / PREDICTIONS_FILE, *_code_of_pictures()] if was_written else []
     for split in result.splits:
         for kind, chosen in chosen_queries(result.queries, split).items():
             for rank, (key, row) in enumerate(chosen.iterrows(), start=1):
@@ -46,16 +59,34 @@ def write_overlays(result: Result, preparation: Preparation, renderer: Renderer)
                 if entry.camera is None or entry.camera.distortion:
                     continue
                 path = folder / overlay_name(split, kind, rank, entry.name)
-                shown = _shown(preparation, entry, row, result.predictions[entry.key])
-                with blaming("renderers", renderer.name, "draw"):
-                    picture = draw_overlay(shown, renderer)
-                write_picture(path, picture)
                 written.append(path)
+                if was_written and _is_newer(path, [*sources, entry.image, entry.mask]):
+                    continue
+                shown = _shown(preparation, entry, row, result.predictions[entry.key])
+                drawer = renderer()
+                with blaming("renderers", drawer.name, "draw"):
+                    picture = draw_overlay(shown, drawer)
+                write_picture(path, picture)
     # A query asked again has another place among the best and the worst: its old picture is wrong.
     for path in sorted(folder.glob("*.png")):
         if path not in written and re.search(r"_(best|worst)_\d+_", path.name):
             disk().remove(path)
     return written
+
+
+def _code_of_pictures() -> list[Path]:
+    """Returns the files that pictures depend on and the digest in a run folder's name does not."""
+    package = Path(__file__).parents[2]
+    return [file for part in ("evaluation", "reporting") for file in (package / part).glob("*.py")]
+
+
+def _is_newer(path: Path, others: Sequence[Path | None]) -> bool:
+    """Tells whether a file is there, and was written after the others that are there."""
+    try:
+        written = path.stat().st_mtime_ns
+        return all(other.stat().st_mtime_ns < written for other in others if other is not None)
+    except FileNotFoundError:
+        return False
 
 
 def chosen_queries(queries: pd.DataFrame, split: str) -> dict[str, pd.DataFrame]:

@@ -45,7 +45,6 @@ def method_inputs(method: Method, dataset: Dataset, entries: Sequence[Entry]) ->
 
 
 @staying_here()
-@on_one_blas_thread
 def prepare_method(
     method: Method,
     params: object,
@@ -74,7 +73,7 @@ def prepare_method(
     workspace = open_workspace(method.name, digest_of([method.name, params, content]))
     local = [replace(r, pose=r.pose.shifted(-city_map.scene.origin)) for r in references]
     try:
-        method.prepare(city_map, local, workspace)
+        on_one_blas_thread(method.prepare)(city_map, local, workspace)
     except (LodbenchError, *STOPPED):
         raise
     except BaseException as error:  # a plug-in's code may raise anything

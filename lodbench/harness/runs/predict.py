@@ -139,7 +139,8 @@ def _answers(
 ) -> Iterator[list[tuple[str, dict[str, Any]]]]:
     """Yields the answers to batches of queries, in the order they come."""
     if executor.name == SERIAL:
-        _warm_up(city_map)
+        if batches:
+            _warm_up(city_map)
         for batch in batches:
             yield work.answers(preparation, city_map, batch)
         return

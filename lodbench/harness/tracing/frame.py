@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
@@ -118,7 +118,7 @@ def _level(
         )
     ahead = np.mean([image.pose.rotation[2] for image in images], axis=0)
     up = axes[2] if axes[2] @ ahead < 0 else -axes[2]
-    return Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0].as_matrix(), words
+    return scipy.spatial.transform.Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0].as_matrix(), words
 
 
 def _flattest(points: Floats) -> Floats:

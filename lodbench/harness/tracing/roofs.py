@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from shapely import Polygon
 
 from lodbench.errors import DatasetError
@@ -87,7 +87,7 @@ def traced_roof(traced: Traced, views: Mapping[str, View]) -> Roof:
         gaps = [views[name].project(points) - pixels for name, pixels in traced.pixels.items()]
         return np.nan_to_num(np.concatenate(gaps), nan=1e4).ravel()
 
-    found = least_squares(
+    found = scipy.optimize.least_squares(
         residuals, np.append(start[:, :2].ravel(), np.median(start[:, 2])), loss="soft_l1", f_scale=_TRACED_PX
     )
     corners, height = _numbers(found.x)

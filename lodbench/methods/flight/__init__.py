@@ -1,6 +1,17 @@
 """Whole flights: photos aligned jointly, with what drone and map are wrong about in all (docs/adr/0031)."""
 
-from lodbench.methods.flight.method import FlightMethod
-from lodbench.methods.flight.params import Params
+from typing import TYPE_CHECKING
 
-__all__ = ["FlightMethod", "Params"]
+from lodbench.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from lodbench.methods.flight.method import FlightMethod as FlightMethod
+    from lodbench.methods.flight.params import Params as Params
+
+__all__, __getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "FlightMethod": "method",
+        "Params": "params",
+    },
+)

@@ -12,9 +12,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import bsr_matrix, coo_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components
 
 from lodbench.geometry import Pose
 from lodbench.geometry.pose_vector import pose_from_vector, rotation_derivatives
@@ -88,8 +87,8 @@ def observations_of(pairs: Sequence[PairMatches]) -> Observations:
     starts = np.cumsum([0, *(2 * pair.pixels.shape[1] for pair in pairs)])
     links = np.concatenate([feature[a:b].reshape(2, -1) for a, b in pairwise(starts)], axis=1)
     size = len(where)
-    graph = coo_matrix((np.ones(links.shape[1]), (links[0], links[1])), (size, size))
-    _, points = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_matrix((np.ones(links.shape[1]), (links[0], links[1])), (size, size))
+    _, points = scipy.sparse.csgraph.connected_components(graph, directed=False)
     found = Observations(photos[where].astype(np.int64), points.astype(np.int64), rays[where])
     _, twice, counts = np.unique(
         found.points * (found.photos.max() + 1) + found.photos, return_inverse=True, return_counts=True
@@ -215,14 +214,16 @@ def _step(
     return poses, moved, residuals
 
 
-def _eliminated(seen: Observations, mixed: Floats, inverse: Floats, size: int) -> coo_matrix:
+def _eliminated(seen: Observations, mixed: Floats, inverse: Floats, size: int) -> scipy.sparse.coo_matrix:
     """Returns what eliminated points take from the curvature of poses, (size, size)."""
     rows = 6 * seen.photos[:, None, None] + np.arange(6)[:, None] + np.zeros(3, np.int64)
     columns = 3 * seen.points[:, None, None] + np.arange(3) + np.zeros((6, 1), np.int64)
-    to_points = csr_matrix((mixed.ravel(), (rows.ravel(), columns.ravel())), (size, 3 * len(inverse)))
+    to_points = scipy.sparse.csr_matrix(
+        (mixed.ravel(), (rows.ravel(), columns.ravel())), (size, 3 * len(inverse))
+    )
     count = np.arange(len(inverse))
-    of_points = bsr_matrix((inverse, count, np.arange(len(inverse) + 1)))
-    return coo_matrix(to_points @ of_points @ to_points.T)
+    of_points = scipy.sparse.bsr_matrix((inverse, count, np.arange(len(inverse) + 1)))
+    return scipy.sparse.coo_matrix(to_points @ of_points @ to_points.T)
 
 
 def _linearized(seen: Observations, vectors: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:

@@ -11,9 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.linalg import SuperLU
 
 from lodbench.methods.flight.normal_equations import NormalEquations
 
@@ -66,7 +65,7 @@ class ErrorGroup:
         columns, slopes = np.concatenate([these, those]), np.concatenate([roots, -roots])
         self._record(np.tile(rows, 2), columns, slopes, roots * gaps)
 
-    def scale_after(self, factorised: SuperLU, step: Floats, members: int) -> float:
+    def scale_after(self, factorised: scipy.sparse.linalg.SuperLU, step: Floats, members: int) -> float:
         """Returns the scale that a solution calls for. Eq. (F12) of docs/methods/flight.md.
 
         Args:
@@ -77,7 +76,9 @@ class ErrorGroup:
         if self.count == 0:
             return self.scale
         where = np.concatenate(self._rows), np.concatenate(self._columns)
-        whitened = csr_matrix(coo_matrix((np.concatenate(self._slopes), where), (self.count, len(step))))
+        whitened = scipy.sparse.csr_matrix(
+            scipy.sparse.coo_matrix((np.concatenate(self._slopes), where), (self.count, len(step)))
+        )
         residuals = np.concatenate(self._residuals) + whitened @ step
         # The same signs each time: an answer does not depend on chance.
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (self.count, _PROBES))

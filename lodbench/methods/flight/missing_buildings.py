@@ -12,10 +12,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from lodbench.citymap import CityMap
 from lodbench.methods.flight.map_views import View
@@ -66,7 +64,7 @@ class _Ground:
         starts, counts = scene.vertex_starts[filled], np.diff(scene.vertex_starts)[filled]
         vertices = scene.vertices.astype(np.float64)
         self._floors = np.minimum.reduceat(vertices[:, 2], starts)
-        self._tree = cKDTree(np.add.reduceat(vertices[:, :2], starts) / counts[:, None])
+        self._tree = scipy.spatial.cKDTree(np.add.reduceat(vertices[:, :2], starts) / counts[:, None])
         self.usual = float(np.percentile(self._floors, 30))
 
     def at(self, places: Floats) -> Floats:
@@ -265,8 +263,8 @@ def _connected(cells: Cells) -> list[NDArray[np.int64]]:
         is_there = keys[order[place]] == keys + step
         pairs.append(np.stack([np.flatnonzero(is_there), order[place[is_there]]]))
     first, second = np.concatenate(pairs, axis=1)
-    graph = coo_matrix((np.ones(len(first)), (first, second)), (len(keys), len(keys)))
-    count, labels = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_matrix((np.ones(len(first)), (first, second)), (len(keys), len(keys)))
+    count, labels = scipy.sparse.csgraph.connected_components(graph, directed=False)
     return [np.flatnonzero(labels == label) for label in range(count)]
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csc_matrix
-from scipy.sparse.linalg import SuperLU, splu
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -33,7 +32,7 @@ class NormalEquations:
         self._values.append(curvature[rows, columns])
         np.add.at(self._gradient, unknowns, slope)
 
-    def add_sparse(self, curvature: coo_matrix) -> None:
+    def add_sparse(self, curvature: scipy.sparse.coo_matrix) -> None:
         """Adds curvature of all unknowns, symmetric."""
         self._rows.append(curvature.row)
         self._columns.append(curvature.col)
@@ -58,12 +57,16 @@ class NormalEquations:
         np.add.at(self._gradient, these, precisions * gaps)
         np.add.at(self._gradient, those, -precisions * gaps)
 
-    def solve(self, photos: int = 0) -> tuple[SuperLU, Floats]:
+    def solve(self, photos: int = 0) -> tuple[scipy.sparse.linalg.SuperLU, Floats]:
         """Returns the factorised curvature, and the step to the minimum; the first unknowns are of photos."""
         where = np.concatenate(self._rows), np.concatenate(self._columns)
-        matrix = csc_matrix(coo_matrix((np.concatenate(self._values), where), (self._size, self._size)))
+        matrix = scipy.sparse.csc_matrix(
+            scipy.sparse.coo_matrix((np.concatenate(self._values), where), (self._size, self._size))
+        )
         # Positive definite: no pivots. Photos come first, each tied to few others, what all share last: for
         # many photos no order is much better, and to look for one takes 30 times as long as all else (500).
         order = "NATURAL" if 2 * photos > self._size else "MMD_AT_PLUS_A"
-        factorised = splu(matrix, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        factorised = scipy.sparse.linalg.splu(
+            matrix, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
         return factorised, -factorised.solve(self._gradient)

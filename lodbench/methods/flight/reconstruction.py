@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lodbench.geometry import Pose
 from lodbench.geometry.pose_vector import pose_from_vector
@@ -54,7 +54,10 @@ class Reconstruction:
 
     def moved(self, step: Floats) -> Reconstruction:
         """Returns it after a step of its (10,) unknowns. Eq. (F10) of docs/methods/flight.md."""
-        turn, tip = (Rotation.from_rotvec(step[part]).as_matrix() for part in (slice(3, 6), MOUNT))
+        turn, tip = (
+            scipy.spatial.transform.Rotation.from_rotvec(step[part]).as_matrix()
+            for part in (slice(3, 6), MOUNT)
+        )
         scale = float(np.exp(step[6]))
         poses = {
             photo: Pose.from_center(
@@ -110,7 +113,7 @@ def placed(poses: Mapping[int, Pose], vectors: Floats, information: Floats) -> R
     photos = sorted(poses)
     thought = [pose_from_vector(vectors[photo]) for photo in photos]
     turns = [here.rotation.T @ poses[photo].rotation for photo, here in zip(photos, thought, strict=True)]
-    turn = Rotation.from_matrix(np.array(turns)).mean().as_matrix()
+    turn = scipy.spatial.transform.Rotation.from_matrix(np.array(turns)).mean().as_matrix()
     there = np.array([turn @ poses[photo].center for photo in photos])
     here = np.array([pose.center for pose in thought])
     kept = np.ones(len(photos), dtype=bool)

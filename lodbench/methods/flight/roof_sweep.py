@@ -14,8 +14,8 @@ from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.building_boxes import building_boxes
@@ -132,7 +132,7 @@ def _near(scene: Scene, pictures: Sequence[SweepPicture]) -> list[NDArray[np.int
     """Returns by photo the rows of the buildings whose roofs it may show, ascending."""
     low, high, building = building_boxes(scene)
     tops = low[:, None] + _TOP * (high - low)[:, None]
-    tree, near = cKDTree(tops[:, 0]), []
+    tree, near = scipy.spatial.cKDTree(tops[:, 0]), []
     for picture in pictures:
         reach_m = _COARSEST_M * picture.camera.fx
         around = np.array(sorted(tree.query_ball_point(picture.pose.center, reach_m)), dtype=np.int64)
@@ -236,7 +236,7 @@ def _curve(points: Floats, photos: Sequence[_Shown]) -> RoofCurve | None:
 
 def _pixels_of(points: Floats, photos: Sequence[_Shown]) -> float:
     """Returns how many pixels of all photos show a roof's points; two points in a pixel are one."""
-    spacing_m = float(np.median(cKDTree(points[:, :2]).query(points[:, :2], k=2)[0][:, 1]))
+    spacing_m = float(np.median(scipy.spatial.cKDTree(points[:, :2]).query(points[:, :2], k=2)[0][:, 1]))
     total = 0.0
     for picture, is_seen in photos:
         away = points[is_seen, :3].mean(axis=0) - picture.pose.center

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse.linalg import SuperLU
 
 from lodbench.methods.flight.error_groups import ErrorGroup
 from lodbench.methods.flight.photo_terms import LENS
@@ -41,7 +41,7 @@ class Solution:
     photo_steps: Floats
     shared_step: Floats
     buildings: Rows
-    factorised: SuperLU
+    factorised: scipy.sparse.linalg.SuperLU
     groups: Sequence[ErrorGroup]
     members: Sequence[int]
     pulls: Floats

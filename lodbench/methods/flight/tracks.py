@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Query
@@ -133,7 +132,9 @@ def _refined(
     def residuals(step: Floats) -> Floats:
         return _sampson(first, second, *_stepped(rotation, direction, across, step))
 
-    found = least_squares(residuals, np.zeros(5), loss="cauchy", f_scale=reach, x_scale=0.01, max_nfev=20)
+    found = scipy.optimize.least_squares(
+        residuals, np.zeros(5), loss="cauchy", f_scale=reach, x_scale=0.01, max_nfev=20
+    )
     rotation, direction = _stepped(rotation, direction, across, found.x)
     across = tangents(direction)
     small = 1e-6
@@ -150,7 +151,9 @@ def _refined(
 
 def _stepped(rotation: Floats, direction: Floats, across: Floats, step: Floats) -> tuple[Floats, Floats]:
     moved = direction + step[3:] @ across
-    return Rotation.from_rotvec(step[:3]).as_matrix() @ rotation, moved / np.linalg.norm(moved)
+    return scipy.spatial.transform.Rotation.from_rotvec(
+        step[:3]
+    ).as_matrix() @ rotation, moved / np.linalg.norm(moved)
 
 
 def _sampson(first: Floats, second: Floats, rotation: Floats, direction: Floats) -> Floats:

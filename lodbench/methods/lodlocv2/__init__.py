@@ -1,6 +1,25 @@
 """LoD-Loc v2: silhouette alignment by a coarse 4D grid and a fine particle filter."""
 
-from lodbench.methods.lodlocv2.method import LodLocV2, Particles, PoseScorer, Scoring, search
-from lodbench.methods.lodlocv2.params import Params
+from typing import TYPE_CHECKING
 
-__all__ = ["LodLocV2", "Params", "Particles", "PoseScorer", "Scoring", "search"]
+from lodbench.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from lodbench.methods.lodlocv2.method import LodLocV2 as LodLocV2
+    from lodbench.methods.lodlocv2.method import Particles as Particles
+    from lodbench.methods.lodlocv2.method import PoseScorer as PoseScorer
+    from lodbench.methods.lodlocv2.method import Scoring as Scoring
+    from lodbench.methods.lodlocv2.method import search as search
+    from lodbench.methods.lodlocv2.params import Params as Params
+
+__all__, __getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "LodLocV2": "method",
+        "Params": "params",
+        "Particles": "method",
+        "PoseScorer": "method",
+        "Scoring": "method",
+        "search": "method",
+    },
+)

@@ -1,6 +1,17 @@
 """Region-based localisation: the photo's own statistics inside and outside the map's silhouette."""
 
-from lodbench.methods.region.method import Region
-from lodbench.methods.region.params import Params
+from typing import TYPE_CHECKING
 
-__all__ = ["Params", "Region"]
+from lodbench.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from lodbench.methods.region.method import Region as Region
+    from lodbench.methods.region.params import Params as Params
+
+__all__, __getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "Params": "params",
+        "Region": "method",
+    },
+)

@@ -15,10 +15,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import logsumexp
 
+from lodbench.methods.region.roots import brent_root
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
@@ -102,7 +102,9 @@ def posterior_mean(
         *told, level = nats(np.concatenate([drawn, vector[None]]), share) / share
         whole = np.append(whole, np.array(told) - level)
         priors = np.append(priors, log_prior(drawn))
-        rest = priors - logsumexp([gaussian.log_density(poses) for gaussian in gaussians], axis=0)
+        rest = priors - scipy.special.logsumexp(
+            [gaussian.log_density(poses) for gaussian in gaussians], axis=0
+        )
         share = _share_that_leaves(least_m, poses, whole, rest)
         mean, own = _moments(poses, share * whole + rest)
         spread = _KEPT * spread + (1.0 - _KEPT) * own
@@ -122,7 +124,7 @@ def _share_that_leaves(least_m: float, poses: Floats, nats: Floats, rest: Floats
     least = math.log(_LEAST_SHARE)
     if excess(0.0) >= 0.0:
         return 1.0
-    return math.exp(brentq(excess, least, 0.0, xtol=0.01)) if excess(least) > 0.0 else _LEAST_SHARE
+    return math.exp(brent_root(excess, least, 0.0, 0.01)) if excess(least) > 0.0 else _LEAST_SHARE
 
 
 def _moments(poses: Floats, logs: Floats) -> tuple[Floats, Floats]:

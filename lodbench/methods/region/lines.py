@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import logsumexp, softmax
 
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera
@@ -105,7 +105,9 @@ class LineFit:
         self._sigma_m = max(params.own_roofs_m, _LEAST_SIGMA_M)
         self._own_m = params.own_roofs_m * (_OWN if params.own_roofs_m > 0 else _OWN[:1])
         in_all = (roofs.own_m[self.buildings, None] + self._own_m) / self._sigma_m
-        self._log_prior = -0.5 * in_all**2 - logsumexp(-0.5 * (self._own_m / self._sigma_m) ** 2)
+        self._log_prior = -0.5 * in_all**2 - scipy.special.logsumexp(
+            -0.5 * (self._own_m / self._sigma_m) ** 2
+        )
         self._strengths = self._best_strengths(vector)
 
     def __len__(self) -> int:
@@ -141,7 +143,7 @@ class LineFit:
         """Returns (B,) how much higher than all roofs each of the map is to be expected, metres."""
         (logs,) = self._of_buildings(vector[None], 1.0)
         own_m = self._roofs.own_m.copy()
-        own_m[self.buildings] += softmax(logs, axis=1) @ self._own_m
+        own_m[self.buildings] += scipy.special.softmax(logs, axis=1) @ self._own_m
         return np.clip(own_m, -_MOST_SIGMAS * self._sigma_m, _MOST_SIGMAS * self._sigma_m)
 
     def sharpness(self, vector: Floats) -> float:
@@ -173,7 +175,9 @@ class LineFit:
 
     def _likeliest(self, sums: Floats) -> int:
         """Returns which of some sums, (S, B, D), is the likeliest."""
-        return int(logsumexp(self._weight * sums + self._log_prior, axis=2).sum(axis=1).argmax())
+        return int(
+            scipy.special.logsumexp(self._weight * sums + self._log_prior, axis=2).sum(axis=1).argmax()
+        )
 
     def _of_buildings(self, vectors: Floats, share: float) -> Floats:
         """Returns (N, B, D) the logarithm of likelihood and prior of each building's own roofs."""

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import eigh
 
 from lodbench.methods.contour_alignment.correlated import error_covariance
 from lodbench.methods.contour_alignment.outline import OutlinePoints
@@ -59,7 +59,7 @@ def covariance_under_map_errors(
     pulls = slopes[:, _POSE] * lengths[:, None]
     outline = pulls.T @ slopes[:, _POSE]
     outline += _UNSEEN * np.trace(outline) / len(outline) * np.eye(len(outline))
-    worth = max(float(np.median(eigh(information, outline, eigvals_only=True))), 0.0)
+    worth = max(float(np.median(scipy.linalg.eigh(information, outline, eigvals_only=True))), 0.0)
     variance = _variance_of_pulls(pulls, slopes, points.pixels[::stride], points.buildings[::stride])
     for column, sigma in ((_ROOF, _ROOFS_M), (_LENS, lens_percent)):
         of_all = pulls.T @ slopes[:, column]

@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from lodbench.datasets.query import Query
 from lodbench.geometry import Pose, PoseGrid
@@ -76,7 +76,7 @@ def tops_of(fits: Floats, grid: PoseGrid, turns_around: bool, most: int) -> list
     """
     values = fits.reshape([axis.count for axis in (grid.yaw, grid.x, grid.y, grid.z)])
     ends = ["wrap" if turns_around else "nearest", "nearest", "nearest", "nearest"]
-    is_top = (values >= maximum_filter(values, size=3, mode=ends)).ravel()
+    is_top = (values >= scipy.ndimage.maximum_filter(values, size=3, mode=ends)).ravel()
     places = np.stack(np.unravel_index(np.arange(len(fits)), values.shape), axis=1)
     chosen: list[int] = []
     for i in np.lexsort([-fits, ~is_top]):

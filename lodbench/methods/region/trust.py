@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import expit, logit
+import scipy
 
 # Probabilities by the covariance are not believed beyond this; what places are apart by chance, metres;
 # what lines say by chance, nats; how far beyond the range of heights counts, of its half width.
@@ -59,9 +59,9 @@ def trust_of(signs: Signs) -> float:
     """Returns the probability that an answer is within (2 m, 2 deg). Eq. (R20) of docs/methods/region.md."""
     probability = np.clip(signs.probability, _LEAST_PROBABILITY, 1.0 - _LEAST_PROBABILITY)
     return float(
-        expit(
+        scipy.special.expit(
             _CONSTANT
-            + _OF_ODDS * logit(probability)
+            + _OF_ODDS * scipy.special.logit(probability)
             - _OF_AGREEMENT * np.log(signs.apart_m + _APART_M)
             + _OF_LINES * np.log(np.clip(signs.lines, 0.0, _MOST_LINES) + _LEAST_LINES)
             + _OF_SHARPNESS * np.clip(signs.sharpness, 0.0, 1.0)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates
-from scipy.spatial import cKDTree
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
@@ -44,7 +43,9 @@ class Ground(NamedTuple):
     def at(self, points: Floats) -> Floats:
         """Returns (N,) heights under points (N, 2 or more), interpolated; at the rim's beyond it."""
         place = (points[:, :2] - [self.west, self.south]) / self.cell_m
-        return np.asarray(map_coordinates(self.heights_m, place.T[::-1], order=1, mode="nearest"))
+        return np.asarray(
+            scipy.ndimage.map_coordinates(self.heights_m, place.T[::-1], order=1, mode="nearest")
+        )
 
     def on_ground(self, points: Floats, above_m: float = 0.0) -> Floats:
         """Returns positions, (N, 2), with the height of the ground and a little more, (N, 3)."""
@@ -84,9 +85,9 @@ def ground_from_bases(view: TopView) -> Ground:
     wide, high = columns * view.cell_m, rows * view.cell_m
     cell = max(_LEAST_CELL_M, max(wide, high, 2 * MARGIN_M) / _MAX_SIDE)
     level = Ground(view.west, view.south, cell, np.zeros((int(high / cell) + 2, int(wide / cell) + 2)))
-    _, nearest = cKDTree(view.bases[:, :2]).query(level.places)
+    _, nearest = scipy.spatial.cKDTree(view.bases[:, :2]).query(level.places)
     heights = view.bases[nearest, 2].reshape(level.heights_m.shape)
-    smooth = gaussian_filter(heights, _SMOOTH_M / cell, mode="nearest")
+    smooth = scipy.ndimage.gaussian_filter(heights, _SMOOTH_M / cell, mode="nearest")
     return level._replace(heights_m=smooth - _BELOW_M)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import mapbox_earcut
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder, Triangles, grid_triangles, palette
@@ -86,7 +86,7 @@ def _add_land(builder: MeshBuilder, town: Town) -> None:
     one_each = (_NUM_FIELDS, 1)
     parcels = chances.uniform(-_LAND_M, _LAND_M, (_NUM_FIELDS, 2)) * chances.uniform(0.2, 1.0, one_each)
     colours = _FIELDS[chances.integers(len(_FIELDS), size=_NUM_FIELDS)] * chances.uniform(0.9, 1.1, one_each)
-    tint = colours[cKDTree(parcels).query(middles)[1]]
+    tint = colours[scipy.spatial.cKDTree(parcels).query(middles)[1]]
     surface = np.full(len(middles), SurfaceClass.FIELD, np.uint8)
     # Streets are what blocks leave free of the land: no triangle sticks out of it.
     is_town = np.logical_or(*[contains(bank, points) for bank in town.streets.banks])[triangles].all(axis=1)
