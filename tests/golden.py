@@ -30,8 +30,9 @@ CHANGING = (
     re.compile(rb'"(\w*seconds|elapsed_s|code|version|created|date|started|finished)": [^,}\n]+'),
     re.compile(rb"lodbench \d+\.\d+\.\d+\S*"),
     re.compile(rb"\d+(\.\d+)? m?s\b"),
-    re.compile(rb"\b[0-9a-f]{12}\b"),  # of settings and code
+    re.compile(rb"\b([0-9a-f]{12}|[0-9a-f]{8})\b"),  # digests of settings and code
 )
+DIGEST = re.compile(r"\b([0-9a-f]{12}|[0-9a-f]{8})\b")
 CONVERSIONS = {
     "germany_lod2/LoD2_32_280_5657_1_NW.gml": ".city.json",
     "plateau/51311568_bldg_6697_op.gml": ".glb",
@@ -116,6 +117,7 @@ def run_case(case: Case, folder: Path) -> dict[str, bytes]:
     environment = {**os.environ, "LODBENCH_CACHE": str(folder.parent / "cache"), "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "lodbench", *case.words]
     done = subprocess.run(command, cwd=work, env=environment, capture_output=True)
+    found: dict[str, list[bytes]] = {}
     files = {"exit code": str(done.returncode).encode()}
     if "--json" in case.words:
         files["printed"] = done.stdout
@@ -123,11 +125,11 @@ def run_case(case: Case, folder: Path) -> dict[str, bytes]:
         files["complaint"] = done.stderr[-2000:]
     for path in sorted(work.rglob("*")):
         if path.is_file() and path.name not in APART:
-            name = re.sub(r"\b[0-9a-f]{12}\b", "DIGEST", path.relative_to(work).as_posix())
-            while name in files:  # of several runs of one method
-                name += "'"
-            files[name] = path.read_bytes()
-    return {name: without_changing(content, folder) for name, content in files.items()}
+            name = DIGEST.sub("DIGEST", path.relative_to(work).as_posix())
+            found.setdefault(name, []).append(without_changing(path.read_bytes(), folder))
+    # Several runs of one method have one name here: in the order of their contents.
+    written = {name: b"\n".join(sorted(contents)) for name, contents in found.items()}
+    return {name: without_changing(content, folder) for name, content in files.items()} | written
 
 
 def without_changing(content: bytes, folder: Path) -> bytes:
