@@ -30,7 +30,8 @@ from lodbench.reporting.flight_words import constants_in_words, map_in_words
 from lodbench.reporting.map_figure import Underlay
 from lodbench.reporting.page import Picture, facts, markup, rendered
 from lodbench.reporting.run_figures import ErrorSample, draw_error_curves
-from lodbench.reporting.summaries import with_seconds
+from lodbench.reporting.summaries import plugin_metrics, with_plugin_metrics, with_seconds
+from lodbench.reporting.table_columns import metric_columns
 from lodbench.reporting.table_formats import format_html
 from lodbench.reporting.tables import tables_of
 
@@ -73,7 +74,8 @@ def run_report(
         imagery: What lies under the map.
     """
     stored = verdict.stored
-    summary = with_seconds(stored.summary, stored.provenance.get("seconds_per_query", {}))
+    summary = with_plugin_metrics(stored.summary, verdict.computed)
+    summary = with_seconds(summary, stored.provenance.get("seconds_per_query", {}))
     splits = tuple(summary["splits"])
     is_scored = bool(has_truth(stored.queries).any())
     pictures = [] if scene is None else query_pictures(verdict, scene, tilt)
@@ -135,6 +137,8 @@ def _tables(summary: dict[str, Any]) -> str:
         # Wide ones split by split: no column is cut off.
         parts = table.by_split() if key == "details" else [table]
         tables += [replace(part.with_columns(key), title=title) for part in parts]
+    if others := plugin_metrics(summary):
+        tables.append(replace(table, title="Metrics of plug-ins", columns=metric_columns(others)))
     return "".join(map(format_html, tables))
 
 
