@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lodbench.evaluation.errors import pose_error
 from lodbench.geometry import Pose
 from lodbench.reporting.answers import UNTRUSTED, rounded_down, trust_counts
-from lodbench.reporting.flight_words import constant_rows, heights_in_words, map_rows
+from lodbench.reporting.flight_words import PriorSource, constant_rows, heights_in_words, map_rows
 from lodbench.reporting.map_figure import Marked, Spot, Underlay, draw_map
 from lodbench.reporting.page import Picture, markup, rendered
 
@@ -103,6 +103,7 @@ def flight_page(
     marked: Sequence[Marked],
     view: str = "",
     imagery: Underlay | None = None,
+    source: PriorSource = "metadata",
 ) -> str:
     """Returns the page.
 
@@ -117,6 +118,7 @@ def flight_page(
         marked: What the flight contradicts in the map.
         view: Address of the page in three dimensions from this one; "" for none.
         imagery: What lies under the map.
+        source: What the rough poses are from.
     """
     constants = findings.get("constants", {})
     spots = [photo.spot for photo in photos]
@@ -137,14 +139,7 @@ def flight_page(
             draw_map(spots, vertices, triangles, marked=marked, is_flight=True, view=view, imagery=imagery)
         ),
         constants=constant_rows(constants),
-        heights=_heights(constants.get("height")),
+        heights=heights_in_words(constants["height"], source) if "height" in constants else "",
         notes=findings.get("notes", ()),
         map_rows=map_rows(findings),
     )
-
-
-def _heights(constant: Mapping[str, Any] | None) -> str:
-    """Returns what the photos say of stated heights; "" where these are held."""
-    if constant is None:
-        return ""
-    return heights_in_words(constant) if constant["told"] else "heights could not be estimated; unchanged"

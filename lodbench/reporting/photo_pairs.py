@@ -231,7 +231,7 @@ _COLUMNS = (
     Column("height", "in height m", "B above A, m", "", _apart_cell(lambda d: d.parts.vertical_m, "+.2f")),
     *_said_columns("A"),
     *_said_columns("B"),
-    Column("worse", "B worse by m", "error of B less that of A, m", "least", _worse),
+    Column("worse", "B worse by m", "B worse by, m", "least", _worse),
     Column("sure_a", "prob. A", "probability of A", "most", lambda pair: _sure(pair.a.probability)),
     Column("sure_b", "prob. B", "probability of B", "most", lambda pair: _sure(pair.b.probability)),
     Column("trust_a", "trust A", "trust in A", "is", lambda pair: Cell(pair.a.trust)),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
-PRIOR, ESTIMATE, TRUTH = SERIES[1], SERIES[0], "#222222"
+PRIOR, ESTIMATE, _INK = SERIES[1], SERIES[0], "#222222"
 # Where a camera error stops mattering: beyond this it is just lost.
 _FURTHEST_M, _FURTHEST_DEG = 100.0, 180.0
 # Evidence is drawn evenly as far as this, and by its logarithm from there on.
@@ -97,7 +97,7 @@ def draw_traces(traces: Sequence[Trace]) -> dict[str, bytes]:
                 sorted(stages.items(), key=lambda item: "beam" not in item[0])
             ):
                 is_beam = "beam" in name
-                colour = SERIES[number % len(SERIES)] if is_beam else TRUTH
+                colour = SERIES[number % len(SERIES)] if is_beam else _INK
                 dashes = _DASHES[(number - beams) % len(_DASHES)]
                 style = {"linewidth": 1.2} if is_beam else {"linewidth": 0.8, "linestyle": dashes}
                 axis.plot(range(1, len(scores) + 1), scores, color=colour, label=name, **style)

@@ -228,12 +228,20 @@ def test_each_flight_of_a_run_has_a_page_with_imagery_and_links(lodbench, tmp_pa
         assert 'href="../report_3d.html">The same in 3D' in page
         assert f'<a href="flights/{name}.html">{name}</a>' in view
     assert '<a href="report.html">The run</a>' in view
+    # A page elsewhere has its other pages beside it, and leaves the run alone.
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    (tmp_path / "else where").mkdir()
+    assert lodbench("report", str(folder), "--out", "else where/page.html").returncode == 0
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+    name = "page_flights-flight_00.html"
+    assert f'href="{name}">' in (tmp_path / "else where" / "page_3d.html").read_text()
+    assert 'href="page_3d.html">The same in 3D' in (tmp_path / "else where" / name).read_text()
     missing = lodbench("report", str(folder), "--imagery", "nowhere.tif")
     assert missing.returncode == 2
     assert "There is no imagery at nowhere.tif." in missing.stderr
     report = (folder / "report.html").read_text()
     assert "Systematic errors of flights" in report
-    assert "corrections to the drone" in report
+    assert "corrections to the given poses" in report
     for broken in ("{", '{"constants": {"height": 3}}', '{"changes": [{"kind": "gone"}]}', '{"lost": 3}'):
         (folder / "flights" / "flights-flight_00.json").write_text(broken)
         told = lodbench("report", str(folder))

@@ -55,7 +55,7 @@ def test_photos_are_turned_by_the_slider_their_rows_and_the_map(tmp_path, scheme
         for said in (
             "Heights in the metadata are 31.9 m too high +-0.4: measured from the ellipsoid or the",
             "5 photos placed: 4 good, 1 not to be trusted; 1 from the other photos alone; 1 left out",
-            "no: unchanged",
+            "no: these photos leave +-1 % open",
             "B<1>",
             "do not trust, from the others alone: far from the others",
             "2.4 m +-0.3 lower than in the map",
@@ -79,7 +79,7 @@ def test_heights_that_photos_do_not_tell_are_not_said_to_be_off():
     silent = {"value": -9.2, "sigma": 16.0, "unit": "m", "told": False}
     constants = {"height": silent, "east": silent}
     words = page(findings={"constants": constants})
-    assert "Heights could not be estimated; unchanged." in words
+    assert "Heights are not determined by these photos." in words
     assert "too high" not in words
 
 

@@ -110,6 +110,7 @@ def _page_of_sequence(
         *city_and_marks(scene, findings),
         view,
         imagery,
+        "poses",
     )
 
 

@@ -239,7 +239,7 @@ def _calibration(queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
 def _flights(verdict: Verdict) -> str:
     said = {
         name: [
-            *constants_in_words(found.get("constants", {})),
+            *constants_in_words(found.get("constants", {}), "poses"),
             *map_in_words(found),
         ]
         for name, found in flight_findings(verdict).items()
