@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 
 from lodbench.geometry import EulerAngles, Pose
+from lodbench.harness.photo.flight_answer import FlightAnswer
 from lodbench.reporting.flight_page import MAX_PICTURES, chosen_for_pictures, flight_page, photo_on_page
 from lodbench.reporting.map_figure import Marked, Spot, draw_map
 from lodbench.reporting.page import Picture
 from tests.reporting.browser import PHONE, fits, opened
 
 COUNT = 5
+CONSTANTS = {
+    "height": {"value": -31.9, "sigma": 0.4, "unit": "m", "told": True},
+    "pitch": {"value": -0.8, "sigma": 0.1, "unit": "deg", "told": True},
+    "focal length": {"value": 0.0, "sigma": 0.01, "unit": "share", "told": False},
+}
 
 
 def page(**changed):
@@ -28,11 +34,7 @@ def page(**changed):
         photos.append(photo_on_page(f"p{k}.jpg", poses, spread, 0.99, 0.8, trust))
         pictures.append(Picture(dot, "png", f"p{k}.jpg: caption", "", f"p{k}.jpg"))
     findings = {
-        "constants": {
-            "height": {"value": -31.9, "sigma": 0.4, "unit": "m", "told": True},
-            "pitch": {"value": -0.8, "sigma": 0.1, "unit": "deg", "told": True},
-            "focal length": {"value": 0.0, "sigma": 0.01, "unit": "share", "told": False},
-        },
+        "constants": CONSTANTS,
         "buildings": [{"id": "B<1>", "higher_m": -2.4, "sigma_m": 0.3, "photos": 4, "doubt": True}],
         "lost": ["p3.jpg"],
         "reasons": {"p3.jpg": "far from the others"},
@@ -81,6 +83,14 @@ def test_heights_that_photos_do_not_tell_are_not_said_to_be_off():
     words = page(findings={"constants": constants})
     assert "Heights are not determined by these photos." in words
     assert "too high" not in words
+
+
+def test_heights_of_poses_from_a_file_are_not_called_metadata():
+    words = page(source="poses")
+    assert "Heights in the given poses are 31.9 m too high +-0.4" in words
+    assert "metadata" not in words
+    answer = FlightAnswer("flight 1", (), (), {"constants": CONSTANTS}, "poses")
+    assert answer.sentences()[0].startswith("heights in the given poses are 31.9 m too high")
 
 
 def test_an_ellipse_has_the_axes_of_the_covariance():

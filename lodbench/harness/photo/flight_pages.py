@@ -80,6 +80,7 @@ def page_of_photos(
         *city_and_marks(scene, flight.findings),
         view,
         imagery,
+        flight.source,
     )
 
 
