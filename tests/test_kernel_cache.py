@@ -7,11 +7,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import lodbench
+from lodbench.citymodel.scene import Scene
+from lodbench.geometry import Camera, Pose
 from lodbench.kernel_cache import keep_kernels_apart
 from lodbench.rendering.compiled import say_if_compiling
+from lodbench.rendering.silhouette import SilhouetteRenderer
 
 pytestmark = pytest.mark.attack
 
@@ -152,6 +156,17 @@ def test_the_first_use_says_that_it_compiles(tmp_path, monkeypatch, caplog):
         ] * lines
         # As numba names what it keeps.
         (tmp_path / "engine_kernel.draw_view-1.py311.nbi").touch()
+
+
+def test_a_renderer_that_draws_nothing_compiles_nothing_and_says_nothing(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    say_if_compiling.cache_clear()
+    corners = np.array([(0, 0, 0), (9, 0, 0), (0, 9, 5)], np.float32)
+    rows, ends = np.array([(0, 1, 2)], np.int32), (np.array([0, 3]), np.array([0, 1]))
+    renderer = SilhouetteRenderer(Scene(corners, rows, *ends, ("a",), "1", None, np.zeros(3)), 1)
+    assert caplog.records == []
+    renderer.render(Camera(64, 48, 60.0, 60.0, 32.0, 24.0), Pose.from_matrix(np.eye(4)))
+    assert [record.getMessage()[:9] for record in caplog.records] == ["First use"]
 
 
 def test_all_compiled_functions_stand_where_they_are_looked_for():

@@ -68,7 +68,7 @@ def test_a_flight_of_one_s_own(tmp_path, shared_data):
     for name, mask in zip(truth, sorted((views / "train" / "masks").iterdir()), strict=True):
         shutil.copy(mask, tmp_path / "masks" / f"{Path(name).stem}.png")
     said = tell("flight", tmp_path)
-    assert "6 photos: 6 reliable" in said
+    assert "6 photos: 6 good" in said
     frame = MapFrame("EPSG:25832+7837")
     with (tmp_path / "found-by-masks" / "localized.csv").open() as stream:
         rows = list(csv.DictReader(stream))

@@ -96,7 +96,7 @@ def open_imagery(path: Path, scene: Scene) -> Imagery:
         if raster.crs is not None and scene.crs is None:
             raise CityModelError(
                 f"The imagery {path} has a reference system, and the city model has none.",
-                "Name the city's when it is read (crs=EPSG:...).",
+                "Name the city's: localize --crs EPSG:..., or run dataset.crs=EPSG:... before its report.",
             )
         _require_overlap(path, raster, scene)
     return Imagery(path.resolve(), scene.crs)

@@ -16,6 +16,7 @@ from lodbench.errors import DatasetError
 from lodbench.evaluation.queries import has_truth
 from lodbench.harness.runs.result import split_digest
 from lodbench.harness.runs.verify import Verdict
+from lodbench.methods.registry import changed_settings
 from lodbench.reporting.leaderboard import build_leaderboard
 from lodbench.reporting.leaderboard_entry import (
     Entry,
@@ -25,7 +26,7 @@ from lodbench.reporting.leaderboard_entry import (
     read_entries,
     reasons_against,
 )
-from lodbench.reporting.summaries import without_metrics
+from lodbench.reporting.summaries import with_plugin_metrics, without_metrics
 from lodbench.storage import make_folder, write_text
 
 
@@ -73,14 +74,16 @@ def _add(run: Path, options: argparse.Namespace) -> int:
             "Add a run on data with true poses.",
         )
     inputs = verdict.stored.summary["dataset"]
-    reasons = [*reasons_against(read_config(run), _sizes(verdict), inputs), *_doubts(verdict)]
+    config = read_config(run)
+    reasons = [*reasons_against(config, _sizes(verdict), inputs), *_doubts(verdict)]
     entry = measured_entry(
-        without_metrics(verdict.stored.summary, verdict.unknown),
+        with_plugin_metrics(without_metrics(verdict.stored.summary, verdict.unknown), verdict.computed),
         verdict.stored.provenance,
         digests=_digests(verdict),
         run=run.resolve().name,
         map_name=options.map,
         reasons=reasons,
+        settings=changed_settings(config["method"]),
     )
     text, path = entry_text(entry), entry_path(options.root, entry)
     twin = _twin(options.root, path, entry)

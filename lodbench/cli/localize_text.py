@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from lodbench.datasets.exchange.survey import survey_sigmas
 from lodbench.geometry.looking import look_from_rotation
 from lodbench.reporting.aligned_text import count_of, format_columns
-from lodbench.reporting.answers import trust_word
+from lodbench.reporting.answers import percent_text, probability_text, trust_counts, trust_word
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_columns import finite_text
 
@@ -37,9 +37,8 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
     lines += [f"note: {note}" for note in sorted(set.intersection(*shared))] if shared else []
     lines += _doubt_lines(answers)
     doubted = sum(not found.is_trusted for found in answers.found)
-    good, failed = len(answers.found) - doubted, len(answers.photos) - len(answers.found)
-    count = count_of(len(answers.photos), "photos")
-    lines.append(f"{count}: {good} reliable, {doubted} unreliable, {failed} failed")
+    counts = trust_counts(answer.trust for answer in answers.photos)
+    lines.append(f"{count_of(len(answers.photos), 'photos')}: {counts}")
     if doubted:
         helps = (
             "correct their masks (lodbench mask PHOTO)" if has_masks else "add a mask for each (--masks DIR)"
@@ -50,7 +49,9 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
             if answers.flights
             else "; widen the search if the rough pose may be far off (--prior-range, --prior-yaw)"
         )
-        lines.append(f"Check the overlays of unreliable poses. What helps most: {helps}{farther}.")
+        lines.append(
+            f"Check the overlays of poses that are not to be trusted. What helps most: {helps}{farther}."
+        )
     files = [("table", answers.table), ("map", answers.map), ("", answers.geopackage)]
     files += [("page", answers.page(flight)) for flight in answers.flights]
     files += [("in 3D", answers.view)] if answers.found else []
@@ -65,12 +66,13 @@ def _photo_table(answers: Answers) -> str:
     if not is_local:
         places = [("latitude_deg", ".7f"), ("longitude_deg", ".7f")]
     rows = [["", *where, "height m", "heading deg", "pitch deg", "roll deg", "moved m", "sure", "trust"]]
-    numbers = ("height_m", "heading_deg", "pitch_deg", "roll_deg", "moved_m", "probability")
+    numbers = ("height_m", "heading_deg", "pitch_deg", "roll_deg", "moved_m")
     cells = [*places, *((name, "z.2f") for name in numbers)]
     for answer in answers.photos:
         row = answer.row()
         texts = ["-" if row[name] is None else format(row[name], spec) for name, spec in cells]
-        rows.append([plain_text(str(answer.photo)), *texts, answer.trust])
+        sure = "-" if row["probability"] is None else probability_text(row["probability"])
+        rows.append([plain_text(str(answer.photo)), *texts, sure, answer.trust])
     return format_columns(rows)
 
 
@@ -156,7 +158,7 @@ def _trust_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
             ("score", f"{finite_text(found.score, '.3f')}, the method's own measure: higher is better")
         )
     else:
-        percent = f"{100 * found.probability:.0f} % within 2 m and 2 deg"
+        percent = f"{percent_text(found.probability)} within 2 m and 2 deg"
         rows.append(("sure", f"{percent}: {trust_word(found.probability)}"))
     if found.covariance is not None:
         x, y, z, *turns = survey_sigmas(found.pose, found.covariance)
@@ -168,6 +170,6 @@ def _trust_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
         x, y, z = (float(v) for v in away)
         how = "(worse fit)"
         if found.alternative_probabilities:
-            how = f"({100 * found.alternative_probabilities[0]:.0f} %)"
+            how = f"({percent_text(found.alternative_probabilities[0])})"
         rows.append(("2nd best", f"{x:+.1f} {y:+.1f} {z:+.1f} m from there {how}"))
     return rows

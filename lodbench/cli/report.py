@@ -32,7 +32,10 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run folders")
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="the page, of one run (report.html in the run folder)"
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="the page, of one run (report.html in the run folder); its other pages are written beside it",
     )
     add_path_options(parser)
     parser.add_argument(
@@ -52,7 +55,12 @@ def _report(run: Path, options: argparse.Namespace) -> int:
     scene = scene_of(verdict)
     imagery = _imagery(options.imagery, scene)
     flights = list(flight_findings(verdict)) if scene is not None else []
-    files = {name: run / FLIGHTS_FOLDER / f"{name}.html" for name in flights}
+    folder = run / FLIGHTS_FOLDER
+    files = {
+        # Into the run nothing is written that is asked for elsewhere.
+        name: folder / f"{name}.html" if options.out is None else out.with_name(f"{out.stem}_{name}.html")
+        for name in flights
+    }
     pages = {"The run": out.name, **{name: _way(file, out.parent) for name, file in files.items()}}
     view = out.with_name(f"{out.stem}_3d.html")
     view_page = "" if scene is None else view_of_run(verdict, scene, tilt, title_of(verdict), pages)
@@ -62,7 +70,7 @@ def _report(run: Path, options: argparse.Namespace) -> int:
         write_text(view, view_page)
         sys.stdout.write(f"{view}\n")
     if scene is not None and files:
-        there = _way(view, run / FLIGHTS_FOLDER) if view_page else ""
+        there = _way(view, folder if options.out is None else out.parent) if view_page else ""
         for name, page in pages_of_run(verdict, scene, tilt, there, imagery).items():
             write_text(files[name], page)
             sys.stdout.write(f"{files[name]}\n")

@@ -206,8 +206,9 @@ def picture_to_open(runs: Sequence[Run]) -> str:
     for run in sorted(runs, key=middle):
         found = run.queries[is_answered(run.queries)]
         for split in reversed(run.splits):
-            for _, row in chosen_queries(found, split)["best"][:1].iterrows():
-                path = run.folder / "overlays" / overlay_name(split, "best", 1, row["query"])
+            kind, chosen = next(iter(chosen_queries(found, split).items()))
+            for _, row in chosen[:1].iterrows():
+                path = run.folder / "overlays" / overlay_name(split, kind, 1, row["query"])
                 if path.is_file():
                     name = run.config["method"]["name"]
                     return f"Open {path}: the map's outlines at the prior and at the pose of {name}.\n"

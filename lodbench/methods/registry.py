@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 from lodbench.datasets.priors import UniformPrior
+from lodbench.errors import LodbenchError
 from lodbench.methods.protocol import Method, SupportsPriorWidth, SupportsTrueTilt
 from lodbench.params import to_params
 from lodbench.plugins import blaming, load_plugin, of_kind
 from lodbench.storage.paths import path_name
+
+# What says more than a setting: what a method is called by, and what is remarked of it.
+_NAMED_OTHERWISE = ("name", "variant", "notes", "matcher", "features")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,3 +82,33 @@ def make_method(name: str, **params: Any) -> Method:
         ConfigError: As for ``configure_method``.
     """
     return configure_method({"name": name, **params}).make()
+
+
+def changed_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns those settings of a method that are not its defaults; none where it is not installed.
+
+    What its variant says (``variant``, ``matcher``, ``features``) and notes are left out.
+
+    Args:
+        settings: Of the method, ``name`` among them.
+    """
+    try:
+        params_type = load_plugin("methods", str(settings.get("name", ""))).params_type
+    except LodbenchError:
+        return {}
+    defaults: dict[str, Any] = {}
+    for field in fields(params_type):
+        if field.default is not MISSING:
+            defaults[field.name] = field.default
+        elif field.default_factory is not MISSING:
+            defaults[field.name] = field.default_factory()
+    return {
+        name: value
+        for name, value in settings.items()
+        if name not in _NAMED_OTHERWISE and (name not in defaults or _plain(defaults[name]) != _plain(value))
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Returns a setting as a configuration file has it."""
+    return list(map(_plain, value)) if isinstance(value, tuple | list) else value

@@ -57,7 +57,6 @@ class SilhouetteRenderer:
     name = "silhouette"
 
     def __init__(self, scene: Scene, threads: int | None = None) -> None:
-        say_if_compiling()
         self.scene = scene
         self.threads = max(1, threads or os.cpu_count() or 1)
         self._arrays = open_arrays(scene)
@@ -203,7 +202,9 @@ class SilhouetteRenderer:
 
 
 def _view(camera: Camera) -> View:
+    """Returns what is drawn into; the first one comes before anything of the engine is compiled."""
     require_pinhole(camera)
+    say_if_compiling()
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float64)
     return View(camera.width, camera.height, intrinsics, view_planes(camera, 0, camera.width))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from decimal import ROUND_FLOOR, Decimal
 from typing import TYPE_CHECKING
 
 from lodbench.evaluation.predictions import Prediction
@@ -18,9 +19,14 @@ if TYPE_CHECKING:
 
 # Below this probability, or this overlap of mask and model, a pose is not to be trusted.
 TRUSTED_PROBABILITY, TRUSTED_OVERLAP = 0.5, 0.5
-UNTRUSTED = "do not trust"
+GOOD, DOUBTFUL, UNTRUSTED = "good", "doubtful", "do not trust"
 # From these probabilities of being within 2 m and 2 degrees on.
-_WORDS = ((0.9, "good"), (TRUSTED_PROBABILITY, "doubtful"), (0.0, UNTRUSTED))
+_WORDS = ((0.9, GOOD), (TRUSTED_PROBABILITY, DOUBTFUL), (0.0, UNTRUSTED))
+# How answers are counted by their words, in this order.
+_COUNTED = {
+    GOOD: "good", DOUBTFUL: "doubtful", UNTRUSTED: "not to be trusted", "-": "of unknown trust",
+    "failed": "failed",
+}  # fmt: skip
 
 
 def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction]) -> str:
@@ -42,7 +48,8 @@ def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction])
     basis = "goes by the probability that the method gives of being within 2 m and 2 degrees"
     return (
         f"No ground truth to compare with; the poses themselves:\n\n{format_columns([head, *lines])}\n\n"
-        f"{answered} of {len(lines)} queries have an answer, {len(lines) - answered} failed. "
+        f"{answered} of {len(lines)} queries have an answer: "
+        f"{trust_counts(trust_of(predictions[str(key)]) for key in queries.index)}. "
         f"Trust {basis if is_said else 'is not known: this method gives no probability'}.\n"
         + "".join(f"{plain_text(note)}\n" for note in notes)
     )
@@ -89,10 +96,47 @@ def trust_word(probability: float) -> str:
     return next((word for least, word in _WORDS if probability >= least), _WORDS[-1][1])
 
 
+def rounded_down(probability: float, digits: int) -> float:
+    """Returns a probability with so many decimals that is no more than it: 0.8999 is not the 0.90 of good.
+
+    Example:
+        >>> rounded_down(0.8999, 2), rounded_down(0.29, 2), rounded_down(1.0, 2)
+        (0.89, 0.29, 1.0)
+    """
+    return float(Decimal(repr(float(probability))).quantize(Decimal(1).scaleb(-digits), ROUND_FLOOR))
+
+
+def probability_text(probability: float, digits: int = 2) -> str:
+    """Returns a probability as it is shown beside a word of trust: rounded down, so that both agree."""
+    return f"{rounded_down(probability, digits):.{digits}f}"
+
+
+def percent_text(probability: float) -> str:
+    """Returns a probability in whole percent, rounded down.
+
+    Example:
+        >>> percent_text(0.8999), percent_text(0.29)
+        ('89 %', '29 %')
+    """
+    return f"{100 * rounded_down(probability, 2):.0f} %"
+
+
+def trust_counts(words: Iterable[str]) -> str:
+    """Returns how many answers there are of each word of ``trust_of``.
+
+    Example:
+        >>> trust_counts(["good", "do not trust", "doubtful", "doubtful"])
+        '1 good, 2 doubtful, 1 not to be trusted'
+    """
+    count = Counter(words)
+    return ", ".join(f"{count[word]} {called}" for word, called in _COUNTED.items() if count[word])
+
+
 def _cells(key: str, found: Prediction) -> list[str]:
     place = ["-"] * 6
     if found.pose is not None:
         look = look_from_rotation(found.pose.rotation)
         place = [f"{value:z.2f}" for value in (*found.pose.center, *look)]
-    known = (math.nan if value is None else value for value in (found.score, found.probability))
-    return [plain_text(key), *place, *(finite_text(value, ".3f") for value in known), trust_of(found)]
+    score = finite_text(math.nan if found.score is None else found.score, ".3f")
+    sure = "-" if found.probability is None else probability_text(found.probability, 3)
+    return [plain_text(key), *place, score, sure, trust_of(found)]

@@ -9,13 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.reporting.figures import LINE_STYLES, SERIES, draw_figure
-from lodbench.reporting.run_figures import shares_below
+from lodbench.reporting.run_figures import PRIOR, shares_below
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _FURTHEST_M, _FURTHEST_DEG, _LARGEST = 100.0, 180.0, 10.0
+
+# Of runs in turn: the first two are those of A and B on maps and photos. Orange is the prior
+# everywhere.
+_OF_RUNS = (SERIES[0], SERIES[4], SERIES[2], SERIES[3], SERIES[5])
 
 
 class ErrorCurve(NamedTuple):
@@ -33,8 +37,8 @@ def draw_comparison(curves: Sequence[ErrorCurve]) -> dict[str, bytes]:
         for number, curve in enumerate(curves):
             is_prior = curve.name == "prior"
             style: dict[str, Any] = {
-                "color": "#808080" if is_prior else SERIES[number % len(SERIES)],
-                "linestyle": ":" if is_prior else LINE_STYLES[number // len(SERIES) % len(LINE_STYLES)],
+                "color": PRIOR if is_prior else _OF_RUNS[number % len(_OF_RUNS)],
+                "linestyle": ":" if is_prior else LINE_STYLES[number // len(_OF_RUNS) % len(LINE_STYLES)],
                 "label": curve.name,
             }
             # Below both limits: the larger of the two errors is.

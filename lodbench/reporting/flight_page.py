@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from lodbench.evaluation.errors import pose_error
 from lodbench.geometry import Pose
-from lodbench.reporting.answers import UNTRUSTED
-from lodbench.reporting.flight_words import constant_rows, heights_in_words, map_rows
+from lodbench.reporting.answers import UNTRUSTED, rounded_down, trust_counts
+from lodbench.reporting.flight_words import PriorSource, constant_rows, heights_in_words, map_rows
 from lodbench.reporting.map_figure import Marked, Spot, Underlay, draw_map
 from lodbench.reporting.page import Picture, markup, rendered
 
@@ -30,6 +30,7 @@ class PhotoOnPage(NamedTuple):
         sigma_m: Standard deviation of its place, in space, where the method knows it.
         probability: That it is within 2 m and 2 degrees, where the method knows it.
         score: Of the method.
+        why: Why it is not to be trusted fully, and notes; "" for neither.
     """
 
     spot: Spot
@@ -38,14 +39,17 @@ class PhotoOnPage(NamedTuple):
     sigma_m: float | None
     probability: float | None
     score: float | None
+    why: str = ""
 
     @property
     def numbers(self) -> list[tuple[float | None, str]]:
-        """Returns the numbers of its row, and their formats."""
-        return [
-            (self.moved_m, "%.2f"), (self.turned_deg, "%.2f"), (self.sigma_m, "%.2f"),
-            (self.probability, "%.2f"), (self.score, "%.3f"),
-        ]  # fmt: skip
+        """Returns the numbers of its row, and their texts."""
+        sure = None if self.probability is None else rounded_down(self.probability, 2)
+        named = (
+            (self.moved_m, ".2f"), (self.turned_deg, ".2f"), (self.sigma_m, ".2f"), (sure, ".2f"),
+            (self.score, ".3f"),
+        )  # fmt: skip
+        return [(value, "-" if value is None else format(value, spec)) for value, spec in named]
 
 
 def photo_on_page(
@@ -55,6 +59,7 @@ def photo_on_page(
     probability: float | None,
     score: float | None,
     trust: str,
+    why: Sequence[str] = (),
 ) -> PhotoOnPage:
     """Returns a photo for the page.
 
@@ -65,6 +70,7 @@ def photo_on_page(
         probability: That it is within 2 m and 2 degrees.
         score: Of the method.
         trust: In a word.
+        why: It is not to be trusted fully, and notes.
     """
     prior, estimate, _ = poses
     places = [None if pose is None else pose.center[:2] for pose in poses]
@@ -76,6 +82,7 @@ def photo_on_page(
         None if covariance is None else float(np.sqrt(np.trace(covariance[:3, :3]))),
         probability,
         score,
+        "; ".join(why),
     )
 
 
@@ -96,6 +103,7 @@ def flight_page(
     marked: Sequence[Marked],
     view: str = "",
     imagery: Underlay | None = None,
+    source: PriorSource = "metadata",
 ) -> str:
     """Returns the page.
 
@@ -110,6 +118,7 @@ def flight_page(
         marked: What the flight contradicts in the map.
         view: Address of the page in three dimensions from this one; "" for none.
         imagery: What lies under the map.
+        source: What the rough poses are from.
     """
     constants = findings.get("constants", {})
     spots = [photo.spot for photo in photos]
@@ -120,7 +129,9 @@ def flight_page(
         lines=lines,
         photos=photos,
         pictures=pictures,
-        doubted=sum(spot.trust == UNTRUSTED for spot in spots),
+        counts=trust_counts(spot.trust for spot in spots),
+        doubted=any(spot.trust == UNTRUSTED for spot in spots),
+        has_why=any(photo.why for photo in photos),
         lost=findings.get("lost", []),
         reasons=findings.get("reasons", {}),
         left_out=left_out,
@@ -128,14 +139,7 @@ def flight_page(
             draw_map(spots, vertices, triangles, marked=marked, is_flight=True, view=view, imagery=imagery)
         ),
         constants=constant_rows(constants),
-        heights=_heights(constants.get("height")),
+        heights=heights_in_words(constants["height"], source) if "height" in constants else "",
         notes=findings.get("notes", ()),
         map_rows=map_rows(findings),
     )
-
-
-def _heights(constant: Mapping[str, Any] | None) -> str:
-    """Returns what the photos say of stated heights; "" where these are held."""
-    if constant is None:
-        return ""
-    return heights_in_words(constant) if constant["told"] else "heights could not be estimated; unchanged"

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from lodbench.reporting.aligned_text import count_of
 
+# Where rough poses are from: the photos' own metadata, or a file, as of a dataset.
+PriorSource = Literal["metadata", "poses"]
+_GIVEN: dict[PriorSource, str] = {"metadata": "the metadata", "poses": "the given poses"}
+_CORRECTED: dict[PriorSource, str] = {"metadata": "the drone's metadata", "poses": "the given poses"}
 _MASKS = "masks too large by"
 # What constants are called where people read them, in this order.
 _CALLED = {
@@ -21,34 +25,56 @@ _CALLED = {
 _OF_MASKS_AND_MAP = {called for name, called in _CALLED.items() if name == _MASKS or "the map" in name}
 # Heights this far off, beyond doubt, are of another zero rather than of a barometer.
 _OTHER_ZERO_M, _BEYOND_DOUBT = 8.0, 3.0
+# A correction of fewer of its standard deviations is not significant.
+_SIGNIFICANT = 2.0
 
 
-def constants_in_words(constants: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def constants_in_words(
+    constants: Mapping[str, Mapping[str, Any]], source: PriorSource = "metadata"
+) -> list[str]:
     """Returns sentences on the constants that the photos determine, and one that names those they do not.
 
     Args:
         constants: By name ``value`` (to be added to what sensors or map say), ``sigma``, ``unit``, ``told``.
+        source: What the rough poses are from.
     """
     height, rows = constants.get("height"), constant_rows(constants)
-    lines = [heights_in_words(height)] if height is not None and height["told"] else []
+    lines = [heights_in_words(height, source)] if height is not None and height["told"] else []
     known = [row for row in rows if row[2]]
     drone = [f"{row[0]} {row[1]}" for row in known if row[0] not in _OF_MASKS_AND_MAP]
     others = [f"{row[0]} {row[1]}" for row in known if row[0] in _OF_MASKS_AND_MAP]
     silent = ["heights"] if height is not None and not height["told"] else []
-    silent += [called for called, _, is_told in rows if not is_told]
-    lines += [f"corrections to the drone's metadata: {'; '.join(drone)}"] if drone else []
+    silent += [called for called, _, is_told, _ in rows if not is_told]
+    lines += [f"corrections to {_CORRECTED[source]}: {'; '.join(drone)}"] if drone else []
     lines += [f"masks and map: {'; '.join(others)}"] if others else []
-    lines += [f"could not be estimated; unchanged: {'; '.join(silent)}"] if silent else []
+    lines += [f"not determined by these photos: {'; '.join(silent)}"] if silent else []
     return lines
 
 
-def constant_rows(constants: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, str, bool]]:
-    """Returns each constant but the height: its name, its correction, and whether photos determine it."""
+def constant_rows(constants: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, str, bool, str]]:
+    """Returns each constant but the height: name, correction, whether photos determine it, and that in words.
+
+    One that they do not determine has no correction. Mask edges of a flight without masks are left out.
+    """
     order = [name for name in _CALLED if name in constants]
     order += [name for name in constants if name not in _CALLED and name != "height"]
-    return [
-        (_CALLED.get(name, name), _change(name, constants[name]), constants[name]["told"]) for name in order
-    ]
+    rows = []
+    for name in order:
+        constant = constants[name]
+        if name == _MASKS and not constant["told"] and constant["value"] == 0.0:
+            continue
+        is_told = constant["told"]
+        amount = _change(name, constant) if is_told else "-"
+        rows.append((_CALLED.get(name, name), amount, is_told, _estimated(constant)))
+    return rows
+
+
+def _estimated(constant: Mapping[str, Any]) -> str:
+    """Returns whether a constant is estimated, and what that is worth."""
+    if not constant["told"]:
+        return f"no: these photos leave {_open_amount(constant)} open"
+    is_small = abs(constant["value"]) < _SIGNIFICANT * constant["sigma"]
+    return "yes: not significant" if is_small else "yes"
 
 
 def _change(name: str, constant: Mapping[str, Any]) -> str:
@@ -60,24 +86,43 @@ def _change(name: str, constant: Mapping[str, Any]) -> str:
 
 def _amount(constant: Mapping[str, Any], *, signed: bool = True) -> str:
     """Returns ``-0.80 deg +-0.10``."""
-    value, sigma, unit = constant["value"], constant["sigma"], constant["unit"]
-    if unit == "share":
-        value, sigma, unit = 100.0 * value, 100.0 * sigma, "%"
-    # As many digits as the sigma's first.
-    digits = min(max(-math.floor(math.log10(sigma)), 0), 5) if sigma > 0 else 2
+    value, sigma, unit, digits = _scaled(constant)
     number = f"{round(value, digits) + 0.0:+.{digits}f}" if signed else f"{abs(value):.{digits}f}"
     return f"{number}{' ' if unit else ''}{unit} +-{sigma:.{digits}f}"
 
 
-def heights_in_words(constant: Mapping[str, Any]) -> str:
-    """Returns by how much heights in the metadata are too high or too low, and the likely cause."""
+def _open_amount(constant: Mapping[str, Any]) -> str:
+    """Returns ``+-0.10 deg``."""
+    _, sigma, unit, digits = _scaled(constant)
+    return f"+-{sigma:.{digits}f} {unit}".rstrip()
+
+
+def _scaled(constant: Mapping[str, Any]) -> tuple[float, float, str, int]:
+    """Returns value, sigma and unit, shares in percent, and how many digits are shown."""
+    value, sigma, unit = constant["value"], constant["sigma"], constant["unit"]
+    if unit == "share":
+        value, sigma, unit = 100.0 * value, 100.0 * sigma, "%"
+    # As many digits as the sigma's first.
+    return value, sigma, unit, min(max(-math.floor(math.log10(sigma)), 0), 5) if sigma > 0 else 2
+
+
+def heights_in_words(constant: Mapping[str, Any], source: PriorSource = "metadata") -> str:
+    """Returns by how much given heights are too high or too low, and the likely cause.
+
+    Args:
+        constant: ``height`` of the constants.
+        source: What the rough poses are from.
+    """
+    if not constant["told"]:
+        return "heights are not determined by these photos"
     value, sigma = constant["value"], constant["sigma"]
     word = "high" if value < 0 else "low"
     amount = _amount(constant, signed=False).replace(" m", f" m too {word}", 1)
     if abs(value) < max(_OTHER_ZERO_M, _BEYOND_DOUBT * sigma):
-        return f"heights in the metadata are {amount}"
+        return f"heights in {_GIVEN[source]} are {amount}"
     datum = "the ellipsoid or the take-off point" if value < 0 else "the take-off point"
-    return f"heights in the metadata are {amount}: measured from {datum}? Set their datum with --heights"
+    hint = " Set their datum with --heights" if source == "metadata" else ""
+    return f"heights in {_GIVEN[source]} are {amount}: measured from {datum}?{hint}"
 
 
 def map_in_words(findings: Mapping[str, Any], most: int = 5) -> list[str]:

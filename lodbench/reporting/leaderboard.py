@@ -22,10 +22,12 @@ from lodbench.reporting.page import facts, markup, rendered
 from lodbench.reporting.run_names import settings_apart
 from lodbench.reporting.safe_text import csv_cell, plain_text
 from lodbench.reporting.split_numbers import common_photos, numbers_of
+from lodbench.reporting.summaries import plugin_metrics
 from lodbench.reporting.table_columns import (
     Column,
     finite_text,
     interval_columns,
+    metric_columns,
     paper_columns,
     segmenter_columns,
 )
@@ -273,17 +275,22 @@ def _page_table(block: Block) -> RecallTable:
         return RecallTable(table.title, lines, table.columns)
     recalls, others = interval_columns(LABELS)[: len(LABELS)], paper_columns(LABELS)[len(LABELS) :]
     cost = (Column("IoU", ("mask_iou",), better=1), Column("s/query", ("seconds_per_query",), better=-1))
-    return RecallTable(table.title, lines, (*recalls, *others, *cost))
+    return RecallTable(table.title, lines, (*recalls, *others, *cost, *_metrics(block)))
 
 
 def _columns(block: Block) -> tuple[Column, ...]:
-    """Returns the paper's columns; of reported rows only those that the paper printed."""
+    """Returns the paper's columns and plug-ins' metrics; of reported rows only those that were printed."""
     if any(entry["source"] != "reported" for entry in block.entries):
-        return paper_columns(LABELS)
+        return *paper_columns(LABELS), *_metrics(block)
     splits = [split for entry in block.entries for split in entry["splits"].values()]
     printed = {name for split in splits for name in split["printed"]}
     columns = {column.head: column for column in (*paper_columns(LABELS), *segmenter_columns(LABELS))}
     return tuple(column for head, column in columns.items() if head in printed)
+
+
+def _metrics(block: Block) -> tuple[Column, ...]:
+    """Returns the columns of plug-ins' metrics that any entry has."""
+    return metric_columns(set().union(*map(plugin_metrics, block.entries)))
 
 
 def _line(entry: Entry, rank: int | None, settings: str = "") -> Line:

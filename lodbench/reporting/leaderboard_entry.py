@@ -95,6 +95,7 @@ def measured_entry(
     run: str,
     map_name: str,
     reasons: Sequence[str],
+    settings: Mapping[str, Any] | None = None,
 ) -> Entry:
     """Returns the entry of a run or of a scored pose file.
 
@@ -105,14 +106,16 @@ def measured_entry(
         run: Name of the run folder.
         map_name: What the method localises against.
         reasons: Why the entry must not rank; empty if it may.
+        settings: Those of the method that are not its defaults.
     """
     dataset, protocol = summary["dataset"], summary["protocol"]
     seconds = provenance.get("seconds_per_query", {})
+    changed = {"settings": dict(settings)} if settings else {}
     return {
         "schema": ENTRY_SCHEMA,
         "source": "submitted" if "poses" in dataset else "measured",
         "dataset": {"name": dataset["name"], "version": dataset["version"]},
-        "method": {**summary["method"], "map": map_name},
+        "method": {**summary["method"], "map": map_name, **changed},
         "protocol": {
             "condition": "",
             **{key: digests.get(key) for key in ("prior", "split")},

@@ -86,15 +86,19 @@ def draw_map(
     low, high = places.min(axis=0), places.max(axis=0)
     margin = _MARGIN_M + 0.15 * float((high - low).max())
     low, high = low - margin, high + margin
-    city = ""
+    city = outline = ""
     if vertices is not None and triangles is not None:
-        city = _outlines(vertices, triangles, (low + high) / 2, float((high - low).max()), low)
+        rows = _flat_near(vertices, triangles, (low + high) / 2, float((high - low).max()))
+        city = _flat_path(vertices, triangles[rows], low)
+        # On imagery a fill alone is hardly seen.
+        outline = "" if imagery is None else _outline_path(vertices, triangles[rows], low)
     width, height = high - low
     enlarged = _enlarged(spots, float(max(width, height)))
     return rendered(
         "map.html.jinja",
         box=(0.0, -round(float(height), 1), round(float(width), 1), round(float(height), 1)),
         city=city,
+        outline=outline,
         imagery=None if imagery is None else _imagery(imagery, low, high),
         marked=[(part.title, "".join(_ring(ring, low) for ring in part.rings)) for part in marked],
         tracks=_tracks(spots, low) if is_flight else [],
@@ -163,24 +167,42 @@ def _ring(ring: Floats, low: Floats) -> str:
     return "M" + "L".join(f"{x:g} {y:g}" for x, y in places) + "Z"
 
 
-def _outlines(
-    vertices: Floats, triangles: NDArray[np.int32], middle: Floats, reach_m: float, low: Floats
-) -> str:
-    """Returns the path of the flat triangles near the cameras; north is up, so y is turned round."""
+def _flat_near(
+    vertices: Floats, triangles: NDArray[np.int32], middle: Floats, reach_m: float
+) -> NDArray[np.int64]:
+    """Returns the rows of the flat triangles near the cameras, in their order."""
     corners = vertices[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     sizes = np.linalg.norm(normals, axis=1)
     away = np.abs(corners[:, :, :2].mean(axis=1) - middle).max(axis=1)
     is_shown = (np.abs(normals[:, 2]) > _LEAST_FLAT * sizes) & (away < reach_m + _MARGIN_M)
     chosen = np.flatnonzero(is_shown)
-    chosen = np.sort(chosen[np.argsort(away[chosen], kind="stable")[:_MAX_TRIANGLES]])
-    flat = np.round((corners[chosen, :, :2] - low) * (1.0, -1.0), 1)
+    return np.sort(chosen[np.argsort(away[chosen], kind="stable")[:_MAX_TRIANGLES]])
+
+
+def _flat_path(vertices: Floats, triangles: NDArray[np.int32], low: Floats) -> str:
+    """Returns the path of flat triangles; north is up, so y is turned round."""
+    flat = np.round((vertices[triangles][:, :, :2] - low) * (1.0, -1.0), 1)
     # All one way round: a roof and the floor below it would cancel each other out.
-    turned = normals[chosen, 2] < 0
+    one, other = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    turned = one[:, 0] * other[:, 1] > one[:, 1] * other[:, 0]
     flat[turned] = flat[turned, ::-1]
     return "".join(
         f"M{ax:g} {ay:g}L{bx:g} {by:g} {cx:g} {cy:g}Z" for (ax, ay), (bx, by), (cx, cy) in flat.tolist()
     )
+
+
+def _outline_path(vertices: Floats, triangles: NDArray[np.int32], low: Floats) -> str:
+    """Returns the path of the edges that flat triangles do not share: the outlines of roofs and floors."""
+    edges = np.sort(
+        np.concatenate([triangles[:, (0, 1)], triangles[:, (1, 2)], triangles[:, (2, 0)]]), axis=1
+    )
+    edges, counts = np.unique(edges, axis=0, return_counts=True)
+    ends = np.round((vertices[edges[counts == 1]][:, :, :2] - low) * (1.0, -1.0), 1)
+    # A roof's outline and that of the floor below it are one line from above.
+    order = np.lexsort((ends[:, :, 1], ends[:, :, 0]), axis=1)
+    ends = np.unique(np.take_along_axis(ends, order[:, :, None], axis=1), axis=0)
+    return "".join(f"M{ax:g} {ay:g}L{bx:g} {by:g}" for (ax, ay), (bx, by) in ends.tolist())
 
 
 def _lines(spot: Spot, low: Floats) -> list[tuple[str, str]]:

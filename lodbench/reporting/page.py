@@ -109,5 +109,6 @@ def markup(html: str) -> Any:
 
 
 def facts(pairs: Mapping[str, object]) -> Any:
-    """Returns names and values as a list in HTML."""
-    return markup(rendered("facts.html.jinja", pairs=pairs))
+    """Returns names and values as a list in HTML; what has no value is left out."""
+    known = {name: value for name, value in pairs.items() if value is not None and value != ""}
+    return markup(rendered("facts.html.jinja", pairs=known))

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from lodbench.evaluation.errors import Apart, PoseError
+from lodbench.reporting.answers import percent_text, probability_text
 from lodbench.reporting.map_figure import Spot
 from lodbench.reporting.page import Picture, markup, rendered
 
@@ -164,7 +165,7 @@ def _words_of(said: Said) -> str:
     if not said.is_answered:
         return "no answer"
     words = [] if said.error is None else ["{:.2f} m and {:.2f} deg off".format(*said.error)]
-    words += [] if said.probability is None else [f"probability {100 * said.probability:.0f} %"]
+    words += [] if said.probability is None else [f"probability {percent_text(said.probability)}"]
     return ", ".join([*words, *([] if said.trust == "-" else [said.trust])]) or "answered"
 
 
@@ -175,6 +176,10 @@ def _number(value: float | None, spec: str = ".2f", sorts_by: float | None = Non
     if math.isinf(value):
         return Cell("failed", value)
     return Cell(format(value, spec), value if sorts_by is None else sorts_by)
+
+
+def _sure(probability: float | None) -> Cell:
+    return Cell("-") if probability is None else Cell(probability_text(probability), probability)
 
 
 def _apart_cell(part: Callable[[Apart], float], spec: str = ".2f") -> Callable[[PhotoPair], Cell]:
@@ -226,9 +231,9 @@ _COLUMNS = (
     Column("height", "in height m", "B above A, m", "", _apart_cell(lambda d: d.parts.vertical_m, "+.2f")),
     *_said_columns("A"),
     *_said_columns("B"),
-    Column("worse", "B worse by m", "error of B less that of A, m", "least", _worse),
-    Column("sure_a", "prob. A", "probability of A", "most", lambda pair: _number(pair.a.probability)),
-    Column("sure_b", "prob. B", "probability of B", "most", lambda pair: _number(pair.b.probability)),
+    Column("worse", "B worse by m", "B worse by, m", "least", _worse),
+    Column("sure_a", "prob. A", "probability of A", "most", lambda pair: _sure(pair.a.probability)),
+    Column("sure_b", "prob. B", "probability of B", "most", lambda pair: _sure(pair.b.probability)),
     Column("trust_a", "trust A", "trust in A", "is", lambda pair: Cell(pair.a.trust)),
     Column("trust_b", "trust B", "trust in B", "is", lambda pair: Cell(pair.b.trust)),
 )

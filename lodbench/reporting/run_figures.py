@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, NamedTuple
@@ -15,9 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
-PRIOR, ESTIMATE, TRUTH = SERIES[1], SERIES[0], "#222222"
+PRIOR, ESTIMATE, _INK = SERIES[1], SERIES[0], "#222222"
 # Where a camera error stops mattering: beyond this it is just lost.
 _FURTHEST_M, _FURTHEST_DEG = 100.0, 180.0
+# Evidence is drawn evenly as far as this, and by its logarithm from there on.
+_LINEAR_NATS = 10.0
 
 
 class ErrorSample(NamedTuple):
@@ -94,7 +97,7 @@ def draw_traces(traces: Sequence[Trace]) -> dict[str, bytes]:
                 sorted(stages.items(), key=lambda item: "beam" not in item[0])
             ):
                 is_beam = "beam" in name
-                colour = SERIES[number % len(SERIES)] if is_beam else TRUTH
+                colour = SERIES[number % len(SERIES)] if is_beam else _INK
                 dashes = _DASHES[(number - beams) % len(_DASHES)]
                 style = {"linewidth": 1.2} if is_beam else {"linewidth": 0.8, "linestyle": dashes}
                 axis.plot(range(1, len(scores) + 1), scores, color=colour, label=name, **style)
@@ -109,21 +112,41 @@ def draw_traces(traces: Sequence[Trace]) -> dict[str, bytes]:
     return draw_figure(2.9 * columns + 0.3, 2.0 * rows + 0.4, draw)
 
 
+def round_ticks(furthest: float) -> list[float]:
+    """Returns 0 and round numbers up to a number: evenly up to 10, from there on ten times the last.
+
+    Example:
+        >>> round_ticks(2.86), round_ticks(8.4), round_ticks(7900.0)
+        ([0.0, 1.0, 2.0], [0.0, 2.0, 4.0, 6.0, 8.0], [0.0, 5.0, 10.0, 100.0, 1000.0])
+    """
+    if furthest > _LINEAR_NATS:
+        decades = math.floor(math.log10(furthest))
+        return [0.0, _LINEAR_NATS / 2, *(10.0**k for k in range(1, decades + 1))]
+    power = 10.0 ** math.floor(math.log10(furthest))
+    step = next(each * power for each in (0.2, 0.5, 1.0, 2.0) if furthest <= 5 * each * power)
+    return [k * step for k in range(int(furthest / step + 1e-9) + 1)]
+
+
 def draw_evidence(traces: Sequence[Trace]) -> dict[str, bytes]:
     """Returns by how many nats the answers found to each query are behind the best, best first."""
     columns = min(3, len(traces))
     rows = -(-len(traces) // columns)
+    furthest = max(max(values) for trace in traces for values in trace.stages.values()) or 1.0
+    ticks = round_ticks(furthest)
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
         for axis, trace in zip(axes, traces, strict=False):
             for number, values in enumerate(trace.stages.values()):
                 axis.plot(range(1, len(values) + 1), values, ".", color=SERIES[number % len(SERIES)])
-            axis.set_yscale("symlog", linthresh=10.0)
+            axis.set_yscale("symlog", linthresh=_LINEAR_NATS)
+            axis.set_yticks(ticks)
+            axis.set_yticks([], minor=True)
             axis.yaxis.set_major_formatter("{x:g}")
             axis.xaxis.get_major_locator().set_params(integer=True)
             axis.set_title(trace.name, fontsize=8)
-        axes[0].invert_yaxis()  # of axes that all share
+        # Of axes that all share; the best is at the top.
+        axes[0].set_ylim(1.1 * furthest, -0.06 * min(furthest, _LINEAR_NATS))
         for axis in axes[len(traces) :]:
             axis.set_visible(False)
         figure.supxlabel("answer", fontsize=9)

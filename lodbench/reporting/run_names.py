@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import Any
 
 from lodbench.citymodel.lods import lod_in_words
@@ -100,25 +101,64 @@ def method_name(member: dict[str, Any]) -> str:
 
 
 def settings_apart(members: Sequence[dict[str, Any]]) -> list[str]:
-    """Returns for each run the settings of its method that other runs of that method have otherwise."""
-    labels = labels_of(members, ())
-    return [
-        label.removeprefix(method_name(member)).strip() for label, member in zip(labels, members, strict=True)
-    ]
+    """Returns for each run the settings of its method that other runs of that method have otherwise.
+
+    And those that are not the method's defaults, where these are known (``method.settings``).
+    """
+    texts = []
+    for member, words in zip(members, _words_apart(members, (), ()), strict=True):
+        named = {word.partition("=")[0] for word in words}
+        changed = member["method"].get("settings", {})
+        texts.append(
+            " ".join([*words, *(f"{key}={_short(changed[key])}" for key in changed if key not in named)])
+        )
+    return texts
 
 
-def labels_of(members: Sequence[dict[str, Any]], free: Collection[str]) -> list[str]:
-    """Returns a name for each run: method, variant, and whatever else differs between runs of that method."""
+def labels_of(
+    members: Sequence[dict[str, Any]], free: Collection[str], others: Sequence[dict[str, Any]] = ()
+) -> list[str]:
+    """Returns a name for each run: method, variant, and whatever else differs between runs of that method.
+
+    Args:
+        members: Summaries of the runs of a table.
+        free: Parts of the protocol that may differ within it.
+        others: Summaries of all runs shown: a setting that is not its method's default is named where a run
+            of that method in another table has it otherwise.
+    """
+    words = _words_apart(members, free, others)
+    return [" ".join([method_name(member), *mine]) for member, mine in zip(members, words, strict=True)]
+
+
+def _words_apart(
+    members: Sequence[dict[str, Any]], free: Collection[str], others: Sequence[dict[str, Any]]
+) -> list[list[str]]:
+    """Returns for each run the words of ``labels_of`` beside its method's name."""
     names = [method_name(member) for member in members]
-    labels = []
+    found = []
     for member, name in zip(members, names, strict=True):
         peers = [other for other, theirs in zip(members, names, strict=True) if theirs == name]
         params = member["method"].get("params", {})
+        shown = [_params(other) for other in others if method_name(other) == name]
+        changed = member["method"].get("settings", {})
         differing = [
-            key for key in params if any(p["method"].get("params", {}).get(key) != params[key] for p in peers)
+            key
+            for key in params
+            if any(_params(peer).get(key) != params[key] for peer in peers)
+            or (key in changed and any(theirs.get(key) != params[key] for theirs in shown))
         ]
         words = [f"{key}={params[key]}" for key in differing]
         words += [f"{key}={member['protocol'].get(key)}" for key in sorted(free)]
         words += [word for word in _set_apart(member, peers) if word.startswith(_OF_SEGMENTER)]
-        labels.append(" ".join([name, *words]))
-    return labels
+        found.append(words)
+    return found
+
+
+def _params(member: dict[str, Any]) -> dict[str, Any]:
+    params: dict[str, Any] = member["method"].get("params", {})
+    return params
+
+
+def _short(value: Any) -> str:
+    """Returns a setting as a word; of a path its last name."""
+    return Path(value).name if isinstance(value, str) and "/" in value else str(value)

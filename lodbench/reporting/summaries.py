@@ -8,6 +8,7 @@ from typing import Any
 
 from lodbench.errors import DatasetError
 from lodbench.evaluation.metrics import OWN_NUMBERS
+from lodbench.methods.registry import changed_settings
 from lodbench.storage.json_text import parse_json
 
 # Raised whenever a number of a summary gets another meaning, or a new one must be there.
@@ -116,7 +117,8 @@ def with_seconds(summary: dict[str, Any], seconds: dict[str, float | None]) -> d
 def with_settings(summary: dict[str, Any], config: dict[str, Any], city: str | Path | None) -> dict[str, Any]:
     """Returns a summary with the ``settings`` of its data and its segmenter: no part of the summary's file.
 
-    Tables and runs that are called alike are told apart by them.
+    Tables and runs that are called alike are told apart by them. And ``method.settings`` are those of the
+    method that are not its defaults.
 
     Args:
         summary: Of a run.
@@ -130,7 +132,8 @@ def with_settings(summary: dict[str, Any], config: dict[str, Any], city: str | P
     nested = {key: value for key, value in told.items() if isinstance(value, dict)}
     inner = {f"{key}.{name}": value for key, values in nested.items() for name, value in values.items()}
     settings = {key: value for key, value in {**told, **inner}.items() if key not in nested}
-    return {**summary, "settings": settings}
+    method = {**summary["method"], "settings": changed_settings(config.get("method", {}))}
+    return {**summary, "method": method, "settings": settings}
 
 
 def _place(value: Any) -> Any:
@@ -151,6 +154,17 @@ def without_metrics(summary: dict[str, Any], names: Collection[str]) -> dict[str
         if part in summary
     }
     return {**summary, **parts}
+
+
+def with_plugin_metrics(summary: dict[str, Any], computed: dict[str, Any]) -> dict[str, Any]:
+    """Returns a summary with those numbers of plug-ins' metrics that only another summary of its run has."""
+    splits = summary["splits"]
+    for split, numbers in computed.get("splits", {}).items():
+        more = numbers.get("metrics", {})
+        if split in splits and (names := more.keys() - OWN_NUMBERS - splits[split].get("metrics", {}).keys()):
+            metrics = {**splits[split].get("metrics", {}), **{name: more[name] for name in sorted(names)}}
+            splits = {**splits, split: {**splits[split], "metrics": metrics}}
+    return {**summary, "splits": splits}
 
 
 def plugin_metrics(summary: dict[str, Any]) -> set[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from lodbench.errors import ConfigError, nearest_names
@@ -111,6 +111,11 @@ def calibration_columns(labels: Sequence[str]) -> tuple[Column, ...]:
         Column("ece", ("ece_percent",), better=-1),
         Column("aurc", ("aurc_percent",), better=-1),
     )
+
+
+def metric_columns(names: Collection[str]) -> tuple[Column, ...]:
+    """Returns a column of each metric of a plug-in, by name."""
+    return tuple(Column(name, (name,)) for name in sorted(names))
 
 
 COLUMNS: dict[str, Callable[[Sequence[str]], tuple[Column, ...]]] = {

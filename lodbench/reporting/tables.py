@@ -165,7 +165,9 @@ def tables_of(
         groups.setdefault((*key, seen), []).append(summary)
     titles = titles_of([shared[0] for shared in groups], [members[0] for members in groups.values()])
     return [
-        replace(_table(title, members, free, over_seeds), protocol=f"{title} · {digest_of(shared)}")
+        replace(
+            _table(title, members, free, over_seeds, summaries), protocol=f"{title} · {digest_of(shared)}"
+        )
         for title, (shared, members) in zip(titles, groups.items(), strict=True)
     ]
 
@@ -197,14 +199,20 @@ def _fixed_inputs(summary: dict[str, Any], free: Collection[str]) -> list[str]:
     return names + ([] if "segmenter" in free else ["masks"])
 
 
-def _table(title: str, members: list[dict[str, Any]], free: set[str], over_seeds: bool) -> RecallTable:
+def _table(
+    title: str,
+    members: list[dict[str, Any]],
+    free: set[str],
+    over_seeds: bool,
+    others: Sequence[dict[str, Any]],
+) -> RecallTable:
     rows = []
     priors = [member["prior"] for member in members]
     if all(prior == priors[0] for prior in priors):
         numbers = {split: numbers_of(value) for split, value in priors[0].items()}
         rows.append(Line("Prior", numbers, is_prior=True))
     labelled: dict[str, list[dict[str, Any]]] = {}
-    labels = labels_of(members, free - {"seed"} if over_seeds else free)
+    labels = labels_of(members, free - {"seed"} if over_seeds else free, others)
     for label, member in zip(labels, members, strict=True):
         labelled.setdefault(label if over_seeds else f"{label}\0{len(labelled)}", []).append(member)
     found = []

@@ -115,7 +115,7 @@ function main(data) {
       material.color = colour("line");
       material.needsUpdate = true;
     }
-    for (const [kind, name] of [["prior", "c1"], ["estimate", "c0"], ["truth", "c2"]]) {
+    for (const [kind, name] of [["prior", "c1"], ["estimate", "c0"], ["truth", "truth"]]) {
       parts[kind].lines.material.color = colour(name);
       parts[kind].faces.material.color = colour(name);
     }
@@ -253,18 +253,39 @@ function main(data) {
   controls.addEventListener("change", draw);
   addEventListener("keydown", (event) => { if (event.key === "Escape") goBack(); });
   one(".through").addEventListener("click", () => (through ? goBack() : lookThrough(current)));
-  const middle = low.clone().add(high).multiplyScalar(0.5).setZ(ground + 0.4 * (high.z - ground));
-  const away = () => 1.5 * reach * Math.max(1, 0.8 * stage.clientHeight / stage.clientWidth);
-  one(".whole").addEventListener("click", () => lookAt(middle, away()));
+  // What the whole view takes in: cameras, what they look at, and the buildings near both.
+  function worthSeeing() {
+    const poses = data.cameras.flatMap((each) => KINDS.filter((kind) => each[kind]).map((kind) => each[kind]));
+    const points = poses.flatMap((pose) => [pose.center, ...corners(pose, size())].map((p) => new THREE.Vector3(...p)));
+    const spots = poses.flatMap((pose) => [pose.center, seenFrom(pose, ground)]);
+    const most = Math.max(0.5 * (high.z - ground), 60);
+    const near = boxNear(geometry, spots, most);
+    return near ? [...points, ...near] : points;
+  }
+  const whole = () => {
+    goBack();
+    const { clientWidth: width, clientHeight: height } = stage;
+    eye.aspect = width / height;
+    eye.fov = 45;
+    eye.updateMatrixWorld();
+    const bar = one(".buttons").getBoundingClientRect().bottom - stage.getBoundingClientRect().top;
+    const fitted = fittingEye(worthSeeing(), eye.quaternion, eye.aspect, eye.fov, bar / height);
+    eye.position.copy(fitted.position);
+    controls.target.copy(fitted.target);
+    controls.update();
+    draw();
+  };
+  one(".whole").addEventListener("click", whole);
   for (const input of all(".legend input, .sliders input")) input.addEventListener("input", place);
   filter.addEventListener("input", sift);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", paint);
   new ResizeObserver(draw).observe(stage);
 
   paint();
-  eye.position.set(middle.x - 0.5 * reach, middle.y - reach, middle.z + reach);
-  lookAt(middle, away());
+  eye.position.set(-0.5, -1, 1);
+  eye.lookAt(0, 0, 0);
   sift();
+  whole();
   const asked = decodeURIComponent(location.hash.slice(1));
   const linked = data.cameras.find((each) => each.key === asked);
   if (linked) choose(linked, true);

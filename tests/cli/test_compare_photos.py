@@ -71,6 +71,9 @@ def test_photos_are_sorted_filtered_and_tagged_and_the_tags_come_back(lodbench, 
         shown.locator('section.pair th[data-name="apart"] button').click()
         assert [row["photo"] for row in rows_of(shown)] == [row["photo"] for row in reversed(rows)]
 
+        # The photo comes before the many conditions.
+        assert not shown.locator('input.condition[data-column="apart"]').is_visible()
+        shown.locator("section.pair .filters summary").click()
         # Only what lies at least as far apart as the second of them.
         shown.locator('input.condition[data-column="apart"]').fill("2.5")
         assert {row["photo"] for row in rows_of(shown)} == {row["photo"] for row in rows[:2]}
@@ -93,6 +96,20 @@ def test_photos_are_sorted_filtered_and_tagged_and_the_tags_come_back(lodbench, 
     with opened(page, PHONE, "dark") as (shown, complaints):
         assert {row["photo"] for row in rows_of(shown) if row["tags"] == "blurred roof"} == set(tags)
         assert fits(shown)
+        # A name takes two lines at most.
+        cell = shown.locator("section.pair tbody td.name").first
+        assert cell.bounding_box()["height"] < 60
+        assert shown.inner_text("main").count("Both runs answered") == 1
+        # Each run has one colour, in the curves and on the map, and the prior another.
+        inks = [f"var(--c{number})" for number in (0, 1, 4)]
+        curves = shown.locator("#curves .chart svg").first.inner_html()
+        assert set(re.findall(r"var\(--c\d\)", curves)) == set(inks)
+        stroke = "e => getComputedStyle(e).stroke"
+        dots = [shown.locator(f".map .dot.{kind}").first for kind in ("second", "estimate")]
+        second, first = (dot.evaluate(stroke) for dot in dots)
+        named = """(name) => { const e = document.createElement("i"); e.style.color = name;
+          document.body.append(e); return getComputedStyle(e).color; }"""
+        assert [first, second] == [shown.evaluate(named, ink) for ink in (inks[0], inks[2])]
         assert complaints == []
 
 

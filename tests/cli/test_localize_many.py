@@ -55,7 +55,7 @@ def test_each_photo_has_its_row_its_place_and_its_own_files(capsys, case, flight
     told = capsys.readouterr().out
     # One failed, so not all is well; two were found.
     assert code == 3
-    assert "3 photos: 2 reliable, 0 unreliable, 1 failed" in told
+    assert "3 photos: 2 doubtful, 1 failed" in told
     missing = (
         "silent.jpg does not say where it was taken, how high it was (absolute), where its camera looked"
     )
@@ -242,7 +242,7 @@ class TestMasksBesideTheirPhotos:
         words = [photos, "--city", case.city, "--masks", photos, "--each-alone", "--out", tmp_path / "out"]
         assert main(["localize", *map(str, words)]) == 3
         told = capsys.readouterr()
-        assert "2 photos: 1 reliable, 0 unreliable, 1 failed" in told.out
+        assert "2 photos: 1 doubtful, 1 failed" in told.out
         assert f"{photos} holds no mask of it" in told.out
         assert "not used" not in told.err
 
@@ -262,7 +262,7 @@ def test_results_among_the_photos_are_none(capsys, case, tmp_path):
     words = ["--city", case.city, "--method", "prior_only"]
     for _ in range(2):
         assert main(["localize", *map(str, [tmp_path, *words, "--out", tmp_path])]) == 0
-        assert "1 photo: 1 reliable" in capsys.readouterr().out
+        assert "1 photo: 1 of unknown trust" in capsys.readouterr().out
     assert (tmp_path / "DJI_0001_overlay.png").is_file()
     # A picture of that name beside polygons that another program wrote is a photo.
     shutil.copy(case.mask, tmp_path / "house_overlay.png")
@@ -281,7 +281,7 @@ def test_names_that_are_no_text_and_what_shares_a_sidecar(capsys, case, tmp_path
     for more in ((), ("--json",)):
         assert main(["localize", *map(str, [folder, *words]), *more]) == 0
     told = capsys.readouterr()
-    assert "3 photos: 3 reliable" in told.out
+    assert "3 photos: 3 of unknown trust" in told.out
     assert (
         "1 written beside the photos; 1 not written, which several photos would share: DJI_1.xmp" in told.err
     )
@@ -353,7 +353,7 @@ def test_why_answers_are_not_to_be_trusted_is_said_photo_by_photo(
     ]
     assert main(["localize", *map(str, words), "--each-alone"]) == 3
     told = capsys.readouterr().out
-    assert "3 photos: 0 reliable, 2 unreliable, 1 failed" in told
+    assert "3 photos: 2 not to be trusted, 1 failed" in told
     assert f"{flight}/a/DJI_0001.JPG: the pose lies outside the stated range" in told
     assert "and 1 more such notes in the table" in told
     assert (

@@ -81,7 +81,7 @@ def test_a_photo_that_the_file_lacks_fails_alone(capsys, folder):
     told = capsys.readouterr().out
     assert f"b.jpg: {folder / 'rough.txt'} has no pose of b.jpg" in told
     assert "hint: --start needs one of each photo" in told
-    assert "2 photos: 1 reliable, 0 unreliable, 1 failed" in told
+    assert "2 photos: 1 of unknown trust, 1 failed" in told
 
 
 def test_what_fails_alike_is_one_line_and_a_hint_that_fits_a_folder(capsys, folder):

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import pytest
 
 from lodbench.evaluation import metrics
 from lodbench.evaluation.errors import FAILED, FAILED_PARTS
-from lodbench.evaluation.queries import ERROR, PARTS, queries_frame, summarize_queries
+from lodbench.evaluation.queries import COLUMNS, ERROR, PARTS, queries_frame, summarize_queries
 from lodbench.plugins import PlugIn, installed
 
 
@@ -121,3 +123,11 @@ def test_a_metric_that_fails_is_left_out_and_said(install, name, said):
         found = summarize_queries(QUERIES, "a")[0].to_json()["metrics"]
     assert found["worst_m"] == 4.0
     assert found["mask_iou"] == pytest.approx(0.85)
+
+
+def test_the_columns_that_a_metric_is_given_are_documented():
+    page = (Path(__file__).parents[2] / "docs" / "plugins.md").read_text()
+    table = page.partition("## A metric")[2].partition("| column | data |")[2].partition("\n\n")[0]
+    firsts = [row.split("|")[1] for row in table.splitlines() if row.startswith("| `")]
+    named = [name for first in firsts for name in re.findall(r"`(\w+)`", first)]
+    assert sorted(named) == sorted(COLUMNS)

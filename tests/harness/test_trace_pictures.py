@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 
+from lodbench.evaluation.predictions import Prediction
 from lodbench.harness.runs import trace_pictures
 from lodbench.harness.runs.trace_pictures import evidence_pictures, score_pictures
 
@@ -24,12 +26,13 @@ def shown(monkeypatch):
 
     def draw(trace):
         rows = pd.DataFrame(index=["a/1.jpg"])
-        chosen = {"worst": rows, "best": rows.iloc[:0]}
+        chosen = {"best": rows.iloc[:0], "worst": rows}
         monkeypatch.setattr(trace_pictures, "chosen_queries", lambda *_: chosen)
         monkeypatch.setattr(
             trace_pictures, "open_predictions", lambda *_, **__: {"a/1.jpg": {"trace": trace}}
         )
-        found = (kind(SimpleNamespace(), rows, ["a"]) for kind in (score_pictures, evidence_pictures))
+        kept = Prediction(None, trace={name: tuple(values) for name, values in trace.items()})
+        found = (score_pictures(SimpleNamespace(), rows, ["a"]), evidence_pictures({"a/1.jpg": kept}))
         return [picture[0].content.decode() if picture else None for picture in found]
 
     return draw
@@ -48,3 +51,28 @@ def test_evidence_is_no_score(shown):
     assert "signs" not in evidence
     assert "mathdefault" not in evidence
     assert ">1.5<" not in evidence
+
+
+def test_every_query_with_other_candidates_is_drawn_the_closest_call_first():
+    def answer(*nats):
+        return Prediction(None, trace={"evidence [nats]": nats})
+
+    asked = {"a/far": answer(9.0, 0.0), "a/alone": answer(9.0), "a/near": answer(9.0, 8.5, 1.0)}
+    (picture,) = evidence_pictures(asked)
+    drawn = picture.content.decode()
+    assert "a/alone" not in drawn
+    assert drawn.index(">a/near<") < drawn.index(">a/far<")
+    assert picture.caption.startswith("2 queries with more than one candidate, of 3:")
+    many = {f"a/{number:03}": answer(9.0, 8.0 - number) for number in range(70)}
+    (picture,) = evidence_pictures(many)
+    assert picture.caption.startswith("The 60 closest of 70 queries with more than one candidate, of 70:")
+    assert ">a/059<" in picture.content.decode()
+    assert ">a/060<" not in picture.content.decode()
+
+
+@pytest.mark.parametrize("behind", [2.859213, 0.136153, 10.0, 7900.0])
+def test_ticks_of_evidence_are_round_numbers(behind):
+    (picture,) = evidence_pictures({"a": Prediction(None, trace={"evidence [nats]": (0.0, -behind)})})
+    labels = re.findall(r">(-?[\d.]+)</text>", picture.content.decode())
+    assert len(labels) >= 4
+    assert all(len(label.strip("0.")) <= 2 and float(label) <= behind + 2 for label in labels)

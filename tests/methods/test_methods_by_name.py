@@ -6,7 +6,7 @@ import pytest
 
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError
-from lodbench.methods.registry import configure_method, make_method
+from lodbench.methods.registry import changed_settings, configure_method, make_method
 
 
 def test_settings_go_before_defaults():
@@ -48,3 +48,12 @@ def test_the_true_tilt_is_told_to_who_asks():
     assert aligned.for_tilt("truth").params.range_x_m == aligned.params.range_x_m
     fixed = configure_method({"name": "lodlocv2"})
     assert fixed.for_tilt("truth") is fixed
+
+
+def test_settings_that_are_not_the_defaults_are_known_without_what_the_variant_says():
+    assert changed_settings({"name": "flight", "single": "region", "variant": "full"}) == {"single": "region"}
+    defaults = {"name": "flight", "single": configure_method({"name": "flight"}).params.single}
+    assert changed_settings(defaults) == {}
+    assert changed_settings({"name": "mcloc", "features": "xfeat"}) == {}
+    # Of a method that is not installed nobody knows.
+    assert changed_settings({"name": "gone", "steps": 3}) == {}

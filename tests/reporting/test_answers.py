@@ -7,7 +7,17 @@ import pytest
 from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.queries import NO_TRUTH, queries_frame
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.reporting.answers import format_answers, trust_of
+from lodbench.reporting.answers import (
+    DOUBTFUL,
+    GOOD,
+    UNTRUSTED,
+    format_answers,
+    percent_text,
+    probability_text,
+    trust_counts,
+    trust_of,
+    trust_word,
+)
 
 POSE = Pose.from_euler(EulerAngles(40.0, 0.0, 170.0), [691512.25, 5335218.5, 655.0])
 
@@ -40,5 +50,20 @@ def test_every_query_has_a_line_and_failures_are_counted():
         "good",
     ]
     assert second[-1] == "failed"
-    assert "1 of 2 queries have an answer, 1 failed" in text
+    assert "1 of 2 queries have an answer: 1 good, 1 failed." in text
     assert "1 x no match" in text.splitlines()
+
+
+@pytest.mark.parametrize("probability", [0.89999, 0.895, 0.9, 0.5, 0.49999, 0.29, 0.57, 1.0, 0.0, 1e-9])
+@pytest.mark.parametrize("digits", [2, 3, 4])
+def test_a_probability_and_its_word_agree_at_every_number_of_digits(probability, digits):
+    shown = probability_text(probability, digits)
+    assert trust_word(float(shown)) == trust_word(probability)
+    assert probability - 10.0**-digits < float(shown) <= probability
+    assert trust_word(float(percent_text(probability).removesuffix(" %")) / 100) == trust_word(probability)
+
+
+def test_answers_are_counted_by_their_words():
+    words = [GOOD, *[DOUBTFUL] * 5, UNTRUSTED, UNTRUSTED, "failed", "-"]
+    assert trust_counts(words) == "1 good, 5 doubtful, 2 not to be trusted, 1 of unknown trust, 1 failed"
+    assert trust_counts([]) == ""

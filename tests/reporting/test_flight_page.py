@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 
 from lodbench.geometry import EulerAngles, Pose
+from lodbench.harness.photo.flight_answer import FlightAnswer
 from lodbench.reporting.flight_page import MAX_PICTURES, chosen_for_pictures, flight_page, photo_on_page
 from lodbench.reporting.map_figure import Marked, Spot, draw_map
 from lodbench.reporting.page import Picture
 from tests.reporting.browser import PHONE, fits, opened
 
 COUNT = 5
+CONSTANTS = {
+    "height": {"value": -31.9, "sigma": 0.4, "unit": "m", "told": True},
+    "pitch": {"value": -0.8, "sigma": 0.1, "unit": "deg", "told": True},
+    "focal length": {"value": 0.0, "sigma": 0.01, "unit": "share", "told": False},
+}
 
 
 def page(**changed):
@@ -28,11 +34,7 @@ def page(**changed):
         photos.append(photo_on_page(f"p{k}.jpg", poses, spread, 0.99, 0.8, trust))
         pictures.append(Picture(dot, "png", f"p{k}.jpg: caption", "", f"p{k}.jpg"))
     findings = {
-        "constants": {
-            "height": {"value": -31.9, "sigma": 0.4, "unit": "m", "told": True},
-            "pitch": {"value": -0.8, "sigma": 0.1, "unit": "deg", "told": True},
-            "focal length": {"value": 0.0, "sigma": 0.01, "unit": "share", "told": False},
-        },
+        "constants": CONSTANTS,
         "buildings": [{"id": "B<1>", "higher_m": -2.4, "sigma_m": 0.3, "photos": 4, "doubt": True}],
         "lost": ["p3.jpg"],
         "reasons": {"p3.jpg": "far from the others"},
@@ -54,8 +56,8 @@ def test_photos_are_turned_by_the_slider_their_rows_and_the_map(tmp_path, scheme
         words = here.inner_text("main")
         for said in (
             "Heights in the metadata are 31.9 m too high +-0.4: measured from the ellipsoid or the",
-            "1 unreliable, 1 from the other photos alone, 1 left out",
-            "no: unchanged",
+            "5 photos placed: 4 good, 1 not to be trusted; 1 from the other photos alone; 1 left out",
+            "no: these photos leave +-1 % open",
             "B<1>",
             "do not trust, from the others alone: far from the others",
             "2.4 m +-0.3 lower than in the map",
@@ -79,8 +81,16 @@ def test_heights_that_photos_do_not_tell_are_not_said_to_be_off():
     silent = {"value": -9.2, "sigma": 16.0, "unit": "m", "told": False}
     constants = {"height": silent, "east": silent}
     words = page(findings={"constants": constants})
-    assert "Heights could not be estimated; unchanged." in words
+    assert "Heights are not determined by these photos." in words
     assert "too high" not in words
+
+
+def test_heights_of_poses_from_a_file_are_not_called_metadata():
+    words = page(source="poses")
+    assert "Heights in the given poses are 31.9 m too high +-0.4" in words
+    assert "metadata" not in words
+    answer = FlightAnswer("flight 1", (), (), {"constants": CONSTANTS}, "poses")
+    assert answer.sentences()[0].startswith("heights in the given poses are 31.9 m too high")
 
 
 def test_an_ellipse_has_the_axes_of_the_covariance():

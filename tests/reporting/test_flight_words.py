@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lodbench.reporting.flight_words import constants_in_words, map_in_words
+from lodbench.reporting.flight_words import constant_rows, constants_in_words, map_in_words
 
 
 def constant(value, sigma, unit="m", told=True):
@@ -23,7 +23,7 @@ def test_constants_are_told_with_as_many_digits_as_they_have():
     assert found == [
         "corrections to the drone's metadata: gimbal pitch -0.80 deg +-0.10; gimbal roll +0.00 deg +-0.09; "
         "focal length +2.0 % +-0.2",
-        "could not be estimated; unchanged: heading, counter-clockwise",
+        "not determined by these photos: heading, counter-clockwise",
     ]
 
 
@@ -74,3 +74,29 @@ def test_the_surest_building_in_doubt_comes_first_and_changes_follow():
     ]
     assert map_in_words({"buildings": [sure]}) == []
     assert map_in_words(findings, most=1)[2] == "- and 2 more"
+
+
+def test_an_estimate_and_what_it_is_worth_do_not_contradict_each_other():
+    rows = constant_rows(
+        {
+            "east": constant(1.0, 3.0),
+            "north": constant(6.5, 3.0),
+            "principal point to the right": constant(-0.002, 0.002, "share", told=False),
+            "masks too large by": constant(0.0, 0.5, "px", told=False),
+        }
+    )
+    # Without masks there are no edges of masks.
+    assert rows == [
+        ("positions, to the east", "+1 m +-3", True, "yes: not significant"),
+        ("positions, to the north", "+6 m +-3", True, "yes"),
+        ("principal point to the right", "-", False, "no: these photos leave +-0.2 % open"),
+    ]
+
+
+def test_poses_that_a_file_gives_are_not_called_metadata():
+    told = constants_in_words({"height": constant(-31.92, 0.4), "pitch": constant(-0.8, 0.1, "deg")}, "poses")
+    assert told == [
+        "heights in the given poses are 31.9 m too high +-0.4: measured from the ellipsoid or the take-off "
+        "point?",
+        "corrections to the given poses: gimbal pitch -0.8 deg +-0.1",
+    ]

@@ -235,3 +235,32 @@ def test_runs_of_one_method_are_named_by_the_settings_that_differ(tmp_path):
     ]  # fmt: skip
     index = next(text for path, text in build_leaderboard(tmp_path).items() if path.stem == "index")
     assert "shake tries=1024" in index
+
+
+def test_a_metric_of_a_plug_in_is_a_column_of_every_file_of_its_board(tmp_path):
+    with_it, without = entry("a", 90.0), entry("b", 50.0)
+    with_it["splits"]["in_place"]["metrics"] = {"p90_m": 4.125, "median_yaw_deg": 0.5}
+    for each in (with_it, without):
+        path = entry_path(tmp_path, each)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(entry_text(each))
+    texts = {path.name: text for path, text in build_leaderboard(tmp_path).items()}
+    rows = list(csv.DictReader(io.StringIO(texts["town.csv"])))
+    assert [row["p90_m"] for row in rows] == ["4.125", ""]
+    markdown = texts["town.md"].splitlines()
+    assert any(line.endswith("in_place p90_m |") for line in markdown)
+    assert [line.split("|")[-2].strip() for line in markdown if line.startswith("| 1. a")] == ["4.12"]
+    assert r"& p90\_m" in texts["town.tex"]
+    assert ">p90_m</button>" in texts["town.html"]
+    # Metrics of lodbench's own have their places already.
+    assert "median_yaw_deg" not in texts["town.md"]
+
+
+def test_settings_that_are_not_the_defaults_are_always_named():
+    plain, other = entry("flight", 90.0), entry("flight", 80.0, prior="ba9876543210")
+    other["method"] |= {"params": {"single": "region", "weights": "/a/b.pt"}}
+    other["method"]["settings"] = {"single": "region", "weights": "/a/b.pt"}
+    frame = leaderboard_frame(blocks_of([plain, other]))
+    # Of other priors: they stand in blocks of their own.
+    assert sorted(frame["settings"]) == ["", "single=region weights=b.pt"]
+    assert schema_faults(other) == []

@@ -47,6 +47,19 @@ def test_columns_sort_by_number_and_unknown_ones_stay_last():
         assert complaints == []
 
 
+@pytest.mark.slow
+def test_on_a_phone_the_index_shows_its_figures_and_its_links_look_like_links():
+    with opened(ROOT / "index.html", PHONE) as (page, complaints):
+        for cell in page.locator("tbody b").all():
+            box = cell.bounding_box()
+            assert 0 <= box["x"]
+            assert box["x"] + box["width"] <= PHONE["width"]
+        link = page.get_by_role("link", name="All rows of demo")
+        assert link.evaluate("e => getComputedStyle(e).textDecorationLine") == "underline"
+        assert page.locator("h2 a").count() == 0
+        assert complaints == []
+
+
 def test_every_link_leads_somewhere():
     for file in ROOT.glob("*.html"):
         targets = re.findall(r'<a href="([^"#]+)', file.read_text(encoding="utf-8"))

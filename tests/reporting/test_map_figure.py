@@ -33,3 +33,32 @@ def test_cameras_grow_as_one_comes_closer(tmp_path):
         assert list(dict.fromkeys(seen)) == ["map many crowd", "map many", "map"]
         assert page.locator(".map").get_attribute("class") == "map many crowd"
         assert complaints == []
+
+
+class Blank:
+    """Imagery of nothing."""
+
+    name = "dop.tif"
+
+    def within(self, low, high):
+        return np.zeros((4, 4, 4), np.uint8)
+
+
+def test_on_imagery_roofs_have_outlines_without_the_edges_between_their_triangles():
+    # A roof of four corners above its floor, a wall between, and a second roof that shares no corner.
+    roof = [(0, 0, 9), (10, 0, 9), (10, 6, 9), (0, 6, 9)]
+    floor = [(x, y, 0) for x, y, _ in roof]
+    vertices = np.array([*roof, *floor, (20, 0, 5), (26, 0, 5), (20, 4, 5)], float)
+    triangles = np.array([(0, 1, 2), (0, 2, 3), (4, 6, 5), (4, 7, 6), (0, 4, 5), (8, 9, 10)], np.int32)
+    spots = [Spot("a", None, np.array([5.0, 3.0]), None)]
+    assert "outline" not in draw_map(spots, vertices, triangles)
+    drawn = draw_map(spots, vertices, triangles, imagery=Blank())
+    path = re.search(r'id="city-outline" d="([^"]+)"', drawn)[1]
+    ends = [tuple(float(number) for number in re.findall(r"-?[\d.]+", line)) for line in path.split("M")[1:]]
+    west, south = 5.0 - 40.0, 3.0 - 40.0  # the map's corner; y counts downwards
+    found = {frozenset([(a + west, south - b), (c + west, south - d)]) for a, b, c, d in ends}
+    corners = [(0, 0), (10, 0), (10, 6), (0, 6)]
+    square = {frozenset([corners[k], corners[(k + 1) % 4]]) for k in range(4)}
+    other = {frozenset(pair) for pair in (((20, 0), (26, 0)), ((26, 0), (20, 4)), ((20, 4), (20, 0)))}
+    assert found == square | other
+    assert len(ends) == 7

@@ -194,6 +194,19 @@ def test_rows_and_tables_say_which_settings_of_their_segmenter_differ():
     ]
 
 
+def test_a_setting_that_is_not_the_default_is_named_where_another_table_has_it_otherwise():
+    runs = []
+    for steps, masks in ((3, "a"), (5, "b")):
+        run = summary("full", 90.0, masks=masks)
+        run["method"]["params"] = {"steps": steps}
+        runs.append(with_settings(run, {"dataset": {}, "method": {"name": "lodlocv2", "steps": steps}}, None))
+    assert [table.lines[-1].label for table in tables_of(runs)] == [
+        "lodlocv2 full steps=3",
+        "lodlocv2 full steps=5",
+    ]
+    assert [table.lines[-1].label for table in tables_of(runs[:1])] == ["lodlocv2 full"]
+
+
 def test_failures_over_seeds_are_a_mean_and_none_is_rounded_away():
     runs = [summary("full", 90.0) for _ in range(4)]
     for seed, run in enumerate(runs):

@@ -96,10 +96,7 @@ def test_cameras_are_chosen_looked_through_hidden_and_filtered(tmp_path, scene, 
 
 
 def middle_colour(page):
-    import cv2
-
-    picture = page.locator(".stage").screenshot()
-    pixels = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+    pixels = stage_pixels(page)
     return pixels[pixels.shape[0] // 2, pixels.shape[1] // 2, ::-1].tolist()
 
 
@@ -117,6 +114,71 @@ def test_pointing_at_a_camera_names_it_and_pressing_chooses_it(tmp_path, scene, 
         box = page.locator("canvas").bounding_box()
         page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 + 8)
         assert "view_00.png (" in page.inner_text(".tip")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [DESK, PHONE])
+@pytest.mark.parametrize("count", [1, 4])
+def test_the_first_view_holds_all_cameras_and_buildings_near_them_below_the_buttons(
+    tmp_path, scene, cameras, size, count
+):
+    path = tmp_path / "view.html"
+    path.write_text(
+        draw_view3d("some run", scene, cameras[:count], {"The run": "r.html", "flight": "f.html"})
+    )
+    with opened(path, size) as (page, _):
+        page.wait_for_selector(".state:empty", state="attached")
+        assert page.inner_text("aside p") == "The run, flight"
+        for box in page.locator('[data-kind="photo"]').all():
+            box.uncheck()
+        page.wait_for_timeout(400)
+        pixels = stage_pixels(page)
+        bar = page.locator(".buttons").bounding_box()
+        pixels[: int(bar["y"] + bar["height"]), : int(bar["x"] + bar["width"])] = 255
+        # Cameras are the only thing in colour; buildings are darker than the grid.
+        is_camera = np.ptp(pixels.astype(int), axis=2) > 90
+        is_building = (pixels.max(axis=2) < 150) & ~is_camera
+        for shown in (is_camera, is_building):
+            rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
+            assert rows[0] >= bar["y"] + bar["height"]
+            assert rows[-1] < 0.98 * len(pixels)
+            assert columns[0] > 0.02 * pixels.shape[1]
+            assert columns[-1] < 0.98 * pixels.shape[1]
+        # And it is no dot in the distance.
+        rows, columns = np.nonzero(is_camera | is_building)
+        assert max(np.ptp(rows) / len(pixels), np.ptp(columns) / pixels.shape[1]) > 0.6
+
+
+@pytest.mark.slow
+def test_the_eye_is_as_near_as_all_points_allow(tmp_path, scene, cameras):
+    path = tmp_path / "view.html"
+    path.write_text(draw_view3d("some run", scene, cameras))
+    points = np.random.default_rng(0).normal(0, (200.0, 20.0, 5.0), (50, 3)).tolist()
+    seen = """([points, aspect, bar]) => {
+      const eye = new THREE.PerspectiveCamera(45, aspect, 0.1, 1e5);
+      eye.up.set(0, 0, 1); eye.position.set(-1, -2, 1); eye.lookAt(0, 0, 0);
+      const at = points.map((p) => new THREE.Vector3(...p));
+      const fitted = fittingEye(at, eye.quaternion, aspect, 45, bar);
+      eye.position.copy(fitted.position); eye.updateMatrixWorld(); eye.updateProjectionMatrix();
+      return [...at, fitted.target].map((p) => p.clone().project(eye)).map((p) => [p.x, p.y]); }"""
+    with opened(path) as (page, _):
+        page.wait_for_selector(".state:empty", state="attached")
+        for aspect, bar in ((1.5, 0.05), (0.7, 0.2)):
+            *at, target = page.evaluate(seen, [points, aspect, bar])
+            x, y = np.transpose(at)
+            assert max(abs(x)) <= 0.9201
+            assert -0.9201 <= min(y)
+            assert max(y) <= 0.9201 - 2 * bar
+            # Points that spread sideways fill the width, and the middle is looked at.
+            assert (min(x), max(x)) == pytest.approx((-0.92, 0.92), abs=1e-3)
+            assert target == pytest.approx([0.0, 0.0], abs=1e-6)
+
+
+def stage_pixels(page):
+    import cv2
+
+    picture = page.locator(".stage").screenshot()
+    return cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
 
 
 def test_corners_keep_their_place_and_the_surplus_of_a_city_is_left_out_and_said(scene, cameras, monkeypatch):

@@ -16,14 +16,14 @@ from lodbench.extras import require
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.export.export import CITY, DATASET, Export
 from lodbench.harness.runs.prepare import prior_of
-from lodbench.reporting.overlays import ESTIMATE_COLOUR, PRIOR_COLOUR
+from lodbench.reporting.overlays import ESTIMATE_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR
 from lodbench.storage import write_bytes
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# BGR of each kind of pose, as in the overlays; but white would be lost on the viewer's light ground.
-_COLOURS = {"prior": PRIOR_COLOUR, "truth": (80, 170, 60), "estimate": ESTIMATE_COLOUR}
+# BGR of each kind of pose, as in the overlays.
+_COLOURS = {"prior": PRIOR_COLOUR, "truth": TRUTH_COLOUR, "estimate": ESTIMATE_COLOUR}
 _CITY_RGB = (176, 172, 164)
 # How far before a camera its picture is shown, metres.
 _PICTURE_M = 20.0

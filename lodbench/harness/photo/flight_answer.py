@@ -6,21 +6,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lodbench.reporting.flight_words import constants_in_words, map_in_words
+from lodbench.reporting.flight_words import PriorSource, constants_in_words, map_in_words
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightAnswer:
-    """What became of a flight."""
+    """What became of a flight; ``source`` is what its rough poses are from."""
 
     name: str
     photos: tuple[Path, ...]
     taken: tuple[str, ...]
     findings: dict[str, Any]
+    source: PriorSource = "metadata"
 
     def sentences(self) -> list[str]:
         """Returns what the flight says of drone, camera and map."""
-        lines = constants_in_words(self.findings.get("constants", {}))
+        lines = constants_in_words(self.findings.get("constants", {}), self.source)
         lines += map_in_words(self.findings)
         lines += self.findings.get("notes", [])
         reasons = self.findings.get("reasons", {})

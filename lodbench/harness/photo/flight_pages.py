@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pictures import read_picture
 from lodbench.evaluation import PoseError
@@ -12,6 +14,7 @@ from lodbench.harness.flights.map_findings import city_and_marks
 from lodbench.harness.photo.flight_answer import FlightAnswer
 from lodbench.harness.photo.many import PhotoAnswer
 from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting.doubts import reasons_for_doubt
 from lodbench.reporting.flight_page import chosen_for_pictures, flight_page, photo_on_page
 from lodbench.reporting.map_figure import Underlay
 from lodbench.reporting.overlays import jpeg_bytes
@@ -46,6 +49,14 @@ def page_of_photos(
             found.probability,
             found.score,
             answer.trust,
+            reasons_for_doubt(
+                answer.trust,
+                found.pose,
+                found.method_notes,
+                None if found.covariance is None else np.diag(found.covariance),
+                found.alternatives,
+                found.alternative_probabilities,
+            ),
         )
         for key, (answer, found) in placed.items()
     ]
@@ -69,6 +80,7 @@ def page_of_photos(
         *city_and_marks(scene, flight.findings),
         view,
         imagery,
+        flight.source,
     )
 
 

@@ -47,6 +47,7 @@ from lodbench.methods import Estimate
 from lodbench.methods.measured_calls import localize_flight
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
 from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting.flight_words import PriorSource
 from lodbench.reporting.map_figure import Underlay
 from lodbench.storage import random_stream, write_text
 from lodbench.storage.json_text import finite
@@ -97,7 +98,8 @@ def localize_flights(
         if not request.has_height:
             taken += height_notes([ready[row][0].stated for row in mine], request.heights)
         name, paths = f"flight {len(flights) + 1}", tuple(photos[row] for row in mine)
-        flights.append(FlightAnswer(name, paths, tuple(taken), found.findings))
+        source: PriorSource = "metadata" if request.start is None else "poses"
+        flights.append(FlightAnswer(name, paths, tuple(taken), found.findings, source))
     answers = []
     with Progress("overlays", len(photos)) as progress:
         for row, photo in enumerate(photos):

@@ -36,7 +36,7 @@ from lodbench.methods.localize import localize
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.protocol import SupportsPriorWidth
 from lodbench.rendering import Renderer, make_renderer
-from lodbench.reporting.answers import TRUSTED_OVERLAP, is_trusted
+from lodbench.reporting.answers import TRUSTED_OVERLAP, is_trusted, probability_text
 from lodbench.segmentation import notes_of
 from lodbench.storage import file_digest, make_folder, write_text
 from lodbench.storage.json_text import parse_json
@@ -238,7 +238,7 @@ def _warning(photo: PreparedPhoto, estimate: Estimate) -> str:
     if has_mask and estimate.score < TRUSTED_OVERLAP:
         reason = f"unreliable pose: IoU of mask and model is only {estimate.score:.2f}"
     else:
-        reason = f"unreliable pose: its probability is only {estimate.probability:.2f}"
+        reason = f"unreliable pose: its probability is only {probability_text(estimate.probability or 0.0)}"
     mask = f"{'correct' if has_mask else 'make'} the mask (lodbench mask PHOTO) and give --mask FILE"
     better = "give a better position, --height or --heading"
     if request.start is not None:

@@ -22,6 +22,7 @@ from lodbench.harness.last_write import last_write
 from lodbench.harness.photo.flight_answer import FlightAnswer
 from lodbench.harness.photo.localize import localize_photo
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
+from lodbench.reporting.answers import rounded_down
 from lodbench.storage import hide_formula, make_folder, write_text
 from lodbench.storage.atomic import writable
 
@@ -70,7 +71,7 @@ class PhotoAnswer:
             values["notes"] = "; ".join(self.found.method_notes)
             values["moved_m"] = round(self.found.moved.translation_m, 3)
             if self.found.probability is not None:
-                values["probability"] = round(self.found.probability, 4)
+                values["probability"] = rounded_down(self.found.probability, 4)
         return values
 
 

@@ -15,6 +15,7 @@ from lodbench.datasets.undistort import undistorted
 from lodbench.geometry import Camera, Pose
 from lodbench.methods import Estimate
 from lodbench.rendering import Renderer
+from lodbench.reporting.answers import rounded_down
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
 from lodbench.reporting.table_columns import finite_text
 from lodbench.reporting.view3d import photo_jpeg
@@ -79,7 +80,7 @@ def photo_features(
         "score": finite(round(float(estimate.score), 4)),
     }
     if estimate.probability is not None:
-        stated["probability"] = round(float(estimate.probability), 4)
+        stated["probability"] = rounded_down(estimate.probability, 4)
     footprint = footprint_feature(
         frame, camera, estimate.pose, ground_below_m(scene, estimate.pose), {"name": name}
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from lodbench.harness.city import open_city
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
+from lodbench.reporting.answers import percent_text
 from lodbench.reporting.table_columns import finite_text
 from lodbench.reporting.view3d import MAX_PHOTOS, ViewedCamera, draw_view3d
 from lodbench.storage import write_text
@@ -48,6 +49,6 @@ def _facts(found: LocalizedPhoto) -> dict[str, str]:
     """Returns what is told of a photo, by name."""
     facts = {"trust": found.trust}
     if found.probability is not None:
-        facts["sure"] = f"{100 * found.probability:.0f} %"
+        facts["sure"] = percent_text(found.probability)
     moved = f"{found.moved.translation_m:.2f} m, {found.moved.rotation_deg:.2f} deg"
     return {**facts, "from the prior": moved, "score": finite_text(found.score, ".3f")}

@@ -19,6 +19,7 @@ from lodbench.harness.runs.verify import Verdict
 from lodbench.rendering import make_renderer
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.answers import trust_of
+from lodbench.reporting.doubts import why_of
 from lodbench.reporting.flight_page import PhotoOnPage, chosen_for_pictures, flight_page, photo_on_page
 from lodbench.reporting.flight_words import constants_in_words, map_in_words
 from lodbench.reporting.map_figure import Underlay
@@ -87,7 +88,9 @@ def _page_of_sequence(
         poses = prior_of(entry, dataset, tilt), found.pose, dataset.truth.get(entry.key)
         spread = _full(found.covariance)
         photos.append(
-            photo_on_page(entry.name, poses, spread, found.probability, found.score, trust_of(found))
+            photo_on_page(
+                entry.name, poses, spread, found.probability, found.score, trust_of(found), why_of(found)
+            )
         )
     chosen = set(chosen_for_pictures([photo.spot.key for photo in photos]))
     renderer = make_renderer("silhouette", scene)
@@ -107,6 +110,7 @@ def _page_of_sequence(
         *city_and_marks(scene, findings),
         view,
         imagery,
+        "poses",
     )
 
 

@@ -31,6 +31,13 @@ if TYPE_CHECKING:
 
 # Pictures of each kind and split.
 COUNT = 3
+# What the first and the last queries are called: by error, and without a truth by probability or score.
+_ENDS = {
+    "translation_error_m": ("best", "worst"),
+    "probability": ("most_probable", "least_probable"),
+    "score": ("highest_score", "lowest_score"),
+}
+_NAMES = "|".join(name for ends in _ENDS.values() for name in ends)
 
 
 def write_overlays(
@@ -69,7 +76,7 @@ def write_overlays(
                 write_picture(path, picture)
     # A query asked again has another place among the best and the worst: its old picture is wrong.
     for path in sorted(folder.glob("*.png")):
-        if path not in written and re.search(r"_(best|worst)_\d+_", path.name):
+        if path not in written and re.search(rf"_({_NAMES})_\d+_", path.name):
             disk().remove(path)
     return written
 
@@ -90,14 +97,22 @@ def _is_newer(path: Path, others: Sequence[Path | None]) -> bool:
 
 
 def chosen_queries(queries: pd.DataFrame, split: str) -> dict[str, pd.DataFrame]:
-    """Returns the ``best`` and the ``worst`` queries of a split, most extreme first; no query is both."""
+    """Returns the first and the last queries of a split, most extreme first; no query is both.
+
+    By error they are called ``best`` and ``worst``; without a truth they are the ``most_probable`` and
+    ``least_probable``, or of a method that gives no probability those of ``highest_score`` and
+    ``lowest_score``.
+    """
     mine = queries[queries["split"] == split]
+    by = "translation_error_m"
     if has_truth(mine).any():
-        mine = mine[has_truth(mine)].sort_values(["translation_error_m", "query"])
+        mine = mine[has_truth(mine)].sort_values([by, "query"])
     else:
-        # Without a truth the method's own score has to do.
-        mine = mine[is_answered(mine)].sort_values(["score", "query"], ascending=[False, True])
-    return {"best": mine[:COUNT], "worst": mine[max(COUNT, len(mine) - COUNT) :][::-1]}
+        mine = mine[is_answered(mine)]
+        by = "probability" if mine["probability"].notna().any() else "score"
+        mine = mine.sort_values([by, "query"], ascending=[False, True])
+    first, last = _ENDS[by]
+    return {first: mine[:COUNT], last: mine[max(COUNT, len(mine) - COUNT) :][::-1]}
 
 
 def overlay_name(split: str, kind: str, rank: int, name: str) -> str:

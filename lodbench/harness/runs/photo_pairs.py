@@ -19,14 +19,13 @@ from lodbench.evaluation.errors import PoseError
 from lodbench.evaluation.queries import ERROR
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.runs.compare import agreement, answers_apart
+from lodbench.harness.runs.compare import answers_apart
 from lodbench.harness.runs.places import city_of
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.query_pictures import MAX_PICTURES
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.reporting.answers import trust_of
-from lodbench.reporting.comparison import agreement_text
 from lodbench.reporting.map_figure import Spot, draw_map
 from lodbench.reporting.overlays import (
     ESTIMATE_COLOUR,
@@ -96,7 +95,7 @@ def photo_pairs_of(
     """
     pairs = in_order(_pairs(runs, drawn, beside))
     scenes = None if drawn is None else _scenes(drawn)
-    notes = [agreement_text(agreement(*runs))]
+    notes: list[str] = []
     if drawn is not None and scenes is not None:
         pairs = _with_pictures(pairs, drawn, scenes)
         notes += _picture_notes(runs, len(pairs))
@@ -115,7 +114,7 @@ def photo_pairs_of(
         "of": digest_of(known), "dataset": dataset["name"], "version": dataset["version"],
         "file": tags_file.name, "tags": dict(tags),
     }  # fmt: skip
-    return photo_pairs_section(pairs, names, shown, [note for note in notes if note], kept)
+    return photo_pairs_section(pairs, names, shown, notes, kept)
 
 
 def _pairs(

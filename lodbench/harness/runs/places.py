@@ -18,7 +18,8 @@ from lodbench.geometry import Pose
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.verify import Verdict
-from lodbench.reporting.answers import trust_of
+from lodbench.reporting.answers import percent_text, trust_of
+from lodbench.reporting.doubts import why_of
 from lodbench.reporting.map_figure import Spot, Underlay, draw_map
 from lodbench.reporting.view3d import MAX_PHOTOS, ViewedCamera, draw_view3d, photo_jpeg
 
@@ -120,7 +121,8 @@ def _facts(verdict: Verdict, key: str) -> dict[str, str]:
     if found is not None:
         facts |= {"score": "" if found.score is None else f"{found.score:.3f}", "trust": trust_of(found)}
         if found.probability is not None:
-            facts["sure"] = f"{100 * found.probability:.0f} %"
+            facts["sure"] = percent_text(found.probability)
+        facts["why"] = "; ".join(why_of(found))
     return {**facts, "failure": own_failure(str(row["failure"]))}
 
 

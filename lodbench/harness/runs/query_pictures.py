@@ -15,7 +15,8 @@ from lodbench.geometry import Pose
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.verify import Verdict
 from lodbench.rendering import Renderer, make_renderer
-from lodbench.reporting.answers import trust_of
+from lodbench.reporting.answers import percent_text, trust_of
+from lodbench.reporting.doubts import why_of
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, jpeg_bytes
 from lodbench.reporting.page import Picture
 
@@ -88,7 +89,7 @@ def _caption(verdict: Verdict, row: pd.Series[Any]) -> str:
     words = [] if math.isnan(metres) else [f"{metres:.2f} m, {degrees:.2f} deg"]
     words += [] if math.isnan(row["score"]) else [f"score {row['score']:.3f}"]
     if found.probability is not None:
-        words.append(f"probability {100 * found.probability:.0f} %")
+        words.append(f"probability {percent_text(found.probability)}")
     if trust_of(found) != "-":
         words.append(trust_of(found))
-    return f"{row.name}: {', '.join(words)}"
+    return f"{row.name}: {'; '.join([', '.join(words), *why_of(found)])}"

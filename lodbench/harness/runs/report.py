@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from lodbench.citymodel.scene import Scene
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.calibration import calibrate
+from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, has_truth, of_split, own_failure
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.harness.runs.flight_pages import flight_findings
@@ -22,13 +23,15 @@ from lodbench.harness.runs.survey import survey_table
 from lodbench.harness.runs.trace_pictures import evidence_pictures, score_pictures
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.aligned_text import count_of
-from lodbench.reporting.answers import trust_of, untrusted_note
+from lodbench.reporting.answers import probability_text, trust_counts, trust_of, untrusted_note
 from lodbench.reporting.calibration_figures import draw_calibration
+from lodbench.reporting.doubts import why_of
 from lodbench.reporting.flight_words import constants_in_words, map_in_words
 from lodbench.reporting.map_figure import Underlay
 from lodbench.reporting.page import Picture, facts, markup, rendered
 from lodbench.reporting.run_figures import ErrorSample, draw_error_curves
-from lodbench.reporting.summaries import with_seconds
+from lodbench.reporting.summaries import plugin_metrics, with_plugin_metrics, with_seconds
+from lodbench.reporting.table_columns import metric_columns
 from lodbench.reporting.table_formats import format_html
 from lodbench.reporting.tables import tables_of
 
@@ -42,7 +45,7 @@ _SCORED_COLUMNS = (
     ("prior deg", PRIOR_ERROR[1], ".2f"),
 )  # fmt: skip
 # Where there is no truth: the answers themselves, as surveyors have them, and their standard deviations.
-_SURE_COLUMNS = (("probability", "probability", ".2f"), ("trust", "trust", ""))
+_SURE_COLUMNS = (("probability", "probability", ".2f"), ("trust", "trust", ""), ("why", "why", ""))
 _ANSWER_COLUMNS = (
     ("easting m", "easting_m", ".2f"), ("northing m", "northing_m", ".2f"), ("height m", "height_m", ".2f"),
     ("latitude", "latitude_deg", ".7f"), ("longitude", "longitude_deg", ".7f"),
@@ -71,7 +74,8 @@ def run_report(
         imagery: What lies under the map.
     """
     stored = verdict.stored
-    summary = with_seconds(stored.summary, stored.provenance.get("seconds_per_query", {}))
+    summary = with_plugin_metrics(stored.summary, verdict.computed)
+    summary = with_seconds(summary, stored.provenance.get("seconds_per_query", {}))
     splits = tuple(summary["splits"])
     is_scored = bool(has_truth(stored.queries).any())
     pictures = [] if scene is None else query_pictures(verdict, scene, tilt)
@@ -84,7 +88,7 @@ def run_report(
         ("queries", "Every query", _query_table(verdict, tilt, _crs_of(verdict, scene)), []),
         ("pictures", _pictures_title(len(pictures), len(stored.queries)), "", pictures),
         ("traces", "Score by step", "", score_pictures(stored.folder, stored.queries, splits)),
-        ("evidence", "Other candidates", "", evidence_pictures(stored.folder, stored.queries, splits)),
+        ("evidence", "Other candidates", "", evidence_pictures(stored.predictions)),
         ("provenance", "Provenance", _provenance(verdict), []),
     ]
     answered = sum(found.pose is not None for found in stored.predictions.values())
@@ -94,7 +98,7 @@ def run_report(
         differences=verdict.differences,
         is_weak=verdict.is_weak,
         has_truth=is_scored,
-        answered=f"{answered} of {len(stored.queries)} queries have an answer.",
+        answered=f"{answered} of {len(stored.queries)} queries have an answer{_counts(stored.predictions)}.",
         untrusted=untrusted_note(stored.predictions.values()),
         protocol=facts(summary["protocol"]),
         sections=[
@@ -103,6 +107,13 @@ def run_report(
             if html or pictures
         ],
     )
+
+
+def _counts(predictions: Mapping[str, Prediction]) -> str:
+    """Returns how many answers are good, doubtful and not to be trusted; "" where no probability is known."""
+    if all(found.probability is None for found in predictions.values()):
+        return ""
+    return f": {trust_counts(map(trust_of, predictions.values()))}"
 
 
 def title_of(verdict: Verdict) -> str:
@@ -126,6 +137,8 @@ def _tables(summary: dict[str, Any]) -> str:
         # Wide ones split by split: no column is cut off.
         parts = table.by_split() if key == "details" else [table]
         tables += [replace(part.with_columns(key), title=title) for part in parts]
+    if others := plugin_metrics(summary):
+        tables.append(replace(table, title="Metrics of plug-ins", columns=metric_columns(others)))
     return "".join(map(format_html, tables))
 
 
@@ -136,13 +149,19 @@ def _pictures_title(shown: int, count: int) -> str:
 def _query_table(verdict: Verdict, tilt: str, crs: str | None) -> str:
     """Returns one line per query, sortable by every column that holds anything."""
 
-    def number(value: float, spec: str) -> str:
+    def number(name: str, value: float, spec: str) -> str:
+        if name == "probability":
+            return probability_text(value)
         # Adding 0 turns the -0.00 of a rounded small number into 0.00.
         return format(round(value, int(spec[1])) + 0.0, spec)
 
     queries = verdict.stored.queries
     is_scored = has_truth(queries).any()
-    frame = queries.assign(trust=[_trust(verdict, str(key)) for key in queries.index])
+    said = [verdict.stored.predictions.get(str(key)) for key in queries.index]
+    frame = queries.assign(
+        trust=["-" if found is None else trust_of(found) for found in said],
+        why=["" if found is None else "; ".join(why_of(found)) for found in said],
+    )
     if not is_scored:
         # That there is no truth is no failure of an answer.
         frame["failure"] = frame["failure"].map(own_failure)
@@ -175,11 +194,6 @@ def _failures(verdict: Verdict) -> Mapping[str, int]:
     if has_truth(stored.queries).any():
         return dict(stored.summary["failures"])
     return Counter(filter(None, stored.queries["failure"].map(own_failure)))
-
-
-def _trust(verdict: Verdict, key: str) -> str:
-    found = verdict.stored.predictions.get(key)
-    return "-" if found is None else trust_of(found)
 
 
 def _answers(verdict: Verdict, tilt: str, crs: str | None) -> pd.DataFrame:
@@ -225,7 +239,7 @@ def _calibration(queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
 def _flights(verdict: Verdict) -> str:
     said = {
         name: [
-            *constants_in_words(found.get("constants", {})),
+            *constants_in_words(found.get("constants", {}), "poses"),
             *map_in_words(found),
         ]
         for name, found in flight_findings(verdict).items()

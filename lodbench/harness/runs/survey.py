@@ -10,7 +10,7 @@ from lodbench.datasets.map_frame import MapFrame
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.queries import own_failure
 from lodbench.harness.runs.stored import StoredRun
-from lodbench.reporting.answers import trust_of
+from lodbench.reporting.answers import rounded_down, trust_of
 from lodbench.storage import hide_formula
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def survey_table(run: StoredRun, crs: str | None) -> pd.DataFrame:
         row = dict.fromkeys(_COLUMNS) | {"photo": query["query"], "split": query["split"]}
         if pose is not None:
             row |= survey_row(pose, None if frame is None else frame.place_of(pose), found.covariance)
-        probability = None if found.probability is None else round(found.probability, 4)
+        probability = None if found.probability is None else rounded_down(found.probability, 4)
         row |= {"probability": probability, "trust": trust_of(found), "crs": crs}
         rows.append(row | {"failure": own_failure(query["failure"])})
     numbers = dict.fromkeys((*SURVEY_COLUMNS, "probability"), float)

@@ -1,13 +1,16 @@
-"""What methods tell of their search, of the queries whose pictures a run's page shows."""
+"""What methods tell of their search: scores of the gallery's queries, and candidates of all queries."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lodbench.evaluation.predictions import Prediction
 from lodbench.harness.runs.gallery import chosen_queries
 from lodbench.harness.runs.predict import open_predictions
+from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting.doubts import NATS
 from lodbench.reporting.page import Picture
 from lodbench.reporting.run_figures import Trace, draw_evidence, draw_traces
 
@@ -15,7 +18,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 # How names of stages end that tell no scores, step by step: the unit of other numbers in brackets.
-_NO_SCORES, _NATS = "]", "[nats]"
+_NO_SCORES = "]"
+# Of more queries than this with other candidates the closest calls are shown.
+_MOST_CHARTS = 60
 
 
 def score_pictures(folder: Path, queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
@@ -26,15 +31,22 @@ def score_pictures(folder: Path, queries: pd.DataFrame, splits: Sequence[str]) -
     return [_chart(draw_traces(traces), caption)] if traces else []
 
 
-def evidence_pictures(folder: Path, queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
-    """Returns by how much the answers to the gallery's queries are ahead of what else was found; or none."""
-    told = [Trace(title, _behind(stages)) for title, stages in _stages(folder, queries, splits)]
+def evidence_pictures(predictions: Mapping[str, Prediction]) -> list[Picture]:
+    """Returns by how much each answer is ahead of the query's other candidates, closest first; or none."""
+    told = [Trace(key, _behind(found.trace)) for key, found in predictions.items()]
     traces = [trace for trace in told if any(len(nats) > 1 for nats in trace.stages.values())]
+    if not traces:
+        return []
+    traces.sort(key=lambda trace: (min(n[1] for n in trace.stages.values() if len(n) > 1), trace.name))
+    shown = traces[:_MOST_CHARTS]
+    which = f"{count_of(len(traces), 'queries')} with more than one candidate"
+    if len(shown) < len(traces):
+        which = f"The {len(shown)} closest of {which}"
     caption = (
-        "Log-probability of the candidate poses, best first, in nats below the best: one nat is e times less "
-        "probable. Logarithmic beyond 10."
+        f"{which}, of {len(predictions)}: log-probability of the candidate poses, best first, in nats below "
+        "the best: one nat is e times less probable. Logarithmic beyond 10."
     )
-    return [_chart(draw_evidence(traces), caption)] if traces else []
+    return [_chart(draw_evidence(shown), caption)]
 
 
 def _stages(
@@ -44,11 +56,11 @@ def _stages(
     stored = open_predictions(folder, read_only=True)
     found = []
     for split in splits:
-        chosen = chosen_queries(queries, split)
-        for kind in ("worst", "best"):
-            for key in chosen[kind].index:
+        for kind, chosen in reversed(chosen_queries(queries, split).items()):
+            for key in chosen.index:
                 stages = stored[key].get("trace", {}) if key in stored else {}
-                found.append((f"{kind}: {key}", {name: tuple(values) for name, values in stages.items()}))
+                title = f"{kind.replace('_', ' ')}: {key}"
+                found.append((title, {name: tuple(values) for name, values in stages.items()}))
     return found
 
 
@@ -56,11 +68,11 @@ def _scores(stages: dict[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]
     return {name: values for name, values in stages.items() if not name.endswith(_NO_SCORES)}
 
 
-def _behind(stages: dict[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
+def _behind(stages: Mapping[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
     return {
-        name.removesuffix(_NATS).strip(): tuple(max(values) - value for value in values)
+        name.removesuffix(NATS).strip(): tuple(max(values) - value for value in values)
         for name, values in stages.items()
-        if name.endswith(_NATS) and values
+        if name.endswith(NATS) and values
     }
 
 

@@ -9,7 +9,7 @@ and counts of hypotheses cannot be computed again without the method; they are t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,6 +68,7 @@ class Verdict:
         dataset: The dataset, or None.
         entries: The queries scored; empty without the dataset.
         unknown: Metrics of plug-ins that only the run has, or only what is installed now: not compared.
+        computed: The summary that follows from the run's rows, with the metrics that are installed now.
     """
 
     stored: StoredRun
@@ -77,6 +78,7 @@ class Verdict:
     dataset: Dataset | None
     entries: tuple[Entry, ...]
     unknown: tuple[str, ...] = ()
+    computed: dict[str, Any] = field(default_factory=dict)
 
 
 def verify_run(
@@ -141,16 +143,23 @@ def verify_run(
             told = _with_words_of_the_map(told, stored)
         differences += _changed_errors(stored, entries, dataset, str(config["tilt"]), scorer)
     splits = tuple(stored.queries["split"].unique())
-    expected = summary_of(
+    computed = summary_of(
         Result(folder, config, told, splits, stored.predictions, stored.queries, inputs, lod)
     )
     # Plug-ins may have come and gone since.
-    unknown = plugin_metrics(stored.summary) ^ plugin_metrics(expected)
-    found, expected = (without_metrics(each, unknown) for each in (stored.summary, expected))
+    unknown = plugin_metrics(stored.summary) ^ plugin_metrics(computed)
+    found, expected = (without_metrics(each, unknown) for each in (stored.summary, computed))
     differences += compare_values(found, expected, "summary.json")
     differences += _wrong_name(folder, config, inputs)
     return Verdict(
-        stored, tuple(differences), tuple(notes), dataset is None, dataset, entries, tuple(sorted(unknown))
+        stored,
+        tuple(differences),
+        tuple(notes),
+        dataset is None,
+        dataset,
+        entries,
+        tuple(sorted(unknown)),
+        computed,
     )
 
 

@@ -29,7 +29,7 @@ from lodbench.methods.region.photo import Photo
 from lodbench.methods.region.refinement import surer_by_edges
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.search import Surroundings, climbed, grid_starts, judged, modes_of
-from lodbench.methods.region.trust import TRUSTED, Signs, trust_of
+from lodbench.methods.region.trust import SIGNS_STAGE, TRUSTED, Signs, trust_of
 from lodbench.methods.region.uncertainty import share_of_best
 
 # A lens so many deviations from what is told is worth a note.
@@ -154,7 +154,7 @@ def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False
         trace={
             "coarse": (best,),
             "evidence [nats]": tuple(answer.evidence[ranked]),
-            "signs [as of trust_of]": tuple(signs),
+            SIGNS_STAGE: tuple(signs),
         },
         covariance=answer.covariance,
         probability=share * trust_of(signs),

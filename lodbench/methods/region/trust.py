@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,9 @@ _CONSTANT = -18.62
 _OF_ODDS, _OF_AGREEMENT, _OF_LINES, _OF_SHARPNESS, _OF_BEYOND = 0.63, 0.19, 3.2, 7.06, 44.39
 
 
+# What an answer's trace calls its signs; where lines say another place, few edges, or edges beside them.
+SIGNS_STAGE = "signs [as of trust_of]"
+_FAR_APART_M, _FEW_NATS, _BLUNT = 2.0, 50.0, 0.2
 # An answer less probable than this is more likely wrong.
 TRUSTED = 0.5
 
@@ -68,3 +72,15 @@ def trust_of(signs: Signs) -> float:
             - _OF_BEYOND * np.clip(signs.beyond, 0.0, _MOST_BEYOND)
         )
     )
+
+
+def contradictions(signs: Signs) -> Iterator[str]:
+    """Yields what speaks against an answer, in words."""
+    if signs.apart_m > _FAR_APART_M:
+        yield f"edges along the map's lines fit best {signs.apart_m:.1f} m away"
+    if signs.lines < _FEW_NATS:
+        yield "few edges in the photo along the map's lines"
+    elif signs.sharpness < _BLUNT:
+        yield "edges in the photo lie beside the map's lines"
+    if signs.beyond > 0:
+        yield "the height is outside the range of the prior"
