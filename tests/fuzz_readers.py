@@ -29,7 +29,7 @@ from lodbench.harness.runs.status import read_status
 from lodbench.harness.runs.stored import read_run
 from lodbench.reporting.leaderboard_entry import read_entries
 from lodbench.segmentation.masks import read_mask
-from lodbench.segmentation.onnx_check import onnx_fault
+from lodbench.segmentation.onnx_file import onnx_fault
 from tests.citymodel.test_fuzz import mutate
 from tests.segmentation.test_onnx_check import small_network
 from tests.town import write_dataset

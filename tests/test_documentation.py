@@ -12,7 +12,7 @@ from types import ModuleType
 import pytest
 
 from lodbench.methods import contour_alignment, flight, lodlocv2, region
-from lodbench.methods.contour_alignment.world_errors import TRACKS
+from lodbench.methods.contour_alignment.likelihood import TRACKS
 from tests.test_architecture import LAYERS
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -18,7 +18,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, Pose
 from lodbench.matching.pose_solver import PoseSolver, SolvedPose, open_pose_solver
-from lodbench.matching.retrieval import Retrieval, open_retrieval
+from lodbench.matching.protocol import Retrieval, open_retrieval
 from lodbench.methods import Estimate, Input, Streams
 from lodbench.segmentation.photos import read_photo
 

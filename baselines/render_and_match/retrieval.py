@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, Pose
-from lodbench.matching.retrieval import Retrieval
+from lodbench.matching.protocol import Retrieval
 
 from .correspondences import resized_photo
 

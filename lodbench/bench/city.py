@@ -24,7 +24,7 @@ from lodbench.bench.city_tiles import measure_tiles
 from lodbench.bench.figures import Figure, Progress, Report, no_progress, plain_report
 from lodbench.bench.options import option
 from lodbench.citymodel import mesh_model, open_scene, read_city_model
-from lodbench.citymodel.mesh_writer import obj_text
+from lodbench.citymodel.mesh.writer import obj_text
 from lodbench.citymodel.model import CityModel
 from lodbench.errors import CityModelError, ConfigError
 

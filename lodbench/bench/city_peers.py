@@ -14,7 +14,7 @@ import mapbox_earcut
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.xml import Element, local_name, parse_document
+from lodbench.citymodel.gml.xml import Element, local_name, parse_document
 from lodbench.errors import CityModelError
 
 _GML = ("{http://www.opengis.net/gml}", "{http://www.opengis.net/gml/3.2}")

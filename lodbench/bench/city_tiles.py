@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from lodbench.bench.figures import Figure
-from lodbench.citymodel.citygml_writer import CityGmlWriter
+from lodbench.citymodel.gml.writer import CityGmlWriter
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.scene_file import read_scene
 from lodbench.citymodel.subset import keep_buildings

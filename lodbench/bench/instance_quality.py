@@ -13,7 +13,7 @@ from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.instance_labels import read_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.evaluation.instances import InstanceMatches, match_instances
+from lodbench.evaluation.metrics import InstanceMatches, match_instances
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.segmentation.protocol import BUILDING_THRESHOLD, InstanceSegmenter, Segmenter
 from lodbench.training.samples import INTERIORS, find_samples

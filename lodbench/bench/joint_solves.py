@@ -17,7 +17,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError
 from lodbench.evaluation import pose_error
-from lodbench.execution.one_blas_thread import on_one_blas_thread
+from lodbench.execution.single_threaded_blas import on_one_blas_thread
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.methods.flight import FlightMethod

@@ -34,8 +34,8 @@ from lodbench.geometry.rays import pixel_rays
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.requirements import segmented_inputs
 from lodbench.methods import Method
-from lodbench.methods.measured_calls import localize_flight, localize_query
 from lodbench.methods.protocol import Estimate, SupportsFlights
+from lodbench.methods.timed_localize import localize_flight, localize_query
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, png_bytes
 from lodbench.segmentation import Segmenter

@@ -22,7 +22,7 @@ from lodbench.bench.city_tiles import write_tiles
 from lodbench.bench.grown_city import TILE_BUILDINGS, open_grown_city
 from lodbench.bench.scale import ScaleOptions, swarms_inside
 from lodbench.bench.silhouettes import Swarm
-from lodbench.citymodel.mesh_writer import obj_text
+from lodbench.citymodel.mesh.writer import obj_text
 from lodbench.citymodel.read import read_city_model
 from lodbench.citymodel.scene_file import read_scene
 from lodbench.citymodel.subset import keep_buildings

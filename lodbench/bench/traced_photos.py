@@ -22,7 +22,7 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.datasets.traced_photos import traced_mask
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.segmentation.mask_polygons import polygons_of
+from lodbench.segmentation.polygon_files import polygons_of
 from lodbench.storage import random_stream
 
 Points = NDArray[np.float64]

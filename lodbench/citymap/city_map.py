@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap.usage import MapUsage
+from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering import DepthRenderer, Fit, Instances, IouCounts, Scorer, ViewEdges, make_renderer
 from lodbench.rendering.bits import Words
-from lodbench.rendering.edge_faces import EdgeFaces, edge_faces, edge_pairs
-from lodbench.rendering.model_edges import edges_in_view
+from lodbench.rendering.edges import EdgeFaces, edge_faces, edge_pairs, edges_in_view
 from lodbench.rendering.projection import require_poses, view_planes, visible_buildings
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.selection import bounding_spheres
@@ -46,7 +45,7 @@ class CityMap:
             all else is drawn by the engine that does so fastest.
         threads: Worker threads; None for one per core.
         textured: A textured map of the place, in the scene's frame, for ``colour``; see
-            ``lodbench.citymodel.texture_files.open_textured_map``.
+            ``lodbench.citymodel.mesh.texture_files.open_textured_map``.
 
     Attributes:
         scene: The city.

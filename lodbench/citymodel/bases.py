@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import BASE_MOVED, GROUND_DEFAULTED, OPTION_UNUSED
+from lodbench.citymodel.codes import BASE_MOVED, GROUND_DEFAULTED, HEIGHT_NO_DATA, OPTION_UNUSED
 from lodbench.citymodel.model import Polygons
+from lodbench.citymodel.objects import TALLEST_M
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.terrain import ground_under
+from lodbench.citymodel.raw import RawCity
+from lodbench.citymodel.terrain import HIGHEST_M, LOWEST_M, ground_under
 from lodbench.findings import Findings
 
 # What formats of footprints alone are read by, and what sets buildings on the ground where that is asked for.
@@ -82,3 +85,97 @@ def move_bases(
         points[:, 2] += heights[building]
         detail = f"set on {options.terrain or f'{options.ground_m:g} m'}"
     findings.add(BASE_MOVED, "", detail)
+
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+def mend_heights(polygons: Polygons, raw: RawCity, label: str | None) -> None:
+    """Puts corners at impossible heights on the ground near them, in place; each building is a finding.
+
+    Impossible is what lies below or above all land, and of a building taller than any the end that is further
+    from the heights of the others. The ground is the lowest corner of the nearest building without such
+    corners, else the lowest other corner of its own. Where all heights are impossible, their unit or zero is
+    another: they stay, and so do those of meshes without a reference system.
+
+    Args:
+        polygons: In metres, heights above the sea or the ellipsoid, or of a local frame.
+        raw: Names of the buildings, and what they are; its findings grow.
+        label: Reference system of the points.
+    """
+    is_mesh = raw.lods == ("",)
+    if len(polygons) == 0 or (is_mesh and label is None):
+        return
+    z = polygons.points[:, 2]
+    point_polygon = np.repeat(
+        np.arange(len(polygons)), np.diff(polygons.ring_starts[polygons.polygon_starts])
+    )
+    building = polygons.building[point_polygon]
+    is_off = ~((z > LOWEST_M) & (z < HIGHEST_M))
+    if is_off.all():
+        return
+    if not is_mesh:  # whose pieces may be mountains
+        level = building * (int(polygons.lod.max()) + 1) + polygons.lod[point_polygon]
+        is_off |= _wrong_ends(z, level, is_off) & _are_buildings(raw)[building]
+    if not is_off.any():
+        return
+    count = len(raw.building_ids)
+    lowest = np.full(count, np.inf)
+    np.minimum.at(lowest, building[~is_off], z[~is_off])
+    is_hurt = np.zeros(count, np.bool_)
+    is_hurt[building[is_off]] = True
+    ground = _ground_near(polygons.points, building, lowest, is_hurt)
+    order = np.flatnonzero(is_off)
+    for number, first in zip(*np.unique(building[order], return_index=True), strict=True):
+        own, place = z[order[building[order] == number]], polygons.points[order[first]].copy()
+        which = f"{own.min():.10g}" if np.ptp(own) == 0 else f"{own.min():.10g} to {own.max():.10g}"
+        detail = f"{len(own)} corners at {which} m, put at {ground[number]:.2f} m"
+        east, north, up = place.tolist()
+        raw.findings.add(HEIGHT_NO_DATA, raw.building_ids[number], detail, place=(east, north, up))
+    z[is_off] = ground[building[is_off]]
+
+
+def _are_buildings(raw: RawCity) -> Flags:
+    """Tells which of a city's objects are buildings, and no terrain or bridge."""
+    is_building = np.ones(len(raw.building_ids), np.bool_)
+    if raw.objects is not None:
+        for number in np.flatnonzero(raw.objects.parents < 0).tolist():
+            is_building[raw.objects.building[number]] = "Building" in raw.objects.types[number]
+    return is_building
+
+
+def _wrong_ends(z: Floats, group: NDArray[np.integer], is_off: Flags) -> Flags:
+    """Tells which heights are the wrong end of a building, a group, that is taller than any.
+
+    Without another one to compare with it is the lower end: the ground is more often lost than the roof.
+    """
+    numbers, place = np.unique(group, return_inverse=True)
+    low, high = np.full(len(numbers), np.inf), np.full(len(numbers), -np.inf)
+    np.minimum.at(low, place[~is_off], z[~is_off])
+    np.maximum.at(high, place[~is_off], z[~is_off])
+    is_tall = high - low > TALLEST_M
+    is_sound = ~is_tall[place] & ~is_off
+    middle = float(np.median(z[is_sound])) if is_sound.any() else np.inf
+    is_low_end = np.abs(low - middle) >= np.abs(high - middle) if is_sound.any() else is_tall
+    half = 0.5 * (low + np.where(is_tall, high, low))
+    is_wrong: Flags = is_tall[place] & np.where(is_low_end[place], z < half[place], z > half[place])
+    return is_wrong
+
+
+def _ground_near(points: Floats, building: NDArray[np.integer], lowest: Floats, is_hurt: Flags) -> Floats:
+    """Returns (B,) the lowest corner of each building; of the hurt ones that of the nearest that is sound."""
+    from scipy.spatial import cKDTree
+
+    sizes = np.maximum(np.bincount(building, minlength=len(lowest)), 1)
+    middles = np.stack(
+        [np.bincount(building, points[:, k], minlength=len(lowest)) / sizes for k in (0, 1)], axis=1
+    )
+    ground = np.where(np.isfinite(lowest), lowest, 0.0)
+    sound = np.flatnonzero(~is_hurt & np.isfinite(lowest))
+    hurt = np.flatnonzero(is_hurt)
+    if len(sound):
+        ground[hurt] = lowest[sound[cKDTree(middles[sound]).query(middles[hurt])[1]]]
+    elif np.isfinite(lowest).any():
+        ground[hurt] = np.where(np.isfinite(lowest[hurt]), lowest[hurt], lowest.min())
+    return ground

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.gdal import opened_raster
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.vector.gdal import opened_raster
 from lodbench.errors import CityModelError, ConfigError
 
 # What publishers deliver orthophotos as, by the one driver that may read each.

@@ -8,24 +8,23 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.bases import move_bases, tell_unused
+from lodbench.citymodel.axis_order import faces_tell_north_first
+from lodbench.citymodel.bases import mend_heights, move_bases, tell_unused
 from lodbench.citymodel.cleaning import clean_polygons
 from lodbench.citymodel.codes import CRS_MIXED
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.duplicates import drop_repeats
 from lodbench.citymodel.frame import bring_to, brought_note, require_no_degrees, to_metres
-from lodbench.citymodel.handedness import faces_tell_north_first
 from lodbench.citymodel.layers import INTERIORS
-from lodbench.citymodel.missing_heights import mend_heights
 from lodbench.citymodel.model import CityModel, Polygons
 from lodbench.citymodel.naming import unique_ids, unique_objects
 from lodbench.citymodel.newell import newell
 from lodbench.citymodel.objects import Solids
 from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.outliers import frame_origin, tell_strays
 from lodbench.citymodel.pictures import Pictures
 from lodbench.citymodel.raw import RawCity
 from lodbench.citymodel.selection import select_polygons
-from lodbench.citymodel.strays import frame_origin, tell_strays
 from lodbench.errors import CityModelError
 from lodbench.geometry.frames import ShiftedEcef
 

@@ -13,10 +13,10 @@ from lodbench.citymodel.derive import derive_lod1
 from lodbench.citymodel.duplicates import drop_repeats
 from lodbench.citymodel.lods import has_lod, polygons_at
 from lodbench.citymodel.model import CityModel
+from lodbench.citymodel.outliers import frame_origin
 from lodbench.citymodel.raw import take_segments
 from lodbench.citymodel.scale import require_true_to_scale
 from lodbench.citymodel.selection import select_polygons
-from lodbench.citymodel.strays import frame_origin
 from lodbench.errors import CityModelError, nearest_names
 from lodbench.findings import Findings
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.crs import resolve_crs
-from lodbench.citymodel.gdal import opened_raster, raster_driver
 from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.vector.gdal import opened_raster, raster_driver
 from lodbench.errors import CityModelError
 
 _MAX_CELLS = 1 << 30

@@ -61,8 +61,7 @@ def _info(asked: argparse.Namespace, options: ReadOptions) -> int:
 
 
 def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
-    from lodbench.citymodel.check import check_city
-    from lodbench.citymodel.check_report import findings_geojson, format_report
+    from lodbench.citymodel.checks.report import check_city, findings_geojson, format_report
     from lodbench.citymodel.source import OWN_GEOJSON, file_source, own_geojson
     from lodbench.storage import write_bytes
 

@@ -25,8 +25,7 @@ from lodbench.harness.runs.compare import (
     why_other_photos,
 )
 from lodbench.harness.runs.comparison_page import comparison_page
-from lodbench.harness.runs.photo_pairs import DrawnRun, photo_pairs_of
-from lodbench.harness.runs.photo_tags import read_tags, tags_file_of
+from lodbench.harness.runs.photo_pairs import DrawnRun, photo_pairs_of, read_tags, tags_file_of
 from lodbench.harness.runs.stored import StoredRun, read_whole_run, require_writable
 from lodbench.harness.runs.verify import changed_files
 from lodbench.reporting.answers import format_answers

@@ -11,8 +11,7 @@ from typing import Any
 
 from lodbench.cli.configs import config_files
 from lodbench.cli.parser import Parser
-from lodbench.datasets.cards import read_card
-from lodbench.datasets.croissant import croissant_text
+from lodbench.datasets.cards import croissant_text, read_card
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.storage import make_folder, write_text

@@ -110,7 +110,7 @@ def _others(path: Path, model: Model) -> list[Footprint]:
 
 
 def _request(asked: argparse.Namespace) -> Any:
-    from lodbench.harness.tracing.request import TraceRequest
+    from lodbench.harness.tracing.tracing import TraceRequest
 
     return TraceRequest(
         model=asked.model,

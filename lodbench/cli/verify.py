@@ -28,7 +28,7 @@ from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_settings, open_dataset
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.evaluation.queries import has_truth
-from lodbench.harness.runs.named_paths import is_own, without_paths
+from lodbench.harness.runs.artefacts import is_own, without_paths
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import Verdict, verify_run

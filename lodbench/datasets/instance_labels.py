@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.pictures import decoded, encoded, has_too_many_pixels
 from lodbench.errors import QueryFault
-from lodbench.storage.contents import read_content
+from lodbench.storage.digest import read_content
 
 # Folder of a split's label files.
 INSTANCES_FOLDER = "instances"

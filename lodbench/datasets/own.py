@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from lodbench.datasets.faults import is_decodable, mask_fault
 from lodbench.datasets.folder import LENS_FILE, SEQUENCE_FILE, write_poses
 from lodbench.datasets.folder_about import ABOUT_FILE, sealed_about
 from lodbench.datasets.photo_files import PHOTO_SUFFIXES, in_pose_lines, mask_names
 from lodbench.datasets.photo_flights import split_flights
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.picture_faults import is_decodable, mask_fault
 from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.pose_text import lines_to_text
 from lodbench.datasets.undistort import pinhole_of, undistorted

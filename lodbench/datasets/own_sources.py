@@ -11,8 +11,7 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import OwnImage, find_mask, find_photo
 from lodbench.datasets.photo_camera import camera_from_photo, camera_given
-from lodbench.datasets.photo_copies import copies_among
-from lodbench.datasets.photo_files import find_photos, require_photos
+from lodbench.datasets.photo_files import copies_among, find_photos, require_photos
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo, require_stated
 from lodbench.errors import DatasetError, LodbenchError

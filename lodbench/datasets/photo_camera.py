@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from lodbench.datasets.camera_faults import FIELD_DEG
+from lodbench.datasets.faults import FIELD_DEG
 from lodbench.datasets.photo_focal import (
     NOMINAL_PERCENT,
     by_known_sensor,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from lodbench.errors import DatasetError
+from lodbench.storage import file_digest
 from lodbench.storage.json_text import parse_json
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -87,3 +89,31 @@ def require_photos(photos: Sequence[Path], source: Path) -> None:
             f"{source} holds no photos outside the folders of masks and results.",
             "Put the masks into a folder of their own.",
         )
+
+
+def copies_among(
+    photos: Sequence[Path], masks: Sequence[Path | None]
+) -> tuple[dict[int, str], dict[int, str]]:
+    """Returns by row which photo another is a copy of, and why others cannot be read, in words.
+
+    The original is one that has a mask, if any has, of the shortest name: copies are called ``NAME (1)``,
+    which comes before ``NAME`` in a folder, and masks go by the name of the original.
+
+    Args:
+        photos: The files.
+        masks: The mask of each, or None.
+    """
+    unreadable: dict[int, str] = {}
+    same: dict[str, list[int]] = defaultdict(list)
+    for row, photo in enumerate(photos):
+        try:
+            same[file_digest(photo)].append(row)
+        except OSError as error:
+            unreadable[row] = f"it cannot be read: {error.strerror}"
+    copies: dict[int, str] = {}
+    for rows in same.values():
+        original = min(rows, key=lambda row: (masks[row] is None, len(photos[row].name), row))
+        copies |= {
+            row: f"it is a copy of {photos[original]}" for row in rows if photos[row] != photos[original]
+        }
+    return dict(sorted(copies.items())), unreadable

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from lodbench.citymodel.xml import Element, XmlMembers, local_name, namespace_of
+from lodbench.citymodel.gml.xml import Element, XmlMembers, local_name, namespace_of
 from lodbench.datasets.photo_tags import exif_values, number_of, place_of, tags_in_xmp
 from lodbench.errors import CityModelError, DatasetError
 from lodbench.findings import Findings

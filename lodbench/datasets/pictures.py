@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import DatasetError
-from lodbench.storage.contents import read_content
+from lodbench.storage.digest import read_content
 
 # Tags of TIFF.
 _WIDTH, _HEIGHT, _ORIENTATION = 0x0100, 0x0101, 0x0112

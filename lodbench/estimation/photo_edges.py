@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.rendering.mean_around import mean_around
+from lodbench.rendering.photo_bins import mean_around
 
 Floats = NDArray[np.float64]
 

@@ -16,8 +16,13 @@ from typing import Any, TypeVar
 from uuid import uuid4
 
 from lodbench.errors import ConfigError, WorkersGone
-from lodbench.execution.ctrl_c import ctrl_c_for_this_thread, start_tracker
-from lodbench.execution.fan_out import KEEP_DYING, KEEP_DYING_HINT, begin
+from lodbench.execution.fan_out import (
+    KEEP_DYING,
+    KEEP_DYING_HINT,
+    begin,
+    ctrl_c_for_this_thread,
+    start_tracker,
+)
 from lodbench.extras import require
 
 Item = TypeVar("Item")

@@ -29,8 +29,7 @@ from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import NotACity
 from lodbench.citymodel.read import read_source
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.scene_file import is_scene, read_about, write_scene
-from lodbench.citymodel.scene_join import join_scenes
+from lodbench.citymodel.scene_file import is_scene, join_scenes, read_about, write_scene
 from lodbench.citymodel.source import Source, open_sources
 from lodbench.citymodel.subset import reproject
 from lodbench.errors import CityModelError, LodbenchError

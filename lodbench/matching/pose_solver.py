@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import require_within
+from lodbench.extras import require
 from lodbench.geometry import Camera, Pose
 from lodbench.params import to_params
 from lodbench.plugins import load_plugin
@@ -86,3 +88,128 @@ def agreeing(
 ) -> NDArray[np.bool_]:
     """Returns (N,) which correspondences a pose explains."""
     return np.asarray(reprojection_error_px(points, pixels, camera, pose) < threshold_px)
+
+
+_FEWEST = 4
+
+
+class OpencvPose:
+    """Solves with OpenCV, which the base install has."""
+
+    params_type = SolverParams
+
+    def __init__(self, params: SolverParams) -> None:
+        self.params = params
+
+    def solve(self, points: Floats, pixels: Floats, camera: Camera, prior: Pose) -> SolvedPose | None:
+        """Returns the pose, or None where none is found; see ``PoseSolver``."""
+        if len(points) < _FEWEST:
+            return None
+        options = cv2.UsacParams()
+        options.threshold = self.params.threshold_px
+        options.maxIterations = self.params.max_iterations
+        options.confidence = self.params.confidence
+        options.sampler = cv2.SAMPLING_UNIFORM
+        options.score = cv2.SCORE_METHOD_MAGSAC
+        options.loMethod = cv2.LOCAL_OPTIM_SIGMA
+        options.randomGeneratorState = 1
+        # Round a middle near the points: OpenCV's solvers lose digits on large coordinates.
+        middle = np.median(points, axis=0)
+        near = np.ascontiguousarray(points - middle)
+        # OpenCV's pixels begin half a pixel later than COLMAP's; K and pixels shift alike.
+        try:
+            found, _, rotation, translation, inliers = cv2.solvePnPRansac(
+                near, np.ascontiguousarray(pixels), camera.matrix, None, params=options
+            )
+        except cv2.error:  # degenerate samples
+            return None
+        if not found or inliers is None or len(inliers) < _FEWEST:
+            return None
+        chosen = inliers.ravel()
+        rotation, translation = cv2.solvePnPRefineLM(
+            near[chosen], pixels[chosen], camera.matrix, None, rotation, translation
+        )
+        turn = np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64)
+        center = np.asarray(middle - turn.T @ translation.ravel(), dtype=np.float64)
+        if not np.isfinite(center).all():
+            return None
+        pose = Pose.from_center(turn, center)
+        return SolvedPose(pose, agreeing(points, pixels, camera, pose, self.params.threshold_px))
+
+
+class PoselibPose:
+    """Solves with PoseLib.
+
+    Raises:
+        ConfigError: It is not installed.
+    """
+
+    params_type = SolverParams
+
+    def __init__(self, params: SolverParams) -> None:
+        self.params = params
+        self._library = require("poselib", "pnp", "pnp=poselib")
+
+    def solve(self, points: Floats, pixels: Floats, camera: Camera, prior: Pose) -> SolvedPose | None:
+        """Returns the pose, or None where none is found; see ``PoseSolver``."""
+        if len(points) < _FEWEST:
+            return None
+        limit = self.params.threshold_px
+        options = {
+            # Two versions call the threshold by two names, and neither minds one it does not know.
+            "max_reproj_error": limit,
+            "max_error": limit,
+            "max_iterations": self.params.max_iterations,
+            "success_prob": self.params.confidence,
+        }
+        pinhole = {
+            "model": "PINHOLE",
+            "width": camera.width,
+            "height": camera.height,
+            "params": [camera.fx, camera.fy, camera.cx, camera.cy],
+        }
+        middle = np.median(points, axis=0)
+        found, info = self._library.estimate_absolute_pose(pixels, points - middle, pinhole, options, {})
+        if info.get("num_inliers", 0) < _FEWEST or not np.isfinite(found.Rt).all():
+            return None
+        turn, translation = np.asarray(found.R), np.asarray(found.t)
+        pose = Pose.from_center(turn, middle - turn.T @ translation)
+        return SolvedPose(pose, agreeing(points, pixels, camera, pose, limit))
+
+
+class PycolmapPose:
+    """Solves with pycolmap, as the published pipelines do.
+
+    Raises:
+        ConfigError: It is not installed.
+    """
+
+    params_type = SolverParams
+
+    def __init__(self, params: SolverParams) -> None:
+        self.params = params
+        self._library = require("pycolmap", "pnp", "pnp=pycolmap")
+
+    def solve(self, points: Floats, pixels: Floats, camera: Camera, prior: Pose) -> SolvedPose | None:
+        """Returns the pose, or None where none is found; see ``PoseSolver``."""
+        if len(points) < _FEWEST:
+            return None
+        options = self._library.AbsolutePoseEstimationOptions()
+        options.ransac.max_error = self.params.threshold_px
+        options.ransac.max_num_trials = self.params.max_iterations
+        options.ransac.confidence = self.params.confidence
+        options.ransac.random_seed = 0
+        pinhole = self._library.Camera(
+            model="PINHOLE",
+            width=camera.width,
+            height=camera.height,
+            params=[camera.fx, camera.fy, camera.cx, camera.cy],
+        )
+        middle = np.median(points, axis=0)
+        found = self._library.estimate_and_refine_absolute_pose(pixels, points - middle, pinhole, options)
+        if found is None or found["num_inliers"] < _FEWEST:
+            return None
+        matrix = np.asarray(found["cam_from_world"].matrix())
+        turn = matrix[:, :3]
+        pose = Pose.from_center(turn, middle - turn.T @ matrix[:, 3])
+        return SolvedPose(pose, agreeing(points, pixels, camera, pose, self.params.threshold_px))

@@ -185,3 +185,28 @@ def _require(array: NDArray[Any], shape: tuple[int, ...], name: str) -> None:
         raise RenderingError(f"{name} are {array.shape} {array.dtype} instead of {shape} float32.")
     if not np.isfinite(array).all():
         raise RenderingError(f"{name} are not all finite.")
+
+
+Descriptors = NDArray[np.float32]
+
+
+class Retrieval(Protocol):
+    """Describes pictures; an entry point under ``lodbench.retrievals``."""
+
+    def describe(self, pictures: NDArray[np.uint8]) -> Descriptors:
+        """Returns (N, D) descriptors, of length 1 or 0, of (N, H, W, 3) RGB pictures of one size.
+
+        Near descriptors are of pictures that look alike.
+        """
+        ...
+
+
+def open_retrieval(name: str, **settings: Any) -> Retrieval:
+    """Returns the retrieval of a name.
+
+    Raises:
+        ConfigError: There is none, it is broken, its library or weights are absent, or a setting is wrong.
+    """
+    kind = load_plugin("retrievals", name)
+    retrieval: Retrieval = kind(to_params(settings, kind.params_type, name))
+    return retrieval

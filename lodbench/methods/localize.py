@@ -17,9 +17,9 @@ from lodbench.datasets.query import Query
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.methods.lodlocv2 import LodLocV2
-from lodbench.methods.measured_calls import localize_query
 from lodbench.methods.protocol import Estimate, Method, SupportsPrepare
 from lodbench.methods.registry import make_method
+from lodbench.methods.timed_localize import localize_query
 from lodbench.methods.workspace import Workspace
 from lodbench.segmentation import check_mask
 from lodbench.storage import random_stream

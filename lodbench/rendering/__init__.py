@@ -5,22 +5,22 @@ from typing import TYPE_CHECKING
 from lodbench.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from lodbench.rendering.bins import AppearanceBins as AppearanceBins
-    from lodbench.rendering.bins import EdgeBins as EdgeBins
-    from lodbench.rendering.bins import appearance_bins as appearance_bins
-    from lodbench.rendering.bins import edge_bins as edge_bins
+    from lodbench.rendering.edges import EdgeKind as EdgeKind
+    from lodbench.rendering.edges import ViewEdges as ViewEdges
     from lodbench.rendering.fit import BoundaryFit as BoundaryFit
     from lodbench.rendering.fit import Fit as Fit
     from lodbench.rendering.fit import IouFit as IouFit
     from lodbench.rendering.fit import SoftIouFit as SoftIouFit
     from lodbench.rendering.instances import Instances as Instances
-    from lodbench.rendering.layers import Layers as Layers
-    from lodbench.rendering.model_edges import EdgeKind as EdgeKind
-    from lodbench.rendering.model_edges import ViewEdges as ViewEdges
+    from lodbench.rendering.photo_bins import AppearanceBins as AppearanceBins
+    from lodbench.rendering.photo_bins import EdgeBins as EdgeBins
+    from lodbench.rendering.photo_bins import appearance_bins as appearance_bins
+    from lodbench.rendering.photo_bins import edge_bins as edge_bins
     from lodbench.rendering.protocol import DepthRenderer as DepthRenderer
     from lodbench.rendering.protocol import InstanceRenderer as InstanceRenderer
     from lodbench.rendering.protocol import IouCounts as IouCounts
     from lodbench.rendering.protocol import LayerRenderer as LayerRenderer
+    from lodbench.rendering.protocol import Layers as Layers
     from lodbench.rendering.protocol import Renderer as Renderer
     from lodbench.rendering.protocol import Scorer as Scorer
     from lodbench.rendering.region_fit import ContourFit as ContourFit
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 __all__, __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "AppearanceBins": "bins",
+        "AppearanceBins": "photo_bins",
         "BoundaryFit": "fit",
         "ContourFit": "region_fit",
         "DEPTH": "registry",
         "DepthRenderer": "protocol",
-        "EdgeBins": "bins",
-        "EdgeKind": "model_edges",
+        "EdgeBins": "photo_bins",
+        "EdgeKind": "edges",
         "Fit": "fit",
         "INSTANCES": "registry",
         "InstanceRenderer": "protocol",
@@ -50,14 +50,14 @@ __all__, __getattr__, __dir__ = lazy_names(
         "IouFit": "fit",
         "LAYERS": "registry",
         "LayerRenderer": "protocol",
-        "Layers": "layers",
+        "Layers": "protocol",
         "RegionFit": "region_fit",
         "Renderer": "protocol",
         "Scorer": "protocol",
         "SoftIouFit": "fit",
-        "ViewEdges": "model_edges",
-        "appearance_bins": "bins",
-        "edge_bins": "bins",
+        "ViewEdges": "edges",
+        "appearance_bins": "photo_bins",
+        "edge_bins": "photo_bins",
         "make_renderer": "registry",
         "open_renderer": "registry",
         "renderers_with": "registry",

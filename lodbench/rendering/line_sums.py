@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lodbench.rendering.edge_levels import DIRECTIONS
+from lodbench.rendering.photo_bins import DIRECTIONS
 
 Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.textured_mesh import TexturedMesh
+from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import blender_from_opencv
 from lodbench.rendering.appearance import plain_appearance

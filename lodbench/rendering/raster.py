@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.appearance import Appearance, plain_appearance
-from lodbench.rendering.layers import Layers
 from lodbench.rendering.projection import (
     pose_arrays,
     require_pinhole,
@@ -21,6 +20,7 @@ from lodbench.rendering.projection import (
     view_planes,
     visible_buildings,
 )
+from lodbench.rendering.protocol import Layers
 from lodbench.rendering.raster_kernel import Band, Buffer, Mesh, blank_buffer, draw_band
 from lodbench.rendering.raster_layers import (
     blank_planes,

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.textured_mesh import TexturedMesh
+from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.rendering.compiled import per_pixel
 
 # A texture is halved so often at most, and not below this side.

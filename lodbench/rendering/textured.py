@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.textured_mesh import TexturedMesh
+from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.geometry import Camera
 from lodbench.rendering.appearance import plain_appearance
 from lodbench.rendering.compiled import per_pixel, pixel_loop

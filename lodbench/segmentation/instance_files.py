@@ -13,7 +13,7 @@ from lodbench.datasets.instance_labels import masks_of_labels, read_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
 from lodbench.storage import digest_of
-from lodbench.storage.contents import content_digest
+from lodbench.storage.digest import content_digest
 
 # Masks of buildings are handed over at most this long, pixels: a photo has hundreds.
 _LONGER_SIDE = 1024

@@ -21,7 +21,7 @@ from lodbench.segmentation.region_cut import cut, held_out_evidence
 from lodbench.segmentation.silhouette_alignment import Alignment, aligned
 from lodbench.segmentation.working_size import resized_photo, working_size
 from lodbench.storage import digest_of
-from lodbench.storage.contents import content_digest
+from lodbench.storage.digest import content_digest
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]

@@ -15,7 +15,7 @@ from lodbench.datasets.pictures import decoded, has_too_many_pixels
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
 from lodbench.storage import digest_of
-from lodbench.storage.contents import content_digest, read_content
+from lodbench.storage.digest import content_digest, read_content
 from lodbench.storage.paths import require_regular
 
 # What a mask is.
@@ -111,3 +111,34 @@ class MaskFiles:
         if self.params.folder is None:
             return entry.mask
         return find_mask(Path(self.params.folder).expanduser(), entry.name, entry.image)
+
+
+@dataclass(frozen=True, slots=True)
+class NoMaskParams:
+    """Settings of ``segmenter=none``: none."""
+
+    name: str = "none"
+
+
+class NoMask:
+    """Makes no mask."""
+
+    params_type = NoMaskParams
+    name = "none"
+    requires: frozenset[Input] = frozenset()
+    provides: frozenset[Input] = frozenset()
+
+    def __init__(self, params: NoMaskParams) -> None:
+        self.params = params
+
+    def segment(self, entry: Entry) -> NDArray[np.float32]:
+        """Never answers.
+
+        Raises:
+            QueryFault: Always.
+        """
+        raise QueryFault("segmenter=none makes no masks")
+
+    def fingerprint(self, entries: tuple[Entry, ...]) -> str:
+        """Returns nothing: there is nothing that answers could depend on."""
+        return ""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.pictures import decoded, has_too_many_pixels, in_8_bits
 from lodbench.errors import QueryFault
-from lodbench.storage.contents import read_content
+from lodbench.storage.digest import read_content
 
 
 def read_photo(path: str | Path) -> NDArray[np.uint8]:

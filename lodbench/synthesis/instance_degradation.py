@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.synthesis.mask_degradation import typical_pixels_per_m
-from lodbench.synthesis.mask_error_fields import smooth_noise
+from lodbench.synthesis.mask_degradation import smooth_noise, typical_pixels_per_m
 
 Labels = NDArray[np.int32]
 

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.faults import aspect_fault, mask_fault
 from lodbench.datasets.instance_labels import read_labels
 from lodbench.datasets.photo_files import PHOTO_SUFFIXES
-from lodbench.datasets.picture_faults import aspect_fault, mask_fault
 from lodbench.datasets.pictures import picture_size, read_picture
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.segmentation.compact_instances import interiors

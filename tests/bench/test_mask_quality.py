@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks
-from lodbench.bench.mask_quality_report import summary_of
+from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks, summary_of
 from lodbench.cli import main
 from lodbench.errors import DatasetError
 from lodbench.evaluation.statistics import bootstrap_ratio

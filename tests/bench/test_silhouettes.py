@@ -9,8 +9,14 @@ import pandas as pd
 import pytest
 
 from lodbench.bench import silhouettes
-from lodbench.bench.silhouette_report import HORIZON, STEEP, report_silhouettes
-from lodbench.bench.silhouettes import SilhouetteOptions, make_swarms, measure_silhouettes
+from lodbench.bench.silhouettes import (
+    HORIZON,
+    STEEP,
+    SilhouetteOptions,
+    make_swarms,
+    measure_silhouettes,
+    report_silhouettes,
+)
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.rendering import make_renderer

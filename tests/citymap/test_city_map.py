@@ -10,7 +10,7 @@ import pytest
 from few_blocks import CAMERA, blocks_scene, poses_around
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.textured_mesh import TexturedMesh
+from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.geometry import EulerAngles, Pose, rotation_from_euler
 from lodbench.rendering import BoundaryFit, IouFit

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import mesh_model
-from lodbench.citymodel.gml_links import LinkResolver
+from lodbench.citymodel.gml.links import LinkResolver
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.options import ReadOptions
 

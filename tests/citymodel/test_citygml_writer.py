@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import CityModel, ReadOptions, mesh_model, read_city_model
-from lodbench.citymodel.citygml_writer import srs_name
 from lodbench.citymodel.convert import Conversion, convert_city
+from lodbench.citymodel.gml.writer import srs_name
 
 from .gml_text import box_rings, city, member, polygon, solid, surface_members, write
 from .test_layers import twin

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from lodbench.citymodel import ReadOptions, read_city_model
-from lodbench.citymodel.gdal import missing_bytes
+from lodbench.citymodel.vector.gdal import missing_bytes
 from lodbench.cli import main
 from lodbench.errors import CityModelError
 

@@ -9,8 +9,8 @@ import pytest
 from pyproj import CRS, Transformer
 
 from lodbench.citymodel import ReadOptions, read_city_model
+from lodbench.citymodel.axis_order import faces_tell_north_first
 from lodbench.citymodel.cleaning import clean_polygons
-from lodbench.citymodel.handedness import faces_tell_north_first
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.read import read_source
 from lodbench.citymodel.source import open_sources

@@ -9,7 +9,7 @@ import pytest
 
 from lodbench.citymodel import read_city_model
 from lodbench.citymodel.convert import convert_city
-from lodbench.citymodel.mesh_frames import frame_of_comments, frame_of_extras
+from lodbench.citymodel.mesh.frames import frame_of_comments, frame_of_extras
 
 from .gml_text import box_city, write
 

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from lodbench.citymodel import ReadOptions, read_city_model
+from lodbench.citymodel.mesh.texture_files import read_textured
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.texture_files import read_textured
 from lodbench.cli import main
 
 from .cityjson_rules import FEATURE, assert_keeps_the_rules

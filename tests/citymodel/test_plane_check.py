@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lodbench.citymodel import read_city_model
-from lodbench.citymodel.plane_check import check_planes
+from lodbench.citymodel.checks.planes import check_planes
 from lodbench.findings import Finding, Findings
 
 from .gml_text import city, member, multi_surface, polygon, surface_members, write

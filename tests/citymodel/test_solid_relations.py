@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from lodbench.citymodel.checks.solids import _inside_points, _is_free, _num_pieces
 from lodbench.citymodel.identity import connected_components
-from lodbench.citymodel.solid_relations import _inside_points, _is_free, _num_pieces
 
 
 def ball(count: int, radius: float, seed: int, *, is_hole: bool = False) -> np.ndarray:

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import mesh_city, read_city_model
-from lodbench.citymodel.check import check_city
-from lodbench.citymodel.check_report import findings_geojson
+from lodbench.citymodel.checks.report import check_city, findings_geojson
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.errors import CityModelError
 

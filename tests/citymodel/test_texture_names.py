@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lodbench.citymodel.texture_files import read_textured
+from lodbench.citymodel.mesh.texture_files import read_textured
 from lodbench.errors import DatasetError
 
 from .textured_case import assert_is_the_roof, write_glb, write_gltf, write_obj, write_picture

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lodbench.citymodel.texture_files import read_textured
+from lodbench.citymodel.mesh.texture_files import read_textured
 from lodbench.cli import main
 
 from .textured_case import write_gml

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import mesh_model, read_city_model
-from lodbench.citymodel.tiling import cut_into_tiles
+from lodbench.citymodel.convert import cut_into_tiles
 from lodbench.cli import main
 from lodbench.errors import CityModelError
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from lodbench.citymodel import CityModel, ReadOptions, mesh_model, read_city_model
+from lodbench.citymodel.checks.planes import check_folds, check_planes
+from lodbench.citymodel.checks.shells import check_shells
+from lodbench.citymodel.checks.solids import check_solids
 from lodbench.citymodel.codes import VAL3DITY
-from lodbench.citymodel.plane_check import check_folds, check_planes
-from lodbench.citymodel.shells import check_shells
-from lodbench.citymodel.solid_check import check_solids
 from lodbench.citymodel.subset import keep_level
 from lodbench.findings import Findings
 

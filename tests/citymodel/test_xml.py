@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from lodbench.citymodel.xml import XmlMembers, local_name, namespace_of
+from lodbench.citymodel.gml.xml import XmlMembers, local_name, namespace_of
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -111,7 +111,7 @@ class TestRefusals:
         assert names(b'<a xmlns:r="relative"><m><b/></m>' + b"<m><b/></m>" * 10_000 + b"</a>")[0] == "b"
 
     def test_oversized_member(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("lodbench.citymodel.xml._MAX_MEMBER_BYTES", 100_000)
+        monkeypatch.setattr("lodbench.citymodel.gml.xml._MAX_MEMBER_BYTES", 100_000)
         with pytest.raises(CityModelError, match="larger than"):
             names(b"<a><m>" + b"1 " * 200_000 + b"</m></a>")
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lodbench.datasets.pose_text import format_pose, lines_to_text, read_poses
-from lodbench.harness.runs.photo_tags import read_tags
+from lodbench.harness.runs.photo_pairs import read_tags
 from tests.reporting.browser import PHONE, fits, opened
 from tests.town import write_dataset
 

@@ -16,7 +16,7 @@ import pytest
 
 from lodbench.cli import main
 from lodbench.evaluation import metrics
-from lodbench.harness.runs.named_paths import named_by, without_paths
+from lodbench.harness.runs.artefacts import named_by, without_paths
 from lodbench.harness.runs.predict import open_predictions
 from tests.town import write_dataset
 

@@ -9,14 +9,13 @@ import pytest
 import yaml
 
 from lodbench.cli.dataset_card import config_card, main
-from lodbench.datasets.cards import read_card
+from lodbench.datasets.cards import card_croissant, croissant_text, read_card
 from lodbench.datasets.codes import CATALOGUE
-from lodbench.datasets.croissant import card_croissant, croissant_text
 from lodbench.datasets.pose_text import format_pose
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.errors import ConfigError
 from lodbench.synthesis.demo import DemoParams
-from lodbench.synthesis.town.queries import PRIORS, QUERY_CAMERA, TARGET_IOU
+from lodbench.synthesis.town.build import PRIORS, QUERY_CAMERA, TARGET_IOU
 from lodbench.synthesis.town.town import CRS_NAME, TOWN_VERSION
 from tests.town import true_poses
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import pytest
 
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_heights import height_doubt, is_above_ellipsoid
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_notes import place_notes
-from lodbench.datasets.photo_pose import HeightOptions
+from lodbench.datasets.photo_pose import HeightOptions, height_doubt, is_above_ellipsoid
 from tests.datasets.dji_photo import exif_of, packet_around, write_photo, xmp_packet
 
 NRW = MapFrame("EPSG:25832+7837")

@@ -15,8 +15,8 @@ from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.datasets.real_flights import RealFlightParams, open_real_flight
 from lodbench.errors import DatasetError
 from lodbench.geometry.similarity import Similarity
-from lodbench.harness.runs.input_checks import tell_flights
 from lodbench.harness.runs.predict import _batches
+from lodbench.harness.runs.requirements import tell_flights
 from lodbench.methods.registry import make_method
 from tests.town import write_dataset
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from lodbench.evaluation.instances import InstanceMatches, match_instances
+from lodbench.evaluation.metrics import InstanceMatches, match_instances
 
 LABELS = arrays(np.uint16, (12, 9), elements=st.integers(0, 4))
 

@@ -9,8 +9,9 @@ import sys
 
 import pytest
 
-from lodbench.execution import ctrl_c, fan_out
-from lodbench.execution.ctrl_c import ctrl_c_for_this_thread, start_tracker
+from lodbench.execution import fan_out
+from lodbench.execution import fan_out as ctrl_c
+from lodbench.execution.fan_out import ctrl_c_for_this_thread, start_tracker
 
 # The server imports a module that tells whether Ctrl-C would reach it.
 _MODULE = (

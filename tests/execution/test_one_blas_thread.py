@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg  # noqa: F401 - its BLAS is one of its own
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from lodbench.execution.one_blas_thread import on_one_blas_thread
+from lodbench.execution.single_threaded_blas import on_one_blas_thread
 
 
 def threads() -> set[int]:

@@ -11,7 +11,7 @@ from lodbench.errors import QueryFault
 from lodbench.harness import RunSettings, run_method
 from lodbench.methods import Estimate
 from lodbench.methods.protocol import FlightEstimate
-from lodbench.segmentation.none import NoMask, NoMaskParams
+from lodbench.segmentation.masks import NoMask, NoMaskParams
 
 NAMES = ["view_00.png", "view_01.png", "view_02.png"]
 

@@ -17,7 +17,7 @@ from lodbench.harness import RunSettings, run_method
 from lodbench.harness.dataset_check import check_dataset
 from lodbench.harness.runs.gallery import write_overlays
 from lodbench.methods import Estimate
-from lodbench.segmentation.none import NoMask, NoMaskParams
+from lodbench.segmentation.masks import NoMask, NoMaskParams
 from tests.harness.scripted import NAMES, Batched, Flying, Preparing, Scripted, failures, run
 
 pytestmark = pytest.mark.usefixtures("own_cache")

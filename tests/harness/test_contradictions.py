@@ -13,8 +13,7 @@ from lodbench.cli import main
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text, read_poses
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.harness.dataset_check import check_dataset
-from lodbench.harness.dataset_parts import planned
+from lodbench.harness.dataset_check import check_dataset, planned
 from tests.town import CAMERA, true_poses, write_dataset
 
 

@@ -17,7 +17,7 @@ import pytest
 from lodbench.cli import main
 from lodbench.errors import DatasetError, LodbenchError, WorkersGone
 from lodbench.execution.executor import ExecutorParams, spread
-from lodbench.harness.runs.shared_scoring import SharedScorer
+from lodbench.harness.runs.predict import SharedScorer
 from tests.town import write_dataset
 
 pytestmark = pytest.mark.attack

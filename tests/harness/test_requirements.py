@@ -16,8 +16,7 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.harness import RunSettings, run_method
 from lodbench.harness.runs.requirements import needs_segmenter, require_run_inputs
 from lodbench.methods import Estimate
-from lodbench.segmentation.masks import MaskFiles, MasksParams
-from lodbench.segmentation.none import NoMask, NoMaskParams
+from lodbench.segmentation.masks import MaskFiles, MasksParams, NoMask, NoMaskParams
 from lodbench.segmentation.oracle import NoisyOracle, NoisyOracleParams, Oracle, OracleParams
 from lodbench.segmentation.registry import masks_digest
 from tests.town import write_dataset

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lodbench.geometry import Camera, Pose, rotations_at_yaws
-from lodbench.harness.runs.shared_scoring import SharedScorer, score
+from lodbench.harness.runs.predict import SharedScorer, score
 from lodbench.rendering import BoundaryFit, IouFit
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from tests.rendering.hostile_scenes import box, scene_of

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from lodbench.evaluation.predictions import Prediction
-from lodbench.harness.runs import trace_pictures
-from lodbench.harness.runs.trace_pictures import evidence_pictures, score_pictures
+from lodbench.harness.runs import report as trace_pictures
+from lodbench.harness.runs.report import evidence_pictures, score_pictures
 
 STEPS = {"coarse": [0.5], "fine": [0.1, 0.4, 0.6]}
 EVIDENCE = {

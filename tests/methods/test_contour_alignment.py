@@ -25,8 +25,8 @@ from lodbench.geometry.pose_vector import (
 )
 from lodbench.methods.contour_alignment import ContourAlignment, Params
 from lodbench.methods.contour_alignment.alignment import Aligner, _distance, signed_distance
-from lodbench.methods.contour_alignment.world_errors import TRACKS
-from lodbench.methods.measured_calls import localize_query
+from lodbench.methods.contour_alignment.likelihood import TRACKS
+from lodbench.methods.timed_localize import localize_query
 from lodbench.storage import random_stream
 from tests.town import BOXES, CAMERA, box_obj
 

@@ -13,11 +13,10 @@ from lodbench.geometry.pose_vector import (
 )
 from lodbench.methods.contour_alignment import Params
 from lodbench.methods.contour_alignment.alignment import Residuals
-from lodbench.methods.contour_alignment.likelihood import _weights, deal_out
+from lodbench.methods.contour_alignment.likelihood import TRACKS, _weights, deal_out
 from lodbench.methods.contour_alignment.outline import OutlinePoints
 from lodbench.methods.contour_alignment.refinement import Mode, Refined
 from lodbench.methods.contour_alignment.uncertainty import among_rivals, answer_of, probability_within
-from lodbench.methods.contour_alignment.world_errors import TRACKS
 
 
 class TestWeights:

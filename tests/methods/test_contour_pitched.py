@@ -15,7 +15,7 @@ from lodbench.citymap.corrected_map import corrected_map
 from lodbench.datasets.query import Query
 from lodbench.evaluation import pose_error
 from lodbench.methods.contour_alignment import ContourAlignment, Params
-from lodbench.methods.contour_alignment.expected_map import expected_map
+from lodbench.methods.contour_alignment.method import expected_map
 from lodbench.storage import random_stream
 from tests.town import CAMERA, prior_of
 

@@ -17,7 +17,7 @@ from lodbench.harness.runs.requirements import made_inputs
 from lodbench.methods import Input, Method
 from lodbench.methods.lodlocv2 import LodLocV2, Params
 from lodbench.methods.lodlocv2.method import PoseScorer, select
-from lodbench.methods.measured_calls import localize_query
+from lodbench.methods.timed_localize import localize_query
 from lodbench.storage import random_stream
 
 SMALL = {"coarse_size": (160, 120), "fine_size": (320, 240)}

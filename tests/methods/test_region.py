@@ -14,11 +14,11 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.methods.measured_calls import localize_query
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.search import grid_starts
 from lodbench.methods.registry import make_method
+from lodbench.methods.timed_localize import localize_query
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 

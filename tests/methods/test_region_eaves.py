@@ -12,8 +12,8 @@ from shapely import Polygon
 
 from lodbench.citymodel.scene import SceneBuilder
 from lodbench.geometry.pose_vector import vector_from_pose
-from lodbench.methods.region.eaves import outward_moves
-from lodbench.rendering.edge_faces import edge_faces
+from lodbench.methods.region.roofs import outward_moves
+from lodbench.rendering.edges import edge_faces
 from tests.methods.test_region_lines import line_fit
 from tests.methods.test_region_roofs import FAST, mean_errors, photo_of
 

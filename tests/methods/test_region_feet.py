@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lodbench.citymap import CityMap
+from lodbench.methods.region.params import ALL, FEET
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs
-from lodbench.methods.region.unknowns import ALL, FEET
 from lodbench.synthesis.views_dataset import World
 from tests.methods.test_region_lines import line_fit, shaded_photo, with_roofs
 from tests.methods.test_region_roofs import FAST, mean_errors

@@ -13,9 +13,9 @@ import pytest
 from lodbench.datasets.priors import UniformPrior
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose_vector import pose_from_vector
-from lodbench.methods.region import Params, Region, line_search
-from lodbench.methods.region.evidence import Evidence
-from lodbench.methods.region.photo import Photo
+from lodbench.methods.region import Params, Region
+from lodbench.methods.region import lines as line_search
+from lodbench.methods.region.evidence import Evidence, Photo
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 

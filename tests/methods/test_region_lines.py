@@ -16,11 +16,11 @@ from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment.outline import edges_in_reach
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.aligned import Alignment
+from lodbench.methods.region.evidence import Photo
 from lodbench.methods.region.lines import LineFit, points_on_lines
-from lodbench.methods.region.photo import Photo
+from lodbench.methods.region.params import ALL, BESIDE_POSE, FEET
 from lodbench.methods.region.roofs import RoofEvidence
 from lodbench.methods.region.search import Surroundings
-from lodbench.methods.region.unknowns import ALL, BESIDE_POSE, FEET
 from lodbench.storage import random_stream
 from tests.town import BOXES, CAMERA, prior_of, true_poses
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lodbench.methods.contour_alignment.outline import OutlinePoints
-from lodbench.methods.region import map_errors
-from lodbench.methods.region.map_errors import covariance_under_map_errors
+from lodbench.methods.region import posterior as map_errors
+from lodbench.methods.region.posterior import covariance_under_map_errors
 
 HEIGHT_M, FOCAL_PX = 150.0, 500.0
 # The prior leaves the place open and holds the tilt.

@@ -14,9 +14,9 @@ import pytest
 from lodbench.errors import QueryFault
 from lodbench.methods.fits import query_photo
 from lodbench.methods.region import Params
-from lodbench.methods.region import photo as photo_module
-from lodbench.methods.region.photo import Photo
-from lodbench.rendering.edge_levels import directed_edge_levels
+from lodbench.methods.region import evidence as photo_module
+from lodbench.methods.region.evidence import Photo
+from lodbench.rendering.photo_bins import directed_edge_levels
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 

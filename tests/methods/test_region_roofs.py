@@ -16,8 +16,8 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry.pose_vector import vector_from_pose
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.evidence import Evidence, PhotoFit
+from lodbench.methods.region.params import BESIDE_POSE
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, RoofEvidence, step_of
-from lodbench.methods.region.unknowns import BESIDE_POSE
 from lodbench.storage import random_stream
 from lodbench.synthesis.views_dataset import World
 from tests.methods.test_region_lines import line_fit

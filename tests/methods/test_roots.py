@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from lodbench.methods.region.roots import brent_root
+from lodbench.methods.region.posterior import brent_root
 
 FUNCTIONS = [
     lambda x: x**3 - 2.0 * x - 5.0,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lodbench.rendering.mean_around import mean_around
+from lodbench.rendering.photo_bins import mean_around
 from lodbench.storage import random_stream
 
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, EulerAngles, rotation_from_euler
-from lodbench.rendering.edge_faces import edge_faces
-from lodbench.rendering.model_edges import EdgeKind, ViewEdges, edges_in_view
+from lodbench.rendering.edges import EdgeKind, ViewEdges, edge_faces, edges_in_view
 from lodbench.rendering.raster import RasterRenderer
 
 CAMERA = Camera(320, 240, 300.0, 305.0, 158.0, 121.0)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lodbench.citymodel.textured_mesh import TexturedMesh, join_textured
+from lodbench.citymodel.mesh.textured import TexturedMesh, join_textured
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler
 from lodbench.rendering.pyrender_textured import PyrenderTextured

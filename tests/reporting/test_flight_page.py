@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.harness.photo.flight_answer import FlightAnswer
+from lodbench.harness.photo.many import FlightAnswer
 from lodbench.reporting.flight_page import MAX_PICTURES, chosen_for_pictures, flight_page, photo_on_page
 from lodbench.reporting.map_figure import Marked, Spot, draw_map
 from lodbench.reporting.page import Picture

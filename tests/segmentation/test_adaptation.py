@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.special import expit
 
-from lodbench.segmentation.adaptation import adapted
+from lodbench.segmentation.efficient_unet import adapted
 
 HEIGHT, WIDTH = 225, 300
 GROUND, ROOF = (70, 120, 60), (150, 150, 165)

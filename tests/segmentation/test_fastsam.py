@@ -9,8 +9,7 @@ import pytest
 from lodbench.cli import main
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError
-from lodbench.segmentation.fastsam import FastSam, FastSamParams
-from lodbench.segmentation.instances import Instances, counted, decode
+from lodbench.segmentation.fastsam import FastSam, FastSamParams, Instances, counted, decode
 
 # Prototypes: the first is positive on the left half, the second on the upper half.
 PROTOTYPES = np.full((2, 8, 8), -5, np.float32)

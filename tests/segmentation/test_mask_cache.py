@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lodbench.segmentation import mask_cache
-from lodbench.segmentation.mask_cache import cached_probability
+from lodbench.segmentation import photo_segmenter as mask_cache
+from lodbench.segmentation.photo_segmenter import cached_probability
 from lodbench.storage.paths import cache_root
 
 pytestmark = pytest.mark.attack

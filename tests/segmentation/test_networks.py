@@ -13,7 +13,8 @@ from lodbench.segmentation.tiles import MemoryTiles, tiled
 torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
 pytest.importorskip("transformers", reason="transformers is not installed (extra [models])")
 
-from lodbench.segmentation.nets import hiera, sam2_unet  # noqa: E402
+from lodbench.segmentation.nets import sam2_unet  # noqa: E402
+from lodbench.segmentation.nets import sam2_unet as hiera  # noqa: E402
 from lodbench.segmentation.nets.sam1_adapter import Sam1Adapter, fill_sam, high_frequencies  # noqa: E402
 from lodbench.segmentation.nets.weights import fill, read_weights, save_weights  # noqa: E402
 from lodbench.segmentation.sam2_unet import Sam2UNetParams, Sam2UNetSegmenter  # noqa: E402

@@ -16,8 +16,7 @@ from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, InputChanged
 from lodbench.segmentation import onnx_file
 from lodbench.segmentation.compact import Compact, CompactParams
-from lodbench.segmentation.onnx_check import onnx_fault
-from lodbench.segmentation.onnx_file import read_onnx
+from lodbench.segmentation.onnx_file import onnx_fault, read_onnx
 from lodbench.segmentation.packaged_network import packaged_file
 from lodbench.segmentation.registry import make_segmenter
 

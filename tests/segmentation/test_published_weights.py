@@ -6,9 +6,9 @@ torch = pytest.importorskip("torch", reason="torch is not installed (extra [torc
 pytest.importorskip("transformers", reason="transformers is not installed (extra [models])")
 
 from lodbench.errors import ConfigError  # noqa: E402
-from lodbench.segmentation.nets import hiera, sam2_unet  # noqa: E402
-from lodbench.segmentation.nets.sam1_adapter import Sam1Adapter, fill_sam  # noqa: E402
-from lodbench.segmentation.nets.sam_names import TIED, transformers_names  # noqa: E402
+from lodbench.segmentation.nets import sam2_unet  # noqa: E402
+from lodbench.segmentation.nets import sam2_unet as hiera  # noqa: E402
+from lodbench.segmentation.nets.sam1_adapter import TIED, Sam1Adapter, fill_sam, transformers_names  # noqa: E402  # noqa: E402
 from lodbench.segmentation.nets.weights import fill  # noqa: E402
 
 # Meta's sam2_hiera_*.yaml: width, heads, blocks of the stages, windows, background of the position embedding.

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from lodbench.errors import InputChanged
-from lodbench.storage.contents import (
+from lodbench.storage.digest import (
     content_digest,
     known_contents,
     read_content,

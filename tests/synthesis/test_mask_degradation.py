@@ -12,8 +12,9 @@ from lodbench.synthesis.mask_degradation import (
     IOU_TOLERANCE,
     degrade_mask,
     mask_iou,
+    signed_distance,
+    smooth_noise,
 )
-from lodbench.synthesis.mask_error_fields import signed_distance, smooth_noise
 
 
 def town_mask(seed: int = 0, size: tuple[int, int] = (448, 602), count: int = 25) -> np.ndarray:

@@ -12,9 +12,8 @@ from lodbench.errors import DatasetError
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder
 from lodbench.synthesis.objects.scene_props import SurfaceClass
-from lodbench.synthesis.surroundings.clutter import CLUTTER, Spot
 from lodbench.synthesis.surroundings.ground import Ground
-from lodbench.synthesis.surroundings.surroundings import make_surroundings
+from lodbench.synthesis.surroundings.surroundings import CLUTTER, Spot, make_surroundings
 
 SLOPE = Ground(-100.0, -100.0, 10.0, np.fromfunction(lambda row, column: 2.0 * column, (21, 21)))
 

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lodbench.datasets.inputs import Input, inputs_of
-from lodbench.datasets.on_demand import with_inputs
 from lodbench.datasets.query import Dataset
+from lodbench.datasets.references import with_inputs
 from lodbench.synthesis.demo import DemoParams, open_demo
-from lodbench.synthesis.survey import baking
-from lodbench.synthesis.survey.baking import baked, corner_light, lay_out_faces, lay_out_ground
+from lodbench.synthesis.survey import textured_map as baking
+from lodbench.synthesis.survey.textured_map import baked, corner_light, lay_out_faces, lay_out_ground
 
 
 @given(
@@ -111,7 +111,7 @@ def test_what_is_made_on_demand_is_made_for_who_asks_only(tmp_path):
 def test_the_map_is_the_town_as_it_was_the_same_each_time(tmp_path, monkeypatch):
     from lodbench.citymap import CityMap
     from lodbench.citymodel import open_scene
-    from lodbench.citymodel.texture_files import open_textured_map
+    from lodbench.citymodel.mesh.texture_files import open_textured_map
     from lodbench.synthesis.survey.textured_map import write_textured_map
     from tests.town import town_of
 

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import open_scene
-from lodbench.citymodel.texture_files import read_textured
-from lodbench.citymodel.textured_mesh import offset_to_city
+from lodbench.citymodel.mesh.texture_files import read_textured
+from lodbench.citymodel.mesh.textured import offset_to_city
 from lodbench.errors import CityModelError, DatasetError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.storage import random_stream
 from lodbench.synthesis.photo import PhotoRenderer, draw_look, look_ranges
-from lodbench.synthesis.training_data.generate import generate_training_data
-from lodbench.synthesis.training_data.manifest import _texture_digests
+from lodbench.synthesis.training_data.generate import _texture_digests, generate_training_data
 from lodbench.synthesis.training_data.params import GenerateParams
 from tests.synthesis.conftest import SMALL, WHOLE
 

@@ -19,7 +19,8 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.cli import main
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.synthesis.photo import LookRanges, look_ranges
-from lodbench.synthesis.training_data import manifest, view_writer
+from lodbench.synthesis.training_data import generate as manifest
+from lodbench.synthesis.training_data import view_writer
 from lodbench.synthesis.training_data.generate import generate_training_data
 from lodbench.synthesis.training_data.params import GenerateParams
 from tests.synthesis.conftest import SMALL, WHOLE

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lodbench.training import appearance
-from lodbench.training.appearance import covered, other_appearance
+from lodbench.training import augment as appearance
+from lodbench.training.augment import covered, other_appearance
 
 
 @pytest.fixture

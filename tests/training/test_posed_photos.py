@@ -15,7 +15,7 @@ from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.errors import DatasetError
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.segmentation.masks import read_mask
-from lodbench.training.posed_photos import is_posed, posed_samples
+from lodbench.training.photo_sets import is_posed, posed_samples
 from lodbench.training.train import Trained
 from tests.town import write_dataset
 

@@ -20,7 +20,7 @@ def small_net():
 
 
 def test_what_is_kept_is_that_of_a_real_step():
-    from lodbench.training.nets.room import kept_bytes
+    from lodbench.training.nets.run import kept_bytes
 
     net, shape, kept = small_net(), (2, 3, 16, 24), {}
     before = {key: value.clone() for key, value in net.state_dict().items()}
@@ -47,7 +47,7 @@ def test_what_is_kept_is_that_of_a_real_step():
 
 
 def test_a_step_that_does_not_fit_is_refused_before_it_is_made(monkeypatch):
-    from lodbench.training.nets.room import require_room
+    from lodbench.training.nets.run import require_room
 
     net = small_net()
     require_room(net, (2, 3, 16, 24))

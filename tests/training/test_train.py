@@ -179,7 +179,7 @@ def test_the_mean_of_two_trainings_is_stored(views, tmp_path, capsys):
     from lodbench.segmentation.compact import Compact
     from lodbench.segmentation.nets.compact import CompactNet
     from lodbench.segmentation.nets.weights import load_own
-    from lodbench.training.nets.average import average_into
+    from lodbench.training.nets.run import average_into
     from lodbench.training.nets.validate import validation_iou
 
     assert train(views, tmp_path / "a", "schedule.epochs=1") == 0

@@ -29,7 +29,7 @@ def structure_loss_by_hand(logits, truth, weighting):
 
 @pytest.mark.parametrize("weighting", ["paper", "released"])
 def test_the_loss_is_the_papers(weighting):
-    from lodbench.training.nets.losses import total_loss
+    from lodbench.training.nets.loop import total_loss
 
     generator = np.random.default_rng(0)
     logits, truth = generator.normal(0, 2, (40, 50)), (generator.random((40, 50)) < 0.3) * 1.0
@@ -70,7 +70,7 @@ def test_settings_out_of_range_are_named(wrong):
 def test_muon_moves_a_kernel_as_torch_moves_the_matrix_it_is(shape, memory):
     from torch import nn
 
-    from lodbench.training.nets.optimizers import KernelMuon
+    from lodbench.training.nets.loop import KernelMuon
 
     torch.manual_seed(0)
     values = torch.randn(shape)
@@ -90,7 +90,7 @@ def test_muon_moves_a_kernel_as_torch_moves_the_matrix_it_is(shape, memory):
 def test_a_training_that_torch_s_muon_had_begun_goes_on():
     from torch import nn
 
-    from lodbench.training.nets.optimizers import KernelMuon
+    from lodbench.training.nets.loop import KernelMuon
 
     torch.manual_seed(0)
     values = torch.randn(24, 16, 3, 3)
@@ -112,7 +112,7 @@ def test_a_training_that_torch_s_muon_had_begun_goes_on():
 
 def test_given_weights_answer_the_same_while_training():
     from lodbench.segmentation.nets.compact import CompactNet
-    from lodbench.training.nets.warm_start import adapt_norms
+    from lodbench.training.nets.run import adapt_norms
 
     torch.manual_seed(2)
     net, images = CompactNet(), torch.rand(4, 3, 64, 64)
@@ -133,7 +133,7 @@ def test_given_weights_answer_the_same_while_training():
 
 def test_a_frozen_encoder_stays_and_a_slow_one_moves_less():
     from lodbench.segmentation.nets.efficient_unet import EfficientUnetNet
-    from lodbench.training.nets.optimizers import make_optimizers, set_rate
+    from lodbench.training.nets.loop import make_optimizers, set_rate
 
     net = EfficientUnetNet()
     (alone,) = make_optimizers(net, TrainParams("d", encoder_rate=0.0))
@@ -147,7 +147,7 @@ def test_a_frozen_encoder_stays_and_a_slow_one_moves_less():
 
 def test_every_weight_has_one_optimizer_and_the_paper_has_adamw_alone():
     from lodbench.segmentation.nets.compact import CompactNet
-    from lodbench.training.nets.optimizers import make_optimizers
+    from lodbench.training.nets.loop import make_optimizers
 
     net = CompactNet()
     (alone,) = make_optimizers(net, TrainParams("d"))

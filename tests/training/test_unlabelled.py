@@ -7,7 +7,7 @@ import pytest
 from lodbench.errors import DatasetError
 from lodbench.segmentation.compact import Compact, CompactParams
 from lodbench.segmentation.masks import read_mask
-from lodbench.training.unlabelled import ground_samples, pseudo_samples
+from lodbench.training.photo_sets import ground_samples, pseudo_samples
 
 
 @pytest.fixture

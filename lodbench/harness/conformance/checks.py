@@ -11,12 +11,20 @@ from typing import Any
 from lodbench.checks import FAULT, OK, Check
 from lodbench.errors import STOPPED, ConfigError, LodbenchError
 from lodbench.harness.conformance.city import fit_rules, reader_rules, renderer_rules
-from lodbench.harness.conformance.data import dataset_rules, metric_rules, pose_format_rules, prior_rules
-from lodbench.harness.conformance.export import export_rules
-from lodbench.harness.conformance.pictures import extractor_rules, matcher_rules
-from lodbench.harness.conformance.retrieving import retrieval_rules
+from lodbench.harness.conformance.data import (
+    dataset_rules,
+    export_rules,
+    metric_rules,
+    pose_format_rules,
+    prior_rules,
+)
+from lodbench.harness.conformance.pictures import (
+    extractor_rules,
+    matcher_rules,
+    retrieval_rules,
+    solver_rules,
+)
 from lodbench.harness.conformance.segmenters import segmenter_rules
-from lodbench.harness.conformance.solving import solver_rules
 from lodbench.harness.conformance.trial import Rules, Tried, check_rules, trial_dataset
 from lodbench.params import to_params
 from lodbench.plugins import PlugIn

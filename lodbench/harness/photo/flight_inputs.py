@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from lodbench.datasets.exchange.colmap import read_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.own import find_mask
-from lodbench.datasets.photo_copies import copies_among
-from lodbench.datasets.photo_files import PHOTO_SUFFIXES
+from lodbench.datasets.photo_files import PHOTO_SUFFIXES, copies_among
 from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.undistort import undistorted
 from lodbench.errors import DatasetError

@@ -11,8 +11,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pictures import read_picture
 from lodbench.evaluation import PoseError
 from lodbench.harness.flights.map_findings import city_and_marks
-from lodbench.harness.photo.flight_answer import FlightAnswer
-from lodbench.harness.photo.many import PhotoAnswer
+from lodbench.harness.photo.many import FlightAnswer, PhotoAnswer
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.doubts import reasons_for_doubt
 from lodbench.reporting.flight_page import chosen_for_pictures, flight_page, photo_on_page

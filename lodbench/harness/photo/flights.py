@@ -20,7 +20,6 @@ from lodbench.errors import LodbenchError, QueryFault
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
 from lodbench.harness.flights.map_findings import contradiction_features
-from lodbench.harness.photo.flight_answer import FlightAnswer
 from lodbench.harness.photo.flight_inputs import (
     masks_of,
     names_of,
@@ -35,6 +34,7 @@ from lodbench.harness.photo.many import (
     FINDINGS_FILE,
     FLIGHTS_FILE,
     Answers,
+    FlightAnswer,
     PhotoAnswer,
     hint_for_many,
     numbered,
@@ -44,8 +44,8 @@ from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo
 from lodbench.harness.photo.request import PhotoRequest
 from lodbench.harness.tracebacks import told_as_fault
 from lodbench.methods import Estimate
-from lodbench.methods.measured_calls import localize_flight
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
+from lodbench.methods.timed_localize import localize_flight
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.flight_words import PriorSource
 from lodbench.reporting.map_figure import Underlay

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,18 +21,13 @@ from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.photo_notes import place_notes, xmp_note
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
-from lodbench.harness.city import open_city
-from lodbench.harness.photo.depth import telling_of_depth
+from lodbench.harness.city import HEIGHT_HINT, height_above_m, open_city
 from lodbench.harness.photo.outputs import PhotoView, photo_features, write_photo_overlay
-from lodbench.harness.photo.prepare import (
-    PreparedPhoto,
-    pinhole_mask,
-    prepare_photo,
-    undistorted_photo,
-)
+from lodbench.harness.photo.prepare import PreparedPhoto, pinhole_mask, prepare_photo, undistorted_photo
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
 from lodbench.harness.tracebacks import told_as_fault
 from lodbench.methods import Estimate, Method
+from lodbench.methods.fits import NothingFits
 from lodbench.methods.localize import localize
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.protocol import SupportsPriorWidth
@@ -40,6 +36,25 @@ from lodbench.reporting.answers import TRUSTED_OVERLAP, is_trusted, probability_
 from lodbench.segmentation import notes_of
 from lodbench.storage import file_digest, make_folder, write_text
 from lodbench.storage.json_text import parse_json
+
+
+@contextmanager
+def telling_of_depth(prior: Pose, scene: Scene) -> Iterator[None]:
+    """Adds to the fault of a photo that nothing fits that its rough pose lies below the whole city.
+
+    Rough heights are off by tens of metres, so such a prior is no fault of its own.
+    """
+    try:
+        yield
+    except NothingFits as fault:
+        height = height_above_m(prior, scene)
+        if height >= 0:
+            raise
+        words = (
+            f"{fault.message.rstrip('.')}; its rough place is {-height:.0f} m below the city's lowest point"
+        )
+        raise NothingFits(words, HEIGHT_HINT) from fault
+
 
 # What one photo has; masks come with --mask or from a segmenter.
 _GIVEN = frozenset({Input.MASK, Input.MASK_ON_DEMAND, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP})

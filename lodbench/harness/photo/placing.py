@@ -26,8 +26,8 @@ from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.photo.placed import KIND, Localized, PlacedFeature, PlacedPhoto, write_places
 from lodbench.segmentation import check_mask
-from lodbench.segmentation.mask_polygons import MaskPolygon, polygons_of
 from lodbench.segmentation.masks import read_mask
+from lodbench.segmentation.polygon_files import MaskPolygon, polygons_of
 from lodbench.storage import file_digest
 from lodbench.storage.json_text import parse_json
 

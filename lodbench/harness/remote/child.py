@@ -23,14 +23,21 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query, Reference
 from lodbench.errors import LodbenchError
-from lodbench.execution.one_blas_thread import on_one_blas_thread
+from lodbench.execution.single_threaded_blas import on_one_blas_thread
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.remote.drawn import drawn_bytes
-from lodbench.harness.remote.wire import MalformedMessage, fault_of, fault_told, numbered, packed, unpacked
+from lodbench.harness.remote.wire import (
+    MalformedMessage,
+    drawn_bytes,
+    fault_of,
+    fault_told,
+    numbered,
+    packed,
+    unpacked,
+)
 from lodbench.harness.runs.code_digest import code_digest, words_in
-from lodbench.methods.measured_calls import weight_files
 from lodbench.methods.protocol import Estimate, Method, SupportsFlights, SupportsPrepare, SupportsTrial
 from lodbench.methods.registry import configure_method
+from lodbench.methods.timed_localize import weight_files
 from lodbench.methods.workspace import Workspace
 from lodbench.rendering import Fit, IouCounts
 

@@ -23,9 +23,8 @@ from lodbench.errors import (
     require_numbers,
 )
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.remote.drawn import KINDS, drawn_bytes
 from lodbench.harness.remote.process import Child, ProcessFault, RunnerFault
-from lodbench.harness.remote.wire import MalformedMessage, fault_of
+from lodbench.harness.remote.wire import KINDS, MalformedMessage, drawn_bytes, fault_of
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.workspace import Workspace
 from lodbench.storage.paths import path_name

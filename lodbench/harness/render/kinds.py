@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import struct
+import zlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +17,6 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import ConfigError, RenderingError, nearest_names
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.render.marks import Mark, may_replace, picture_mark, write_marked
 from lodbench.plugins import load_plugin
 from lodbench.rendering import (
     DEPTH,
@@ -27,8 +28,36 @@ from lodbench.rendering import (
     Renderer,
     renderers_with,
 )
-from lodbench.reporting.overlays import ESTIMATE_COLOUR, draw_outline, read_background
+from lodbench.reporting.overlays import ESTIMATE_COLOUR, draw_outline, png_bytes, read_background
 from lodbench.storage import write_bytes, write_text
+
+# The bytes, and where in the file they are.
+Mark = tuple[int, bytes]
+# A PNG's signature, and the chunk of its size, which is the first of every PNG.
+_AFTER_SIZE = 8 + 25
+
+
+def picture_mark(kind: str) -> Mark:
+    """Returns the mark of a kind's pictures: a text among the PNG's own, as masks made by hand have none."""
+    chunk = b"tEXt" + f"Software\0lodbench render kind={kind}".encode()
+    whole = struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    return _AFTER_SIZE, whole
+
+
+def write_marked(path: Path, picture: NDArray[np.uint8] | NDArray[np.uint16], kind: str) -> None:
+    """Writes a picture, grey or BGR, 8 or 16 bits, as PNG with its kind's mark, atomically."""
+    plain, (start, mark) = png_bytes(picture), picture_mark(kind)
+    write_bytes(path, plain[:start] + mark + plain[start:])
+
+
+def may_replace(file: Path, mark: Mark) -> bool:
+    """Tells whether a file is absent, or has a mark."""
+    if not file.exists():
+        return True
+    start, said = mark
+    with file.open("rb") as stream:
+        return stream.read(start + len(said))[start:] == said
+
 
 # The largest value of a 16-bit PNG.
 _MOST = 65535

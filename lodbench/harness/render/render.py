@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.mesh.texture_files import open_textured_map
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.texture_files import open_textured_map
-from lodbench.datasets.picture_faults import aspect_fault
+from lodbench.datasets.faults import aspect_fault
 from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.pose_text import (
     format_camera,
@@ -24,8 +24,7 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import far_words, open_city
-from lodbench.harness.render.kinds import KINDS, Kind, View, choose_renderer
-from lodbench.harness.render.marks import write_marked
+from lodbench.harness.render.kinds import KINDS, Kind, View, choose_renderer, write_marked
 from lodbench.plugins import blaming
 from lodbench.rendering import open_renderer
 from lodbench.rendering.projection import require_pinhole

@@ -22,9 +22,15 @@ from lodbench.geometry import Pose
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.tracebacks import keep_traceback, words_of
 from lodbench.methods import Estimate, Method
-from lodbench.methods.measured_calls import localize_flight, localize_queries, localize_query
 from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
-from lodbench.methods.sound_estimate import note_fault, number_fault, uncertainty_fault
+from lodbench.methods.timed_localize import (
+    localize_flight,
+    localize_queries,
+    localize_query,
+    note_fault,
+    number_fault,
+    uncertainty_fault,
+)
 from lodbench.segmentation import binary_mask, no_wider
 from lodbench.storage import make_folder, write_text
 from lodbench.storage.atomic import writable

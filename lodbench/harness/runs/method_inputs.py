@@ -10,15 +10,15 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Dataset, Entry, Reference
 from lodbench.errors import STOPPED, ConfigError, LodbenchError
-from lodbench.execution.one_blas_thread import on_one_blas_thread
 from lodbench.execution.same_folder import staying_here
+from lodbench.execution.single_threaded_blas import on_one_blas_thread
 from lodbench.harness.tracebacks import keep_traceback, words_of
 from lodbench.methods import Method
-from lodbench.methods.measured_calls import weight_files
 from lodbench.methods.protocol import SupportsFlights, SupportsPrepare
+from lodbench.methods.timed_localize import weight_files
 from lodbench.methods.workspace import open_workspace
 from lodbench.storage import digest_of
-from lodbench.storage.contents import content_digest
+from lodbench.storage.digest import content_digest
 
 # What a workspace's content depends on, of a run's inputs.
 _PREPARED_FROM = ("scene", "roofs", "code", "weights", "references", "textured_map")

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.camera_faults import camera_fault
+from lodbench.datasets.faults import camera_fault
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, QueryFault, nearest_names
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.runs.input_checks import require_near, require_photo
+from lodbench.harness.runs.requirements import require_near, require_photo
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation import (

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections import Counter
+from collections.abc import Callable, Sequence
 
+from lodbench.citymodel.crs import is_same_plane
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.faults import camera_fault, mask_fault, photo_fault
 from lodbench.datasets.inputs import Input, declared_inputs, inputs_of, require_inputs
+from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import DatasetError, QueryFault
+from lodbench.geometry import Pose
+from lodbench.harness.city import FURTHEST_M, distance_outside_m
+from lodbench.harness.contradictions import Views, same_photos, words_of
 from lodbench.methods import Method
+from lodbench.methods.protocol import SupportsFlights
+from lodbench.reporting.aligned_text import count_of
 from lodbench.segmentation import Segmenter
+from lodbench.segmentation.masks import MaskFiles
 from lodbench.segmentation.oracle import Oracle
 
 # What segmenters make, from whatever they themselves need.
@@ -65,3 +78,170 @@ def require_run_inputs(
         require_inputs(f"method={method.name}", requires & SEGMENTED, made, f"{name} makes none")
         require_inputs(name, declared_inputs(segmenter, "requires"), has, _LACKING)
     require_inputs(f"method={method.name}", requires - SEGMENTED, has, _LACKING)
+
+
+_LOG = logging.getLogger(__name__)
+# Masks that a run looks at before it begins.
+_FEW = 24
+_TILE_HINT = "Is it the right tile, and its reference system right? lodbench city info says where it is."
+
+
+def looks_at_photos(method: Method, segmenter: Segmenter) -> bool:
+    """Tells whether a run's method, or the segmenter if it has one, looks at the photos."""
+    is_used = needs_segmenter(method)
+    by_segmenter = is_used and Input.IMAGE in declared_inputs(segmenter, "requires")
+    return by_segmenter or Input.IMAGE in declared_inputs(method, "requires", {Input.MASK})
+
+
+def require_same_place(dataset: Dataset, entries: Sequence[Entry], scene: Scene) -> None:
+    """Makes sure that the poses of a dataset are in the city's coordinates, and near it.
+
+    Raises:
+        DatasetError: The dataset states another reference system than the city, or all its priors lie
+            outside the city model.
+    """
+    if dataset.crs is not None and scene.crs is not None and not is_same_plane(dataset.crs, scene.crs):
+        raise DatasetError(
+            f"The poses of {dataset.root} are in {dataset.crs}, the city model {dataset.city_model} is in "
+            f"{scene.crs}.",
+            "Take the city model it was made with, or make it again: lodbench dataset init.",
+        )
+    away = [(distance_outside_m(e.prior, scene), e.key) for e in entries if e.prior is not None]
+    if away and min(away)[0] > FURTHEST_M:
+        nearest, key = min(away)
+        raise DatasetError(
+            f"All priors lie outside the city model {dataset.city_model}; the nearest, {key}, is "
+            f"{nearest / 1000:.1f} km off.",
+            _TILE_HINT,
+        )
+
+
+def require_near(prior: Pose, scene: Scene) -> None:
+    """Makes sure that one query's prior is near the city.
+
+    Raises:
+        QueryFault: It is kilometres away.
+    """
+    distance = distance_outside_m(prior, scene)
+    if distance > FURTHEST_M:
+        raise QueryFault(f"the prior lies {distance / 1000:.1f} km outside the city model")
+
+
+def require_photo(entry: Entry) -> None:
+    """Makes sure that one query's photo, if it has one, can be read and is of its camera's size.
+
+    Raises:
+        QueryFault: It is not.
+    """
+    fault = photo_fault(entry)
+    if fault:
+        raise QueryFault(fault)
+
+
+def require_pictures(
+    dataset: Dataset, entries: Sequence[Entry], method: Method, segmenter: Segmenter
+) -> None:
+    """Makes sure that not all photos or masks that a run looks at are unfit for their cameras.
+
+    Masks of another size but the photo's aspect are scaled, and said to be.
+
+    Raises:
+        DatasetError: All photos are unreadable or of another size than the intrinsics, or all masks have
+            another aspect.
+    """
+    if looks_at_photos(method, segmenter):
+        hint = "intrinsic.txt must be of the photos as they are stored; lodbench dataset check lists all."
+        _require_some([entry for entry in entries if entry.image is not None], photo_fault, hint)
+    if needs_segmenter(method) and isinstance(segmenter, MaskFiles):
+        masked = [entry for entry in entries if entry.mask is not None and entry.camera is not None]
+        hint = "A mask shows what its photo shows, in any size."
+        _require_some(masked, _mask_fault, hint)
+        _tell_scaled(masked)
+
+
+def require_cameras(entries: Sequence[Entry]) -> None:
+    """Makes sure that some camera may be a photo's; of others, the queries fail.
+
+    Raises:
+        DatasetError: None may.
+    """
+    hint = "intrinsic.txt has pixels: fx, fy, cx, cy of PINHOLE."
+    _require_some([entry for entry in entries if entry.camera is not None], _camera_fault, hint)
+
+
+def doubts_of(
+    dataset: Dataset, entries: Sequence[Entry], scene: Scene, method: Method, segmenter: Segmenter
+) -> tuple[str, ...]:
+    """Returns what a few masks contradict, and photos that several queries have, as notes.
+
+    Raises:
+        DatasetError: All the masks that were looked at contradict camera, pose or city in the same way.
+    """
+    notes = [f"{copy.key} has the photo of {first.key}" for first, copy in same_photos(dataset, entries)]
+    if needs_segmenter(method) and isinstance(segmenter, MaskFiles):
+        masked = [entry for entry in entries if entry.mask is not None and entry.key in dataset.truth]
+        views = Views(dataset, masked[:: -(-len(masked) // _FEW) or 1], scene)
+        wrong = [(view, reading) for view, reading in views.wrong_masks() if reading.words]
+        if wrong and len(wrong) == len(views.masked()):
+            view, reading = wrong[0]
+            raise DatasetError(
+                f"The masks contradict the city, the cameras or the true poses; {view.entry.key}: "
+                f"{words_of(view, reading)}.",
+                "lodbench dataset check lists all.",
+            )
+        notes += [f"the mask of {view.entry.key}: {words_of(view, reading)}" for view, reading in wrong]
+    for note in notes:
+        _LOG.warning("%s", note)
+    return tuple(notes)
+
+
+def tell_flights(method: Method, entries: Sequence[Entry]) -> None:
+    """Says which photos are taken for one flight because nothing names theirs: they may not be one."""
+    unnamed = Counter(entry.split for entry in entries if not entry.sequence)
+    if isinstance(method, SupportsFlights) and max(unnamed.values(), default=0) > 1:
+        listed = ", ".join(f"{count_of(count, 'photos')} of {split}" for split, count in unnamed.items())
+        _LOG.warning("nothing names the flights (sequences.txt): taken for one flight each: %s", listed)
+
+
+def _require_some(entries: Sequence[Entry], fault_of: Callable[[Entry], str], hint: str) -> None:
+    """Refuses queries that all have a fault; one sound query is enough, the others fail by themselves."""
+    first = ""
+    for entry in entries:
+        fault = fault_of(entry)
+        if not fault:
+            return
+        first = first or f"{entry.key}: {fault}"
+    if first:
+        count = f"None of {len(entries)} queries can be used" if len(entries) > 1 else "No query can be used"
+        raise DatasetError(f"{count}; {first}.", hint)
+
+
+def _camera_fault(entry: Entry) -> str:
+    assert entry.camera is not None  # noqa: S101 - the caller has looked
+    return camera_fault(entry.camera)
+
+
+def _mask_fault(entry: Entry) -> str:
+    assert entry.mask is not None  # noqa: S101 - the caller has looked
+    assert entry.camera is not None  # noqa: S101 - likewise
+    return mask_fault(entry.mask, (entry.camera.width, entry.camera.height))
+
+
+def _tell_scaled(entries: Sequence[Entry]) -> None:
+    other = [
+        (entry, size)
+        for entry in entries
+        if entry.mask is not None
+        and entry.camera is not None
+        and (size := picture_size(entry.mask)) not in (None, (entry.camera.width, entry.camera.height))
+    ]
+    if other:
+        entry, size = other[0]
+        assert entry.camera is not None and size is not None  # noqa: S101, PT018 - the filter has looked
+        # Drawn views have no photos, but cameras of such.
+        whose = "camera" if entry.image is None else "photo"
+        _LOG.warning(
+            "%d of %d masks are of another size than their %ss and are scaled; the first, %s, is %d x %d, "
+            "its %s %d x %d",
+            len(other), len(entries), whose, entry.key, *size, whose, entry.camera.width, entry.camera.height,
+        )  # fmt: skip

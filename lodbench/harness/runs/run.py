@@ -11,36 +11,39 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.citymap import CityMap
+from lodbench.citymodel.mesh.texture_files import open_textured_map
+from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.texture_files import open_textured_map
-from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.inputs import Input
-from lodbench.datasets.on_demand import with_inputs
 from lodbench.datasets.pose_direction import require_direction
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
+from lodbench.datasets.references import with_inputs
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.evaluate import evaluate
 from lodbench.evaluation.predictions import Prediction
+from lodbench.execution.code_version import own_digest
 from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams
 from lodbench.execution.fan_out import expect_workers
 from lodbench.execution.lock import only_one_in
-from lodbench.execution.same_code import own_digest
 from lodbench.harness.city import city_digests, open_city
 from lodbench.harness.runs.code_digest import code_digest, words_in
-from lodbench.harness.runs.input_checks import (
-    doubts_of,
-    looks_at_photos,
-    require_cameras,
-    require_pictures,
-    require_same_place,
-    tell_flights,
-)
 from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
 from lodbench.harness.runs.prepare import Preparation, require_choices, require_tilt
-from lodbench.harness.runs.requirements import is_oracle, made_inputs, require_run_inputs, required_inputs
+from lodbench.harness.runs.requirements import (
+    doubts_of,
+    is_oracle,
+    looks_at_photos,
+    made_inputs,
+    require_cameras,
+    require_pictures,
+    require_run_inputs,
+    require_same_place,
+    required_inputs,
+    tell_flights,
+)
 from lodbench.harness.runs.result import (
     Result,
     chosen_entries,
@@ -56,7 +59,7 @@ from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.registry import masks_digest
 from lodbench.storage import can_write, digest_of, make_folder, remove_leftovers, write_text
-from lodbench.storage.contents import known_contents, remembered_contents
+from lodbench.storage.digest import known_contents, remembered_contents
 from lodbench.storage.disk import disk
 from lodbench.storage.paths import path_name
 

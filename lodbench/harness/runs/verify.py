@@ -25,12 +25,7 @@ from lodbench.evaluation.queries import ERROR, NO_TRUTH, PARTS, PRIOR_ERROR, has
 from lodbench.geometry import wrap_deg
 from lodbench.harness.city import city_digests, open_city
 from lodbench.harness.runs.artefacts import summary_of
-from lodbench.harness.runs.changed_answers import (
-    TOLERANCE_DEG,
-    TOLERANCE_M,
-    changed_answers,
-    is_without_ledger,
-)
+from lodbench.harness.runs.compare import TOLERANCE_DEG, TOLERANCE_M, changed_answers, is_without_ledger
 from lodbench.harness.runs.predict import PREDICTIONS_FILE
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.result import Result, chosen_entries, flights_digest, queries_digest

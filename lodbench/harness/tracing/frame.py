@@ -14,8 +14,7 @@ from lodbench.datasets.map_frame import MapFrame
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry.similarity import Similarity
 from lodbench.harness.georeference.start import rough_start
-from lodbench.harness.tracing.request import TraceRequest
-from lodbench.harness.tracing.tracing import Traced
+from lodbench.harness.tracing.tracing import Traced, TraceRequest
 from lodbench.harness.tracing.views import View, triangulated
 from lodbench.storage import random_stream
 

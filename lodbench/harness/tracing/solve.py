@@ -15,9 +15,8 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry.similarity import Similarity
 from lodbench.harness.tracing.frame import PlacedModel, placed_model
-from lodbench.harness.tracing.request import TraceRequest
 from lodbench.harness.tracing.roofs import Roof, snapped_roof, traced_roof
-from lodbench.harness.tracing.tracing import Traced
+from lodbench.harness.tracing.tracing import Traced, TraceRequest
 from lodbench.harness.tracing.views import View, posed_views
 
 Floats = NDArray[np.float64]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 import logging
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +21,7 @@ from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import require_some_mask
-from lodbench.datasets.photo_camera import (
-    PhotoCamera,
-    camera_from_photo,
-    camera_given,
-    require_photo_size,
-)
+from lodbench.datasets.photo_camera import PhotoCamera, camera_from_photo, camera_given, require_photo_size
 from lodbench.datasets.photo_files import in_pose_lines
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_notes import place_notes
@@ -37,20 +34,58 @@ from lodbench.geometry import Pose
 from lodbench.harness.city import open_city, require_near_city
 from lodbench.harness.last_write import last_write
 from lodbench.harness.requests import RoughRequest
-from lodbench.harness.track.folder import (
-    MAP_FILE,
-    POSES_FILE,
-    SOURCE_COLUMN,
-    TABLE_COLUMNS,
-    TABLE_FILE,
-    require_no_other,
-    source_word,
-)
 from lodbench.harness.track.frames import Footage, Mask, MaskMaker, Shot, with_masks
 from lodbench.methods.tracking import Frame, Params, Tracker
 from lodbench.methods.tracking.tracker import LOST
 from lodbench.segmentation import notes_of
 from lodbench.storage import hide_formula, make_folder, write_text
+
+TABLE_FILE, MAP_FILE, POSES_FILE = "track.csv", "track.geojson", "poses.txt"
+# Frames of all videos have the same names: only this tells whose they are.
+SOURCE_COLUMN = "source"
+# The same whatever was found.
+TABLE_COLUMNS = (
+    "frame", "time_s", "state", "score", "reason", SOURCE_COLUMN, "sigma_m", "sigma_deg", "probability",
+    "latitude_deg", "longitude_deg", "height_m", "heading_deg", "pitch_deg", "roll_deg", "crs",
+    "east", "north", "up",
+)  # fmt: skip
+
+
+def source_word(source: Path) -> str:
+    """Returns what stands in the table for a video or a folder of photos."""
+    return hide_formula(str(source.resolve()))
+
+
+def require_no_other(out: Path, source: Path, names: Iterable[str]) -> None:
+    """Refuses a folder that holds a track of other frames, or files of somebody else's under its names.
+
+    Args:
+        out: The folder, which need not be there.
+        source: The video or folder of photos whose track is to be written.
+        names: Of its frames, in order; perhaps without end.
+
+    Raises:
+        DatasetError: It does.
+    """
+    files = [out / name for name in (TABLE_FILE, MAP_FILE, POSES_FILE)]
+    there = [file for file in files if file.exists()]
+    if there and not _is_track_of(out / TABLE_FILE, source, names):
+        raise DatasetError(
+            f"{there[0]} is not of these frames of {source} and would be written over.",
+            "Name another folder: --out OTHER",
+        )
+
+
+def _is_track_of(table: Path, source: Path, names: Iterable[str]) -> bool:
+    """Tells whether a table's rows are the first of these frames: what replaces it has a row for each."""
+    try:
+        with table.open(encoding="utf-8", newline="") as stream:
+            rows = [(row["frame"], row[SOURCE_COLUMN]) for row in csv.DictReader(stream)]
+        expected = [(hide_formula(name), source_word(source)) for name in islice(names, len(rows))]
+        return bool(rows) and rows == expected
+    except (OSError, ValueError, KeyError, csv.Error):
+        return False  # somebody else's, or of a version that did not say
+
 
 _LOG = logging.getLogger(__name__)
 

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.blocks import scene_of_blocks
+from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.instance_labels import masks_of_labels
 from lodbench.datasets.query import Query, Reference
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.methods.measured_calls import localize_query
 from lodbench.methods.protocol import Estimate, Method, Streams, SupportsPrepare
+from lodbench.methods.timed_localize import localize_query
 from lodbench.methods.workspace import Workspace
 from lodbench.rendering import LayerRenderer, open_renderer
 from lodbench.storage import random_stream

@@ -4,25 +4,96 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
+from lodbench.citymap.corrected_map import corrected_map
+from lodbench.citymodel.pitched_blocks import pitched_blocks
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
+from lodbench.geometry import PoseGrid
 from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.alignment import Aligner
-from lodbench.methods.contour_alignment.expected_map import expected_map
 from lodbench.methods.contour_alignment.params import Params
 from lodbench.methods.contour_alignment.refinement import refine
-from lodbench.methods.contour_alignment.starts import find_starts
 from lodbench.methods.contour_alignment.uncertainty import among_rivals, answer_of, beyond_range
+from lodbench.methods.fits import nothing_fits
+from lodbench.methods.lodlocv2.method import PoseScorer
 from lodbench.methods.protocol import Estimate, Streams
 
+# Of every map once; None where it stays as it is, since a map that holds itself is never freed.
+_EXPECTED: WeakKeyDictionary[CityMap, dict[float, CityMap | None]] = WeakKeyDictionary()
+
+
+def expected_map(city_map: CityMap, pitched_lower_m: float) -> CityMap:
+    """Returns the map with blocks of pitched roofs so much lower; made once.
+
+    Args:
+        city_map: The map.
+        pitched_lower_m: How much lower than in the map such blocks are, metres.
+    """
+    if pitched_lower_m == 0 or city_map.scene.pitched is None:
+        return city_map
+    known = _EXPECTED.setdefault(city_map, {})
+    if pitched_lower_m not in known:
+        heights_m = np.where(pitched_blocks(city_map.scene), -pitched_lower_m, 0.0)
+        drawn, _ = corrected_map(city_map, heights_m, least_m=0.0)
+        known[pitched_lower_m] = None if drawn is city_map else drawn
+    return known[pitched_lower_m] or city_map
+
+
 Floats = NDArray[np.float64]
+
+
+def find_starts(query: Query, city_map: CityMap, aligner: Aligner, params: Params) -> tuple[Floats, float]:
+    """Returns the poses to align, (N, 6) best first, and the best IoU.
+
+    Raises:
+        QueryFault: The mask is empty, or no hypothesis overlaps it.
+    """
+    if not params.searches_basins():
+        return _best_samples(query, city_map, params.grid(), params.coarse_size, params.starts)
+    size = max(8, params.fine_size[0] // 4), max(8, params.fine_size[1] // 4)
+    grid = params.basin_grid()
+    kept = max(params.starts, round(params.basin_share * len(grid)))
+    samples, _ = _best_samples(query, city_map, grid, size, kept)
+    basins = [aligner.align(sample, params.basin_reaches_px(), size) for sample in samples]
+    here = [aligner.linearize(basin, params.reach_px, size) for basin in basins]
+    ious = np.array([at.iou if at else 0.0 for at in here])
+    chosen = _apart(np.array(basins), ious, params)
+    return np.array(basins)[chosen], float(ious[chosen[0]])
+
+
+def _best_samples(
+    query: Query, city_map: CityMap, grid: PoseGrid, size: tuple[int, int], count: int
+) -> tuple[Floats, float]:
+    """Returns the best poses of a grid, (N, 6), and the best IoU."""
+    score = PoseScorer(query, city_map, size)
+    particles = score(*grid.around(query.prior))
+    order = np.argsort(-particles.scores, kind="stable")[:count]
+    best = float(particles.scores[order[0]])
+    if best <= 0:
+        raise nothing_fits("no hypothesis overlaps the mask")
+    tilt = np.broadcast_to([score.pitch_deg, score.roll_deg], (len(order), 2))
+    lens = np.zeros(len(order))
+    return np.column_stack([particles.centers[order], tilt, particles.yaws_deg[order], lens]), best
+
+
+def _apart(vectors: Floats, scores: Floats, params: Params) -> list[int]:
+    """Returns the best few of some poses, best first, none within a few metres of a better one."""
+    chosen: list[int] = []
+    for i in np.argsort(-scores, kind="stable"):
+        gaps = np.linalg.norm(vectors[chosen, :3] - vectors[i, :3], axis=1)
+        if (gaps > 0.2 * params.basin_stride_m).all():
+            chosen.append(int(i))
+        if len(chosen) == params.starts:
+            break
+    return chosen
 
 
 class ContourAlignment:

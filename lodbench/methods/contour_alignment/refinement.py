@@ -15,9 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.methods.contour_alignment.alignment import Aligner, shortened
-from lodbench.methods.contour_alignment.likelihood import CAMERA, Sums, deal_out, density_anywhere, sum_up
+from lodbench.methods.contour_alignment.likelihood import (
+    CAMERA,
+    TRACKS,
+    Sums,
+    WorldErrors,
+    deal_out,
+    density_anywhere,
+    sum_up,
+)
 from lodbench.methods.contour_alignment.params import Params
-from lodbench.methods.contour_alignment.world_errors import TRACKS, WorldErrors
 
 Floats = NDArray[np.float64]
 

@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.citymap.corrected_map import corrected_map
@@ -17,6 +18,7 @@ from lodbench.methods.flight.edge_terms import EdgePhoto, edge_photo, edge_terms
 from lodbench.methods.flight.joint import solve
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import PhotoTerms, flight_terms
+from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.state import Solution, State, differences
 
 # Scales of the robust kernel in the joint steps, first and last, pixels of the fine size.
@@ -128,3 +130,31 @@ def _reason(term: PhotoTerms | None, away: float, fits_badly: bool) -> str:
     if fits_badly:
         return f"its mask fits the map less than half as well as the others' (overlap {term.overlap:.2f})"
     return f"its position is off that from the other photos by {away:.0f} times the sensors' error"
+
+
+Floats = NDArray[np.float64]
+
+
+def footprint_covariance(
+    terms: Sequence[PhotoTerms | None], roofs: RoofParts, footprint_m: float, size: int
+) -> Floats:
+    """Returns the covariance of what all cameras are off by with the buildings they show, (size, size).
+
+    Eq. (F17) of docs/methods/flight.md.
+
+    East and north come first, square metres; all else is 0.
+
+    Args:
+        terms: What photos say: the parts of roofs that they show.
+        roofs: Whose parts these are.
+        footprint_m: By how much one building's footprint is off along each axis, standard deviation, metres.
+        size: Numbers in all.
+    """
+    shown = [roofs.building[term.parts] for term in terms if term is not None]
+    buildings = np.concatenate([np.zeros(0, np.int64), *shown])
+    counts = np.bincount(buildings[buildings >= 0]).astype(np.float64)
+    found = np.zeros((size, size))
+    # Weights as parts of roofs that photos show: so many buildings of one weight would say as much.
+    alike = counts.sum() ** 2 / (counts**2).sum() if counts.any() else 1.0
+    found[0, 0] = found[1, 1] = footprint_m**2 / alike
+    return found

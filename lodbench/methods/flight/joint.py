@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.geometry.pose_vector import rotation_derivatives
-from lodbench.methods.flight.error_groups import ErrorGroup
-from lodbench.methods.flight.normal_equations import NormalEquations
+from lodbench.methods.flight.normal_equations import ErrorGroup, NormalEquations
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
 from lodbench.methods.flight.reconstruction import MOUNT, UNKNOWNS

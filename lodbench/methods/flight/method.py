@@ -15,18 +15,16 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.contour_alignment.uncertainty import probability_within
-from lodbench.methods.flight.aligning import Aligned, align, mean_iou, side_by_side
+from lodbench.methods.flight.aligning import Aligned, align, footprint_covariance, mean_iou, side_by_side
 from lodbench.methods.flight.bundle import block_of
-from lodbench.methods.flight.consensus import flight_error
 from lodbench.methods.flight.findings import cannot_tell_focal, findings_of
-from lodbench.methods.flight.footprints import footprint_covariance
 from lodbench.methods.flight.joint import photo_covariance, solve
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import LENS
 from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS, Reconstruction, placed
-from lodbench.methods.flight.restarts import STARTS_M, Ends, ends_of, restarted
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.shared_looks import agreed_places, with_masks_by_looks
+from lodbench.methods.flight.starts import STARTS_M, Ends, ends_of, flight_error, restarted
 from lodbench.methods.flight.state import CONSTANTS, FOCAL, State, differences
 from lodbench.methods.flight.tracks import relative_poses
 from lodbench.methods.flight.witnesses import without_contradicted

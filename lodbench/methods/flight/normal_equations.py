@@ -1,6 +1,8 @@
-"""Sparse normal equations, summed block by block: of photos, what they share, and ties between them."""
+"""Sparse normal equations, block by block, and groups of errors whose common scale the flight estimates."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy
@@ -70,3 +72,82 @@ class NormalEquations:
             matrix, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
         return factorised, -factorised.solve(self._gradient)
+
+
+# Random signs of which so many tell the trace of what is left open (Hutchinson 1990).
+_PROBES = 24
+# Errors are never so small a share of what was told, and never larger than told.
+_LEAST = 0.1
+# What was told counts as so many errors.
+_AS_TOLD = 5.0
+# Steps are lengthened by no more than this.
+_LONGEST = 4.0
+# Information is taken for no less along any direction than this share of all, and than this.
+_SINGULAR, _NOTHING = 1e-12, 1e-30
+
+
+@dataclass(slots=True, eq=False)
+class ErrorGroup:
+    """Residuals of the normal equations that all err by a share of what is told.
+
+    Attributes:
+        equations: To which they are added.
+        scale: The share as it is thought to be.
+        count: Residuals so far.
+    """
+
+    equations: NormalEquations
+    scale: float
+    count: int = 0
+    _rows: list[Rows] = field(default_factory=list)
+    _columns: list[Rows] = field(default_factory=list)
+    _slopes: list[Floats] = field(default_factory=list)
+    _residuals: list[Floats] = field(default_factory=list)
+
+    def add_residuals(self, unknowns: Rows, jacobian: Floats, residuals: Floats, information: Floats) -> None:
+        """Adds (M,) residuals with an (M, N) Jacobian in N unknowns and (M, M) information at the scale."""
+        self.equations.add_residuals(unknowns, jacobian, residuals, information)
+        # Photos from one place say nothing of the direction between them: what is singular keeps a root.
+        least = max(_SINGULAR * float(np.trace(information)), _NOTHING)
+        root = np.linalg.cholesky(information + least * np.eye(len(information))).T
+        rows = np.repeat(self.count + np.arange(len(residuals)), len(unknowns))
+        self._record(rows, np.tile(unknowns, len(residuals)), (root @ jacobian).ravel(), root @ residuals)
+
+    def add_differences(self, these: Rows, those: Rows, gaps: Floats, precisions: Floats) -> None:
+        """Adds that unknowns are alike to others: (N,) differences now, and how precisely at the scale."""
+        self.equations.add_differences(these, those, gaps, precisions)
+        roots, rows = np.sqrt(precisions), self.count + np.arange(len(gaps))
+        columns, slopes = np.concatenate([these, those]), np.concatenate([roots, -roots])
+        self._record(np.tile(rows, 2), columns, slopes, roots * gaps)
+
+    def scale_after(self, factorised: scipy.sparse.linalg.SuperLU, step: Floats, members: int) -> float:
+        """Returns the scale that a solution calls for. Eq. (F12) of docs/methods/flight.md.
+
+        Args:
+            factorised: The curvature.
+            step: (S,) of all unknowns.
+            members: How many errors have nothing to do with each other: those of one building have.
+        """
+        if self.count == 0:
+            return self.scale
+        where = np.concatenate(self._rows), np.concatenate(self._columns)
+        whitened = scipy.sparse.csr_matrix(
+            scipy.sparse.coo_matrix((np.concatenate(self._slopes), where), (self.count, len(step)))
+        )
+        residuals = np.concatenate(self._residuals) + whitened @ step
+        # The same signs each time: an answer does not depend on chance.
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (self.count, _PROBES))
+        probes = whitened.T @ signs
+        left_open = float((probes * factorised.solve(probes)).sum()) / _PROBES / self.count
+        square = float(residuals @ residuals) / self.count + left_open
+        # Expectation maximisation goes a share of the way, less the more is left open: the rest is added.
+        power = 0.5 / max(1.0 - left_open**2, 1.0 / _LONGEST)
+        found = self.scale * square**power
+        return float(np.clip(found ** (members / (members + _AS_TOLD)), _LEAST, 1.0))
+
+    def _record(self, rows: Rows, columns: Rows, slopes: Floats, residuals: Floats) -> None:
+        self._rows.append(rows)
+        self._columns.append(columns)
+        self._slopes.append(slopes)
+        self._residuals.append(residuals)
+        self.count += len(residuals)

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lodbench.methods.flight.error_groups import ErrorGroup
+from lodbench.methods.flight.normal_equations import ErrorGroup
 from lodbench.methods.flight.photo_terms import LENS
 from lodbench.methods.flight.reconstruction import UNKNOWNS, Reconstruction
 from lodbench.methods.flight.relative_poses import RelativePose

@@ -17,11 +17,10 @@ from lodbench.datasets.query import Query
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evolution import Cloud, climb
 from lodbench.methods.region.lines import LineFit
-from lodbench.methods.region.params import Params
+from lodbench.methods.region.params import EAVES, FEET, OUTLINES, ROOFS, Params
 from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
 from lodbench.methods.region.search import Surroundings
-from lodbench.methods.region.unknowns import EAVES, FEET, OUTLINES, ROOFS
-from lodbench.rendering.edge_levels import Levels
+from lodbench.rendering.photo_bins import Levels
 
 Floats = NDArray[np.float64]
 

@@ -13,15 +13,22 @@ from numpy.typing import NDArray
 from lodbench.datasets.query import Query
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.aligned import Aligned, Alignment
-from lodbench.methods.region.averaging import posterior_mean
-from lodbench.methods.region.map_errors import covariance_under_map_errors
-from lodbench.methods.region.params import Params
-from lodbench.methods.region.photo import Photo
+from lodbench.methods.region.evidence import Photo
+from lodbench.methods.region.params import (
+    BESIDE_POSE,
+    CAMERAS,
+    LENS,
+    POSE,
+    POSES,
+    RAISED,
+    ROOFS,
+    TILT,
+    Params,
+)
+from lodbench.methods.region.posterior import covariance_under_map_errors, information_at, posterior_mean
 from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
 from lodbench.methods.region.search import Mode, Surroundings
 from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES, LineSigns
-from lodbench.methods.region.uncertainty import information_at
-from lodbench.methods.region.unknowns import BESIDE_POSE, CAMERAS, LENS, POSE, POSES, RAISED, ROOFS, TILT
 
 Floats = NDArray[np.float64]
 # How far apart outlines of cameras lie that the mean is taken of, pixels of the fine size.

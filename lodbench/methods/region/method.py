@@ -15,6 +15,7 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
+from lodbench.estimation.edge_alignment import EdgeAlignment, EdgeLikelihood
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment.outline import edges_of, scene_in_reach
 from lodbench.methods.contour_alignment.uncertainty import beyond_range, probability_within
@@ -22,15 +23,49 @@ from lodbench.methods.fits import query_photo
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region.aligned import BLURS_PX
 from lodbench.methods.region.answer import Answer, Answering
-from lodbench.methods.region.evidence import Evidence
-from lodbench.methods.region.line_search import line_starts
-from lodbench.methods.region.params import Params
-from lodbench.methods.region.photo import Photo
-from lodbench.methods.region.refinement import surer_by_edges
+from lodbench.methods.region.evidence import Evidence, Photo
+from lodbench.methods.region.lines import line_starts
+from lodbench.methods.region.params import TILT, Params
+from lodbench.methods.region.posterior import share_of_best
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.search import Surroundings, climbed, grid_starts, judged, modes_of
 from lodbench.methods.region.trust import SIGNS_STAGE, TRUSTED, Signs, trust_of
-from lodbench.methods.region.uncertainty import share_of_best
+
+Floats = NDArray[np.float64]
+
+# Edges that are likelier than background by fewer nats may lie there by chance.
+_LEAST_EVIDENCE = 10.0
+# So many half widths from the prior's tilt, the photo has overruled it (docs/adr/0064).
+_OVERRULED = 2.0
+
+
+def surer_by_edges(
+    vector: Floats, covariance: Floats, query: Query, city_map: CityMap, params: Params
+) -> EdgeAlignment | None:
+    """Returns an answer refined by the edges of roofs, or None where these are no surer of the place.
+
+    Eq. (R24) of docs/methods/region.md.
+
+    Edges have to be likelier there, plainly likelier than background, and leave the smaller variance; the
+    answer's tilt must not have overruled the prior's.
+
+    Args:
+        vector: (6,) the answer, metres and degrees.
+        covariance: (6, 6) of its error.
+        query: Whose photo it answers.
+        city_map: The map.
+        params: For the prior's width and the lens.
+    """
+    half_widths, prior = np.array(params.half_widths()), vector_from_pose(query.prior)
+    if np.any(np.abs(vector - prior)[TILT] > _OVERRULED * half_widths[TILT]):
+        return None
+    k1 = 0.0 if query.camera_sigmas is None else query.camera_sigmas.k1
+    sigmas = np.array([*half_widths / np.sqrt(3.0), 0.01 * params.lens_percent, k1, 0.0, 0.0])
+    found = EdgeLikelihood(query_photo(query), query.camera, city_map, prior, sigmas).refined(vector)
+    if found is None or found.gain <= 0.0 or found.evidence < _LEAST_EVIDENCE:
+        return None
+    return found if np.trace(found.covariance[:3, :3]) < np.trace(covariance[:3, :3]) else None
+
 
 # A lens so many deviations from what is told is worth a note.
 _NEWS = 3.0

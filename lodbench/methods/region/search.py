@@ -17,8 +17,7 @@ from lodbench.methods.fits import nothing_fits
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import Evidence
 from lodbench.methods.region.evolution import Cloud, climb_abreast
-from lodbench.methods.region.params import Params
-from lodbench.methods.region.unknowns import POSE
+from lodbench.methods.region.params import POSE, Params
 from lodbench.rendering import Scorer
 
 Floats = NDArray[np.float64]

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.rendering.texture_charts import Charts, make_charts
 from lodbench.rendering.triangle_groups import grouped_scene, triangle_groups
 from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass

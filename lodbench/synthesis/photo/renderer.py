@@ -7,8 +7,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.pictures import encoded
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.raster import RasterRenderer

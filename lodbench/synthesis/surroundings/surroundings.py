@@ -2,17 +2,188 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.storage import random_stream
-from lodbench.synthesis.objects.mesh_builder import MeshBuilder, Points
+from lodbench.synthesis.objects.mesh_builder import (
+    BLOCK_FACES,
+    MeshBuilder,
+    Points,
+    Tint,
+    grid_triangles,
+    palette,
+    pick,
+    ring_walls,
+)
 from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
 from lodbench.synthesis.objects.trees_and_cars import add_cars, add_trees
 from lodbench.synthesis.photo import LAND_COVER
-from lodbench.synthesis.surroundings.clutter import add_clutter
-from lodbench.synthesis.surroundings.ground import Land, ground_from_bases, ground_from_raster
+from lodbench.synthesis.surroundings.ground import Ground, Land, ground_from_bases, ground_from_raster
 from lodbench.synthesis.surroundings.land_cover import draw_land_cover, look_down
+
+Floats = NDArray[np.float64]
+
+# One place to try in so many metres, the share of them that is used, and how many at most.
+_SPACING_M, _SHARE, _MOST = 32.0, 0.4, 1500
+# What is painted on the ground lies so far above it: two meshes of one slope differ by less.
+_ABOVE_M, _MESH_M = 0.12, 3.0
+_BOXES = palette("a43c2c 285280 3c6a4c c4b03c cececa 787a7c")
+_CANVAS = palette("f0f0ec e4e0d2 466ea0 58784c")
+_HEAPS = palette("ceb88c 968064 807e7a 604e3c")
+_COURTS = palette("964636 486e4a 3c608c b06e50")
+_YARDS = palette("c4c2bc a8a49c d6c8aa 8c8a86")
+_WHITE = palette("deded8")
+_SHADES = (0.85, 1.1)
+# Rings of a heap: share of the radius, height of one of six metres.
+_SLOPE = ((1.0, 0.0), (0.6, 1.9), (0.25, 2.9))
+
+
+class Spot(NamedTuple):
+    """Where something is put: its middle (2,), its unit direction (2,), and the ground around it."""
+
+    middle: Floats
+    along: Floats
+    ground: Ground
+
+    def places(self, local: Floats) -> Floats:
+        """Returns places, (..., 2), of what lies so far along and to the left of the middle."""
+        across = np.array([-self.along[1], self.along[0]])
+        return np.asarray(self.middle + local[..., :1] * self.along + local[..., 1:] * across)
+
+
+def add_clutter(builder: MeshBuilder, land: Land, chances: np.random.Generator) -> None:
+    """Adds clutter to open land between and around buildings, clear of roads and water."""
+    places = land.view.jittered(_SPACING_M, chances)
+    kind, road_m, built_m = land.at(places)
+    free_m = np.minimum(built_m, road_m - land.cover.half_road_m)
+    dry = (kind != SurfaceClass.WATER) & (built_m < 90.0)
+    chosen = np.flatnonzero(dry & (chances.random(len(places)) < _SHARE))
+    kinds = list(CLUTTER.values())
+    for k in chances.permutation(chosen)[:_MOST]:
+        add, radius_m = kinds[int(chances.integers(len(kinds)))]
+        turn = float(chances.uniform(0.0, 2 * np.pi))
+        if free_m[k] > radius_m:
+            add(builder, Spot(places[k], np.array([np.cos(turn), np.sin(turn)]), land.ground), chances)
+
+
+def _add_prism(builder: MeshBuilder, spot: Spot, local: Floats, ridge: Floats, tint: Floats) -> None:
+    """Adds a body over a local rectangle, (4, 2), its top corners at ``ridge``, (4, 3), above the ground."""
+    foot = spot.places(local)
+    level = spot.ground.at(foot)
+    low = np.column_stack([foot, level - 0.2])
+    high = np.column_stack([spot.places(ridge[:, :2]), level.mean() + ridge[:, 2]])
+    builder.add(SurfaceClass.CLUTTER, np.concatenate([low, high]), BLOCK_FACES, tint)
+
+
+def _rectangle(length: float, width: float, y: float) -> Floats:
+    """Returns a rectangle around a place beside the middle, (4, 2), counter-clockwise."""
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+    return np.asarray(corners * (length, width) + (0.0, y))
+
+
+def _containers(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
+    """Adds a row of freight containers, some of them stacked."""
+    length = float(chances.choice([6.06, 12.19]))
+    count = int(chances.integers(1, 6))
+    for k in range(count):
+        ring = _rectangle(length, 2.44, y=2.7 * (k - 0.5 * (count - 1)))
+        top = np.column_stack([ring, np.full(4, 2.6 * float(chances.integers(1, 3)))])
+        _add_prism(builder, spot, ring, top, pick(_BOXES, chances, *_SHADES))
+
+
+def _tents(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
+    """Adds one to three tents with a ridge."""
+    length, width = chances.uniform((4.0, 3.0), (12.0, 6.0)).tolist()
+    canvas = pick(_CANVAS, chances, *_SHADES)
+    for k in range(int(chances.integers(1, 4))):
+        ring = _rectangle(length, width, y=(width + 0.6) * (k - 1))
+        ridge = ring * (1.0, 0.04) + (0.0, 0.96 * (width + 0.6) * (k - 1))
+        eave = np.column_stack([ring, np.full(4, 2.0)])
+        _add_prism(builder, spot, ring, eave, canvas)
+        _add_prism(builder, spot, ring, np.column_stack([ridge, np.full(4, 2.0 + 0.35 * width)]), canvas)
+
+
+def _heap(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
+    """Adds a heap of sand, gravel or earth."""
+    radius = float(chances.uniform(2.0, 6.0))
+    spin = np.linspace(0, 2 * np.pi, 14, endpoint=False)
+    rim = np.stack([np.cos(spin), np.sin(spin)], axis=1) * radius * chances.uniform(0.8, 1.2, (14, 1))
+    rings = [np.column_stack([spot.places(rim * share), np.full(14, up)]) for share, up in _SLOPE]
+    points = np.concatenate([*rings, [[*spot.middle, radius * 0.55]]])
+    points[:, 2] = points[:, 2] * radius / 6.0 + spot.ground.at(points)
+    points[:14, 2] -= 0.3
+    k = 28 + np.arange(14)
+    tip = np.stack([k, np.roll(k, -1), np.full(14, 42)], axis=1)
+    triangles = np.concatenate([ring_walls(14, 3), tip])
+    builder.add(SurfaceClass.GROUND, points, triangles, pick(_HEAPS, chances, *_SHADES))
+
+
+def _patch(
+    builder: MeshBuilder,
+    spot: Spot,
+    size: tuple[float, float],
+    surface: SurfaceClass,
+    tint: Tint,
+    at: tuple[float, float] = (0.0, 0.0),
+    above_m: float = _ABOVE_M,
+) -> None:
+    """Adds a rectangle of another surface, draped over the ground."""
+    steps = [np.linspace(-0.5, 0.5, max(2, int(side / _MESH_M) + 1)) * side for side in size]
+    x, y = np.meshgrid(*steps)
+    places = spot.places(np.stack([x.ravel(), y.ravel()], axis=1) + at)
+    builder.add(surface, spot.ground.on_ground(places, above_m), grid_triangles(*x.shape), tint)
+
+
+def _yard(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
+    """Adds a yard of concrete, gravel or sand."""
+    length, width = chances.uniform((12.0, 8.0), (26.0, 18.0)).tolist()
+    surface = SurfaceClass.PAVEMENT if chances.random() < 0.6 else SurfaceClass.GROUND
+    _patch(builder, spot, (length, width), surface, pick(_YARDS, chances, *_SHADES))
+
+
+def _court(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
+    """Adds a sports court with its lines."""
+    _patch(builder, spot, (30.0, 16.0), SurfaceClass.PAVEMENT, pick(_COURTS, chances, *_SHADES))
+    for y in (-6.0, 6.0):
+        _patch(builder, spot, (26.0, 0.2), SurfaceClass.MARKING, _WHITE, (0.0, y), _ABOVE_M + 0.04)
+    for x in (-13.0, 0.0, 13.0):
+        _patch(builder, spot, (0.2, 12.0), SurfaceClass.MARKING, _WHITE, (x, 0.0), _ABOVE_M + 0.04)
+
+
+def _track(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
+    """Adds a straight running track with four lanes."""
+    _patch(builder, spot, (50.0, 6.0), SurfaceClass.PAVEMENT, pick(_COURTS[:1], chances, *_SHADES))
+    for y in (-2.5, -1.25, 0.0, 1.25, 2.5):
+        _patch(builder, spot, (50.0, 0.12), SurfaceClass.MARKING, _WHITE, (0.0, y), _ABOVE_M + 0.04)
+
+
+def _car_park(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
+    """Adds two rows of parked cars, most stalls taken, on asphalt or gravel."""
+    surface = SurfaceClass.ROAD if chances.random() < 0.7 else SurfaceClass.GROUND
+    _patch(builder, spot, (32.0, 17.0), surface, pick(_YARDS[3:], chances, *_SHADES))
+    stalls = np.array([(x, y) for y in (-5.5, 5.5) for x in np.arange(-14.0, 14.1, 2.7)])
+    taken = stalls[chances.random(len(stalls)) < 0.75]
+    feet = spot.places(taken)
+    ways = np.sign(taken[:, 1:]) * np.array([-spot.along[1], spot.along[0]])
+    add_cars(builder, spot.ground.on_ground(feet, _ABOVE_M), ways, 0 * feet[:, 0], chances)
+
+
+# What adds it, and how far from buildings and carriageways its middle is.
+CLUTTER: dict[str, tuple[Callable[[MeshBuilder, Spot, np.random.Generator], None], float]] = {
+    "containers": (_containers, 10.0),
+    "tents": (_tents, 12.0),
+    "heap": (_heap, 8.0),
+    "yard": (_yard, 16.0),
+    "court": (_court, 18.0),
+    "track": (_track, 26.0),
+    "car_park": (_car_park, 19.0),
+}
+
 
 _TREE_SPACING_M, _MAX_TREES = 6.0, 9000
 _CAR_SPACING_M, _MAX_CARS = 7.0, 3000

@@ -14,7 +14,7 @@ from lodbench.findings import Findings
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder, palette, pick
 from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
-from lodbench.synthesis.town.building import Building
+from lodbench.synthesis.town.buildings import Building
 from lodbench.synthesis.town.ground import add_ground
 from lodbench.synthesis.town.shapes import Points
 from lodbench.synthesis.town.solid import Solid

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lodbench.synthesis.town.building import Plan
+from lodbench.synthesis.town.buildings import Plan
 from lodbench.synthesis.town.extrusion import Strip
 from lodbench.synthesis.town.fittings import Detail
 from lodbench.synthesis.town.roofs import Roof

@@ -14,7 +14,7 @@ import numpy as np
 
 from lodbench.storage import random_stream
 from lodbench.synthesis.town import landmarks
-from lodbench.synthesis.town.building import Age, Building, Plan, construct_all
+from lodbench.synthesis.town.buildings import Age, Building, Plan, construct_all
 from lodbench.synthesis.town.fittings import chance
 from lodbench.synthesis.town.houses import OLD_LANES, SUBURB, VILLAS, add_closed_block, add_houses
 from lodbench.synthesis.town.looks import TownLook, look_named

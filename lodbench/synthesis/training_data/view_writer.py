@@ -11,9 +11,9 @@ import numpy as np
 import xxhash
 from numpy.typing import NDArray
 
+from lodbench.citymodel.mesh.texture_files import read_textured
+from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.texture_files import read_textured
-from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.pictures import encoded, encoded_mask
 from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lodbench.storage import random_stream
-from lodbench.training.appearance import covered, other_appearance
-from lodbench.training.augment import flipped, random_crop, relit
+from lodbench.training.augment import covered, flipped, other_appearance, random_crop, relit
 from lodbench.training.samples import Sample
 from lodbench.training.train_params import TrainParams
 

@@ -9,9 +9,8 @@ from lodbench.errors import LodbenchError
 from lodbench.geometry import Camera
 from lodbench.harness.remote import child as child_module
 from lodbench.harness.remote.child import RemoteMap
-from lodbench.harness.remote.drawn import KINDS
 from lodbench.harness.remote.method import answered
-from lodbench.harness.remote.wire import packed
+from lodbench.harness.remote.wire import KINDS, packed
 from lodbench.methods.conformance.trial import streams_of
 from lodbench.rendering import IouFit
 

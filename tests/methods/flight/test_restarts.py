@@ -7,7 +7,7 @@ import pytest
 
 from lodbench.methods.flight import Params, method
 from lodbench.methods.flight.aligning import align
-from lodbench.methods.flight.restarts import ends_of, restarted
+from lodbench.methods.flight.starts import ends_of, restarted
 from tests.methods.flight.test_method import flight, localize
 
 
@@ -45,7 +45,7 @@ def test_what_some_photos_of_a_long_flight_err_by_moves_not_all_of_it(city_map, 
         return np.array([found.pose.center for found in localize(queries, city_map, params).estimates])
 
     alone = places(0)
-    monkeypatch.setattr("lodbench.methods.flight.restarts._MOST_PHOTOS", 3)
+    monkeypatch.setattr("lodbench.methods.flight.starts._MOST_PHOTOS", 3)
     undisturbed = places(1)
     monkeypatch.setattr(method, "align", some_end_aside)
     assert places(1) == pytest.approx(undisturbed, abs=1e-9)

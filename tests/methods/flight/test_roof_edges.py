@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.methods.flight.roof_edges import edge_evidence
-from lodbench.methods.flight.roof_points import edge_points
-from lodbench.methods.flight.sweep_pictures import SweepPicture
+from lodbench.methods.flight.roof_edges import SweepPicture, edge_evidence
+from lodbench.methods.flight.roof_sweep import edge_points
 
 HEIGHTS_M = np.arange(-4.0, 4.01, 0.25)
 CAMERA = Camera(320, 240, 230.0, 228.0, 161.0, 118.5)

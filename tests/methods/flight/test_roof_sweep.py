@@ -12,9 +12,8 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Query
 from lodbench.methods.flight.building_heights import _common
-from lodbench.methods.flight.roof_points import roof_points
-from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, sweep_roofs
-from lodbench.methods.flight.sweep_pictures import open_pictures
+from lodbench.methods.flight.roof_edges import open_pictures
+from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, roof_points, sweep_roofs
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.flights.errors import MapErrors, change_map
 from tests.town import CAMERA, box_obj
@@ -95,7 +94,7 @@ def test_many_photos_are_narrower_than_few(photos, monkeypatch):
     queries, poses = photos
     (whole,) = open_pictures(queries[:1], poses[:1], LENS)
     assert whole.camera == CAMERA
-    monkeypatch.setattr("lodbench.methods.flight.sweep_pictures._PIXELS", 8 * 80 * 60)
+    monkeypatch.setattr("lodbench.methods.flight.roof_edges._PIXELS", 8 * 80 * 60)
     narrow = open_pictures(queries, poses, LENS)
     assert sum(picture.pixels.shape[0] * picture.pixels.shape[1] for picture in narrow) <= 1.02 * 8 * 80 * 60
     assert {picture.camera.width for picture in narrow} == {80}
@@ -134,7 +133,7 @@ def test_points_of_a_roof_are_the_same_however_many_triangles_are_looked_at_at_o
     corners = generator.uniform(0, 20, (50, 1, 2)) + generator.uniform(-2, 2, (50, 3, 2))
     triangles = np.concatenate([corners, generator.uniform(3, 3.5, (50, 3, 1))], axis=2)
     whole = roof_points(triangles)
-    monkeypatch.setattr("lodbench.methods.flight.roof_points._TRIANGLES", 7)
+    monkeypatch.setattr("lodbench.methods.flight.roof_sweep._TRIANGLES", 7)
     assert len(whole) > 10
     assert np.array_equal(roof_points(triangles), whole)
 

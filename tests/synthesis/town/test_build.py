@@ -13,8 +13,7 @@ from lodbench.geometry import Camera, Pose, wrap_deg
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.synthesis.mask_degradation import mask_iou
 from lodbench.synthesis.town import build
-from lodbench.synthesis.town.build import build_demo
-from lodbench.synthesis.town.queries import PRIORS
+from lodbench.synthesis.town.build import PRIORS, build_demo
 
 # Every one looks at a town that is built for them.
 pytestmark = pytest.mark.slow

@@ -10,7 +10,7 @@ from solid_checks import volume_m3
 from lodbench.citymodel import mesh_model, open_scene, read_city_model
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.synthesis.town.build import citygml_text
-from lodbench.synthesis.town.building import Age
+from lodbench.synthesis.town.buildings import Age
 from lodbench.synthesis.town.town import ORIGIN_M
 
 NAMES = {

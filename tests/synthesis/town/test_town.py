@@ -7,7 +7,7 @@ import pytest
 from solid_checks import assert_sound, volume_m3
 
 from lodbench.citymodel.model import SurfaceKind
-from lodbench.synthesis.town.building import LOD1_GRID_M, LOD1_HEIGHT_SIGMA_M, Age
+from lodbench.synthesis.town.buildings import LOD1_GRID_M, LOD1_HEIGHT_SIGMA_M, Age
 from lodbench.synthesis.town.shapes import area
 from lodbench.synthesis.town.town import grow_town
 

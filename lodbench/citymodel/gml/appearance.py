@@ -1,0 +1,277 @@
+"""Pictures of surfaces in CityGML: from appearances, which name rings and surfaces by id, to polygons."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.gml.names import GML_IDS
+from lodbench.citymodel.gml.xml import Element, local_name
+from lodbench.citymodel.pictures import NO_PICTURE, PictureTable, blank
+from lodbench.citymodel.texture_pictures import TextureFolder
+from lodbench.errors import DatasetError
+
+Floats = NDArray[np.float64]
+
+
+class Image(NamedTuple):
+    """A picture by its name in the file, and how it goes on beyond its edges (``Pictures.wraps``)."""
+
+    name: str
+    wrap: str = ""
+
+
+class Georeference(NamedTuple):
+    """A picture that lies on the ground: (column, row) = inverse @ (x, y) - inverse @ origin."""
+
+    image: str
+    inverse: Floats
+    origin: Floats
+
+
+@dataclass(slots=True)
+class Appearances:
+    """What the appearances of a file say, by gml:id.
+
+    Attributes:
+        rings: Picture and text of coordinates of each ring.
+        planes: Picture and (3, 4) matrix from world to texture of each surface.
+        grounds: Georeferenced picture of each surface.
+        materials: Diffuse RGB of each surface.
+    """
+
+    rings: dict[str, tuple[Image, str]] = field(default_factory=dict)
+    planes: dict[str, tuple[Image, Floats]] = field(default_factory=dict)
+    grounds: dict[str, Georeference] = field(default_factory=dict)
+    materials: dict[str, tuple[int, int, int]] = field(default_factory=dict)
+
+
+def read_appearances(member: Element, found: Appearances, folder: TextureFolder) -> None:
+    """Adds what a member of the file says; what a surface was given first stays.
+
+    Args:
+        member: Any element.
+        found: Receives it.
+        folder: Where world files lie beside the pictures.
+    """
+    for texture in member.iter("{*}ParameterizedTexture"):
+        _read_parameterized(texture, found)
+    for texture in member.iter("{*}GeoreferencedTexture"):
+        ground = _georeference(texture, folder)
+        if ground is not None:
+            found.grounds |= {target: ground for target in _targets(texture) if target not in found.grounds}
+    for material in member.iter("{*}X3DMaterial"):
+        colour = numbers_of(_text(material, "diffuseColor"))
+        if len(colour) == 3:
+            red, green, blue = np.rint(255 * np.clip(colour, 0.0, 1.0)).astype(int).tolist()
+            for target in _targets(material):
+                found.materials.setdefault(target, (red, green, blue))
+
+
+def _read_parameterized(texture: Element, found: Appearances) -> None:
+    image = Image(_text(texture, "imageURI"), _text(texture, "wrapMode"))
+    for places in texture.iter("{*}TexCoordList"):
+        coordinates = list(places.iterchildren("{*}textureCoordinates"))
+        # CityGML 3 names the rings beside the coordinates, in the same order.
+        rings = [ring.text or "" for ring in places.iterchildren("{*}ring")] or [""] * len(coordinates)
+        for each, ring in zip(coordinates, rings, strict=False):
+            name = each.get("ring") or ring
+            found.rings.setdefault(name.strip().removeprefix("#"), (image, each.text or ""))
+    for matrix in texture.iter("{*}worldToTexture"):
+        numbers = numbers_of(matrix.text)
+        if len(numbers) == 12:
+            for target in _targets_above(matrix):
+                found.planes.setdefault(target, (image, numbers.reshape(3, 4)))
+
+
+def _targets(element: Element) -> list[str]:
+    """Returns the ids that an appearance is for: ``<target>#id</target>``, or the attribute ``uri``."""
+    found = [(target.get("uri") or target.text or "").strip() for target in element.iter("{*}target")]
+    return [name.removeprefix("#") for name in found if name]
+
+
+def _targets_above(element: Element) -> list[str]:
+    """Returns the ids of the target, or of the association of CityGML 3, that holds an element."""
+    for above in element.iterancestors():
+        if local_name(above.tag) == "target" and above.get("uri"):
+            return [str(above.get("uri")).strip().removeprefix("#")]
+        if local_name(above.tag) == "TextureAssociation":
+            return _targets(above)
+    return []
+
+
+def _georeference(texture: Element, folder: TextureFolder) -> Georeference | None:
+    image = _text(texture, "imageURI")
+    place = next(texture.iter("{*}pos"), None)
+    orientation = numbers_of(_text(texture, "orientation"))
+    if place is not None and len(orientation) == 4:
+        matrix, origin = orientation.reshape(2, 2), numbers_of(place.text)[:2]
+    else:
+        world = _world_file(image, folder)
+        if world is None:
+            return None
+        # Lines of a world file: a d b e c f, of x = a column + b row + c and y = d column + e row + f.
+        matrix, origin = np.array([[world[0], world[2]], [world[1], world[3]]]), world[4:6]
+    if len(origin) != 2 or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-12:
+        return None
+    return Georeference(image, np.linalg.inv(matrix).astype(np.float64), origin)
+
+
+def _world_file(image: str, folder: TextureFolder) -> Floats | None:
+    stem, _, suffix = image.rpartition(".")
+    for name in (f"{stem}.{suffix[:1]}{suffix[-1:]}w", f"{stem}.wld"):
+        if stem and folder.path(name) is not None:
+            numbers = numbers_of(folder.read(name).decode("ascii", "replace"))
+            return numbers if len(numbers) == 6 else None
+    return None
+
+
+def numbers_of(text: str | None) -> Floats:
+    """Returns the numbers of a text, none if any is no number."""
+    try:
+        return np.array((text or "").split(), dtype=np.float64)
+    except ValueError:
+        return np.zeros(0)
+
+
+def _text(element: Element, name: str) -> str:
+    """Returns the text of the first child of a local name."""
+    child = next(element.iterchildren("{*}" + name), None)
+    return "" if child is None else (child.text or "").strip()
+
+
+class SurfacePictures:
+    """Gathers what the members of a document say of pictures, and puts it together at its end."""
+
+    def __init__(self, pictures: PictureTable) -> None:
+        self._pictures = pictures
+        self._found = Appearances()
+        self._rings: dict[int, tuple[str, ...]] = {}
+        self._surfaces: dict[int, tuple[str, ...]] = {}
+
+    def read_member(self, member: Element, polygons: dict[Element, int], first_serial: int) -> None:
+        """Adds the appearances of a member, and the ids of its polygons and their rings."""
+        read_appearances(member, self._found, self._pictures.folder)
+        above: dict[Element | None, tuple[str, ...]] = {None: ()}
+        for element, number in polygons.items():
+            serial = first_serial + number
+            self._surfaces[serial] = _ids_up(element, above)
+            self._rings[serial] = tuple(_gml_id(ring) for ring in element.iter("{*}LinearRing", "{*}Ring"))
+
+    def paint(
+        self,
+        serial: NDArray[np.int64],
+        points: NDArray[np.float64],
+        ring_starts: NDArray[np.int64],
+        polygon_starts: NDArray[np.int64],
+        flipped: set[int],
+    ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+        """Returns the picture of each polygon and the place of each point on it.
+
+        Args:
+            serial: (N,) serial number of each polygon, -1 for copies.
+            points: (P, 3) in the coordinates of the file.
+            ring_starts: (R + 1,) offsets into the points.
+            polygon_starts: (N + 1,) offsets into the rings.
+            flipped: Serial numbers of the polygons whose rings were turned round.
+        """
+        picture, uv = blank(len(serial), len(points))
+        found, notes = self._found, self._pictures.notes
+        if not (found.rings or found.planes or found.grounds or found.materials):
+            return picture, uv
+        for polygon, number in enumerate(serial.tolist()):
+            starts = ring_starts[polygon_starts[polygon] : polygon_starts[polygon + 1] + 1]
+            own = points[starts[0] : starts[-1]]
+            if number < 0:
+                notes["surface borrowed from another object, whose picture stays with that"] += 1
+                continue
+            name, places = self._by_ring(number, np.diff(starts), number in flipped)
+            if name is None:
+                name, places = self._by_surface(number, own)
+            if name is not None and places is not None:
+                picture[polygon] = self._pictures.number(*name)
+                if picture[polygon] != NO_PICTURE:
+                    uv[starts[0] : starts[-1]] = places
+                    continue
+                notes["surface whose picture is not there"] += 1
+            picture[polygon] = self._colour(number)
+        return picture, uv
+
+    def _colour(self, serial: int) -> int:
+        """Returns the number of the colour of a polygon's material, or of that of what it is part of."""
+        colours = (self._found.materials.get(name) for name in self._surfaces.get(serial, ()))
+        return next((self._pictures.colour(each) for each in colours if each is not None), NO_PICTURE)
+
+    def _by_ring(
+        self, serial: int, lengths: NDArray[np.int64], is_flipped: bool
+    ) -> tuple[Image | None, Floats | None]:
+        """Returns the picture that the outline of a polygon has, and the places of all its corners."""
+        rings = self._rings.get(serial, ())
+        entries = [self._found.rings.get(name) if name else None for name in rings]
+        if not entries or entries[0] is None:
+            return None, None
+        if len(entries) != len(lengths):
+            self._pictures.notes["surface with ambiguous rings"] += 1
+            return entries[0][0], None
+        image = entries[0][0]
+        parts: list[Floats] = []
+        for entry, length in zip(entries, lengths.tolist(), strict=True):
+            places = np.full((length, 2), np.nan)
+            numbers = numbers_of(entry[1]) if entry is not None and entry[0] == image else np.zeros(0)
+            if len(numbers) == 2 * length - 2:  # some writers leave out the closing point
+                numbers = np.append(numbers, numbers[:2])
+            if len(numbers) == 2 * length and np.isfinite(numbers).all():
+                places[:] = numbers.reshape(-1, 2)
+            elif not parts:
+                self._pictures.notes["surface whose places on its picture do not fit its corners"] += 1
+                return image, None
+            parts.append(places[::-1] if is_flipped else places)
+        return image, np.concatenate(parts)
+
+    def _by_surface(self, serial: int, points: Floats) -> tuple[Image | None, Floats | None]:
+        """Returns the picture of a polygon or of what it is part of, by a matrix or a place on the ground."""
+        for name in self._surfaces.get(serial, ()):
+            if name in self._found.planes:
+                image, matrix = self._found.planes[name]
+                homogeneous = np.column_stack([points, np.ones(len(points))]) @ matrix.T
+                places: Floats = homogeneous[:, :2] / homogeneous[:, 2:]
+                return image, places if np.isfinite(places).all() else None
+            if name in self._found.grounds:
+                return Image(self._found.grounds[name].image), self._on_ground(
+                    self._found.grounds[name], points
+                )
+        return None, None
+
+    def _on_ground(self, ground: Georeference, points: Floats) -> Floats | None:
+        try:
+            width, height = self._pictures.folder.size(ground.image)
+        except DatasetError:
+            return None
+        pixels = (points[:, :2] - ground.origin) @ ground.inverse.T
+        # The reference point is the middle of the upper left pixel.
+        return np.column_stack([(pixels[:, 0] + 0.5) / width, 1.0 - (pixels[:, 1] + 0.5) / height])
+
+
+def _gml_id(element: Element) -> str:
+    return next((str(element.get(name)) for name in GML_IDS if element.get(name)), "")
+
+
+def _ids_up(element: Element, known: dict[Element | None, tuple[str, ...]]) -> tuple[str, ...]:
+    """Returns the ids of an element and of all above it; ``known`` grows by those above."""
+    line = list(_unknown_above(element, known))
+    ids = known[line[-1].getparent()] if line else known[element]
+    for node in reversed(line):
+        own = _gml_id(node)
+        ids = known[node] = (own, *ids) if own else ids
+    return ids
+
+
+def _unknown_above(element: Element, known: dict[Element | None, tuple[str, ...]]) -> Iterator[Element]:
+    node: Element | None = element
+    while node is not None and node not in known:
+        yield node
+        node = node.getparent()

@@ -1,0 +1,315 @@
+"""CityGML 1.0, 2.0 and 3.0: buildings of every level of detail, streamed one city object at a time."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
+from lodbench.citymodel.gml.appearance import SurfacePictures
+from lodbench.citymodel.gml.batch import read_batch
+from lodbench.citymodel.gml.context import envelope_srs, gml_id, is_inside, owner_of
+from lodbench.citymodel.gml.details import SolidReader, measured_height, read_attributes
+from lodbench.citymodel.gml.links import LinkResolver
+from lodbench.citymodel.gml.names import MEMBERS, NESTED_TYPES, is_citygml
+from lodbench.citymodel.gml.walk import GeometryWalk
+from lodbench.citymodel.gml.xml import Element, XmlMembers, local_name, namespace_of
+from lodbench.citymodel.growing import GrowingArray
+from lodbench.citymodel.json_documents import paused_collector
+from lodbench.citymodel.layers import types_of
+from lodbench.citymodel.lifespans import Lifespans
+from lodbench.citymodel.objects import ObjectTable, Solids
+from lodbench.citymodel.pictures import PictureTable
+from lodbench.citymodel.raw import NotACity, RawCity, starts_of
+from lodbench.citymodel.roof_types import ATTRIBUTES, pitched_buildings, roof_type_of
+from lodbench.findings import Findings
+
+# Numbers are read when this much text has gathered: large enough that a parse is worth its call,
+# small enough that memory stays flat.
+_BATCH_CHARACTERS = 1 << 20
+# Files of 1.0 and 2.0 declare .../citygml/profiles/base/2.0 besides.
+_BEFORE_THE_STANDARD = re.compile(r"https?://www\.citygml\.org/citygml/(\w+/)?\d/\d/\d$")
+# Where CityJSON has another name for what CityGML calls an object.
+_JSON_TYPES = {
+    "ReliefFeature": "TINRelief",
+    "TransportationComplex": "Road",
+    "Track": "Road",
+    "Square": "TransportSquare",
+    "GenericOccupiedSpace": "GenericCityObject",
+}
+
+
+def read_citygml(
+    open_stream: Callable[[], BinaryIO],
+    source: str,
+    *,
+    is_strict: bool = True,
+    has_details: bool = False,
+    layers: Sequence[str] = (),
+    pictures: PictureTable | None = None,
+    day: str | None = None,
+) -> RawCity:
+    """Returns the buildings of a CityGML document in the coordinates of the file, and objects of its layers.
+
+    Args:
+        open_stream: Opens the document; called again only when a reference crosses members.
+        source: Name of the file, for messages.
+        is_strict: Whether a bad coordinate is an error, or a finding that drops its polygon.
+        has_details: Whether attributes, solids and ids of polygons are read as well.
+        layers: Names of ``LAYERS``: what to read besides buildings.
+        pictures: Receives those of surfaces, which are kept then; with ``has_details``.
+        day: Date on which objects must stand that tell of their end; None for today.
+
+    Raises:
+        CityModelError: The XML is not well-formed or not CityGML, or a coordinate is bad.
+    """
+    reader = _Reader(source, is_strict, has_details, layers, pictures, day)
+    with paused_collector(), open_stream() as stream:
+        reader.read(stream)
+    if reader.links.unresolved:
+        with open_stream() as stream:
+            reader.read_links(stream)
+    return reader.result()
+
+
+class _Reader:
+    """State of one document while it is read."""
+
+    def __init__(
+        self,
+        source: str,
+        is_strict: bool,
+        has_details: bool,
+        layers: Sequence[str],
+        pictures: PictureTable | None,
+        day: str | None,
+    ) -> None:
+        self.findings = Findings()
+        self._lifespans = Lifespans(day, self.findings)
+        self.walk = GeometryWalk(self.findings, self._lifespans)
+        self.links = LinkResolver(self.walk, source.rpartition("/")[2], self.findings)
+        self._source = source
+        self._is_strict = is_strict
+        self._building_ids: list[str] = []
+        self._objects = ObjectTable(has_details)
+        self._wanted = tuple("{*}" + name for name in types_of(layers))
+        self._num_walked = 0  # polygons of the batches that are read
+        self._others: Counter[str] = Counter()
+        self._columns = {
+            "points": GrowingArray(np.float64, (3,)),
+            "ring_lengths": GrowingArray(np.int32),
+            "ring_counts": GrowingArray(np.int32),
+            "building": GrowingArray(np.int32),
+            "lod": GrowingArray(np.int16),
+            "kind": GrowingArray(np.uint8),
+            "srs": GrowingArray(np.int16),
+            "part": GrowingArray(np.int32),
+        }
+        if has_details:
+            self._columns["serial"] = GrowingArray(np.int64)
+        self._has_textures = False
+        self._pictures = pictures
+        self._painted = None if pictures is None else SurfacePictures(pictures)
+        self._flipped: set[int] = set()
+        self._version: str | None = None
+        self._srs_name: str | None = None
+        self._root_srs: str | None = None
+        self._around: Element | None = None  # what the members of now stand in
+
+    def read(self, stream: BinaryIO) -> None:
+        members = XmlMembers(stream, self._source, MEMBERS, self.findings)
+        for member in members:
+            if self._version is None and members.root is not None:
+                self._read_root(members.root)
+            self._read_member(member)
+            self.walk.end_member()
+            if self.walk.batch.num_characters > _BATCH_CHARACTERS:
+                self._flush()
+        self._flush()
+        if members.root is not None and self._version is None:
+            self._read_root(members.root)
+
+    def read_links(self, stream: BinaryIO) -> None:
+        """Looks in every member for the targets of references that point out of their own."""
+        self.links.begin_second_pass(self._building_ids)
+        for member in XmlMembers(stream, self._source, MEMBERS, Findings()):
+            self._begin_member(member)
+            srs_name = next(filter(None, map(envelope_srs, member)), self._srs_name)
+            if not self.links.resolve_elsewhere(member, self._building_ids, srs_name):
+                break
+        self.links.end_second_pass()
+        self._flush()
+
+    def _read_root(self, root: Element) -> None:
+        name = local_name(root.tag)
+        if name not in ("CityModel", "FeatureCollection"):
+            raise NotACity(
+                f"{self._source} is XML, but not CityGML: its root element is <{name}>.",
+                "A CityGML file begins with <CityModel>.",
+            )
+        # A WFS answer wraps the CityModel; its namespace map still names the version.
+        namespaces = [namespace_of(root.tag), *(root.nsmap or {}).values()]
+        versions = [ns.rpartition("/")[2] for ns in namespaces if "opengis.net/citygml/" in (ns or "")]
+        if not versions and any(_BEFORE_THE_STANDARD.match(ns or "") for ns in namespaces):
+            raise NotACity(
+                f"{self._source} is CityGML 0.4 or older, from before the standard; 1.0 to 3.0 is read.",
+                "Export it again, or convert it to CityGML 1.0 with a program that reads 0.4.",
+            )
+        self._version = versions[0] if versions else ""
+        self._srs_name = self._root_srs = envelope_srs(root) or root.get("srsName")
+
+    def _begin_member(self, member: Element) -> None:
+        self.walk.begin_member()
+        around = member.getparent()
+        if around is not None and around is not self._around:  # its Envelope goes with its first member
+            self._around, self._srs_name = around, envelope_srs(around) or self._root_srs
+
+    def _read_member(self, member: Element) -> None:
+        self._begin_member(member)
+        met: list[tuple[Element, dict[Element, int], int]] = []
+        num_over = 0
+        for element in member.iter(*self._wanted):
+            type_ = local_name(element.tag)
+            if not is_citygml(element.tag) or (type_ != "Building" and is_inside(element, met)):
+                continue
+            if not self.walk.stands(element):
+                num_over += 1
+                continue
+            number = len(self._building_ids)
+            building_id = gml_id(element) or f"{type_.lower()}-{number + 1}"
+            self._building_ids.append(building_id)
+            attributes = read_attributes(element) if self._objects.has_details else None
+            own = self._objects.add(
+                building_id, _JSON_TYPES.get(type_, type_), -1, number, attributes, _roof_type(element),
+                measured_height(element),
+            )  # fmt: skip
+            srs_name = envelope_srs(element) or self._srs_name
+            before = len(self.walk.batch.owners), len(self.walk.references)
+            part_of = self.walk.walk_building(
+                element, number, building_id, srs_name, own, partial(self._add_nested, element, own)
+            )
+            met.append((element, part_of, own))
+            if before == (len(self.walk.batch.owners), len(self.walk.references)):
+                self.findings.add(BUILDING_EMPTY, building_id, "" if type_ == "Building" else f"a {type_}")
+        if not met:
+            names = [] if num_over else [local_name(child.tag) for child in member]
+            self._others.update(name for name in names if name != "CityModel")  # its members were read before
+            self._has_textures |= any(local_name(child.tag) == "Appearance" for child in member)
+            self._read_pictures(member, {})
+            return
+        if self._objects.has_details and not self._has_textures:  # a look at all elements
+            self._has_textures = member.find(".//{*}appearance") is not None
+        if self._objects.has_details:
+            solids = SolidReader(member, self.walk, self._objects, self._num_walked)
+            for element, part_of, own in met:
+                solids.read(element, part_of, own)
+            self._read_pictures(member, solids.polygons)
+        if self.walk.references or self.walk.duplicate_ids:
+            self.links.resolve_member(member, self._building_ids)
+
+    def _read_pictures(self, member: Element, polygons: dict[Element, int]) -> None:
+        if self._painted is not None:
+            self._painted.read_member(member, polygons, self._num_walked)
+
+    def _add_nested(self, building: Element, own: int, nested: Element, part_of: dict[Element, int]) -> int:
+        """Adds an object inside of another; returns its number."""
+        table = self._objects
+        name = local_name(nested.tag)
+        parent = owner_of(nested, building, part_of, own)
+        object_id = gml_id(nested) or f"{table.ids[own]}-{name}-{len(part_of) + 1}"
+        attributes = read_attributes(nested) if table.has_details else None
+        type_, roof_type = NESTED_TYPES[name], _roof_type(nested)
+        height_m = measured_height(nested) if type_ == "BuildingPart" else None
+        return table.add(object_id, type_, parent, table.building[own], attributes, roof_type, height_m)
+
+    def _flush(self) -> None:
+        batch = self.walk.take_batch()
+        if batch.owners:
+            arrays = read_batch(batch, self._building_ids, self.findings, is_strict=self._is_strict)
+            arrays.serial[arrays.serial >= 0] += self._num_walked
+            if self._painted is not None:
+                self._flipped.update(self._num_walked + n for n in batch.flipped)
+            self._num_walked += len(batch.owners)
+            for name, column in self._columns.items():
+                column.extend(getattr(arrays, name))
+
+    def _report_what_is_left_out(self) -> None:
+        self.links.report_unresolved(self._building_ids)
+        for name, count in sorted(self._others.items()):
+            if not name.startswith("Appearance"):
+                self.findings.add(NOT_A_BUILDING, name, f"{count} of them")
+        for name, count in sorted(self.walk.extensions.items()):
+            self.findings.add(NOT_A_BUILDING, name, f"{count} of them, of an extension, in buildings")
+        if not self._building_ids and (ended := self._lifespans.none_stands()):
+            raise NotACity(f"{self._source} {ended}.", "Take it as it stood before: date=YYYY-MM-DD")
+        if not self._building_ids and not self._version:
+            hint = "Of other GML, such as INSPIRE's, footprints are read once they are saved as GeoPackage."
+            raise NotACity(f"{self._source} is GML, but names nothing of CityGML.", hint)
+        if not self._building_ids:
+            raise NotACity(f"{self._source} has no buildings.", "Is it the building tile of the city?")
+
+    def _painted_corners(
+        self,
+        joined: dict[str, NDArray[Any]],
+        ring_starts: NDArray[np.int64],
+        polygon_starts: NDArray[np.int64],
+    ) -> tuple[NDArray[np.int32] | None, NDArray[np.float64] | None]:
+        """Returns the picture of each polygon and the place of each point on it, None without pictures."""
+        if self._painted is None:
+            return None, None
+        serial, points = joined["serial"], joined["points"]
+        return self._painted.paint(serial, points, ring_starts, polygon_starts, self._flipped)
+
+    def result(self) -> RawCity:
+        self._report_what_is_left_out()
+        joined = {name: column.finish() for name, column in self._columns.items()}
+        solids: Solids | None = None
+        polygon_ids: tuple[str, ...] = ()
+        if self._objects.has_details:
+            solids, polygon_ids = self._objects.finish_solids(joined["serial"])
+        # Where buildings have no parts, their own numbers say it all.
+        is_plain = self._objects.is_plain
+        ring_starts, polygon_starts = starts_of(joined["ring_lengths"]), starts_of(joined["ring_counts"])
+        picture, uv = self._painted_corners(joined, ring_starts, polygon_starts)
+        return RawCity(
+            source=self._source,
+            format="CityGML",
+            version=self._version or None,
+            srs_names=tuple(self.walk.srs_names.names),
+            building_ids=tuple(self._building_ids),
+            num_parts=self._objects.types.count("BuildingPart"),
+            lods=tuple(name or "" for name in self.walk.lods.names),
+            points=joined["points"],
+            ring_starts=ring_starts,
+            polygon_starts=polygon_starts,
+            building=joined["building"],
+            lod=joined["lod"],
+            kind=joined["kind"],
+            srs=joined["srs"],
+            has_closing_points=True,
+            findings=self.findings,
+            part=None if is_plain else joined["part"],
+            objects=None if is_plain else self._objects.finish(),
+            solids=solids,
+            polygon_ids=polygon_ids,
+            has_textures=self._has_textures,
+            pictures=None if self._pictures is None else self._pictures.finish(),
+            picture=picture,
+            uv=uv,
+            pitched=pitched_buildings(self._objects.roof_types, len(self._building_ids)),
+            measured_m=self._objects.heights(len(self._building_ids)),
+            period=self._lifespans.period(),
+        )
+
+
+def _roof_type(element: Element) -> str:
+    """Returns the word or code under which an object tells of its roof, as CityJSON converted may, or ""."""
+    generic = element.iterchildren("{*}stringAttribute")
+    told = {name: each.findtext("{*}value") for each in generic if (name := each.get("name")) in ATTRIBUTES}
+    return roof_type_of({**told, "roofType": element.findtext("{*}roofType")})

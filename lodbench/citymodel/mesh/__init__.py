@@ -1,0 +1,1 @@
+"""Triangle meshes: OBJ, PLY, STL and glTF, with and without textures, read and written."""

@@ -1,0 +1,241 @@
+"""Triangle meshes through trimesh: PLY, STL and glTF as LoD-less cities."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from collections.abc import Callable
+from typing import Any, BinaryIO, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.cityjson.values import list_or_empty
+from lodbench.citymodel.identity import connected_components, number_rows, point_bits
+from lodbench.citymodel.mesh.frames import frame_of_comments, frame_of_extras
+from lodbench.citymodel.model import SurfaceKind
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.raw import RawCity
+from lodbench.errors import CityModelError, LodbenchError
+
+_CHUNK = struct.Struct("<4sIII4s")  # of a binary file: magic, version, length; then of the first chunk
+# Extensions that change looks, or say something of objects, and leave the triangles as they are. Positions in
+# whole numbers are read as such.
+_LOOKS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "EXT_texture_", "EXT_lights_")
+_HARMLESS = frozenset(
+    {
+        "KHR_mesh_quantization", "EXT_mesh_features", "EXT_structural_metadata", "EXT_instance_features",
+        "EXT_feature_metadata", "CESIUM_primitive_outline", "KHR_animation_pointer", "KHR_node_visibility",
+    }
+)  # fmt: skip
+
+
+def require_readable(content: bytes, source: str) -> None:
+    """Makes sure that a glTF file, text or binary, holds its triangles in the way that is read.
+
+    Raises:
+        CityModelError: It requires an extension that may change them, stores some sparsely, or a number of
+            its tables is none. What is no glTF at all passes: its reader says so.
+    """
+    document = _document(content)
+    if document is None:
+        return
+    required = document.get("extensionsRequired")
+    for name in required if isinstance(required, list) else filter(None, [required]):
+        if str(name) not in _HARMLESS and not str(name).startswith(_LOOKS):
+            raise CityModelError(
+                f"{source} requires the glTF extension {str(name)[:60]!r}, which is not read.",
+                "Export it again without, as plain triangles: no compression, no instances.",
+            )
+    _require_counts(document, source)
+    accessors = list_or_empty(document.get("accessors"))
+    for number in sorted(_of_triangles(document)):
+        if number < len(accessors) and isinstance(accessors[number], dict) and "sparse" in accessors[number]:
+            raise CityModelError(
+                f"{source} stores triangles sparsely (accessors[{number}] of its glTF), which is not read.",
+                "Export it again without sparse accessors.",
+            )
+
+
+def _require_counts(document: dict[str, Any], source: str) -> None:
+    """Raises CityModelError where a count, a length or an offset of a glTF document is none."""
+    for table, least in (
+        ("accessors", {"count": 1, "byteOffset": 0}),
+        ("bufferViews", {"byteLength": 1, "byteOffset": 0}),
+    ):
+        for number, entry in enumerate(list_or_empty(document.get(table))):
+            for name, lowest in least.items():
+                value = entry.get(name, lowest) if isinstance(entry, dict) else lowest
+                if type(value) is not int or value < lowest:
+                    raise CityModelError(
+                        f"{source}: {table}[{number}] of its glTF has the {name} {str(value)[:40]}.",
+                        "Export it again.",
+                    )
+
+
+def _of_triangles(document: dict[str, Any]) -> set[int]:
+    """Returns the numbers of the accessors that hold corners, places on pictures and indices."""
+    found: set[int] = set()
+    for mesh in list_or_empty(document.get("meshes")):
+        for primitive in list_or_empty(mesh.get("primitives")) if isinstance(mesh, dict) else ():
+            if isinstance(primitive, dict):
+                attributes = primitive.get("attributes")
+                values = [
+                    *(attributes.values() if isinstance(attributes, dict) else ()),
+                    primitive.get("indices"),
+                ]
+                found.update(value for value in values if type(value) is int)
+    return found
+
+
+def _document(content: bytes) -> dict[str, Any] | None:
+    """Returns the JSON of a glTF file, None where there is none."""
+    try:
+        if content.startswith(b"glTF"):
+            *_, length, _ = _CHUNK.unpack_from(content)
+            content = content[_CHUNK.size : _CHUNK.size + length]
+        document = json.loads(content.decode("utf-8-sig"))
+    except (ValueError, RecursionError, struct.error):
+        return None
+    return document if isinstance(document, dict) else None
+
+
+T = TypeVar("T")
+
+_PLY_HEADER_BYTES = 4096
+MESH_FORMATS = {".ply": "PLY", ".stl": "STL", ".glb": "glTF", ".gltf": "glTF"}
+
+
+def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) -> RawCity:
+    """Returns a mesh as a city: a node is a building, and in a single mesh what hangs together is.
+
+    Args:
+        stream: The file's bytes. Files it refers to are not opened.
+        source: Its name, for messages.
+        suffix: ``.ply``, ``.stl``, ``.glb`` or ``.gltf``.
+        options: ``up_axis``.
+
+    Raises:
+        CityModelError: The mesh cannot be read, is not finite, or has no triangles.
+    """
+    content = stream.read()
+    loaded, parts = load_parts(content, source, suffix, _set_in_place)
+    rank = {name: i for i, name in enumerate(loaded.geometry)}
+    parts.sort(key=lambda part: (rank[part.metadata["geometry"]], part.metadata["name"]))
+    corners = np.concatenate([np.asarray(part.vertices, np.float64)[part.faces] for part in parts])
+    points = corners.reshape(-1, 3)
+    if not np.isfinite(points).all():
+        raise CityModelError(
+            f"{source} has coordinates that are not finite numbers.", "Repair or export the file again."
+        )
+    frame = frame_of_extras(loaded.metadata)
+    if suffix == ".ply" and frame is None:
+        frame = frame_of_comments(_ply_comments(content))
+    points = turned_up(points, options.up_axis, suffix)
+    if frame is not None:
+        points = points + frame.origin
+    if len(parts) > 1:
+        building = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
+        ids = [str(part.metadata.get("name") or f"mesh-{i + 1}") for i, part in enumerate(parts)]
+    else:
+        building = _components(points)
+        ids = [f"component-{i + 1}" for i in range(int(building.max()) + 1)]
+    count = len(building)
+    return RawCity(
+        source=source,
+        format=MESH_FORMATS[suffix],
+        srs_names=(frame.crs,) if frame is not None and frame.crs is not None else (),
+        building_ids=tuple(ids),
+        lods=("",),
+        points=points,
+        ring_starts=np.arange(count + 1) * 3,
+        polygon_starts=np.arange(count + 1),
+        building=building.astype(np.int32),
+        lod=np.zeros(count, np.int16),
+        kind=np.full(count, SurfaceKind.UNKNOWN, np.uint8),
+        srs=np.zeros(count, np.int16),
+        axis_orders=("east_first",) if frame is not None and frame.crs is not None else (),
+    )
+
+
+def _ply_comments(content: bytes) -> list[str]:
+    header = content[:_PLY_HEADER_BYTES].partition(b"end_header")[0].decode("latin-1")
+    return [
+        line.removeprefix("comment ").strip() for line in header.splitlines() if line.startswith("comment ")
+    ]
+
+
+def load_parts(
+    content: bytes, source: str, suffix: str, part_of: Callable[[Any, str], T], resolver: Any = None
+) -> tuple[Any, list[T]]:
+    """Returns a trimesh scene and its parts, one or more, in the order of its nodes.
+
+    Args:
+        content: The file's bytes.
+        source: Its name, for messages.
+        suffix: Its ending, which says the format.
+        part_of: What to make of a node of the scene that has triangles.
+        resolver: trimesh's way to the files it names; None: none is opened.
+
+    Raises:
+        CityModelError: It cannot be read, or has no triangles.
+        LodbenchError: As ``part_of`` and ``resolver`` raise.
+    """
+    import trimesh
+
+    if MESH_FORMATS.get(suffix) == "glTF":
+        require_readable(content, source)
+    try:
+        # From memory, so that trimesh knows no folder to look for other files in.
+        loaded = trimesh.load_scene(
+            io.BytesIO(content), file_type=suffix[1:], process=False, resolver=resolver
+        )
+        graph, meshes = loaded.graph, loaded.geometry
+        nodes = [node for node in graph.nodes_geometry if len(getattr(meshes[graph[node][1]], "faces", ()))]
+        for name in {graph[node][1] for node in nodes}:
+            _require_corners(meshes[name])
+        parts = [part_of(loaded, node) for node in nodes]
+    except LodbenchError:
+        raise
+    except Exception as error:  # trimesh lets the errors of every parser it uses through
+        is_lone = suffix == ".gltf" and resolver is None
+        raise CityModelError(
+            f"{source} cannot be read as {MESH_FORMATS.get(suffix, 'OBJ')} ({error}).",
+            "A .gltf that refers to other files must be one .glb." if is_lone else "Try it in a viewer.",
+        ) from None
+    if not parts:
+        raise CityModelError(f"{source} has no triangles.", "Point clouds and lines have no surfaces.")
+    return loaded, parts
+
+
+def _require_corners(mesh: Any) -> None:
+    """Raises ValueError if a triangle of a mesh has a corner that is not there."""
+    faces = np.asarray(mesh.faces)
+    if faces.min() < 0 or faces.max() >= len(mesh.vertices):
+        raise ValueError(f"a triangle has corner {faces.max()} of {len(mesh.vertices)}")
+
+
+def turned_up(points: NDArray[np.float64], up_axis: str, suffix: str) -> NDArray[np.float64]:
+    """Returns (..., 3) points with z up; ``auto`` is y for glTF and z for the others."""
+    if up_axis == "y" or (up_axis == "auto" and MESH_FORMATS.get(suffix) == "glTF"):
+        return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
+    return points
+
+
+def _set_in_place(loaded: Any, node: str) -> Any:
+    """Returns the mesh of a node of a trimesh scene, named and placed as the node is."""
+    matrix, name = loaded.graph[node]
+    part = loaded.geometry[name].copy()
+    part.apply_transform(matrix)
+    part.metadata.update(name=node, geometry=name)
+    return part
+
+
+def _components(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Returns the component of each triangle, by shared positions."""
+    node = number_rows(point_bits(points))[0].reshape(-1, 3)
+    first = np.concatenate([node[:, 0], node[:, 1]])
+    second = np.concatenate([node[:, 1], node[:, 2]])
+    root = connected_components(int(node.max()) + 1, first, second)
+    return np.unique(root[node[:, 0]], return_inverse=True)[1].reshape(-1)

@@ -1,0 +1,1 @@
+"""Footprints with heights from the formats of GIS, through GDAL; and GDAL itself."""

@@ -1,0 +1,334 @@
+"""Footprints with heights: GeoPackage, Shapefile, GeoJSON, FlatGeobuf, FileGDB, GeoParquet to LoD1 blocks."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.codes import (
+    DUPLICATE_POINTS,
+    FILE_CUT_OFF,
+    GEOMETRY_EMPTY,
+    GEOMETRY_UNSUPPORTED,
+    GROUND_DEFAULTED,
+    HEIGHT_DEFAULTED,
+    HEIGHT_MISSING,
+    READER_WARNING,
+    RING_TOO_SHORT,
+    UNDERGROUND,
+)
+from lodbench.citymodel.crs import resolve_crs
+from lodbench.citymodel.extrude import clean_rings, extrude
+from lodbench.citymodel.model import SurfaceKind
+from lodbench.citymodel.objects import TALLEST_M
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.raw import NotACity, RawCity, starts_of, take_segments
+from lodbench.citymodel.roof_types import pitched_buildings
+from lodbench.citymodel.terrain import HIGHEST_M, LOWEST_M, ground_under
+from lodbench.citymodel.vector.columns import Columns
+from lodbench.citymodel.vector.gdal import missing_bytes, read_vector
+from lodbench.citymodel.vector.wkb import WkbPolygons
+from lodbench.errors import CityModelError
+from lodbench.findings import Findings
+from lodbench.storage.json_text import parse_json
+
+
+def surfaces_as_read(polygons: WkbPolygons, columns: Columns, source: str, crs: str | None) -> RawCity:
+    """Returns polygons with heights as surfaces of level 2, one building per geometry.
+
+    Args:
+        polygons: With at least one ring.
+        columns: With a row per geometry; those without a polygon are no buildings.
+        source: Name of the file.
+        crs: Its reference system.
+    """
+    used, building = np.unique(np.asarray(polygons.owner, np.int64), return_inverse=True)
+    count, ids = len(building), columns.ids()
+    pitched = pitched_buildings(columns.roof_types(), len(ids))
+    return RawCity(
+        source=source,
+        format="surfaces",
+        srs_names=(crs,),
+        building_ids=tuple(ids[i] for i in used),
+        lods=("2",),
+        points=np.concatenate(polygons.rings),
+        ring_starts=starts_of(np.asarray([len(ring) for ring in polygons.rings], np.int64)),
+        polygon_starts=starts_of(np.asarray(polygons.ring_counts, np.int64)),
+        building=building.reshape(-1).astype(np.int32),
+        lod=np.zeros(count, np.int16),
+        kind=np.full(count, SurfaceKind.UNKNOWN, np.uint8),
+        srs=np.zeros(count, np.int16),
+        has_closing_points=True,
+        axis_orders=("east_first",),
+        pitched=None if pitched is None else pitched[used],
+    )
+
+
+_EXTRA_HINT = "Install it: pip install 'lodbench[vector]'."
+
+
+def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
+    """Returns blocks of level 1 over the footprints of a vector file.
+
+    A file whose polygons stand upright (the MultiPatches of a FileGDB) holds the buildings' surfaces
+    themselves; they come back as they are, as level 2. So do slanting ones where nothing tells heights:
+    with heights they are footprints draped over the ground. Ground heights come from
+    ``options.ground_column``, else ``options.terrain``, else a column that looks like one, else
+    ``options.ground_m``.
+
+    Args:
+        path: What GDAL opens, ``/vsizip/`` paths included.
+        source: Name for messages.
+        options: Columns, storey height, ground, reference system.
+
+    Raises:
+        CityModelError: pyogrio is not installed, the file cannot be read, has no reference system
+            or no heights.
+        NotACity: It is empty.
+    """
+    findings = Findings()
+    for what in missing_bytes(path):
+        if options.is_strict:
+            raise CityModelError(f"{source} is cut off: {what}.", "Download or export the file again.")
+        findings.add(FILE_CUT_OFF, source, what)
+    crs, geometries, table = _read_table(path, source, options, findings)
+    if options.crs is None and crs is None:
+        raise CityModelError(
+            f"{source} names no reference system (a Shapefile needs its .prj).", "Name it: crs=EPSG:4326."
+        )
+    if not geometries:
+        raise NotACity(f"{source} has no footprints.", "Is it the building tile of the city?")
+    polygons = _parse(geometries, source)
+    columns = Columns(table, len(geometries), source)
+    if polygons.has_z and _are_surfaces(polygons, columns, options):
+        city = surfaces_as_read(polygons, columns, source, crs)
+    else:
+        city = _blocks(polygons, columns, source, crs, options)
+    city.findings.items[:0] = findings.items
+    return city
+
+
+def _are_surfaces(polygons: WkbPolygons, columns: Columns, options: ReadOptions) -> bool:
+    if not polygons.has_uneven_rings():
+        return False
+    return polygons.has_upright_rings() or not columns.has_heights(options)
+
+
+def _parse(geometries: list[bytes | None], source: str) -> WkbPolygons:
+    polygons = WkbPolygons()
+    for i, data in enumerate(geometries):
+        if data is None:
+            continue
+        try:
+            polygons.add(data, i)
+        except ValueError as error:
+            raise CityModelError(
+                f"{source}: footprint {i + 1} is malformed: {error}.", "Repair or export the file again."
+            ) from None
+    return polygons
+
+
+def _blocks(
+    polygons: WkbPolygons, columns: Columns, source: str, crs: str | None, options: ReadOptions
+) -> RawCity:
+    """Returns the footprints drawn up from the ground to their heights."""
+    findings = Findings()
+    ids = columns.ids()
+    for kind in sorted(polygons.ignored):
+        findings.add(GEOMETRY_UNSUPPORTED, source, f"geometry type {kind} has no area")
+    known = resolve_crs(options.crs or str(crs))
+    # Columns are in the unit of the heights, feet where the plane is; what the user sets is in metres.
+    unit_m = 1.0 if known is None else known.height_unit_m
+    heights, bottoms = _heights(columns, options, unit_m, ids, findings)
+    rings, ring_starts, polygon_starts, owner = _kept_polygons(polygons, heights, ids, findings)
+    if len(owner) == 0 and any(item.code is UNDERGROUND for item in findings.items):
+        raise NotACity(
+            f"{source} has no footprint but below the ground.", "Is it the building tile of the city?"
+        )
+    if len(owner) == 0:
+        raise _no_height(source, findings)
+    if not np.isfinite(rings).all():
+        raise CityModelError(
+            f"{source} has coordinates that are not finite numbers.", "Repair or export the file again."
+        )
+    corners = rings[ring_starts[polygon_starts[:-1]]]
+    ground = _ground(columns, corners, owner, options.crs or str(crs), options)
+    ground = _without_gaps(ground, owner, ids, options, unit_m, polygons, findings)
+    blocks = extrude(rings, ring_starts, polygon_starts, ground + bottoms[owner], ground + heights[owner])
+    used, building = np.unique(owner[blocks.footprint], return_inverse=True)
+    pitched = pitched_buildings(columns.roof_types(), len(ids))
+    return RawCity(
+        source=source,
+        format="footprints",
+        srs_names=(crs,),
+        building_ids=tuple(ids[i] for i in used),
+        lods=("1",),
+        points=blocks.points,
+        ring_starts=starts_of(blocks.ring_lengths),
+        polygon_starts=starts_of(blocks.ring_counts),
+        building=building.reshape(-1).astype(np.int32),
+        lod=np.zeros(len(building), np.int16),
+        kind=blocks.kind,
+        srs=np.zeros(len(building), np.int16),
+        findings=findings,
+        # Vector files keep longitude or easting first whatever their reference system declares.
+        axis_orders=("east_first",),
+        pitched=None if pitched is None else pitched[used],
+    )
+
+
+def _ground(
+    columns: Columns,
+    corners: NDArray[np.float64],
+    owner: NDArray[np.int64],
+    crs: str,
+    options: ReadOptions,
+) -> NDArray[np.float64]:
+    """Returns the ground height of each polygon, NaN where nothing gives it.
+
+    A column that is named goes before the terrain, which fills its gaps; one whose name is merely known
+    is asked only where there is no terrain.
+    """
+    ground = np.full(len(owner), np.nan)
+    if options.terrain is None or options.ground_column is not None:
+        column = columns.ground(options)
+        ground = ground if column is None else column[owner]
+    if options.terrain is not None:
+        under = ground_under(corners, crs, options)
+        ground = np.where(np.isfinite(ground), ground, under)
+    return ground
+
+
+def _without_gaps(
+    ground: NDArray[np.float64],
+    owner: NDArray[np.int64],
+    ids: list[str],
+    options: ReadOptions,
+    unit_m: float,
+    polygons: WkbPolygons,
+    findings: Findings,
+) -> NDArray[np.float64]:
+    """Returns ground heights with the default in place of what is not known, and says where, and of which."""
+    is_lost = ~((ground * unit_m > LOWEST_M) & (ground * unit_m < HIGHEST_M))
+    # One word where nothing could give the ground; else those that fall through its gaps.
+    default = f"ground_m={options.ground_m:g}{_of_their_own(polygons) if is_lost.any() else ''}"
+    for name in [""] if is_lost.all() else [ids[i] for i in np.unique(owner[is_lost])]:
+        findings.add(GROUND_DEFAULTED, name, default)
+    return np.where(is_lost, options.ground_m / unit_m, ground)
+
+
+def _of_their_own(polygons: WkbPolygons) -> str:
+    """Returns that footprints have heights, which are not asked: some are of the ground, some of eaves."""
+    heights = np.concatenate([ring[:, 2] for ring in polygons.rings])
+    heights = heights[np.isfinite(heights)]
+    if not heights.any():
+        return ""
+    return f"; the outlines lie at {heights.min():g} to {heights.max():g}, which is not used"
+
+
+def _heights(
+    columns: Columns, options: ReadOptions, unit_m: float, ids: list[str], findings: Findings
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Returns (N,) heights of roofs and of undersides above the ground; NaN for footprints to leave out."""
+    heights, names = columns.heights(options, unit_m)
+    bottoms, bottom_names = columns.bottoms(options, unit_m)
+    is_below = columns.underground()
+    is_missing = ~((heights > 0) & (heights * unit_m < TALLEST_M))
+    is_turned = ~is_missing & (bottoms >= heights)
+    code = HEIGHT_MISSING if options.default_height_m is None else HEIGHT_DEFAULTED
+    for i in np.flatnonzero((is_missing | is_turned) & ~is_below):
+        named = [*names, *(bottom_names if is_turned[i] else ())]
+        findings.add(code, ids[i], columns.written(named, int(i)))
+    for i in np.flatnonzero(is_below):
+        findings.add(UNDERGROUND, ids[i])
+    is_missing |= is_turned
+    default = np.nan if options.default_height_m is None else options.default_height_m / unit_m
+    tops = np.where(is_below, np.nan, np.where(is_missing, default, heights))
+    return tops, np.where(bottoms < tops, bottoms, 0.0)
+
+
+def _no_height(source: str, findings: Findings) -> CityModelError:
+    """Returns the error of a file without a usable footprint, with what the first lacks."""
+    lost = next((item for item in findings.items if item.code is HEIGHT_MISSING), None)
+    if lost is None:
+        return CityModelError(f"{source} has no footprint with an area.", "Repair or export the file again.")
+    return CityModelError(
+        f"{source} has no footprint with a height; of {lost.object_id}, {lost.detail}.",
+        "Heights are metres, below 1000: name their column, height_column=..., or give default_height_m=...",
+    )
+
+
+def _kept_polygons(
+    polygons: WkbPolygons, heights: NDArray[np.float64], ids: list[str], findings: Findings
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Returns points, ring and polygon starts and owners of the polygons that can be extruded."""
+    owner = np.asarray(polygons.owner, np.int64)
+    for i in np.setdiff1d(np.arange(len(ids)), owner):
+        findings.add(GEOMETRY_EMPTY, ids[i])
+    points, ring_starts, repeats = clean_rings(polygons.rings)
+    ring_counts = np.asarray(polygons.ring_counts, np.int64)
+    ring_polygon = np.repeat(np.arange(len(owner)), ring_counts)
+    for ring in np.flatnonzero(repeats > 0):
+        findings.add(DUPLICATE_POINTS, ids[owner[ring_polygon[ring]]])
+    is_short = np.diff(ring_starts) < 3
+    for ring in np.flatnonzero(is_short):
+        findings.add(RING_TOO_SHORT, ids[owner[ring_polygon[ring]]])
+    is_lost = is_short[starts_of(ring_counts)[:-1]] | ~np.isfinite(heights[owner])
+    ring_kept = ~is_short & ~is_lost[ring_polygon]
+    items, new_starts = take_segments(ring_starts, np.flatnonzero(ring_kept))
+    counts = np.bincount(ring_polygon[ring_kept], minlength=len(owner))[~is_lost]
+    return points[items], new_starts, starts_of(counts), owner[~is_lost]
+
+
+def _read_table(
+    path: str, source: str, options: ReadOptions, findings: Findings
+) -> tuple[str | None, list[bytes | None], dict[str, NDArray[np.generic]]]:
+    if path.lower().endswith((".parquet", ".geoparquet")):
+        return _read_parquet(path, source)
+    try:
+        (meta, _, geometries, values), told = read_vector(path, source, options.layer)
+    except CityModelError:
+        raise
+    except Exception as error:  # pyogrio has a dozen kinds, and GDAL's messages are the useful part
+        raise CityModelError(
+            f"{source} cannot be read as a vector file: {str(error).rstrip('.')}.",
+            "Try to open it in a GIS, or export it again as GeoPackage.",
+        ) from None
+    for text in told:
+        findings.add(READER_WARNING, source, text)
+    table = {str(name): np.asarray(column) for name, column in zip(meta["fields"], values, strict=True)}
+    return meta["crs"], list(geometries), table
+
+
+def _read_parquet(
+    path: str, source: str
+) -> tuple[str | None, list[bytes | None], dict[str, NDArray[np.generic]]]:
+    """Reads GeoParquet through pyarrow, since the GDAL inside pyogrio has no Parquet driver."""
+    try:
+        import pyarrow.parquet as parquet
+    except ImportError:
+        raise CityModelError(f"Reading {source} needs pyarrow.", _EXTRA_HINT) from None
+    try:
+        content = parquet.read_table(Path(path))
+        geo: dict[str, Any] = parse_json((content.schema.metadata or {})[b"geo"])
+        primary = geo["primary_column"]
+        column = dict(geo["columns"][primary])
+        geometries = content.column(primary).to_pylist()
+    except KeyError:
+        raise CityModelError(
+            f"{source} is Parquet, but not GeoParquet: it has no geo metadata.",
+            "Export it as GeoParquet or GeoPackage.",
+        ) from None
+    except (OSError, ValueError, TypeError) as error:
+        raise CityModelError(f"{source} cannot be read as GeoParquet: {error}.", "Export it again.") from None
+    if str(column.get("encoding", "WKB")).upper() != "WKB":
+        raise CityModelError(f"{source} stores geometry as {column['encoding']}.", "Only WKB is read.")
+    # GeoParquet: a crs left out is longitude and latitude; null is unknown.
+    crs = column.get("crs", "OGC:CRS84")
+    names = [name for name in content.column_names if name != primary]
+    table = {name: np.asarray(content.column(name).to_pylist()) for name in names}
+    return (json.dumps(crs) if isinstance(crs, dict) else crs), geometries, table

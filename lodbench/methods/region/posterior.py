@@ -1,0 +1,314 @@
+"""The posterior of the pose: its mean, its covariance, and what errors of the map add."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from lodbench.methods.contour_alignment.correlated import error_covariance
+from lodbench.methods.contour_alignment.outline import OutlinePoints
+from lodbench.methods.region.evidence import Evidence
+from lodbench.methods.region.search import Surroundings
+from lodbench.storage import random_stream
+
+Floats = NDArray[np.float64]
+
+# Poses that the curvature is read from: a quadratic of six numbers has 28 coefficients.
+_SAMPLES = 192
+# How far apart their outlines lie, pixels: beyond the stairs of single pixels, within the mode.
+_REACH_PX = 1.5
+_PAIRS = np.triu_indices(6)
+
+
+def information_at(
+    nats: Callable[[Floats], Floats], vector: Floats, evidence: Evidence, around: Surroundings
+) -> Floats:
+    """Returns the curvature (6, 6) of the likelihood at a mode: what the photo says if the map is right.
+
+    Eq. (R18) of docs/methods/region.md.
+
+    A quadratic is fitted to the likelihood of poses around the mode. What curves upwards there says nothing.
+
+    Args:
+        nats: (N, 6) poses to the (N,) logarithm of their likelihood.
+        vector: (6,) the mode.
+        evidence: Knows the prior and the working size.
+        around: How the outline moves.
+    """
+    shape = around.cloud(vector, evidence, _REACH_PX)
+    if shape is None:
+        return np.zeros((6, 6))
+    squares, axes = np.linalg.eigh(shape.covariance)
+    roots = axes * np.sqrt(np.maximum(squares, 0.0))
+    # The same draws for every query: the answer is a function of the mode alone.
+    draws = random_stream(0, "curvature of the region fit").standard_normal((_SAMPLES // 2, 6))
+    draws = np.concatenate([draws, -draws])
+    values = nats(vector + draws @ roots.T)
+    design = np.column_stack([np.ones(len(draws)), draws, draws[:, _PAIRS[0]] * draws[:, _PAIRS[1]]])
+    coefficients = np.linalg.lstsq(design, values, rcond=None)[0]
+    hessian = np.zeros((6, 6))
+    hessian[_PAIRS] = coefficients[7:]
+    curvature, directions = np.linalg.eigh(-(hessian + hessian.T))
+    back = np.linalg.inv(roots)
+    seen = back.T @ (directions * np.maximum(curvature, 0.0)) @ directions.T @ back
+    return np.asarray(0.5 * (seen + seen.T))
+
+
+def share_of_best(evidence: Floats) -> float:
+    """Returns the posterior share of the best of some modes, their widths taken to be alike.
+
+    Eq. (R13) of docs/methods/region.md.
+
+    Args:
+        evidence: (M,) the logarithm of what speaks for each, up to a constant.
+    """
+    return float(1.0 / np.exp(evidence - evidence.max()).sum())
+
+
+# Standard deviations, metres: where a building stands, how high its roof is as a whole and by parts, how high
+# all roofs are, where walls end.
+_PLACE_M, _ROOF_M, _PART_M, _ROOFS_M, _BASE_M = 0.5, 0.7, 0.7, 0.35, 0.1
+# Pixels of the fine size: how far outlines of a photo err together with what is near them, and each point by
+# itself; over which distance they do, and parts of a roof.
+_TOGETHER_PX, _OWN_PX, _NEAR_PX, _PART_PX = 1.0, 1.0, 12.0, 20.0
+# Columns of an outline's slopes: the pose, the lens, then its building's roof and base.
+_POSE, _EAST_NORTH, _LENS, _ROOF, _BASE = slice(0, 6), slice(0, 2), 6, 7, 8
+# More points say no more; fewer say nothing.
+_MOST_POINTS, _LEAST_POINTS = 600, 6
+# So that directions that no outline tells can be divided by, as a share of the others.
+_UNSEEN = 1e-6
+
+
+def covariance_under_map_errors(
+    information: Floats, prior_information: Floats, points: OutlinePoints, lens_percent: float
+) -> Floats:
+    """Returns the covariance (6, 6) of an answer's error, metres and degrees.
+
+    Eq. (R19) of docs/methods/region.md.
+
+    An answer is where the slopes of likelihood and prior cancel; each error of the map adds to the former in
+    the way in which it moves the outline. So the curvature is that of outlines whose every pixel is worth the
+    same, and the error is the sandwich of that curvature and the variance of its slope (White, "Maximum
+    likelihood estimation of misspecified models", 1982).
+
+    Args:
+        information: (6, 6) curvature of the likelihood: how much a photo says if the map is right.
+        prior_information: (6, 6) the same of the prior.
+        points: The outline from the answer, at the fine size.
+        lens_percent: Standard deviation of the focal length, percent.
+    """
+    if len(points) < _LEAST_POINTS:
+        return np.asarray(np.linalg.inv(prior_information))
+    # Every so many-th point stands for those that are left out.
+    stride = math.ceil(len(points) / _MOST_POINTS)
+    lengths = points.lengths[::stride] * stride
+    slopes = (points.moves * points.normals[:, None, :]).sum(axis=2)[::stride]
+    pulls = slopes[:, _POSE] * lengths[:, None]
+    outline = pulls.T @ slopes[:, _POSE]
+    outline += _UNSEEN * np.trace(outline) / len(outline) * np.eye(len(outline))
+    worth = max(float(np.median(scipy.linalg.eigh(information, outline, eigvals_only=True))), 0.0)
+    variance = _variance_of_pulls(pulls, slopes, points.pixels[::stride], points.buildings[::stride])
+    for column, sigma in ((_ROOF, _ROOFS_M), (_LENS, lens_percent)):
+        of_all = pulls.T @ slopes[:, column]
+        variance += sigma**2 * np.outer(of_all, of_all)
+    curvature = worth * outline + prior_information
+    back = np.linalg.inv(curvature)
+    covariance = back @ (curvature + worth**2 * variance) @ back
+    return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def _variance_of_pulls(pulls: Floats, slopes: Floats, pixels: Floats, buildings: NDArray[np.int64]) -> Floats:
+    """Returns (6, 6) how the sum of N points' pulls on the pose, (N, 6) per pixel, varies with buildings."""
+    lower = error_covariance(
+        np.ascontiguousarray(pixels),
+        np.ascontiguousarray(slopes[:, _ROOF]),
+        np.ascontiguousarray(slopes[:, _BASE]),
+        np.ascontiguousarray(buildings),
+        (_TOGETHER_PX**2, _OWN_PX**2),
+        (_NEAR_PX, _PART_PX),
+        (_ROOF_M**2, _PART_M**2, _BASE_M**2),
+    )
+    # Not by a library whose sums depend on how many threads it has.
+    half = np.einsum("ia,ib->ab", pulls, np.einsum("ij,jb->ib", lower, pulls))
+    own = np.einsum("ia,i,ib->ab", pulls, np.diagonal(lower), pulls)
+    variance = half + half.T - own
+    # A building that stands elsewhere moves as the camera does, the other way.
+    of_buildings = np.zeros((int(buildings.max()) + 1, 6, 2))
+    np.add.at(of_buildings, buildings, pulls[:, :, None] * slopes[:, None, _EAST_NORTH])
+    return np.asarray(variance + _PLACE_M**2 * np.einsum("kai,kbi->ab", of_buildings, of_buildings))
+
+
+# As SciPy has them: the relative tolerance that double precision allows, and more steps than any root takes.
+_RELATIVE, _MOST_STEPS = 4.0 * 2.0**-52, 100
+
+
+def brent_root(function: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
+    """Returns a root by Brent's method; every step, and so every bit, is that of ``scipy.optimize.brentq``.
+
+    Args:
+        function: Continuous, with values of opposite signs at both ends.
+        low: One end.
+        high: The other.
+        tolerance: How far off the root may be.
+
+    Raises:
+        ValueError: The values at both ends have one sign.
+    """
+    before, now = low, high
+    at_before, at_now = function(before), function(now)
+    if at_before == 0.0 or at_now == 0.0:
+        return before if at_before == 0.0 else now
+    if (at_before < 0.0) == (at_now < 0.0):
+        raise ValueError("the values at both ends have one sign")
+    other, at_other = before, at_before  # the root lies between it and the present best
+    last_step = step = now - before
+    for _ in range(_MOST_STEPS):
+        if at_before != 0.0 and at_now != 0.0 and (at_before < 0.0) != (at_now < 0.0):
+            other, at_other = before, at_before
+            last_step = step = now - before
+        if abs(at_other) < abs(at_now):
+            before, now, other = now, other, now
+            at_before, at_now, at_other = at_now, at_other, at_now
+        least = (tolerance + _RELATIVE * abs(now)) / 2.0
+        half = (other - now) / 2.0
+        if at_now == 0.0 or abs(half) < least:
+            return now
+        tried = math.inf
+        if abs(last_step) > least and abs(at_now) < abs(at_before):
+            tried = _interpolated((before, now, other), (at_before, at_now, at_other))
+        if 2.0 * abs(tried) < min(abs(last_step), 3.0 * abs(half) - least):
+            last_step, step = step, tried
+        else:
+            last_step = step = half
+        before, at_before = now, at_now
+        now += step if abs(step) > least else math.copysign(least, half)
+        at_now = function(now)
+    return now
+
+
+def _interpolated(places: tuple[float, float, float], values: tuple[float, float, float]) -> float:
+    """Returns the step from the second place to where a line, or an inverse parabola, has its root."""
+    (before, now, other), (at_before, at_now, at_other) = places, values
+    if before == other:
+        return -at_now * (now - before) / (at_now - at_before)
+    slope, other_slope = (at_before - at_now) / (before - now), (at_other - at_now) / (other - now)
+    above = -at_now * (at_other * other_slope - at_before * slope)
+    return above / (other_slope * slope * (at_other - at_before))
+
+
+# Poses of a round, even, and how many rounds there are.
+_POSES, _ROUNDS = 128, 12
+# Draws lie a little wider than what they stand for, and part of each round's width stays from the one before:
+# tails that no draw reaches are lost.
+_WIDTH, _KEPT = 1.1, 0.3
+# The share of the nats that counts in the first draw, and the least.
+_FIRST_SHARE, _LEAST_SHARE = 0.25, 0.05
+_PLACE = slice(0, 3)
+# The least variance: what is known exactly, as the tilt of priors of the true one.
+_LEAST_SQUARE = 1e-18
+
+
+class _Gaussian(NamedTuple):
+    """What poses are drawn from.
+
+    Attributes:
+        mean: (D,).
+        axes: (D, D) its own, a column each.
+        deviations: (D,) along them.
+    """
+
+    mean: Floats
+    axes: Floats
+    deviations: Floats
+
+    @classmethod
+    def of(cls, mean: Floats, covariance: Floats) -> _Gaussian:
+        squares, axes = np.linalg.eigh(covariance)
+        return cls(mean, axes, np.sqrt(np.maximum(squares, _LEAST_SQUARE)))
+
+    def drawn(self, generator: np.random.Generator) -> Floats:
+        """Returns the poses of a round, each with its mirror image, (N, D)."""
+        half = generator.standard_normal((_POSES // 2, len(self.mean)))
+        # The symmetric root: it does not depend on the signs that a library of linear algebra gives axes.
+        return self.mean + np.concatenate([half, -half]) @ ((self.axes * self.deviations) @ self.axes.T)
+
+    def log_density(self, poses: Floats) -> Floats:
+        """Returns the (N,) logarithm of the density at poses, up to a constant that all Gaussians share."""
+        away = (poses - self.mean) @ self.axes / self.deviations
+        return np.asarray(-0.5 * (away**2).sum(axis=1) - np.log(self.deviations).sum())
+
+
+def posterior_mean(
+    nats: Callable[[Floats, float], Floats],
+    log_prior: Callable[[Floats], Floats],
+    vector: Floats,
+    covariance: Floats,
+    least_m: float,
+) -> Floats:
+    """Returns the mean of the posterior around a point, (D,): a pose, and what else is not known.
+
+    Eq. (R16) of docs/methods/region.md.
+
+    By adaptive multiple importance sampling: poses are drawn from a Gaussian, the next Gaussian is that of
+    all poses so far, and each weighs what the posterior is there over the mean density of all Gaussians
+    (Cornuet et al., "Adaptive multiple importance sampling", 2012; docs/adr/0066).
+    The likelihood is tempered as far as the place needs to be ``least_m`` wide.
+
+    Args:
+        nats: (N, D) points and a share to the (N,) logarithm of the likelihood of such a share of the
+            photo's evidence, up to a constant of that share.
+        log_prior: (N, D) points to the (N,) logarithm of their prior, up to a constant.
+        vector: (D,) the best point.
+        covariance: (D, D) how far the mean may be from it.
+        least_m: Least deviation of the place, over its three numbers together, metres.
+    """
+    # The same draws for every query: the answer is a function of photo, prior and map.
+    generator = random_stream(0, "posterior mean of the region fit")
+    mean, spread, share = vector, covariance, _FIRST_SHARE
+    gaussians: list[_Gaussian] = []
+    poses, whole, priors = np.zeros((0, len(vector))), np.zeros(0), np.zeros(0)
+    for _ in range(_ROUNDS):
+        gaussians.append(_Gaussian.of(mean, _WIDTH**2 * spread))
+        drawn = gaussians[-1].drawn(generator)
+        poses = np.concatenate([poses, drawn])
+        # Against the best point at the same share: what a share alone adds is no pose's (docs/adr/0066).
+        *told, level = nats(np.concatenate([drawn, vector[None]]), share) / share
+        whole = np.append(whole, np.array(told) - level)
+        priors = np.append(priors, log_prior(drawn))
+        rest = priors - scipy.special.logsumexp(
+            [gaussian.log_density(poses) for gaussian in gaussians], axis=0
+        )
+        share = _share_that_leaves(least_m, poses, whole, rest)
+        mean, own = _moments(poses, share * whole + rest)
+        spread = _KEPT * spread + (1.0 - _KEPT) * own
+    return mean
+
+
+def _share_that_leaves(least_m: float, poses: Floats, nats: Floats, rest: Floats) -> float:
+    """Returns which share of the nats leaves the place so wide, metres; all where they do.
+
+    Eq. (R17) of docs/methods/region.md.
+    """
+
+    def excess(log_share: float) -> float:
+        _, covariance = _moments(poses, math.exp(log_share) * nats + rest)
+        return math.sqrt(float(np.trace(covariance[_PLACE, _PLACE]))) - least_m
+
+    least = math.log(_LEAST_SHARE)
+    if excess(0.0) >= 0.0:
+        return 1.0
+    return math.exp(brent_root(excess, least, 0.0, 0.01)) if excess(least) > 0.0 else _LEAST_SHARE
+
+
+def _moments(poses: Floats, logs: Floats) -> tuple[Floats, Floats]:
+    """Returns mean (D,) and covariance (D, D) of poses of some weights, given by logarithms."""
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    mean = weights @ poses
+    away = poses - mean
+    return mean, (away.T * weights) @ away

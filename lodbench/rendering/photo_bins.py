@@ -1,0 +1,228 @@
+"""A photo as numbers per pixel: appearance in bins, and strength of change along every direction."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lodbench.errors import RenderingError
+
+# A mean changes slowly: it is taken of a picture so small that its kernel is this wide, pixels. At the
+# borders it is then the exact one to a fiftieth of the picture's deviation, elsewhere to a five-hundredth.
+_KERNEL_PX = 16.0
+
+
+def mean_around(picture: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+    """Returns the Gaussian mean around each pixel of an (H, W) picture."""
+    height, width = picture.shape
+    smaller = max(1, int(sigma_px / _KERNEL_PX))
+    if smaller == 1 or min(height, width) < 2 * smaller:
+        return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px), dtype=np.float32)
+    small = cv2.resize(picture, (width // smaller, height // smaller), interpolation=cv2.INTER_AREA)
+    mean = cv2.GaussianBlur(small, (0, 0), sigma_px / smaller)
+    return np.asarray(cv2.resize(mean, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+
+Picture = NDArray[np.float32]
+
+# Levels of brightness and of texture of a grey or thermal photo; of L, a, b and texture of a colour photo.
+_GREY_LEVELS = (16, 8)
+_COLOUR_LEVELS = (6, 6, 8, 3)
+# Channels of a grey photo stored in colour differ by no more than this on average, of 255.
+_GREY_SPREAD = 2.0
+# How much of the average around a pixel is taken off, over which part of the width.
+_LOCAL_SHARE, _LOCAL_PARTS = 0.7, 8.0
+# Levels of the strength of edges, and the part of the width that their mean is taken over.
+_EDGE_LEVELS = 12
+_AROUND_SHARE = 12.0
+# Over how many pixels the texture is smoothed, standard deviation.
+_TEXTURE_PX = 2.0
+
+
+class AppearanceBins(NamedTuple):
+    """A quantised photo.
+
+    Attributes:
+        bins: (H, W) uint16 bin of each pixel.
+        num_bins: How many there are.
+    """
+
+    bins: NDArray[np.uint16]
+    num_bins: int
+
+
+def appearance_bins(photo: NDArray[Any], size: tuple[int, int], has_texture: bool = True) -> AppearanceBins:
+    """Returns a photo's pixels as bins of brightness, colour and texture, at a working size.
+
+    A grey photo, thermal ones among them, gives 16 levels of brightness by 8 of texture; a colour photo 6 of
+    L by 6 of a by 8 of b (CIE Lab) by 3 of texture. Texture is the absolute Laplacian of the brightness,
+    smoothed over 2 pixels. Most of each channel's average over an eighth of the width is taken off, so that
+    haze, vignettes and the sky's light do not part a photo; levels are quantiles, so that exposure changes
+    nothing.
+
+    Args:
+        photo: (H, W) or (H, W, 3) BGR, 8 bits.
+        size: Width and height to work at, pixels.
+        has_texture: Whether texture counts: it tells roofs from grass, and blurs where one ends.
+
+    Raises:
+        RenderingError: The photo has another shape.
+    """
+    if photo.ndim not in (2, 3) or photo.size == 0 or (photo.ndim == 3 and photo.shape[2] != 3):
+        raise RenderingError(f"A photo has shape {photo.shape}, not (height, width) or (height, width, 3).")
+    small: Picture = cv2.resize(photo, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    levels: tuple[int, ...]
+    if small.ndim == 2 or _is_grey(small):
+        grey = small if small.ndim == 2 else small[..., 1]
+        channels, levels = [grey, _texture(grey)], _GREY_LEVELS
+    else:
+        lab: Picture = np.asarray(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), dtype=np.float32)
+        channels, levels = [lab[..., 0], lab[..., 1], lab[..., 2], _texture(lab[..., 0])], _COLOUR_LEVELS
+    channels = [_local(channel) for channel in channels]
+    if not has_texture:
+        channels, levels = channels[:-1], levels[:-1]
+    bins = np.zeros(small.shape[:2], dtype=np.int64)
+    for channel, count in zip(channels, levels, strict=True):
+        bins = bins * count + _levels(channel, count)
+    return AppearanceBins(bins.astype(np.uint16), int(np.prod(levels)))
+
+
+class EdgeBins(NamedTuple):
+    """How strongly a photo changes, in levels.
+
+    Attributes:
+        beside: (H, W) uint16 level of the change from left to right.
+        upright: (H, W) uint16 the same from top to bottom.
+        num_bins: How many levels there are.
+    """
+
+    beside: NDArray[np.uint16]
+    upright: NDArray[np.uint16]
+    num_bins: int
+
+
+def edge_bins(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> EdgeBins:
+    """Returns how strongly brightness and colour change across each pixel, in 12 equally full levels.
+
+    Gradients of L, a and b (Sobel) are taken after a blur and divided by their mean around the pixel, so that
+    a sharp foreground does not outweigh what lies in haze.
+
+    Args:
+        photo: (H, W) or (H, W, 3) BGR, 8 bits.
+        size: Width and height to work at, pixels.
+        blur_px: Standard deviation of the blur, pixels of that size.
+    """
+    small: Picture = cv2.resize(photo, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    if small.ndim == 2:
+        small = np.repeat(small[..., None], 3, axis=2)
+    lab = cv2.GaussianBlur(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), (0, 0), blur_px)
+    beside, upright = (np.abs(cv2.Sobel(lab, cv2.CV_32F, *axis)).sum(axis=2) for axis in ((1, 0), (0, 1)))
+    around = mean_around(beside + upright, size[0] / _AROUND_SHARE) + np.float32(1e-3)
+    first, second = (_levels(edges / around, _EDGE_LEVELS).astype(np.uint16) for edges in (beside, upright))
+    return EdgeBins(first, second, _EDGE_LEVELS)
+
+
+def _is_grey(photo: Picture) -> bool:
+    spread = photo.max(axis=2) - photo.min(axis=2)
+    return float(spread.mean()) <= _GREY_SPREAD
+
+
+def _local(channel: Picture) -> Picture:
+    """Returns a channel less most of its own average around each pixel: what haze and vignettes change.
+
+    Eq. (R1) of docs/methods/region.md.
+    """
+    around = mean_around(channel, channel.shape[1] / _LOCAL_PARTS)
+    return np.asarray(channel - np.float32(_LOCAL_SHARE) * around, dtype=np.float32)
+
+
+def _texture(grey: Picture) -> Picture:
+    edges = np.abs(cv2.Laplacian(grey, cv2.CV_32F))
+    return np.asarray(cv2.GaussianBlur(edges, (0, 0), _TEXTURE_PX), dtype=np.float32)
+
+
+def _levels(values: Picture, count: int) -> NDArray[np.int64]:
+    """Returns which of some equally full parts each value lies in; equal values share one."""
+    edges = np.quantile(values, np.arange(1, count) / count)
+    return np.searchsorted(edges, values, side="right").astype(np.int64)
+
+
+Levels = NDArray[np.uint8]
+
+# Levels of strength, equally full over all pixels and directions, and directions over half a turn.
+EDGE_LEVELS, DIRECTIONS = 16, 12
+# The part of the width that the mean strength is taken over.
+# Every so many-th row and column says where one level ends and the next begins.
+_STEP = 3
+# Steps of strength per mean strength, and how many are told apart.
+_FINE_STEPS, _FINEST = 256.0, 4095
+
+
+def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Levels:
+    """Returns (H, W, 12) uint8 how strongly brightness and colour change along each direction, 0 to 15.
+
+    Gradients of L, a and b (CIE Lab) are taken after a blur and divided by their mean around the pixel, so
+    that a sharp foreground does not outweigh what lies in haze. Direction ``k`` is ``k * pi / 12`` from the
+    picture's x axis towards its y axis.
+
+    Args:
+        photo: (H, W) or (H, W, 3) BGR, 8 bits.
+        size: Width and height to work at, pixels.
+        blur_px: Standard deviation of the blur, pixels of that size.
+    """
+    small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    if small.ndim == 2:
+        small = np.repeat(small[..., None], 3, axis=2)
+    lab = cv2.GaussianBlur(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), (0, 0), blur_px)
+    across, down = (cv2.Sobel(lab, cv2.CV_32F, *axis, scale=0.125) for axis in ((1, 0), (0, 1)))
+    # The strength along a direction is a quadratic form of it: three sums over the channels say all.
+    xx, xy, yy = (_over_channels(*pair) for pair in ((across, across), (across, down), (down, down)))
+    around = mean_around(np.sqrt(xx + yy), size[0] / _AROUND_SHARE) + np.float32(1e-3)
+    angles = np.arange(DIRECTIONS) * (np.pi / DIRECTIONS)
+    turns = np.stack(
+        [np.cos(angles) ** 2, 2.0 * np.cos(angles) * np.sin(angles), np.sin(angles) ** 2], axis=1
+    )
+    forms = np.ascontiguousarray(np.stack([xx, xy, yy], axis=2) / (around**2)[..., None])
+    some = np.sqrt(np.maximum(forms[::_STEP, ::_STEP] @ turns.T, 0.0)) * _FINE_STEPS
+    levels: Levels = _looked_up(forms, turns, _level_table(np.minimum(some, _FINEST).astype(np.int64)))
+    return levels
+
+
+def _over_channels(one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.float32]:
+    """Returns the (H, W) sums of products over three channels; numpy's own over so short an axis are slow."""
+    product = one * other
+    return np.asarray(product[..., 0] + product[..., 1] + product[..., 2])
+
+
+def _level_table(steps: NDArray[np.int64]) -> Levels:
+    """Returns (4096,) the level of each fine step of strength, so that levels are equally full.
+
+    A search for the level of each strength would take longer than all else.
+
+    Args:
+        steps: Some of a photo, in fine steps.
+    """
+    up_to = np.bincount(steps.ravel(), minlength=_FINEST + 1).cumsum()
+    places = np.arange(1, EDGE_LEVELS) / EDGE_LEVELS * (steps.size - 1)
+    low, high = (np.searchsorted(up_to, whole(places), side="right") for whole in (np.floor, np.ceil))
+    ends = low + (high - low) * (places - np.floor(places))
+    return np.searchsorted(ends, np.arange(_FINEST + 1), side="right").astype(np.uint8)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _looked_up(forms, turns, table):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns (H, W, 12) uint8 levels of quadratic forms (H, W, 3) of directions (12, 3)."""
+    height, width = forms.shape[:2]
+    levels = np.empty((height, width, len(turns)), dtype=np.uint8)
+    for row in range(height):
+        for column in range(width):
+            form = forms[row, column]
+            for k in range(len(turns)):
+                square = form[0] * turns[k, 0] + form[1] * turns[k, 1] + form[2] * turns[k, 2]
+                step = np.sqrt(max(square, 0.0)) * _FINE_STEPS
+                levels[row, column, k] = table[int(min(step, _FINEST))]
+    return levels
