@@ -17,7 +17,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError
 from lodbench.evaluation import pose_error
-from lodbench.execution.single_threaded_blas import on_one_blas_thread
+from lodbench.execution.single_threaded_blas import single_threaded_blas
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.methods.flight import FlightMethod
@@ -95,7 +95,7 @@ def _solve(
     traces_memory: bool,
 ) -> _Solve:
     # As runs ask methods.
-    solve_jointly = on_one_blas_thread(method.solve_jointly)
+    solve_jointly = single_threaded_blas(method.solve_jointly)
     began, cpu = perf_counter(), process_time()
     found = solve_jointly(queries, alone, CityMap(scene))
     wall_s, cpu_s = perf_counter() - began, process_time() - cpu

@@ -31,7 +31,7 @@ def far_from_most(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray(np.abs(plane - middle).max(axis=1) > _FAR_M)
 
 
-def tell_strays(polygons: Polygons, building_ids: tuple[str, ...], findings: Findings) -> None:
+def report_outliers(polygons: Polygons, building_ids: tuple[str, ...], findings: Findings) -> None:
     """Adds a finding for each building with a point that lies far from most.
 
     Args:

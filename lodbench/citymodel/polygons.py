@@ -21,7 +21,7 @@ from lodbench.citymodel.naming import unique_ids, unique_objects
 from lodbench.citymodel.newell import newell
 from lodbench.citymodel.objects import Solids
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.outliers import frame_origin, tell_strays
+from lodbench.citymodel.outliers import frame_origin, report_outliers
 from lodbench.citymodel.pictures import Pictures
 from lodbench.citymodel.raw import RawCity
 from lodbench.citymodel.selection import select_polygons
@@ -197,7 +197,7 @@ def _subtract_origin(
         return origin
     if not len(points) or (label is None and _largest(points) <= _MAX_LOCAL_M):
         return np.zeros(3)
-    tell_strays(polygons, raw.building_ids, raw.findings)
+    report_outliers(polygons, raw.building_ids, raw.findings)
     origin = frame_origin(points)
     points -= origin
     return origin

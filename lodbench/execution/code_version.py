@@ -29,7 +29,7 @@ def own_digest() -> str:
     return digest_of_code(dict.fromkeys((*files, *package_files(_BASELINES))), LIBRARIES)
 
 
-def require_same_code(code: str) -> None:
+def require_code_version(code: str) -> None:
     """Makes sure that a worker's code and libraries are those of the command.
 
     Args:

@@ -20,7 +20,7 @@ _lock = threading.Lock()
 _under_way: list[Any] = []
 
 
-def on_one_blas_thread(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+def single_threaded_blas(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     """Returns a function that runs with BLAS on one thread; what was set before is set again after it.
 
     The libraries' thread counts are the process's: threads that call at the same time share them, and the

@@ -14,7 +14,7 @@ import numpy as np
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
-from lodbench.execution.single_threaded_blas import on_one_blas_thread
+from lodbench.execution.single_threaded_blas import single_threaded_blas
 from lodbench.methods.assessment import assessed
 from lodbench.methods.protocol import (
     Estimate,
@@ -28,7 +28,7 @@ from lodbench.methods.protocol import (
 from lodbench.plugins import blaming
 
 
-@on_one_blas_thread
+@single_threaded_blas
 def localize_query(method: Method, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
     """Returns a method's estimate with the poses it had drawn and the time it took.
 
@@ -47,7 +47,7 @@ def localize_query(method: Method, query: Query, city_map: CityMap, streams: Str
     return _measured(assessed_estimate, drawn, time.perf_counter() - started)
 
 
-@on_one_blas_thread
+@single_threaded_blas
 def localize_queries(
     method: SupportsBatches, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
 ) -> list[Estimate | QueryFault]:
@@ -67,7 +67,7 @@ def localize_queries(
     return [found if isinstance(found, QueryFault) else _measured(found, drawn, seconds) for found in answers]
 
 
-@on_one_blas_thread
+@single_threaded_blas
 def localize_flight(
     method: SupportsFlights, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
 ) -> FlightEstimate:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.evaluation.predictions import Prediction
 from lodbench.geometry import Pose
-from lodbench.methods.region.trust import SIGNS_STAGE, Signs, contradictions
+from lodbench.methods.region.trust import SIGNS_STAGE, ConfidenceFeatures, contradictions
 from lodbench.reporting.answers import GOOD, TRUSTED_OVERLAP, UNTRUSTED, percent_text, trust_of
 
 Floats = NDArray[np.float64]
@@ -72,8 +72,9 @@ def reasons_for_doubt(
         reasons.append(f"IoU of mask and model only {math.floor(100 * overlap) / 100:.2f}")
     reasons += _second_best(pose, alternatives, alternative_probabilities, trace)
     reasons += [] if variances is None else _uncertain(np.sqrt(np.maximum(variances, 0.0)))
-    signs = trace.get(SIGNS_STAGE, ())
-    reasons += contradictions(Signs(*signs)) if len(signs) == len(Signs._fields) else []
+    features = trace.get(SIGNS_STAGE, ())
+    if len(features) == len(ConfidenceFeatures._fields):
+        reasons += contradictions(ConfidenceFeatures(*features))
     return tuple(reasons) or (_NO_SINGLE,)
 
 

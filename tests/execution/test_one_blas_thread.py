@@ -9,24 +9,24 @@ import pytest
 import scipy.linalg  # noqa: F401 - its BLAS is one of its own
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from lodbench.execution.single_threaded_blas import on_one_blas_thread
+from lodbench.execution.single_threaded_blas import single_threaded_blas
 
 
 def threads() -> set[int]:
     return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
 
 
-@on_one_blas_thread
+@single_threaded_blas
 def threads_inside() -> set[int]:
     return threads()
 
 
-@on_one_blas_thread
+@single_threaded_blas
 def nested() -> tuple[set[int], set[int]]:
     return threads_inside(), threads()
 
 
-@on_one_blas_thread
+@single_threaded_blas
 def broken() -> None:
     raise ValueError("no")
 
@@ -44,12 +44,12 @@ def test_one_inside_and_as_before_after() -> None:
 def test_threads_that_overlap_restore_what_was_before_the_first() -> None:
     inside, leave, seen = threading.Event(), threading.Event(), []
 
-    @on_one_blas_thread
+    @single_threaded_blas
     def first() -> None:
         inside.set()
         leave.wait(10)
 
-    @on_one_blas_thread
+    @single_threaded_blas
     def second() -> None:
         leave.set()
         other.join(10)
@@ -67,7 +67,7 @@ def test_threads_that_overlap_restore_what_was_before_the_first() -> None:
 
 def test_sums_do_not_depend_on_the_threads_there_are() -> None:
     values = np.random.default_rng(0).normal(size=(200_003, 12))
-    product = on_one_blas_thread(
+    product = single_threaded_blas(
         lambda: (values.T @ values, values.T @ values[:, 0], values[:, 0] @ values[:, 1])
     )
     with threadpool_limits(1, "blas"):

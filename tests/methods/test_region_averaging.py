@@ -107,13 +107,13 @@ def test_sharp_evidence_is_tempered_until_the_place_is_wide_enough(least_m, expe
     seen, before, prior_m = np.array([0.3, 0.0, 0.0]), np.array([2.0, 0.0, 0.0]), 2.0
     sharp_m = 0.3 / np.sqrt(3.0)
 
-    def nats(poses, share):
+    def log_likelihood(poses, share):
         return -0.5 * share * ((poses - seen) ** 2).sum(axis=1) / sharp_m**2
 
     def log_prior(poses):
         return -0.5 * ((poses - before) ** 2).sum(axis=1) / prior_m**2
 
-    found = posterior_mean(nats, log_prior, seen, np.eye(3), least_m)
+    found = posterior_mean(log_likelihood, log_prior, seen, np.eye(3), least_m)
     each_m = expected_m / np.sqrt(3.0)
     share = (each_m**-2 - prior_m**-2) / sharp_m**-2
     expected = seen + (before - seen) * (prior_m**-2 / (share / sharp_m**2 + prior_m**-2))

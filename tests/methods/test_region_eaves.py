@@ -78,8 +78,8 @@ def test_lines_know_how_far_eaves_stand_out(scene, roofs, queries, truths):
         photo, pose = photo_of(wide.at(0), truth, number), vector_from_pose(truth)
         for seen_of, told_m in ((roofs, 0.0), (wide, 0.8)):
             fit = line_fit(photo, query, seen_of, np.append(pose, [0.0, 0.0, 0.0, told_m]))
-            nats = fit(np.column_stack([np.tile(np.append(pose, [0.0, 0.0, 0.0]), (13, 1)), eaves]))
-            assert eaves[int(np.argmax(nats))] == pytest.approx(0.8, abs=0.41)
+            log_likelihood = fit(np.column_stack([np.tile(np.append(pose, [0.0, 0.0, 0.0]), (13, 1)), eaves]))
+            assert eaves[int(np.argmax(log_likelihood))] == pytest.approx(0.8, abs=0.41)
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lodbench.methods.region.evolution import Cloud, climb, climb_abreast
+from lodbench.methods.region.evolution import Cloud, maximize, maximize_abreast
 
 
 @given(st.integers(0, 2**32))
@@ -17,7 +17,7 @@ def test_a_climb_ends_on_the_top_of_a_tilted_valley(seed):
     def value(points):
         return -0.5 * np.einsum("ni,ij,nj->n", points - top, curvature, points - top)
 
-    found = climb(value, Cloud(np.zeros(6), np.eye(6)), 120, 24, rng)
+    found = maximize(value, Cloud(np.zeros(6), np.eye(6)), 120, 24, rng)
     assert value(found.mean[None])[0] > -1e-3
     # The cloud takes the valley's shape: longest where the curvature is least.
     lengths, axes = np.linalg.eigh(found.covariance)
@@ -43,9 +43,9 @@ STARTS = [Cloud(np.full(6, place), np.eye(6)) for place in (1.0, 99.0, -2.0)]
 
 def test_climbs_abreast_end_where_each_does_by_itself():
     value = two_hills(-30.0)
-    together = climb_abreast(value, STARTS, 22, 24, generators(), hopeless=100.0)
+    together = maximize_abreast(value, STARTS, 22, 24, generators(), hopeless=100.0)
     for found, start, generator in zip(together, STARTS, generators(), strict=True):
-        alone = climb(value, start, 22, 24, generator)
+        alone = maximize(value, start, 22, 24, generator)
         np.testing.assert_allclose(found.mean, alone.mean, atol=1e-9)
         np.testing.assert_allclose(found.covariance, alone.covariance, atol=1e-9)
 
@@ -57,13 +57,13 @@ def test_a_climb_that_is_hopelessly_low_is_given_up_and_the_others_go_on():
         asked.append(len(points))
         return two_hills(-1000.0)(points)
 
-    found = climb_abreast(value, STARTS, 22, 24, generators(), hopeless=100.0)
+    found = maximize_abreast(value, STARTS, 22, 24, generators(), hopeless=100.0)
     assert asked == [3 * 24] * 4 + [2 * 24] * 18
     assert [round(float(np.abs(cloud.mean).max())) for cloud in found] == [0, 0]
-    whole = climb_abreast(value, STARTS, 22, 24, generators())
+    whole = maximize_abreast(value, STARTS, 22, 24, generators())
     for one, other in zip(found, [whole[0], whole[2]], strict=True):
         np.testing.assert_allclose(one.mean, other.mean, atol=1e-9)
 
 
 def test_nothing_climbs_from_nowhere():
-    assert climb_abreast(two_hills(0.0), [], 22, 24, []) == []
+    assert maximize_abreast(two_hills(0.0), [], 22, 24, []) == []

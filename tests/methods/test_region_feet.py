@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymap import CityMap
-from lodbench.methods.region.params import ALL, FEET
+from lodbench.methods.region.params import ALL, BASE_OFFSET
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs
 from lodbench.synthesis.views_dataset import World
 from tests.methods.test_region_lines import line_fit, shaded_photo, with_roofs
@@ -39,9 +39,9 @@ def test_points_of_walls_move_by_their_share(scene, roofs):
         )
         of_points = lifted(roofs, first_m).lifts(before, owner, step)
         np.testing.assert_allclose(before + (last_m - first_m) * of_points, after, atol=1e-4)
-        tops = np.maximum.reduceat(after, scene.vertex_starts[:-1])
+        modes_found = np.maximum.reduceat(after, scene.vertex_starts[:-1])
         np.testing.assert_allclose(
-            tops,
+            modes_found,
             np.maximum.reduceat(scene.vertices[:, 2], scene.vertex_starts[:-1]) + step * STEP_M,
             atol=1e-4,
         )
@@ -67,7 +67,7 @@ def test_walls_hidden_below_do_not_drag_cameras_that_lines_place(roofs, queries,
     for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
         photo, pose = shaded_photo(town.at(0), truth, number), with_roofs(truth)
         fit = line_fit(photo, query, roofs, pose)
-        higher, lower = (pose + np.eye(ALL)[FEET] * feet_m for feet_m in (3.0, -1.0))
+        higher, lower = (pose + np.eye(ALL)[BASE_OFFSET] * feet_m for feet_m in (3.0, -1.0))
         assert np.ptp(fit(np.stack([pose, higher, lower]))) < 3.0
         found.append(heights_m[int(fit(pose + np.outer(heights_m, np.eye(ALL)[2])).argmax())])
     assert np.abs(found).max() <= 0.5

@@ -18,9 +18,9 @@ from lodbench.methods.region import Params, Region
 from lodbench.methods.region.aligned import Alignment
 from lodbench.methods.region.evidence import Photo
 from lodbench.methods.region.lines import LineFit, points_on_lines
-from lodbench.methods.region.params import ALL, BESIDE_POSE, FEET
+from lodbench.methods.region.params import ALL, BASE_OFFSET, BESIDE_POSE
 from lodbench.methods.region.roofs import RoofEvidence
-from lodbench.methods.region.search import Surroundings
+from lodbench.methods.region.search import OutlineJacobian
 from lodbench.storage import random_stream
 from tests.town import BOXES, CAMERA, prior_of, true_poses
 
@@ -63,9 +63,9 @@ def test_lines_fit_best_at_the_truth(roofs, queries, truths, shaded):
         fit, vector = fit_of(photo, query, roofs, truth), with_roofs(truth)
         assert len(fit) > 100
         worse = (fit(vector[None]) - fit(vector + moves)).reshape(2, ALL)
-        assert (np.delete(worse, FEET, axis=1) > 1.0).all()
+        assert (np.delete(worse, BASE_OFFSET, axis=1) > 1.0).all()
         # Where walls end is not looked at: hedges and cars hide it.
-        assert (np.abs(worse[:, FEET]) < 3.0).all()
+        assert (np.abs(worse[:, BASE_OFFSET]) < 3.0).all()
 
 
 @pytest.mark.parametrize("width", [32, 320])
@@ -130,7 +130,7 @@ def test_lines_choose_among_the_search_s_tops(city_map, scene, roofs, queries, t
     moves = np.array([[14, 0, 0], [0, -12, 4], [0, 0, 40], [-20, 9, -8], [0, 0, 0]], dtype=np.float64)
     for number, (photo, query, truth) in enumerate(zip(shaded, queries, truths, strict=True)):
         reach = scene, query.camera, query.prior, 60.0, 20.0
-        around = Surroundings(edges_in_reach(*reach), city_map, params)
+        around = OutlineJacobian(edges_in_reach(*reach), city_map, params)
         seen = Photo(photo, query.camera, params)
         regions_of = partial(RoofEvidence, query, fit=seen.fit(200, False), params=params)
         streams = partial(random_stream, 0, "test", number)

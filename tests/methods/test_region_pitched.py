@@ -23,7 +23,7 @@ def told(scene):
     return replace(scene, pitched=np.arange(scene.num_buildings) % 2 == 0)
 
 
-def tops(scene):
+def modes_found(scene):
     return np.maximum.reduceat(scene.vertices[:, 2], scene.vertex_starts[:-1])
 
 
@@ -31,7 +31,7 @@ def test_they_are_drawn_lower_and_the_others_as_they_are(scene, city_map, told):
     for step in (0, 2):
         plain = RaisedRoofs(city_map, scene, 0.8).at(step).scene
         lowered = RaisedRoofs(city_map, told, 0.8).at(step).scene
-        np.testing.assert_allclose(tops(plain) - tops(lowered), 0.8 * told.pitched, atol=1e-4)
+        np.testing.assert_allclose(modes_found(plain) - modes_found(lowered), 0.8 * told.pitched, atol=1e-4)
         floors = [np.minimum.reduceat(s.vertices[:, 2], s.vertex_starts[:-1]) for s in (plain, lowered)]
         np.testing.assert_array_equal(*floors)
 
@@ -39,7 +39,7 @@ def test_they_are_drawn_lower_and_the_others_as_they_are(scene, city_map, told):
 def test_roofs_by_themselves_are_counted_from_there(city_map, told):
     own_m = np.linspace(-0.5, 0.5, told.num_buildings)
     roofs = RaisedRoofs(city_map, told, 0.8)
-    moved = tops(roofs.each_by_itself(own_m, 0.0, 0.0).at(0).scene) - tops(roofs.at(0).scene)
+    moved = modes_found(roofs.each_by_itself(own_m, 0.0, 0.0).at(0).scene) - modes_found(roofs.at(0).scene)
     np.testing.assert_allclose(moved, own_m, atol=1e-4)
 
 

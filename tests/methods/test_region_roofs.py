@@ -53,9 +53,11 @@ def test_no_roof_is_lowered_below_two_metres(scene, city_map):
     low = scene.vertices.copy()
     low[:, 2] = np.minimum(low[:, 2], (floors + heights)[owner])
     lowered = RaisedRoofs(city_map, replace(scene, vertices=low)).at(int(step_of(np.array(-3.0)))).scene
-    tops = np.maximum.reduceat(lowered.vertices[:, 2], starts[:-1])
+    modes_found = np.maximum.reduceat(lowered.vertices[:, 2], starts[:-1])
     before = np.maximum.reduceat(low[:, 2], starts[:-1])
-    np.testing.assert_allclose(tops, np.maximum(before - 3.0, np.minimum(before, floors + 2.0)), atol=1e-4)
+    np.testing.assert_allclose(
+        modes_found, np.maximum(before - 3.0, np.minimum(before, floors + 2.0)), atol=1e-4
+    )
     np.testing.assert_array_equal(lowered.vertices[:, :2], low[:, :2])
 
 
@@ -80,10 +82,14 @@ def test_evidence_is_that_of_the_map_with_those_roofs(scene, roofs, queries, tru
     evidence = RoofEvidence(queries[0], roofs, fit, params)
     poses = vector_from_pose(truths[0]) + random_stream(0, "poses").normal(0.0, 0.5, (6, 6))
     heights = np.array([-1.5, 0.0, 0.2, 0.9, 1.0, 7.0])
-    nats = evidence.nats(np.column_stack([poses, np.zeros(6), heights, np.full((6, 2), 0.4)]))
+    log_likelihood = evidence.log_likelihood(
+        np.column_stack([poses, np.zeros(6), heights, np.full((6, 2), 0.4)])
+    )
     for i, roofs_m in enumerate([-1.5, 0.0, 0.0, 1.0, 1.0, 3.0]):
         seen = CityMap(World(shared_roofs_m=roofs_m).seen(scene), threads=1)
-        assert nats[i] == Evidence(queries[0], seen, fit, params).nats(poses[i : i + 1])[0]
+        assert (
+            log_likelihood[i] == Evidence(queries[0], seen, fit, params).log_likelihood(poses[i : i + 1])[0]
+        )
 
 
 def test_lines_know_how_high_roofs_are(roofs, queries, truths):
@@ -91,14 +97,16 @@ def test_lines_know_how_high_roofs_are(roofs, queries, truths):
 
     Of one photo's fit each roof may be lower by itself instead, and chance decides by tenths of a nat.
     """
-    heights, nats = np.linspace(-2.5, 1.0, 15), np.zeros(15)
+    heights, log_likelihood = np.linspace(-2.5, 1.0, 15), np.zeros(15)
     for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
         photo = photo_of(roofs.at(-2), truth, number)
         true = np.append(vector_from_pose(truth), [0.0, -1.0, 0.0, 0.0])
         for seen_at in (0.0, -1.0):
             fit = line_fit(photo, query, roofs, np.append(true[:7], [seen_at, 0.0, 0.0]))
-            nats += fit(np.column_stack([np.repeat(true[None, :7], 15, axis=0), heights, np.zeros((15, 2))]))
-    assert abs(heights[int(np.argmax(nats))] + 1.0) <= 0.25
+            log_likelihood += fit(
+                np.column_stack([np.repeat(true[None, :7], 15, axis=0), heights, np.zeros((15, 2))])
+            )
+    assert abs(heights[int(np.argmax(log_likelihood))] + 1.0) <= 0.25
 
 
 def mean_errors(city_map, town, told, folder, seeds=(0,)):

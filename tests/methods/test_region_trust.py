@@ -5,42 +5,47 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lodbench.methods.region.trust import Signs, trust_of
+from lodbench.methods.region.trust import ConfidenceFeatures, success_probability
 
 shares = st.floats(0.0, 1.0)
 some_signs = st.builds(
-    Signs, shares, st.floats(0.0, 100.0), st.floats(-50.0, 900.0), st.floats(-1.0, 1.5), st.floats(0.0, 9.0)
+    ConfidenceFeatures,
+    shares,
+    st.floats(0.0, 100.0),
+    st.floats(-50.0, 900.0),
+    st.floats(-1.0, 1.5),
+    st.floats(0.0, 9.0),
 )
 BETTER = {"probability": 1, "apart_m": -1, "lines": 1, "sharpness": 1, "beyond": -1}
 
 
 @given(some_signs, st.sampled_from(sorted(BETTER)), st.floats(0.0, 5.0))
-def test_a_better_sign_never_lowers_it(signs, name, step):
+def test_a_better_sign_never_lowers_it(features, name, step):
     value = max(
-        getattr(signs, name) + BETTER[name] * step, {"lines": -50.0, "sharpness": -1.0}.get(name, 0.0)
+        getattr(features, name) + BETTER[name] * step, {"lines": -50.0, "sharpness": -1.0}.get(name, 0.0)
     )
-    assert trust_of(signs._replace(**{name: value})) >= trust_of(signs)
+    assert success_probability(features._replace(**{name: value})) >= success_probability(features)
 
 
 @given(some_signs)
-def test_it_is_a_probability(signs):
-    assert 0.0 <= trust_of(signs) <= 1.0
+def test_it_is_a_probability(features):
+    assert 0.0 <= success_probability(features) <= 1.0
 
 
 def test_no_sign_alone_makes_an_answer_sure():
-    good = Signs(0.95, 0.6, 200.0, 0.6, 0.0)
-    assert trust_of(good) > 0.95
+    good = ConfidenceFeatures(0.95, 0.6, 200.0, 0.6, 0.0)
+    assert success_probability(good) > 0.95
     # Far below the prior's range, or where no edges lie along the lines: not trusted. Far from the best by
     # regions: less.
-    assert trust_of(good._replace(beyond=0.4)) < 0.1
-    assert trust_of(good._replace(lines=0.0)) < 0.5
-    assert trust_of(good._replace(apart_m=30.0)) < trust_of(good)
+    assert success_probability(good._replace(beyond=0.4)) < 0.1
+    assert success_probability(good._replace(lines=0.0)) < 0.5
+    assert success_probability(good._replace(apart_m=30.0)) < success_probability(good)
     # Edges beside the lines, not on them: another map than this.
-    assert trust_of(good._replace(sharpness=0.1)) < 0.8
+    assert success_probability(good._replace(sharpness=0.1)) < 0.8
 
 
 def test_thousands_of_nats_outweigh_nothing_else():
     """Towards the horizon lines find edges anywhere: what all else speaks against stays untrusted."""
-    lost = Signs(0.07, 7.5, 7500.0, 0.12, 0.0)
-    assert trust_of(lost) < 0.5
-    assert trust_of(lost) == trust_of(lost._replace(lines=300.0))
+    lost = ConfidenceFeatures(0.07, 7.5, 7500.0, 0.12, 0.0)
+    assert success_probability(lost) < 0.5
+    assert success_probability(lost) == success_probability(lost._replace(lines=300.0))

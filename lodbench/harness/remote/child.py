@@ -23,7 +23,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query, Reference
 from lodbench.errors import LodbenchError
-from lodbench.execution.single_threaded_blas import on_one_blas_thread
+from lodbench.execution.single_threaded_blas import single_threaded_blas
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.remote.wire import (
     MalformedMessage,
@@ -195,13 +195,13 @@ class Served:
         """Tells of the map that is then asked about."""
         self._map = RemoteMap(self._pipe, about)
 
-    @on_one_blas_thread
+    @single_threaded_blas
     def prepare(self, references: Sequence[Reference], folder: Path) -> None:
         """Lets the method prepare."""
         assert isinstance(self._method, SupportsPrepare)  # noqa: S101
         self._method.prepare(cast(CityMap, self._map), references, Workspace(folder))
 
-    @on_one_blas_thread
+    @single_threaded_blas
     def localize(self, query: Query, offers: dict[str, bool]) -> Estimate:
         """Returns the method's estimate."""
         segment = partial(self._pipe.ask, "segment") if offers["segment"] else None

@@ -11,7 +11,7 @@ from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Dataset, Entry, Reference
 from lodbench.errors import STOPPED, ConfigError, LodbenchError
 from lodbench.execution.same_folder import staying_here
-from lodbench.execution.single_threaded_blas import on_one_blas_thread
+from lodbench.execution.single_threaded_blas import single_threaded_blas
 from lodbench.harness.tracebacks import keep_traceback, words_of
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsFlights, SupportsPrepare
@@ -73,7 +73,7 @@ def prepare_method(
     workspace = open_workspace(method.name, digest_of([method.name, params, content]))
     local = [replace(r, pose=r.pose.shifted(-city_map.scene.origin)) for r in references]
     try:
-        on_one_blas_thread(method.prepare)(city_map, local, workspace)
+        single_threaded_blas(method.prepare)(city_map, local, workspace)
     except (LodbenchError, *STOPPED):
         raise
     except BaseException as error:  # a plug-in's code may raise anything

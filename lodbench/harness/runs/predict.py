@@ -18,7 +18,7 @@ from lodbench.datasets.query import Dataset, Entry, Reference
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.predictions import Prediction
 from lodbench.execution import Ledger, Progress
-from lodbench.execution.code_version import require_same_code
+from lodbench.execution.code_version import require_code_version
 from lodbench.execution.executor import QUERIES, SERIAL, ExecutorParams, Workers, open_workers
 from lodbench.geometry import Camera
 from lodbench.harness.city import city_digests, open_city
@@ -257,7 +257,7 @@ _here: list[tuple[Work, Preparation, CityMap]] = []
 
 
 def _open_here(work: Work) -> None:
-    require_same_code(work.code)
+    require_code_version(work.code)
     remember_contents(work.contents)
     dataset = work.dataset
     if dataset.city_model is None:

@@ -65,10 +65,10 @@ class Auto:
             note = f"a mask was tried as well, without result: {fault.message.rstrip('.')}"
             return replace(by_pixels, notes=(*by_pixels.notes, note))
         by_mask = assessed(found, query, city_map, self._by_mask.params)
-        return more_probable(by_pixels, replace(by_mask, mask=query.building_probability))
+        return fuse_estimates(by_pixels, replace(by_mask, mask=query.building_probability))
 
 
-def more_probable(by_pixels: Estimate, by_mask: Estimate) -> Estimate:
+def fuse_estimates(by_pixels: Estimate, by_mask: Estimate) -> Estimate:
     """Returns the answer by pixels, or the one by a mask where that is more probable, with a note.
 
     Where the two lie apart, the mask's probability counts half (docs/adr/0059), and the pose by pixels is the

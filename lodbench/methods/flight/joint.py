@@ -21,7 +21,7 @@ from lodbench.methods.flight.normal_equations import ErrorGroup, NormalEquations
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
 from lodbench.methods.flight.reconstruction import MOUNT, UNKNOWNS
-from lodbench.methods.flight.state import CONSTANTS, FEET, FOCAL, ROOFS, Solution, State, differences
+from lodbench.methods.flight.state import BASE_OFFSET, CONSTANTS, FOCAL, ROOFS, Solution, State, differences
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -133,8 +133,8 @@ def _add_roofs(
 def _add_feet(group: ErrorGroup, state: State, shared: int, first: int, params: Params) -> None:
     """Adds that feet of walls lie around all feet; the first column of parts is ``first``."""
     is_foot = state.roofs.building < 0
-    gaps = state.roofs.heights_m[is_foot] - state.constants[FEET]
-    _add_alike(group, first + np.flatnonzero(is_foot), shared + FEET, gaps, params.foot_m)
+    gaps = state.roofs.heights_m[is_foot] - state.constants[BASE_OFFSET]
+    _add_alike(group, first + np.flatnonzero(is_foot), shared + BASE_OFFSET, gaps, params.foot_m)
 
 
 def _add_alike(group: ErrorGroup, these: Rows, those: Rows | int, gaps: Floats, told_m: float) -> None:

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 # The shared numbers before the buildings': flight's error, lens, all roofs, all feet of walls.
-_FLIGHT, _LENS, ROOFS, FEET, CONSTANTS = slice(0, 6), slice(6, 6 + LENS), 6 + LENS, 7 + LENS, 8 + LENS
+_FLIGHT, _LENS, ROOFS, BASE_OFFSET, CONSTANTS = slice(0, 6), slice(6, 6 + LENS), 6 + LENS, 7 + LENS, 8 + LENS
 FOCAL = 6
 
 
@@ -124,7 +124,9 @@ class State:
         self.vectors = self.vectors + poses
         self.constants = self.constants + constants
         is_roof = self.roofs.building >= 0
-        self.roofs.heights_m = self.roofs.heights_m + np.where(is_roof, constants[ROOFS], constants[FEET])
+        self.roofs.heights_m = self.roofs.heights_m + np.where(
+            is_roof, constants[ROOFS], constants[BASE_OFFSET]
+        )
         self.buildings_m[np.unique(self.roofs.building[is_roof])] += constants[ROOFS]
 
     def step(self, solution: Solution) -> None:

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.query import Query
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.evolution import Cloud, climb
+from lodbench.methods.region.evolution import Cloud, maximize
 from lodbench.methods.region.lines import LineFit
-from lodbench.methods.region.params import EAVES, FEET, OUTLINES, ROOFS, Params
+from lodbench.methods.region.params import BASE_OFFSET, EAVE_OFFSET, OUTLINES, ROOFS, Params
 from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
-from lodbench.methods.region.search import Surroundings
+from lodbench.methods.region.search import OutlineJacobian
 from lodbench.rendering.photo_bins import Levels
 
 Floats = NDArray[np.float64]
@@ -53,14 +53,14 @@ class Aligned(NamedTuple):
     sharpness: float
     evidence: Floats
 
-    def nats(self, vectors: Floats, share: float = 1.0) -> Floats:
+    def log_likelihood(self, vectors: Floats, share: float = 1.0) -> Floats:
         """Returns the (N,) logarithm of the likelihood of such, (N, 10), of a share of the photo's nats."""
-        return _nats(self.lines, self.regions, vectors, share)
+        return _log_likelihood(self.lines, self.regions, vectors, share)
 
     def worse_by(self, vector: Floats) -> float:
         """Returns by how many nats lines, regions and prior are less likely at a vector, (10,), than here."""
         both = np.stack([self.vector, vector])
-        whole = self.nats(both) + self.regions.log_prior(both)
+        whole = self.log_likelihood(both) + self.regions.log_prior(both)
         return float(whole[0] - whole[1])
 
     def lead_over(self, other: Aligned) -> float:
@@ -72,10 +72,10 @@ class Aligned(NamedTuple):
         return min(float(lines(both) @ (1.0, -1.0)) for lines in (self.lines, other.lines))
 
 
-def _nats(lines: LineFit, regions: RoofEvidence, vectors: Floats, share: float = 1.0) -> Floats:
+def _log_likelihood(lines: LineFit, regions: RoofEvidence, vectors: Floats, share: float = 1.0) -> Floats:
     # Beside each other: neither keeps two cores busy by itself.
     of_lines = lines.begun(vectors, share)
-    return share * regions.nats(vectors) + of_lines()
+    return share * regions.log_likelihood(vectors) + of_lines()
 
 
 class _Round(NamedTuple):
@@ -92,7 +92,7 @@ class _Round(NamedTuple):
         Eq. (R13) of docs/methods/region.md.
         """
         here = self.vector[None]
-        regions = _REGIONS_SHARE * self.regions.nats(here) + self.regions.log_prior(here)
+        regions = _REGIONS_SHARE * self.regions.log_likelihood(here) + self.regions.log_prior(here)
         return float((self.lines(here) + regions)[0])
 
 
@@ -114,7 +114,7 @@ class Alignment:
         levels_at: Callable[[float], Levels],
         query: Query,
         regions_of: Callable[[RaisedRoofs], RoofEvidence],
-        around: Surroundings,
+        around: OutlineJacobian,
         params: Params,
         streams: Streams,
         has_bases: bool = False,
@@ -155,7 +155,9 @@ class Alignment:
     ) -> Aligned | None:
         """Returns where all rounds from the first lead to from (10,)."""
         for number in range(first, len(_ROUNDS)):
-            roofs = roofs.each_by_itself(lines.own_roofs_m(vector), float(vector[FEET]), float(vector[EAVES]))
+            roofs = roofs.each_by_itself(
+                lines.own_roofs_m(vector), float(vector[BASE_OFFSET]), float(vector[EAVE_OFFSET])
+            )
             begun = self._begun(number, vector[None], roofs)
             if not begun:
                 return None
@@ -181,12 +183,12 @@ class Alignment:
     def _ended(self, number: int, begun: _Round) -> _Round:
         """Returns where a round ends."""
         vector, lines, regions, cloud = begun
-        nats = partial(_nats, lines, regions) if number == len(_ROUNDS) - 1 else lines
+        log_likelihood = partial(_log_likelihood, lines, regions) if number == len(_ROUNDS) - 1 else lines
 
         def posterior(vectors: Floats) -> Floats:
-            return nats(vectors) + regions.log_prior(vectors)
+            return log_likelihood(vectors) + regions.log_prior(vectors)
 
         start = Cloud(vector, regions.widened(cloud.covariance, _ROOFS_APART_M))
         generator = self._streams("lines", number)
-        top = climb(posterior, start, _GENERATIONS, self._params.population, generator)
+        top = maximize(posterior, start, _GENERATIONS, self._params.population, generator)
         return begun._replace(vector=top.mean)

@@ -27,8 +27,8 @@ from lodbench.methods.region.params import (
 )
 from lodbench.methods.region.posterior import covariance_under_map_errors, information_at, posterior_mean
 from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
-from lodbench.methods.region.search import Mode, Surroundings
-from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES, LineSigns
+from lodbench.methods.region.search import Mode, OutlineJacobian
+from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES, LineFeatures
 
 Floats = NDArray[np.float64]
 # How far apart outlines of cameras lie that the mean is taken of, pixels of the fine size.
@@ -40,7 +40,7 @@ _TOLD_PERCENT = 0.2
 # Where roofs alone are less likely by so many nats, lines where walls end lead astray.
 _CONTRADICTED = 5.0
 # Of (N, 10) vectors, and of a share of the photo's nats.
-Nats = Callable[[Floats, float], Floats]
+LogLikelihood = Callable[[Floats, float], Floats]
 
 
 class Answer(NamedTuple):
@@ -68,7 +68,7 @@ class Answer(NamedTuple):
     lens_percent: float = 0.0
 
 
-class Answering:
+class PoseFinalizer:
     """Ends the search for one photo.
 
     Vectors of ten numbers are those of ``unknowns``.
@@ -86,25 +86,25 @@ class Answering:
         photo: Photo,
         query: Query,
         roofs: RaisedRoofs,
-        around: Surroundings,
+        around: OutlineJacobian,
         params: Params,
     ) -> None:
         self._photo, self._query, self._roofs = photo, query, roofs
         self._around, self._params = around, params
         self._fit = photo.fit(params.fine_width, is_coarse=False)
 
-    def answer(self, tops: list[Mode], streams: Streams) -> Answer:
+    def answer(self, modes_found: list[Mode], streams: Streams) -> Answer:
         """Returns the answer near the best of some tops, by lines where edges are sharp beside them.
 
         Args:
-            tops: The best as the search sees them first; lines choose among them.
+            modes_found: The best as the search sees them first; lines choose among them.
             streams: Of random numbers.
         """
         params, starts = (
             self._params,
-            np.array([np.append(top.cloud.mean, np.zeros(BESIDE_POSE)) for top in tops]),
+            np.array([np.append(top.cloud.mean, np.zeros(BESIDE_POSE)) for top in modes_found]),
         )
-        searched = np.array([top.log_posterior for top in tops])
+        searched = np.array([top.log_posterior for top in modes_found])
         if params.lines_weight <= 0:
             return self._by_regions(starts[0], TYPICAL_LINES, searched)
         aligned = self._best_aligned(starts, streams)
@@ -113,12 +113,12 @@ class Answering:
         start = starts[int(aligned.evidence.argmax())]
         apart_m = float(np.linalg.norm((aligned.vector - start)[:3]))
         lines = float(aligned.lines(aligned.vector[None])[0])
-        signs = LineSigns(apart_m, lines, aligned.sharpness)
+        features = LineFeatures(apart_m, lines, aligned.sharpness)
         if aligned.sharpness < params.least_sharpness:
-            return self._by_regions(start, signs, aligned.evidence)
-        covariances = self._certainty(aligned.nats, aligned.vector, aligned.regions)
-        mean = self._mean(aligned.nats, aligned.vector, covariances[0], aligned.regions)
-        return Answer(mean[POSE], *covariances, *signs, aligned.evidence, float(mean[LENS]))
+            return self._by_regions(start, features, aligned.evidence)
+        covariances = self._certainty(aligned.log_likelihood, aligned.vector, aligned.regions)
+        mean = self._mean(aligned.log_likelihood, aligned.vector, covariances[0], aligned.regions)
+        return Answer(mean[POSE], *covariances, *features, aligned.evidence, float(mean[LENS]))
 
     def _best_aligned(self, starts: Floats, streams: Streams) -> Aligned | None:
         """Returns the lines on the edges as all is told, or with another tilt or lens where that is plain.
@@ -165,23 +165,25 @@ class Answering:
             self._photo.levels, self._query, regions_of, self._around, params, streams, has_bases
         )
 
-    def _by_regions(self, vector: Floats, signs: LineSigns, evidence: Floats) -> Answer:
+    def _by_regions(self, vector: Floats, features: LineFeatures, evidence: Floats) -> Answer:
         """Returns the mean of what regions and outlines leave around (10,), of a wider photo."""
         params, of_map = self._params, (self._query, self._roofs)
         fine = RoofEvidence(*of_map, self._fit, params)
         covariances = self._certainty(_of_share(fine), vector, fine)
         if params.place_sigma_m <= 0:
-            return Answer(vector[POSE], *covariances, *signs, evidence)
+            return Answer(vector[POSE], *covariances, *features, evidence)
         wide = RoofEvidence(*of_map, self._photo.fit(params.mean_width, is_coarse=False), params)
         mean = self._mean(_of_share(wide), vector, covariances[0], wide)
-        return Answer(mean[POSE], *covariances, *signs, evidence)
+        return Answer(mean[POSE], *covariances, *features, evidence)
 
-    def _certainty(self, nats: Nats, vector: Floats, regions: RoofEvidence) -> tuple[Floats, Floats]:
+    def _certainty(
+        self, log_likelihood: LogLikelihood, vector: Floats, regions: RoofEvidence
+    ) -> tuple[Floats, Floats]:
         """Returns the covariance (6, 6) of an answer's error, and the same if the map had none."""
         pose, evidence = vector[POSE], regions.at(float(vector[ROOFS]))
 
         def of_poses(poses: Floats) -> Floats:
-            return nats(np.column_stack([poses, np.tile(vector[POSES:], (len(poses), 1))]), 1.0)
+            return log_likelihood(np.column_stack([poses, np.tile(vector[POSES:], (len(poses), 1))]), 1.0)
 
         information = information_at(of_poses, pose, evidence, self._around)
         prior, outline = evidence.prior_information(), self._around.outline(pose, evidence)
@@ -193,7 +195,9 @@ class Answering:
             if_right += (lens_percent**2 - _TOLD_PERCENT**2) * np.outer(ridge[POSE], ridge[POSE])
         return covariance, np.asarray(if_right)
 
-    def _mean(self, nats: Nats, vector: Floats, covariance: Floats, regions: RoofEvidence) -> Floats:
+    def _mean(
+        self, log_likelihood: LogLikelihood, vector: Floats, covariance: Floats, regions: RoofEvidence
+    ) -> Floats:
         """Returns the posterior's mean around (10,), feet and eaves held; or, if so told, the point."""
         least_m = self._params.place_sigma_m
         if least_m <= 0:
@@ -203,7 +207,7 @@ class Answering:
             return np.column_stack([vectors, np.tile(vector[RAISED:], (len(vectors), 1))])
 
         return posterior_mean(
-            lambda vectors, share: nats(whole(vectors), share),
+            lambda vectors, share: log_likelihood(whole(vectors), share),
             lambda vectors: regions.log_prior(whole(vectors)),
             vector[:RAISED],
             regions.widened(self._with_lens(vector, covariance, regions))[:RAISED, :RAISED],
@@ -226,5 +230,5 @@ class Answering:
         return float(along[LENS]), along / along[LENS]
 
 
-def _of_share(evidence: RoofEvidence) -> Nats:
-    return lambda vectors, share: share * evidence.nats(vectors)
+def _of_share(evidence: RoofEvidence) -> LogLikelihood:
+    return lambda vectors, share: share * evidence.log_likelihood(vectors)

@@ -108,9 +108,9 @@ class Evidence:
 
     def log_posterior(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the posterior of poses (N, 6)."""
-        return self.nats(vectors) + self.log_prior(vectors)
+        return self.log_likelihood(vectors) + self.log_prior(vectors)
 
-    def nats(self, vectors: Floats) -> Floats:
+    def log_likelihood(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the likelihood of poses or cameras, up to a constant.
 
         Eq. (R6) of docs/methods/region.md.

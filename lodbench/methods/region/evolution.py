@@ -33,7 +33,7 @@ class Cloud(NamedTuple):
     covariance: Floats
 
 
-def climb(
+def maximize(
     value: Callable[[Floats], Floats],
     start: Cloud,
     generations: int,
@@ -49,11 +49,11 @@ def climb(
         population: Points in each, even: every draw is used with both signs.
         generator: Of random numbers.
     """
-    (cloud,) = climb_abreast(value, [start], generations, population, [generator])
+    (cloud,) = maximize_abreast(value, [start], generations, population, [generator])
     return cloud
 
 
-def climb_abreast(
+def maximize_abreast(
     value: Callable[[Floats], Floats],
     starts: Sequence[Cloud],
     generations: int,
@@ -61,13 +61,13 @@ def climb_abreast(
     generators: Sequence[np.random.Generator],
     hopeless: float = math.inf,
 ) -> list[Cloud]:
-    """Returns what ``climb`` does from some starts, asked about together: of those not given up, in order.
+    """Returns what ``maximize`` does from some starts, asked about together: of those not given up, in order.
 
     Args:
-        value: As of ``climb``.
+        value: As of ``maximize``.
         starts: Where to begin.
-        generations: As of ``climb``.
-        population: As of ``climb``.
+        generations: As of ``maximize``.
+        population: As of ``maximize``.
         generators: Of random numbers, one for each start.
         hopeless: Climbs whose best is lower than the highest by more after four generations are given up; in
             units of the value.

@@ -15,10 +15,10 @@ from lodbench.geometry.angles import rotations_from_euler
 from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import Evidence, Photo, views_of
-from lodbench.methods.region.evolution import Cloud, climb
+from lodbench.methods.region.evolution import Cloud, maximize
 from lodbench.methods.region.params import ALL, BESIDE_POSE, POSE, ROOFS, Params
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, step_of
-from lodbench.methods.region.search import samples, tops_of
+from lodbench.methods.region.search import local_maxima, samples
 from lodbench.rendering.line_sums import LinePoints, count_along_lines, sum_along_lines
 from lodbench.rendering.photo_bins import EDGE_LEVELS, Levels
 
@@ -266,7 +266,7 @@ def line_starts(
     grid = coarse.grid()
     vectors = samples(grid, query.prior)
     sums = _sums_at(vectors.reshape(-1, grid.z.count, 6), levels, query.camera, roofs)
-    found = vectors[tops_of(sums, grid, coarse.turns_around(), _STARTS)]
+    found = vectors[local_maxima(sums, grid, coarse.turns_around(), _STARTS)]
     # What the grid leaves open: half a stride, and tilt.
     half_m, half_z_m = 0.5 * coarse.stride_m, 0.5 * coarse.stride_z_m
     tilts_deg = params.prior_sigmas()[3:5]
@@ -276,7 +276,7 @@ def line_starts(
         lines = LineFit(levels, query, roofs, np.append(start, np.zeros(BESIDE_POSE)), coarse)
         if len(lines):
             value, cloud = _posterior(lines, evidence), Cloud(start, open_to_it)
-            clouds.append(climb(value, cloud, _GENERATIONS, params.population, streams("line start", k)))
+            clouds.append(maximize(value, cloud, _GENERATIONS, params.population, streams("line start", k)))
     return clouds
 
 

@@ -22,14 +22,14 @@ from lodbench.methods.contour_alignment.uncertainty import beyond_range, probabi
 from lodbench.methods.fits import query_photo
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region.aligned import BLURS_PX
-from lodbench.methods.region.answer import Answer, Answering
+from lodbench.methods.region.answer import Answer, PoseFinalizer
 from lodbench.methods.region.evidence import Evidence, Photo
 from lodbench.methods.region.lines import line_starts
 from lodbench.methods.region.params import TILT, Params
 from lodbench.methods.region.posterior import share_of_best
 from lodbench.methods.region.roofs import RaisedRoofs
-from lodbench.methods.region.search import Surroundings, climbed, grid_starts, judged, modes_of
-from lodbench.methods.region.trust import SIGNS_STAGE, TRUSTED, Signs, trust_of
+from lodbench.methods.region.search import OutlineJacobian, grid_starts, modes_of, refine_candidates, rescore
+from lodbench.methods.region.trust import SIGNS_STAGE, TRUSTED, ConfidenceFeatures, success_probability
 
 Floats = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def surer_by_edges(
 _NEWS = 3.0
 # Tops lower by so many nats after a few generations of refinement are not followed: of those that 44 answers
 # came from one was, and a third of all are (docs/adr/0066).
-_HOPELESS = 100.0
+_PRUNE_BELOW_NATS = 100.0
 
 
 class Region:
@@ -106,7 +106,7 @@ class Region:
         reach = _reach(params)
         # The rest of the city, however large, is looked at this once.
         part = scene_in_reach(city_map.scene, query.camera, query.prior, *reach)
-        around = Surroundings(edges_of(part), city_map, params)
+        around = OutlineJacobian(edges_of(part), city_map, params)
         seen = _Seen(query, photo, city_map, RaisedRoofs(city_map, part, params.pitched_lower_m), around)
         found = _found(seen, params, streams)
         if _probability(found) >= TRUSTED or params.more_starts == 1:
@@ -127,13 +127,13 @@ class _Found(NamedTuple):
 
     Attributes:
         estimate: The answer.
-        signs: That it is right.
+        features: That it is right.
         share: Of the evidence that its mode has.
         is_lens_overruled: Whether the photo shows another focal length than declared.
     """
 
     estimate: Estimate
-    signs: Signs
+    features: ConfidenceFeatures
     share: float
     is_lens_overruled: bool
 
@@ -153,7 +153,7 @@ class _Seen(NamedTuple):
     photo: Photo
     city_map: CityMap
     roofs: RaisedRoofs
-    around: Surroundings
+    around: OutlineJacobian
 
     def evidence(self, params: Params, width: int, is_coarse: bool) -> Evidence:
         """Returns what photo and prior say of poses, with silhouettes of a width, pixels."""
@@ -165,22 +165,26 @@ def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False
     started, query, around = time.perf_counter(), seen.query, seen.around
     search = seen.evidence(params, params.coarse_width, is_coarse=True)
     starts, best = grid_starts(query, search, params)
-    tops = climbed(starts, search, around, params.coarse_generations, params.coarse_spread_px, streams)
+    modes_found = refine_candidates(
+        starts, search, around, params.coarse_generations, params.coarse_spread_px, streams
+    )
     searched = time.perf_counter()
     final = seen.evidence(params, params.fine_width, is_coarse=False)
-    means = np.array([top.cloud.mean for top in tops[: params.modes]])
-    modes = climbed(means, final, around, params.fine_generations, params.fine_spread_px, streams, _HOPELESS)
+    means = np.array([top.cloud.mean for top in modes_found[: params.modes]])
+    modes = refine_candidates(
+        means, final, around, params.fine_generations, params.fine_spread_px, streams, _PRUNE_BELOW_NATS
+    )
     if by_lines and params.lines_weight > 0:
         clouds = line_starts(seen.photo, query, seen.roofs, final, params, streams)
         modes += modes_of(clouds, final)
     if not modes:
         raise QueryFault("no outline of a building is in view of any pose that fits")
     judge = final.with_edges(params.judging_edge_weight)
-    modes = judged(modes, judge)
-    answer = Answering(seen.photo, query, seen.roofs, around, params).answer(modes, streams)
+    modes = rescore(modes, judge)
+    answer = PoseFinalizer(seen.photo, query, seen.roofs, around, params).answer(modes, streams)
     ranked = [k for k in np.argsort(-answer.evidence, kind="stable") if np.isfinite(answer.evidence[k])]
     top, *others = (modes[k].cloud.mean for k in ranked)
-    signs = _signs(answer, judge, top, params)
+    features = _confidence_features(answer, judge, top, params)
     share = share_of_best(answer.evidence)
     estimate = Estimate(
         pose=pose_from_vector(answer.vector),
@@ -189,10 +193,10 @@ def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False
         trace={
             "coarse": (best,),
             "evidence [nats]": tuple(answer.evidence[ranked]),
-            SIGNS_STAGE: tuple(signs),
+            SIGNS_STAGE: tuple(features),
         },
         covariance=answer.covariance,
-        probability=share * trust_of(signs),
+        probability=share * success_probability(features),
         alternatives=tuple(pose_from_vector(other) for other in others),
         notes=(
             *_lens_notes(answer.lens_percent, params),
@@ -201,7 +205,7 @@ def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False
             ),
         ),
     )
-    return _Found(estimate, signs, share, _is_overruled(answer.lens_percent, params))
+    return _Found(estimate, features, share, _is_overruled(answer.lens_percent, params))
 
 
 def _refined(found: _Found, seen: _Seen, params: Params) -> Estimate:
@@ -215,8 +219,8 @@ def _refined(found: _Found, seen: _Seen, params: Params) -> Estimate:
     vector = vector_from_pose(estimate.pose)
     surer = surer_by_edges(vector, estimate.covariance, seen.query, seen.city_map, params)
     if surer is not None:
-        within = max(found.signs.probability, probability_within(surer.covariance, surer.vector))
-        probability = found.share * trust_of(found.signs._replace(probability=within))
+        within = max(found.features.probability, probability_within(surer.covariance, surer.vector))
+        probability = found.share * success_probability(found.features._replace(probability=within))
         estimate = replace(
             estimate,
             pose=pose_from_vector(surer.vector),
@@ -226,10 +230,12 @@ def _refined(found: _Found, seen: _Seen, params: Params) -> Estimate:
     return replace(estimate, seconds=estimate.seconds | {"edges": time.perf_counter() - started})
 
 
-def _signs(answer: Answer, judge: Evidence, top: NDArray[np.float64], params: Params) -> Signs:
+def _confidence_features(
+    answer: Answer, judge: Evidence, top: NDArray[np.float64], params: Params
+) -> ConfidenceFeatures:
     """Returns what tells whether an answer is right, which comes from a top of the search, (6,)."""
     beyond = float(abs(judge.offsets(top[None])[0, 2]) / params.half_widths()[2]) - 1.0
-    return Signs(
+    return ConfidenceFeatures(
         probability_within(answer.if_map_is_right, answer.vector),
         answer.apart_m,
         answer.lines,

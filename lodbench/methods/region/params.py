@@ -222,7 +222,7 @@ def _widened(width: float, beyond: float) -> float:
     return width + min(2.0 * beyond, width)
 
 
-POSE, LENS, ROOFS, FEET, EAVES = slice(0, 6), 6, 7, 8, 9
+POSE, LENS, ROOFS, BASE_OFFSET, EAVE_OFFSET = slice(0, 6), 6, 7, 8, 9
 # Of a pose: pitch and roll.
 TILT = slice(3, 5)
 # How many numbers a vector has: a pose, a camera, one with roofs, one with all that outlines tell, all.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lodbench.methods.contour_alignment.correlated import error_covariance
 from lodbench.methods.contour_alignment.outline import OutlinePoints
 from lodbench.methods.region.evidence import Evidence
-from lodbench.methods.region.search import Surroundings
+from lodbench.methods.region.search import OutlineJacobian
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
@@ -26,7 +26,7 @@ _PAIRS = np.triu_indices(6)
 
 
 def information_at(
-    nats: Callable[[Floats], Floats], vector: Floats, evidence: Evidence, around: Surroundings
+    log_likelihood: Callable[[Floats], Floats], vector: Floats, evidence: Evidence, around: OutlineJacobian
 ) -> Floats:
     """Returns the curvature (6, 6) of the likelihood at a mode: what the photo says if the map is right.
 
@@ -35,7 +35,7 @@ def information_at(
     A quadratic is fitted to the likelihood of poses around the mode. What curves upwards there says nothing.
 
     Args:
-        nats: (N, 6) poses to the (N,) logarithm of their likelihood.
+        log_likelihood: (N, 6) poses to the (N,) logarithm of their likelihood.
         vector: (6,) the mode.
         evidence: Knows the prior and the working size.
         around: How the outline moves.
@@ -48,7 +48,7 @@ def information_at(
     # The same draws for every query: the answer is a function of the mode alone.
     draws = random_stream(0, "curvature of the region fit").standard_normal((_SAMPLES // 2, 6))
     draws = np.concatenate([draws, -draws])
-    values = nats(vector + draws @ roots.T)
+    values = log_likelihood(vector + draws @ roots.T)
     design = np.column_stack([np.ones(len(draws)), draws, draws[:, _PAIRS[0]] * draws[:, _PAIRS[1]]])
     coefficients = np.linalg.lstsq(design, values, rcond=None)[0]
     hessian = np.zeros((6, 6))
@@ -244,7 +244,7 @@ class _Gaussian(NamedTuple):
 
 
 def posterior_mean(
-    nats: Callable[[Floats, float], Floats],
+    log_likelihood: Callable[[Floats, float], Floats],
     log_prior: Callable[[Floats], Floats],
     vector: Floats,
     covariance: Floats,
@@ -260,7 +260,7 @@ def posterior_mean(
     The likelihood is tempered as far as the place needs to be ``least_m`` wide.
 
     Args:
-        nats: (N, D) points and a share to the (N,) logarithm of the likelihood of such a share of the
+        log_likelihood: (N, D) points and a share to the (N,) log-likelihood of such a share of the
             photo's evidence, up to a constant of that share.
         log_prior: (N, D) points to the (N,) logarithm of their prior, up to a constant.
         vector: (D,) the best point.
@@ -277,7 +277,7 @@ def posterior_mean(
         drawn = gaussians[-1].drawn(generator)
         poses = np.concatenate([poses, drawn])
         # Against the best point at the same share: what a share alone adds is no pose's (docs/adr/0066).
-        *told, level = nats(np.concatenate([drawn, vector[None]]), share) / share
+        *told, level = log_likelihood(np.concatenate([drawn, vector[None]]), share) / share
         whole = np.append(whole, np.array(told) - level)
         priors = np.append(priors, log_prior(drawn))
         rest = priors - scipy.special.logsumexp(
@@ -289,14 +289,14 @@ def posterior_mean(
     return mean
 
 
-def _share_that_leaves(least_m: float, poses: Floats, nats: Floats, rest: Floats) -> float:
+def _share_that_leaves(least_m: float, poses: Floats, log_likelihood: Floats, rest: Floats) -> float:
     """Returns which share of the nats leaves the place so wide, metres; all where they do.
 
     Eq. (R17) of docs/methods/region.md.
     """
 
     def excess(log_share: float) -> float:
-        _, covariance = _moments(poses, math.exp(log_share) * nats + rest)
+        _, covariance = _moments(poses, math.exp(log_share) * log_likelihood + rest)
         return math.sqrt(float(np.trace(covariance[_PLACE, _PLACE]))) - least_m
 
     least = math.log(_LEAST_SHARE)

@@ -24,7 +24,16 @@ from lodbench.citymodel.pitched_blocks import pitched_blocks
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.methods.region.evidence import Evidence, PhotoFit
-from lodbench.methods.region.params import CAMERAS, EAVES, FEET, LENS, OUTLINES, POSE, ROOFS, Params
+from lodbench.methods.region.params import (
+    BASE_OFFSET,
+    CAMERAS,
+    EAVE_OFFSET,
+    LENS,
+    OUTLINES,
+    POSE,
+    ROOFS,
+    Params,
+)
 from lodbench.rendering.edges import EdgeFaces
 
 Floats = NDArray[np.float64]
@@ -232,21 +241,21 @@ class RoofEvidence:
         """Returns the evidence on poses alone, (N, 6), of roofs so much higher."""
         return self._evidence(int(step_of(np.array(roofs_m))))
 
-    def nats(self, vectors: Floats) -> Floats:
+    def log_likelihood(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the photo's likelihood, up to a constant."""
-        steps, nats = step_of(vectors[:, ROOFS]), np.zeros(len(vectors))
+        steps, log_likelihood = step_of(vectors[:, ROOFS]), np.zeros(len(vectors))
         for step in np.unique(steps):
             chosen = steps == step
-            nats[chosen] = self._evidence(int(step)).nats(vectors[chosen, :CAMERAS])
-        return nats
+            log_likelihood[chosen] = self._evidence(int(step)).log_likelihood(vectors[chosen, :CAMERAS])
+        return log_likelihood
 
     def log_prior(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the prior, up to a constant. Eq. (R12) of docs/methods/region.md."""
-        poses, eaves = self._evidence(0).log_prior(vectors[:, POSE]), vectors[:, EAVES]
+        poses, eaves = self._evidence(0).log_prior(vectors[:, POSE]), vectors[:, EAVE_OFFSET]
         roofs_sigma_m, feet_sigma_m, wide = self._sigmas_m
         exact = np.minimum(_EXACT_M, wide)
         of_eaves = np.logaddexp(*(-0.5 * (eaves / sigma) ** 2 - np.log(sigma) for sigma in (exact, wide)))
-        away = vectors[:, [LENS, ROOFS, FEET]] / (self._lens_percent, roofs_sigma_m, feet_sigma_m)
+        away = vectors[:, [LENS, ROOFS, BASE_OFFSET]] / (self._lens_percent, roofs_sigma_m, feet_sigma_m)
         return np.asarray(poses - 0.5 * (away**2).sum(axis=1) + of_eaves)
 
     def widened(self, covariance: Floats, most_m: float = math.inf) -> Floats:

@@ -16,7 +16,7 @@ from lodbench.methods.contour_alignment.outline import EdgeArrays, OutlinePoints
 from lodbench.methods.fits import nothing_fits
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import Evidence
-from lodbench.methods.region.evolution import Cloud, climb_abreast
+from lodbench.methods.region.evolution import Cloud, maximize_abreast
 from lodbench.methods.region.params import POSE, Params
 from lodbench.rendering import Scorer
 
@@ -52,7 +52,7 @@ def grid_starts(query: Query, evidence: Evidence, params: Params) -> tuple[Float
     best = float(fits.max())
     if best <= 0:
         raise nothing_fits("the photo fits no view of the map")
-    return vectors[tops_of(fits, grid, params.turns_around(), params.num_starts())], best
+    return vectors[local_maxima(fits, grid, params.turns_around(), params.num_starts())], best
 
 
 def samples(grid: PoseGrid, prior: Pose) -> Floats:
@@ -62,7 +62,7 @@ def samples(grid: PoseGrid, prior: Pose) -> Floats:
     return np.column_stack([centers, np.broadcast_to([pitch, roll], (len(yaws), 2)), yaws])
 
 
-def tops_of(fits: Floats, grid: PoseGrid, turns_around: bool, most: int) -> list[int]:
+def local_maxima(fits: Floats, grid: PoseGrid, turns_around: bool, most: int) -> list[int]:
     """Returns which samples of a grid to climb from, best first, none another's neighbour.
 
     Tops first, one of each hill: a broad false one shall not take every start. Then the best besides.
@@ -89,10 +89,10 @@ def tops_of(fits: Floats, grid: PoseGrid, turns_around: bool, most: int) -> list
     return chosen
 
 
-def climbed(
+def refine_candidates(
     starts: Floats,
     evidence: Evidence,
-    around: Surroundings,
+    around: OutlineJacobian,
     generations: int,
     spread_px: float,
     streams: Streams,
@@ -112,13 +112,13 @@ def climbed(
     clouds = {k: around.cloud(start, evidence, spread_px) for k, start in enumerate(starts)}
     shapes = {k: shape for k, shape in clouds.items() if shape is not None}
     generators = [streams(f"climb {spread_px:g}", k) for k in shapes]
-    climbs = climb_abreast(
+    climbs = maximize_abreast(
         evidence.log_posterior, list(shapes.values()), generations, around.population, generators, hopeless
     )
-    tops = modes_of(climbs, evidence)
-    tops.sort(key=lambda top: -top.log_posterior)
+    modes_found = modes_of(climbs, evidence)
+    modes_found.sort(key=lambda top: -top.log_posterior)
     distinct: list[Mode] = []
-    for top in tops:
+    for top in modes_found:
         if not any(_is_same(top.cloud.mean, other.cloud.mean) for other in distinct):
             distinct.append(top)
     return distinct
@@ -130,7 +130,7 @@ def _is_same(one: Floats, other: Floats) -> bool:
     return bool(np.linalg.norm(gap[:3]) <= _SAME_M and turned.max() <= _SAME_DEG)
 
 
-def judged(modes: list[Mode], evidence: Evidence) -> list[Mode]:
+def rescore(modes: list[Mode], evidence: Evidence) -> list[Mode]:
     """Returns the same tops as another evidence sees them, best first."""
     return sorted(modes_of([mode.cloud for mode in modes], evidence), key=lambda mode: -mode.log_posterior)
 
@@ -143,7 +143,7 @@ def modes_of(clouds: list[Cloud], evidence: Evidence) -> list[Mode]:
     return [Mode(cloud, float(log)) for cloud, log in zip(clouds, logs, strict=True)]
 
 
-class Surroundings:
+class OutlineJacobian:
     """How the outline moves around a pose, which shapes the first generation of a climb."""
 
     def __init__(self, edges: EdgeArrays, scorer: Scorer, params: Params) -> None:

@@ -28,7 +28,7 @@ _FAR_APART_M, _FEW_NATS, _BLUNT = 2.0, 50.0, 0.2
 TRUSTED = 0.5
 
 
-class Signs(NamedTuple):
+class ConfidenceFeatures(NamedTuple):
     """What tells right answers from wrong ones.
 
     Attributes:
@@ -47,7 +47,7 @@ class Signs(NamedTuple):
     beyond: float
 
 
-class LineSigns(NamedTuple):
+class LineFeatures(NamedTuple):
     """What the model's lines tell of an answer: three of its signs."""
 
     apart_m: float
@@ -56,31 +56,31 @@ class LineSigns(NamedTuple):
 
 
 # Of an answer that no line was laid over: as the median answer has it; and where none is in view.
-TYPICAL_LINES, NO_LINES = LineSigns(1.1, 150.0, 0.5), LineSigns(3.0, 0.0, 0.0)
+TYPICAL_LINES, NO_LINES = LineFeatures(1.1, 150.0, 0.5), LineFeatures(3.0, 0.0, 0.0)
 
 
-def trust_of(signs: Signs) -> float:
+def success_probability(features: ConfidenceFeatures) -> float:
     """Returns the probability that an answer is within (2 m, 2 deg). Eq. (R20) of docs/methods/region.md."""
-    probability = np.clip(signs.probability, _LEAST_PROBABILITY, 1.0 - _LEAST_PROBABILITY)
+    probability = np.clip(features.probability, _LEAST_PROBABILITY, 1.0 - _LEAST_PROBABILITY)
     return float(
         scipy.special.expit(
             _CONSTANT
             + _OF_ODDS * scipy.special.logit(probability)
-            - _OF_AGREEMENT * np.log(signs.apart_m + _APART_M)
-            + _OF_LINES * np.log(np.clip(signs.lines, 0.0, _MOST_LINES) + _LEAST_LINES)
-            + _OF_SHARPNESS * np.clip(signs.sharpness, 0.0, 1.0)
-            - _OF_BEYOND * np.clip(signs.beyond, 0.0, _MOST_BEYOND)
+            - _OF_AGREEMENT * np.log(features.apart_m + _APART_M)
+            + _OF_LINES * np.log(np.clip(features.lines, 0.0, _MOST_LINES) + _LEAST_LINES)
+            + _OF_SHARPNESS * np.clip(features.sharpness, 0.0, 1.0)
+            - _OF_BEYOND * np.clip(features.beyond, 0.0, _MOST_BEYOND)
         )
     )
 
 
-def contradictions(signs: Signs) -> Iterator[str]:
+def contradictions(features: ConfidenceFeatures) -> Iterator[str]:
     """Yields what speaks against an answer, in words."""
-    if signs.apart_m > _FAR_APART_M:
-        yield f"edges along the map's lines fit best {signs.apart_m:.1f} m away"
-    if signs.lines < _FEW_NATS:
+    if features.apart_m > _FAR_APART_M:
+        yield f"edges along the map's lines fit best {features.apart_m:.1f} m away"
+    if features.lines < _FEW_NATS:
         yield "few edges in the photo along the map's lines"
-    elif signs.sharpness < _BLUNT:
+    elif features.sharpness < _BLUNT:
         yield "edges in the photo lie beside the map's lines"
-    if signs.beyond > 0:
+    if features.beyond > 0:
         yield "the height is outside the range of the prior"

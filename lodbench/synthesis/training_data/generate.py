@@ -28,7 +28,7 @@ from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
-from lodbench.execution.code_version import own_digest, require_same_code
+from lodbench.execution.code_version import own_digest, require_code_version
 from lodbench.execution.executor import DASK, PROCESS, ExecutorParams, spread
 from lodbench.storage import (
     digest_of,
@@ -364,7 +364,7 @@ def _open_writer(params: GenerateParams, parts: PictureParts, out: Path) -> None
 
 def _make_world(params: GenerateParams, options: ReadOptions, digest: str, out: Path, code: str) -> None:
     """Opens the city here, makes what stands around it again, and makes sure that it is the same."""
-    require_same_code(code)
+    require_code_version(code)
     parts, _, _ = world_parts(params, *open_cities(params, options))
     if parts.digest() != digest:
         raise DatasetError(
