@@ -19,7 +19,7 @@ def test_codes_are_unique_and_grouped() -> None:
 
 def test_every_code_is_used_and_tested() -> None:
     source = "".join(
-        path.read_text() for path in (_ROOT / "lodbench/citymodel").glob("*.py") if path.name != "codes.py"
+        path.read_text() for path in (_ROOT / "lodbench/citymodel").rglob("*.py") if path.name != "codes.py"
     )
     tests = "".join(path.read_text() for path in (_ROOT / "tests/citymodel").glob("test_*.py"))
     for code in finding_catalogue():

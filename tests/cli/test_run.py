@@ -212,7 +212,7 @@ def test_other_code_is_another_run(tmp_path, monkeypatch, place):
     changed, baselines = tmp_path / "lodbench", tmp_path / "baselines"
     shutil.copytree(Path(module.__file__).parents[1], changed, ignore=shutil.ignore_patterns("weights"))
     shutil.copytree(Path(find_spec("lodbench.baselines").origin).parent, baselines)
-    monkeypatch.setattr(module, "__file__", str(changed / "execution" / "same_code.py"))
+    monkeypatch.setattr(module, "__file__", str(changed / "execution" / "code_version.py"))
     monkeypatch.setattr(module, "package_files", lambda name: sorted(baselines.rglob("*.py")))
     before = module.own_digest.__wrapped__()
     with (tmp_path / (place if place.startswith("baselines") else f"lodbench/{place}")).open("a") as stream:

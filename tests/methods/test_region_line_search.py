@@ -70,7 +70,7 @@ def test_it_is_the_same_on_one_core(city_map, roofs, drawn):
 
 def test_a_wide_prior_has_longer_strides_not_more_samples(city_map, roofs, drawn, monkeypatch):
     asked = []
-    monkeypatch.setattr(line_search, "tops_of", lambda fits, *_: asked.append(len(fits)) or [])
+    monkeypatch.setattr(line_search, "local_maxima", lambda fits, *_: asked.append(len(fits)) or [])
     for prior in (UniformPrior(), UniformPrior(50.0, 50.0, 30.0, 30.0)):
         assert starts_of(drawn[0], city_map, roofs, FAST.for_prior(prior)) == []
     assert asked[0] < asked[1] < 150_000
