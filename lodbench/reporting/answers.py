@@ -84,10 +84,12 @@ def untrusted_note(predictions: Iterable[Prediction]) -> str:
     count = sum(trust_of(found) == UNTRUSTED for found in answered)
     if not count:
         return ""
+    has_masks = any(found.mask_png for found in answered)
+    overlap = f", or IoU of mask and model below {TRUSTED_OVERLAP:g}" if has_masks else ""
     return (
         f"{count} of {len(answered)} poses are unreliable (probability below "
-        f"{TRUSTED_PROBABILITY:g}, or IoU of mask and model below {TRUSTED_OVERLAP:g}): check their "
-        "overlays, add or correct masks, or give better priors"
+        f"{TRUSTED_PROBABILITY:g}{overlap}): check their overlays, "
+        f"{'add or correct masks, or ' if has_masks else ''}give better priors"
     )
 
 

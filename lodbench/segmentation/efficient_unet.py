@@ -1,4 +1,9 @@
-"""``segmenter=efficient_unet``: a network whose encoder has learnt from photographs; needs OpenCV only."""
+"""``segmenter=efficient_unet``: a network whose encoder has learnt from photographs; needs OpenCV only.
+
+What a photo's own colours say, taught by the pixels of which a network is sure. A network that has seen no
+roofs like these is sure of some of them, and of most of the ground. A classifier of colour and texture that
+learns from those, on this photo alone, carries it to the rest (docs/adr/0058).
+"""
 
 from __future__ import annotations
 

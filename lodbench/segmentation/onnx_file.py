@@ -1,4 +1,9 @@
-"""Networks in ONNX files, run by OpenCV: no torch, nothing unpickled, no other file opened."""
+"""Networks in ONNX files, run by OpenCV: no torch, nothing unpickled, no other file opened.
+
+What must hold of an ONNX file before a reader in C++ sees it: no other files, shapes that can be. The file
+is walked as protobuf (https://protobuf.dev/programming-guides/encoding) with the field numbers of
+onnx.proto 1.17; nothing is built from it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Digests: short names for content, so that a changed input gets another name."""
+"""Digests: short names for content, so that a changed input gets another name.
+
+Files that are read again later must hold what they held: digests are remembered, and compared at reading. A
+run is named by the digests of its masks and photos, which it reads query by query, hours later perhaps. So
+the bytes that are decoded are those that are hashed: a file that was replaced, and put back before the end,
+cannot leave an answer behind.
+"""
 
 from __future__ import annotations
 

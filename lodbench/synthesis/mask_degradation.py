@@ -4,6 +4,9 @@ Every kind of error is drawn once, as a field that says at which strength each p
 (``mask_error_fields``). Strength 1 is an outline that wobbles by about 0.4 m.
 One number, the strength, then turns the whole mask from clean to hopeless, and bisection finds the
 strength that meets a target IoU without drawing a random number twice.
+
+Fields of mask errors: for each kind, at which strength a pixel turns wrong. (H, W) float32, infinite where
+it never does. ``mask_degradation`` turns them into masks.
 """
 
 from __future__ import annotations

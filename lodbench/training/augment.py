@@ -1,4 +1,9 @@
-"""Random changes of a picture and its mask that leave buildings buildings."""
+"""Random changes of a picture and its mask that leave buildings buildings.
+
+Strong random changes of what a picture looks like: other paints, other light, other sensors, other optics.
+A network that learns from drawn pictures learns their colours too, and real roofs have others (domain
+randomisation: Tobin et al., https://arxiv.org/abs/1703.06907). Where a building stands never changes here.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Photos as training views: traced by hand, without masks, or posed over a map."""
+"""Photos as training views: traced by hand, without masks, or posed over a map.
+
+Photos without masks as training views: those without buildings, and those that a network labels. Self-
+training as in Lee's pseudo-labels (ICML 2013 workshop); where the teacher is unsure, the label is grey and
+pulls neither way.
+"""
 
 from __future__ import annotations
 

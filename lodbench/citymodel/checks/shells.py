@@ -1,4 +1,9 @@
-"""Triangles and edges of the shells of a city's solids, and where these lie to each other."""
+"""Triangles and edges of the shells of a city's solids, and where these lie to each other.
+
+Are solids watertight? Shells of polygons as closed, consistently turned, two-manifold surfaces. Points
+nearer than a millimetre are one vertex. All shells of a city are looked at together: half-edges are sorted
+once, and every test is a count over them.
+"""
 
 from __future__ import annotations
 

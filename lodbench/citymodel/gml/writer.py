@@ -1,4 +1,8 @@
-"""CityGML 2.0 and 3.0, written a building at a time, with parts, attributes, surfaces by kind and solids."""
+"""CityGML 2.0 and 3.0, written a building at a time, with parts, attributes, surfaces by kind and solids.
+
+City objects that are no buildings as CityGML: bridges and tunnels as buildings are, others by their shape.
+Bridges and tunnels have all that buildings have, under names that differ by the word and the prefix alone.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""What the papers' datasets have in common: their parts are found, read, and brought to east, north, up."""
+"""What the papers' datasets have in common: their parts are found, read, and brought to east, north, up.
+
+Which frame a published dataset comes in, told by what stands upright in it. The Swiss city model was once
+turned into earth-centred coordinates, minus those of an origin; whether a download still is, its files do
+not say. Walls do: their normals are level in the frame that has the true vertical. Cameras do too: a gimbal
+keeps the picture's x axis level.
+"""
 
 from __future__ import annotations
 

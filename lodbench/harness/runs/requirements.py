@@ -1,4 +1,8 @@
-"""Before any work: whether a run has what its method and its segmenter need."""
+"""Before any work: whether a run has what its method and its segmenter need.
+
+At the door, before any work: do a run's city, priors, photos and masks belong together? What is wrong with
+all queries ends the run in one line. What is wrong with some is theirs, and counted.
+"""
 
 from __future__ import annotations
 

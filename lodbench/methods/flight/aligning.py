@@ -1,4 +1,9 @@
-"""The steps of a flight's joint problem: what photos say where they are thought to be, solved, and again."""
+"""The steps of a flight's joint problem: what photos say where they are thought to be, solved, and again.
+
+What footprints of the map are wrong about, which no photo tells: cameras go aside with a building. Walls of
+a block stand where the lowest level of detail draws them, metres beside those of the hall that is there.
+More photos say nothing of that, more buildings do: their errors have little to do with each other.
+"""
 
 from __future__ import annotations
 

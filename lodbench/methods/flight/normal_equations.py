@@ -1,4 +1,11 @@
-"""Sparse normal equations, block by block, and groups of errors whose common scale the flight estimates."""
+"""Sparse normal equations, block by block, and groups of errors whose common scale the flight estimates.
+
+Errors that are told too large by one unknown factor, which the flight itself tells (variance components). A
+flight says how far roofs of the map differ from each other, and how far photos lie from where a
+reconstruction has them. Where that is less than was told beforehand, expectation maximisation lowers what
+was told: squares of the residuals, and what is left open of them, are what their variance should be
+(Dempster, Laird and Rubin 1977, section 4.4).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,11 @@
-"""Starts of the joint problem: what the whole flight is off by, by vote, and other starts."""
+"""Starts of the joint problem: what the whole flight is off by, by vote, and other starts.
+
+Where a flight ends when it starts elsewhere: what a linearisation at one end cannot tell. Where map and
+masks differ by metres, many assignments of the mask's outline to the model's fit alike, and each start ends
+at one of its own: orbits round PLATEAU 53392642 end up to 3 m apart at the same overlap, each sure of
+itself to half a metre. Over a map that is right all starts end at one place. How far ends lie apart is an
+error that all photos share.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""The model's visible lines over the photo's edges: how well they fit, and starts from them."""
+"""The model's visible lines over the photo's edges: how well they fit, and starts from them.
+
+Where the map's lines fall on the photo's edges at all: starts where regions have no top. A street of roofs
+as dark as its yards has its best silhouette elsewhere; edges along its roofs are where they are. Every
+sample of a fine grid is tried with a blurred photo (docs/adr/0057).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Parameters of region-based localisation; docs/methods/region.md says where the defaults come from."""
+"""Parameters of region-based localisation; docs/methods/region.md says where the defaults come from.
+
+What a photo leaves open: where in a vector is what, in the order in which an outline tells how it moves.
+Pose (metres, degrees), by how many percent the lens is longer than told, then metres: how much higher than
+in the map all roofs are and the feet of all walls, and how much farther all eaves stand out. Shorter
+vectors begin alike.
+"""
 
 from __future__ import annotations
 

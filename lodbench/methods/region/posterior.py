@@ -1,4 +1,18 @@
-"""The posterior of the pose: its mean, its covariance, and what errors of the map add."""
+"""The posterior of the pose: its mean, its covariance, and what errors of the map add.
+
+The mean of the poses that a photo leaves, instead of the one that fits it best. The fit has steps of its
+own below a pixel, and ridges along which tilt and place make up for each other: its top is one of many
+bumps, metres apart on a ridge. Their mean, weighed by the posterior, is nearer to the truth
+(docs/adr/0044).
+
+How much a photo's nats count is told by the photo (docs/adr/0056). Hundreds of lines seem to say a place to
+a decimetre, but err together; a few say no more than they know.
+
+How far a map's own errors may have led an answer astray: its covariance. The curvature of a likelihood says
+how well a photo tells poses apart if the map is right. Houses stand half a metre beside where the map has
+them, and roofs are higher or lower, each building's outline as a whole: few buildings leave much open that
+thousands of pixels seem to say (docs/adr/0043).
+"""
 
 from __future__ import annotations
 

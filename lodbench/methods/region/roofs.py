@@ -4,6 +4,9 @@ Blocks end somewhere between eaves and ridge, and are as wide as walls or as roo
 decided: its roofs err alike. The photo tells by how much, and a camera that has to make up for it ends too
 high or too low (docs/adr/0052, docs/adr/0054). So do walls that end higher than in the map, at a slope, a
 hedge or cars (docs/adr/0062).
+
+How the outlines of roofs move where eaves stand out farther than in the map. Blocks are as wide as walls in
+one city and as roofs in the next, as whoever made the map decided: their roofs err alike (docs/adr/0054).
 """
 
 from __future__ import annotations

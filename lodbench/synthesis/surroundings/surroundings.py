@@ -1,4 +1,8 @@
-"""The surroundings of a city without any: ground, land cover, trees, cars and clutter from its footprints."""
+"""The surroundings of a city without any: ground, land cover, trees, cars and clutter from its footprints.
+
+What networks take for buildings and is none: containers, tents, heaps, car parks, courts, yards, tracks. A
+new kind is a function and a line in ``CLUTTER``.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,9 @@
 """The demo town some years before its photos, as a textured map: its surfaces then, painted, as one GLB file.
 
 What stood then, in the colours it had, in another season.
+
+Surfaces painted on pictures: the ground from above, each face of a building on a rectangle of its own.
+Texels are shaded where they lie in the world, in the light of one day.
 """
 
 from __future__ import annotations
