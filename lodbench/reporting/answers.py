@@ -89,7 +89,7 @@ def untrusted_note(predictions: Iterable[Prediction]) -> str:
     return (
         f"{count} of {len(answered)} poses are unreliable (probability below "
         f"{TRUSTED_PROBABILITY:g}{overlap}): check their overlays, "
-        f"{'add or correct masks, or ' if has_masks else ''}give better priors"
+        f"{'add or correct masks, ' if has_masks else ''}or give better priors"
     )
 
 
