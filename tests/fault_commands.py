@@ -15,8 +15,8 @@ from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.pose_text import lines_to_text
 from lodbench.harness.tracing.tracing import Traced, write_tracing
-from tests.datasets.dji_photo import exif_of, write_photo, xmp_packet
 from tests.flight import stated
+from tests.photos.dji_photo import exif_of, write_photo, xmp_packet
 from tests.town import BOXES, CAMERA, true_poses, write_dataset
 
 # What differs from one undisturbed run to the next: times, machine facts, and a key drawn once per cache.

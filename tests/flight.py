@@ -9,10 +9,10 @@ import numpy as np
 from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.geometry import Camera, Pose
-from tests.datasets.dji_photo import exif_of, write_photo, xmp_packet
+from lodbench.photos.map_frame import MapFrame
+from tests.photos.dji_photo import exif_of, write_photo, xmp_packet
 
 # What GPS, a barometer and a compass are off by: east, north, up in metres, heading in degrees.
 OFF_M, OFF_DEG = (6.0, -5.0, 11.0), 3.0

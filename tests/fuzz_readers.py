@@ -20,13 +20,13 @@ from lodbench.citymodel import open_scene
 from lodbench.citymodel.scene_file import read_scene, write_scene
 from lodbench.cli import main
 from lodbench.cli.verify import read_config
-from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_cameras, read_hypotheses, read_poses
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.execution import Ledger
 from lodbench.harness.runs.status import read_status
 from lodbench.harness.runs.stored import read_run
+from lodbench.photos.metadata import read_photo_metadata
 from lodbench.reporting.leaderboard_entry import read_entries
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.onnx_file import onnx_fault

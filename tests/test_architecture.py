@@ -23,6 +23,7 @@ LAYERS = [
     "storage",
     "geometry",
     "citymodel",
+    "photos",
     "rendering",
     "datasets",
     "execution",

@@ -12,9 +12,6 @@ import pytest
 
 from lodbench.cli import main
 from lodbench.cli.verify import read_config
-from lodbench.datasets.photo_camera import camera_from_photo
-from lodbench.datasets.photo_metadata import PhotoMetadata
-from lodbench.datasets.photo_xmp import Dewarp
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, DatasetError
@@ -23,6 +20,9 @@ from lodbench.harness.remote.method import About
 from lodbench.harness.remote.wire import MalformedMessage
 from lodbench.methods.conformance.rules import Violation, right_name
 from lodbench.methods.registry import ConfiguredMethod
+from lodbench.photos.camera import camera_from_photo
+from lodbench.photos.metadata import PhotoMetadata
+from lodbench.photos.xmp import Dewarp
 from lodbench.plugins import blaming
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.polygon_files import read_polygons

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from lodbench.cli import main
-from lodbench.datasets.map_frame import MapFrame
+from lodbench.photos.map_frame import MapFrame
 from tests.flight import write_flight
 from tests.tracing_case import write_case
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.bench.mask_pictures import SHEET_FILE, draw_all
 from lodbench.bench.mask_quality import found_mask, name_and_weights, one_core
-from lodbench.datasets.traced_photos import traced_mask, traced_photos
 from lodbench.errors import DatasetError
 from lodbench.evaluation.statistics import Interval, bootstrap_means
+from lodbench.photos.files import traced_mask, traced_photos
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.overlays import draw_outline, write_picture
 from lodbench.segmentation import Segmenter, notes_of

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from lodbench.bench.photo_masks import labelled_photos
 from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.datasets.query import Dataset, Entry
-from lodbench.datasets.traced_photos import traced_mask
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.photos.files import traced_mask
 from lodbench.segmentation.polygon_files import polygons_of
 from lodbench.storage import random_stream
 

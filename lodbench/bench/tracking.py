@@ -13,12 +13,12 @@ from lodbench.bench.figures import Figure, Progress, Report, load_in_words, no_p
 from lodbench.bench.options import option
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.photo_pose import RoughPlace
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.looking import look_from_rotation
 from lodbench.harness.track.frames import Footage
 from lodbench.harness.track.track import Track, TrackRequest, track
+from lodbench.photos.pose import RoughPlace
 from lodbench.segmentation import Segmenter
 from lodbench.storage import random_stream, write_bytes
 from lodbench.synthesis.queries import SyntheticQuery

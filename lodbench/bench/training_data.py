@@ -15,10 +15,10 @@ from lodbench.bench.options import SEED, option
 from lodbench.bench.scene_opening import resident_mb
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.pictures import encoded_mask
 from lodbench.errors import ConfigError, LodbenchError, require_within
 from lodbench.execution.fan_out import fan_out
 from lodbench.geometry import Camera
+from lodbench.photos.pictures import encoded_mask
 from lodbench.rendering import open_renderer
 from lodbench.storage import make_folder
 from lodbench.synthesis.training_data.generate import open_cities, world_parts

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymap.linear_places import LinearPlaces, Uncertainty, linearized_places
 from lodbench.citymap.surfaces import Surfaces
-from lodbench.datasets.photo_xmp import LaserRange
 from lodbench.geometry import Camera, Pose
+from lodbench.photos.xmp import LaserRange
 
 Floats = NDArray[np.float64]
 

@@ -24,9 +24,9 @@ from lodbench.citymap.linear_places import (
 )
 from lodbench.citymap.surfaces import MAP_SIGMA_M, Surfaces
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.photo_xmp import LaserRange
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Camera, Pose
+from lodbench.photos.xmp import LaserRange
 
 Floats = NDArray[np.float64]
 

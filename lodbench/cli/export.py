@@ -13,7 +13,6 @@ from lodbench.citymodel.scene import Scene
 from lodbench.cli.parser import Parser
 from lodbench.cli.run_folders import run_folders
 from lodbench.cli.verify import add_path_options, reopen_dataset
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.harness.city import open_city
@@ -29,6 +28,7 @@ from lodbench.harness.export.export import (
 )
 from lodbench.harness.export.localized import is_localized, read_localized_folder
 from lodbench.harness.runs.stored import StoredRun, read_whole_run, require_writable
+from lodbench.photos.map_frame import MapFrame
 from lodbench.plugins import blaming, plugin_names
 from lodbench.reporting.aligned_text import count_of
 

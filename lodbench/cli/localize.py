@@ -26,9 +26,9 @@ from lodbench.cli.place_options import (
 )
 from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
 from lodbench.cli.source_profiles import option_pairs
-from lodbench.datasets.photo_pose import START_OF_EACH
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
+from lodbench.photos.pose import START_OF_EACH
 from lodbench.segmentation.choice import FOR_PHOTOS
 
 if TYPE_CHECKING:

@@ -33,7 +33,6 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
     from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
-    from lodbench.datasets.photo_files import mask_name
     from lodbench.harness.mask.files import (
         Untouched,
         opened_session,
@@ -41,6 +40,7 @@ def main(argv: Sequence[str]) -> int:
         require_unturned,
         saved,
     )
+    from lodbench.photos.files import mask_name
 
     if asked.photo.is_dir():
         raise ConfigError(f"{asked.photo} is a folder.", "Name a photo: lodbench mask PHOTO")
@@ -88,7 +88,7 @@ def _check_out(out: Path, photo: Path) -> None:
     Raises:
         ConfigError: It is a folder, no PNG file, or the photo itself.
     """
-    from lodbench.datasets.photo_files import mask_name
+    from lodbench.photos.files import mask_name
 
     if out.is_dir():
         inside = shlex.quote(str(out / mask_name(photo.stem)))

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from lodbench.cli.source_profiles import DATE_HELP, load_profile
-from lodbench.datasets.photo_pose import HeightOptions, HeightSource, RoughPlace
 from lodbench.datasets.pose_text import parse_camera
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, DatasetError, LodbenchError, require_choice, require_within
 from lodbench.geometry import Camera, CameraSigmas
+from lodbench.photos.pose import HeightOptions, HeightSource, RoughPlace
 from lodbench.storage import can_write
 
 if TYPE_CHECKING:

@@ -4,11 +4,11 @@
 what                    where
 ======================  ============================================================================
 what a query is         ``query``, ``inputs`` (what methods may require)
-``dataset=folder``      ``folder``; from photos: ``own``, ``photo_*``, ``undistort``
+``dataset=folder``      ``folder``; from photos: ``own``
 published datasets      ``published``, their cards in ``data_cards``; downloads in ``download``
 priors                  ``priors`` (their errors), ``prior_sources`` (where they come from)
 pose files              ``pose_text`` (LoD-Loc's), ``exchange`` (others'), ``pose_files`` (which it is)
-photos                  ``pictures``, ``picture_faults``; posed ones of the place: ``references``
+photos                  ``faults``; posed ones of the place: ``references``; see ``lodbench.photos``
 ======================  ============================================================================
 
 Made-up datasets are in ``lodbench.synthesis``.

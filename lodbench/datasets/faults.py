@@ -6,9 +6,10 @@ import math
 import warnings
 from pathlib import Path
 
-from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.query import Entry
 from lodbench.geometry import Camera
+from lodbench.photos.camera import FIELD_DEG
+from lodbench.photos.pictures import picture_size
 
 # Beyond this a mask shows another part of the scene; ``check_mask`` holds the decoded ones to the same.
 _ASPECT_TOLERANCE = 0.02
@@ -59,8 +60,6 @@ def is_decodable(path: Path) -> bool:
     return True
 
 
-# A horizontal field of view beyond these, degrees, is a wrong number: fisheyes have no such focal length.
-FIELD_DEG = (3.0, 150.0)
 # Pixels are square, to this factor.
 _SQUARE = 1.5
 # Principal points lie this near the middle, as a share of the side, and in no whole photo beyond the second.

@@ -30,7 +30,6 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
 from lodbench.datasets.folder_about import ABOUT_FILE, read_about, stated_city, stated_crs
 from lodbench.datasets.instance_labels import INSTANCES_FOLDER
-from lodbench.datasets.photo_files import mask_names
 from lodbench.datasets.pose_text import (
     format_camera,
     format_pose,
@@ -45,6 +44,7 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.datasets.references import read_references
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Camera, CameraSigmas, Pose
+from lodbench.photos.files import mask_names
 from lodbench.storage import write_text
 
 TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.pictures import decoded, encoded, has_too_many_pixels
 from lodbench.errors import QueryFault
+from lodbench.photos.pictures import decoded, encoded, has_too_many_pixels
 from lodbench.storage.digest import read_content
 
 # Folder of a split's label files.

@@ -12,14 +12,13 @@ from typing import Any
 from lodbench.datasets.faults import is_decodable, mask_fault
 from lodbench.datasets.folder import LENS_FILE, SEQUENCE_FILE, write_poses
 from lodbench.datasets.folder_about import ABOUT_FILE, sealed_about
-from lodbench.datasets.photo_files import PHOTO_SUFFIXES, in_pose_lines, mask_names
-from lodbench.datasets.photo_flights import split_flights
-from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.pose_text import lines_to_text
-from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.geometry import Camera, CameraSigmas, Pose
+from lodbench.photos.files import PHOTO_SUFFIXES, in_pose_lines, mask_names, split_flights
+from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
+from lodbench.photos.pictures import encoded, read_picture
+from lodbench.photos.undistort import pinhole_of, undistorted
 from lodbench.storage import make_folder, new_folder, write_bytes, write_text
 
 _JPEG_QUALITY = 95

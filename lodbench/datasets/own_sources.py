@@ -8,14 +8,14 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import OwnImage, find_mask, find_photo
-from lodbench.datasets.photo_camera import camera_from_photo, camera_given
-from lodbench.datasets.photo_files import copies_among, find_photos, require_photos
-from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo, require_stated
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera, CameraSigmas
+from lodbench.photos.camera import camera_from_photo, camera_given
+from lodbench.photos.files import copies_among, find_photos, require_photos
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import read_photo_metadata
+from lodbench.photos.pose import HeightOptions, pose_from_photo, require_stated
 
 LeftOut = list[tuple[str, str]]
 

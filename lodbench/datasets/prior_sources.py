@@ -16,15 +16,15 @@ from typing import ClassVar, Protocol, cast
 from lodbench.citymodel.cache import open_cached_scene
 from lodbench.datasets.codes import NO_PRIOR
 from lodbench.datasets.exchange.lines import read_lines
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.photo_pose import HeightOptions, HeightSource, pose_from_photo
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.priors import UniformPrior, with_uniform_priors
 from lodbench.datasets.query import Dataset, Entry, notes_of
 from lodbench.errors import ConfigError, DatasetError, require_numbers
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import read_photo_metadata
+from lodbench.photos.pose import HeightOptions, HeightSource, pose_from_photo
 from lodbench.storage import digest_of
 
 
@@ -121,8 +121,8 @@ class FilePrior:
 class SensorPrior:
     """What the photos themselves state: GPS position and gimbal angles.
 
-    The steps are those of ``photo_pose``: datum, projection, grid convergence, heights, the roll about
-    the optical axis.
+    The steps are those of ``lodbench.photos.pose``: datum, projection, grid convergence, heights, the
+    roll about the optical axis.
 
     Attributes:
         heights: ``auto``, ``sea_level``, ``ellipsoid`` or ``takeoff``; see ``HeightOptions``.

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.pictures import decoded, has_too_many_pixels
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose
+from lodbench.photos.pictures import decoded, has_too_many_pixels
 
 
 @dataclass(frozen=True, slots=True, eq=False)

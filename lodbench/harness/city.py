@@ -11,10 +11,10 @@ from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.stored_city import OpenCity
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.errors import DatasetError
 from lodbench.execution import ProgressCallback
 from lodbench.geometry import Pose
+from lodbench.photos.map_frame import MapFrame
 from lodbench.storage import digest_of
 
 # A camera further from the city's outline than this sees none of it; nor one further below it than rough

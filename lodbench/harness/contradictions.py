@@ -27,13 +27,13 @@ from lodbench.datasets.codes import (
     PHOTO_TWICE,
     PHOTO_UNLIKE_CITY,
 )
-from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.errors import pose_error
 from lodbench.execution import Progress
 from lodbench.findings import FindingCode, Findings
 from lodbench.geometry import Camera, Pose
+from lodbench.photos.pictures import read_picture
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation import binary_mask
 from lodbench.segmentation.masks import read_mask

@@ -29,9 +29,6 @@ from lodbench.datasets.codes import (
     WRONG_DIRECTION,
 )
 from lodbench.datasets.faults import crop_doubt, exchange_fault, field_fault
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_camera import camera_from_photo
-from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.pose_direction import sample_corners, sees, suspect_direction
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.datasets.published.spec import Download
@@ -44,6 +41,9 @@ from lodbench.geometry.looking import off_nadir_deg
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.harness.contradictions import check_views
 from lodbench.harness.photo.check import check_photos
+from lodbench.photos.camera import camera_from_photo
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
 from lodbench.storage import file_digest
 
 # A focal length that differs by more from what a photo states is another one.

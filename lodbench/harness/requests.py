@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from lodbench.citymodel.options import ReadOptions
-from lodbench.datasets.photo_pose import HeightOptions, RoughPlace
 from lodbench.errors import require_within
 from lodbench.geometry import Camera, CameraSigmas
+from lodbench.photos.pose import HeightOptions, RoughPlace
 from lodbench.segmentation import Segmenter
 
 

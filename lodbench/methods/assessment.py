@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.estimation.model_lines import LensErrors, ModelLines, Projected, lines_in_view, project_lines
@@ -24,6 +23,7 @@ from lodbench.geometry.camera_sigmas import UNKNOWN, CameraSigmas
 from lodbench.geometry.pose_vector import vector_from_pose
 from lodbench.methods.contour_alignment.uncertainty import probability_within
 from lodbench.methods.protocol import Estimate
+from lodbench.photos.pictures import read_picture
 
 Floats = NDArray[np.float64]
 

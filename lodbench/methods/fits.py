@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.inputs import Input
-from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
+from lodbench.photos.pictures import read_picture
 from lodbench.plugins import load_plugin
 from lodbench.rendering import BoundaryFit, Fit, IouFit, SoftIouFit
 from lodbench.segmentation import BUILDING_THRESHOLD, resized

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.pictures import read_picture
 from lodbench.geometry import Camera, Pose
+from lodbench.photos.pictures import read_picture
 from lodbench.rendering import Renderer
 from lodbench.storage import write_bytes
 from lodbench.storage.atomic import writable

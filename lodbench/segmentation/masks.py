@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.own import find_mask
-from lodbench.datasets.pictures import decoded, has_too_many_pixels
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
+from lodbench.photos.pictures import decoded, has_too_many_pixels
 from lodbench.storage import digest_of
 from lodbench.storage.digest import content_digest, read_content
 from lodbench.storage.paths import require_regular

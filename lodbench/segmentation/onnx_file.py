@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.datasets.pictures import opencv_silenced
 from lodbench.errors import ConfigError
+from lodbench.photos.pictures import opencv_silenced
 from lodbench.storage.digest import read_content
 
 # Of a message: (number, its kind) of the fields looked at. Graphs stand in attributes, tensors in both.

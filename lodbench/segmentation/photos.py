@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.pictures import decoded, has_too_many_pixels, in_8_bits
 from lodbench.errors import QueryFault
+from lodbench.photos.pictures import decoded, has_too_many_pixels, in_8_bits
 from lodbench.storage.digest import read_content
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from lodbench.citymodel import open_scene
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.inputs import Input
-from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError
+from lodbench.photos.pictures import read_picture
 from lodbench.storage import make_folder, random_stream, write_bytes
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.queries import written_once

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.folder import write_poses
 from lodbench.datasets.instance_labels import INSTANCES_FOLDER, encoded_labels
-from lodbench.datasets.pictures import encoded_mask
 from lodbench.geometry import Camera, Pose
+from lodbench.photos.pictures import encoded_mask
 from lodbench.storage import make_folder, new_folder, write_bytes
 
 Floats = NDArray[np.float64]

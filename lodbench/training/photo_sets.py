@@ -19,13 +19,12 @@ from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.crs import is_same_plane
 from lodbench.datasets.folder import TRUTH_FILE, FolderParams, open_folder
 from lodbench.datasets.folder_about import ABOUT_FILE
-from lodbench.datasets.photo_files import PHOTO_SUFFIXES
-from lodbench.datasets.pictures import encoded, encoded_mask
 from lodbench.datasets.query import Dataset, Entry
-from lodbench.datasets.traced_photos import traced_photos
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
+from lodbench.photos.files import PHOTO_SUFFIXES, traced_photos
+from lodbench.photos.pictures import encoded, encoded_mask
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.faults import aspect_fault, mask_fault
 from lodbench.datasets.instance_labels import read_labels
-from lodbench.datasets.photo_files import PHOTO_SUFFIXES
-from lodbench.datasets.pictures import picture_size, read_picture
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
+from lodbench.photos.files import PHOTO_SUFFIXES
+from lodbench.photos.pictures import picture_size, read_picture
 from lodbench.segmentation.compact_instances import interiors
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.photos import read_photo

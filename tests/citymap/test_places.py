@@ -17,10 +17,10 @@ from lodbench.citymap.places import LocatedPixel, places_of
 from lodbench.citymap.surfaces import Surfaces
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.scene import Scene, build_scene
-from lodbench.datasets.photo_xmp import LaserRange
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.photos.xmp import LaserRange
 from tests.town import box_obj
 
 CAMERA = Camera(1000, 800, 900.0, 890.0, 505.0, 396.0)

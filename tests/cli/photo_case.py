@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from lodbench.citymodel import open_scene
 from lodbench.cli.localize import main
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.photos.map_frame import MapFrame
 from lodbench.rendering import make_renderer
-from tests.datasets.dji_photo import exif_of, write_photo, xmp_packet
+from tests.photos.dji_photo import exif_of, write_photo, xmp_packet
 
 WIDTH, HEIGHT = 684, 456
 DISTORTION = (-0.2651, 0.1123, 0.0002, -0.0004, -0.0331)

@@ -19,7 +19,6 @@ from lodbench.datasets.exchange.colmap import read_colmap, write_colmap
 from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.photogrammetry import write_odm
 from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
@@ -27,9 +26,10 @@ from lodbench.geometry.similarity import Similarity
 from lodbench.harness.georeference.request import GeoreferenceRequest
 from lodbench.harness.georeference.start import rough_start
 from lodbench.methods.registry import make_method
+from lodbench.photos.map_frame import MapFrame
 from lodbench.synthesis.flights.dataset import FlightsParams, open_flights
 from tests.cli.photo_case import stated
-from tests.datasets.dji_photo import write_photo, xmp_packet
+from tests.photos.dji_photo import write_photo, xmp_packet
 
 COUNT, NOISE_M, NOISE_DEG = 6, 0.05, 0.03
 

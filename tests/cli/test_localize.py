@@ -25,7 +25,7 @@ from tests.cli.photo_case import (
     make_case,
     pose_of,
 )
-from tests.datasets.dji_photo import exif_of, write_photo
+from tests.photos.dji_photo import exif_of, write_photo
 from tests.town import box_obj
 
 

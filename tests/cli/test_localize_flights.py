@@ -21,8 +21,8 @@ from lodbench.harness.photo.many import FINDINGS_FILE, FLIGHTS_FILE, PhotoAnswer
 from lodbench.rendering import make_renderer
 from lodbench.reporting.answers import UNTRUSTED
 from lodbench.synthesis.view_sampling import view_of
-from tests.datasets.dji_photo import exif_of, write_photo, xmp_packet
 from tests.flight import OFF_DEG, OFF_M, stated
+from tests.photos.dji_photo import exif_of, write_photo, xmp_packet
 
 CAMERA = Camera(400, 300, 290.0, 290.0, 200.0, 150.0)
 CRS = "EPSG:25832+7837"

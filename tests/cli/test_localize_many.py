@@ -18,11 +18,11 @@ from shapely.geometry import Point, shape
 
 from lodbench.cli import main
 from lodbench.datasets.exchange.geojson import footprint_feature
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import find_mask
-from lodbench.datasets.photo_files import find_photos
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.photo import many
+from lodbench.photos.files import find_photos
+from lodbench.photos.map_frame import MapFrame
 from lodbench.segmentation import registry
 from tests.cli.photo_case import Case, make_case
 

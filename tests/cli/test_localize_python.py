@@ -13,7 +13,7 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import EulerAngles, Pose
 from tests.cli.photo_case import localize, make_case
 from tests.cli.test_localize_flights import flight  # noqa: F401 - a fixture
-from tests.datasets.dji_photo import write_photo
+from tests.photos.dji_photo import write_photo
 from tests.town import CAMERA, box_obj
 
 

@@ -16,7 +16,7 @@ import lodbench
 from lodbench.cli import main
 from lodbench.cli.locate import main as locate
 from tests.cli.photo_case import DISTORTION, HEIGHT, PINHOLE, WIDTH, Case, make_case
-from tests.datasets.dji_photo import exif_of, write_photo, xmp_packet
+from tests.photos.dji_photo import exif_of, write_photo, xmp_packet
 from tests.town import box_obj
 
 

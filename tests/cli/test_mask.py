@@ -13,10 +13,10 @@ import pytest
 from PIL import Image
 
 from lodbench.cli import main
-from lodbench.datasets.photo_files import find_photos
 from lodbench.errors import DatasetError
 from lodbench.harness.mask.server import MaskServer
 from lodbench.harness.mask.session import MaskSession
+from lodbench.photos.files import find_photos
 
 
 def houses():

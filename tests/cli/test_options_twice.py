@@ -9,7 +9,7 @@ import pytest
 
 from lodbench.cli import main
 from lodbench.cli.localize import _masks_for, parser
-from tests.datasets.dji_photo import write_photo
+from tests.photos.dji_photo import write_photo
 from tests.town import box_obj
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from lodbench.cli import main
-from tests.datasets.dji_photo import exif_of, write_photo, xmp_packet
 from tests.fault_commands import CRS, prepare_inputs
 from tests.flight import stated
+from tests.photos.dji_photo import exif_of, write_photo, xmp_packet
 from tests.town import CAMERA, true_poses
 
 # Without a height system no height above the ellipsoid can be converted.

@@ -18,15 +18,15 @@ from scipy.spatial.transform import Rotation
 
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
 from lodbench.datasets.priors import UniformPrior
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.frames import SWISS_EPFL_FRAME, enu_from_ecef_rotation
+from lodbench.photos.map_frame import MapFrame
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import random_stream
 from lodbench.synthesis.view_sampling import RGB_CAMERA, ViewSampling, sample_views
-from tests.datasets.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
+from tests.photos.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
 from tests.town import town_gml
 
 UAVD4L_CAMERA = RGB_CAMERA.scaled(660, 494)

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from lodbench.datasets.exchange.survey import SIGMA_COLUMNS, SURVEY_COLUMNS, survey_row
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_metadata import PhotoMetadata
-from lodbench.datasets.photo_pose import RoughPlace, pose_at, pose_from_photo
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.looking import STEEP_DEG, off_nadir_deg
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import PhotoMetadata
+from lodbench.photos.pose import RoughPlace, pose_at, pose_from_photo
 
 LOOK = ("heading_deg", "pitch_deg", "roll_deg")
 UTM = MapFrame("EPSG:25832")

@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lodbench.datasets.exchange.xmp_sidecar import write_sidecar
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.photo_pose import pose_from_photo
-from lodbench.datasets.photo_xmp import xmp_values
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.angles import dji_from_rotation, rotation_from_dji
-from tests.datasets.dji_photo import write_photo
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import read_photo_metadata
+from lodbench.photos.pose import pose_from_photo
+from lodbench.photos.xmp import xmp_values
+from tests.photos.dji_photo import write_photo
 
 FRAME = MapFrame("EPSG:25832+7837")
 

@@ -11,11 +11,11 @@ import pytest
 
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.undistort import pinhole_of
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.photo.flight_inputs import masks_of, picture_file, poses_in_model, tied_notes
 from lodbench.methods.flight.tracks import width_looked_at
+from lodbench.photos.undistort import pinhole_of
 from tests.town import CAMERA
 
 

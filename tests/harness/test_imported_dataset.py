@@ -18,11 +18,11 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.exchange.tum import write_tum
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.pose_text import format_camera, lines_to_text, read_cameras, read_poses
-from lodbench.datasets.undistort import pinhole_of
 from lodbench.evaluation import pose_error
+from lodbench.photos.undistort import pinhole_of
 from tests.cli.photo_case import HEIGHT, PINHOLE, WIDTH, Case
-from tests.datasets.dji_photo import write_photo
 from tests.harness.own_case import LENS, make_own_case, run
+from tests.photos.dji_photo import write_photo
 
 
 @pytest.fixture(scope="module")

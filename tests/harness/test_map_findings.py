@@ -7,8 +7,8 @@ import pytest
 from shapely.geometry import Polygon, shape
 
 from lodbench.citymodel.scene import build_scene
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.harness.flights.map_findings import building_outline, city_and_marks, contradiction_features
+from lodbench.photos.map_frame import MapFrame
 
 # A ring of flat roof, 20 m x 20 m with a court of 8 m x 8 m, as four rectangles; and a wall of it.
 _RECTANGLES = ((0, 0, 20, 6), (0, 14, 20, 20), (0, 6, 6, 14), (14, 6, 20, 14))

@@ -14,12 +14,12 @@ from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.pose_text import read_cameras, read_poses
-from lodbench.datasets.undistort import pinhole_of
 from lodbench.evaluation import pose_error
 from lodbench.geometry import CameraSigmas
+from lodbench.photos.undistort import pinhole_of
 from tests.cli.photo_case import Case
-from tests.datasets.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
 from tests.harness.own_case import LENS, init, make_own_case, run
+from tests.photos.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
 
 
 @pytest.fixture(scope="module")

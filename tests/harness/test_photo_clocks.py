@@ -3,7 +3,7 @@
 import pytest
 
 from lodbench.harness.track.frames import photo_clocks
-from tests.datasets.dji_photo import exif_of, write_photo
+from tests.photos.dji_photo import exif_of, write_photo
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.pictures import picture_size, read_picture
 from lodbench.errors import QueryFault
+from lodbench.photos.metadata import read_photo_metadata
+from lodbench.photos.pictures import picture_size, read_picture
 from lodbench.segmentation.photos import as_rgb, read_photo
 from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
 

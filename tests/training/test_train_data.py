@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lodbench.cli import main
-from lodbench.datasets.pictures import picture_size
 from lodbench.errors import ConfigError, DatasetError
+from lodbench.photos.pictures import picture_size
 from lodbench.segmentation.compact import Compact, CompactParams
 from lodbench.segmentation.compact_instances import CompactInstances, CompactInstancesParams
 from lodbench.training.augment import flipped, random_crop, relit

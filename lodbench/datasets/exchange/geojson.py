@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.source import OWN_GEOJSON
 from lodbench.datasets.exchange.survey import survey_row
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.geometry import Camera, Pose
+from lodbench.photos.map_frame import MapFrame
 from lodbench.storage import write_text
 
 # A camera's line ends where the ray through the picture's middle is this much lower, or this far away.

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.map_frame import Place
 from lodbench.geometry import Pose
 from lodbench.geometry.looking import look_covariance, look_from_rotation
+from lodbench.photos.map_frame import Place
 
 # Columns of a pose, and decimals that tables and maps keep: millimetres on the ground, 0.001 degrees.
 POSE_DECIMALS = {

@@ -11,9 +11,9 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from lodbench import __version__
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.geometry import Pose
 from lodbench.geometry.angles import dji_from_rotation
+from lodbench.photos.map_frame import MapFrame
 from lodbench.storage import write_text
 
 _TOOL = "lodbench"

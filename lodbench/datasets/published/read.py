@@ -27,9 +27,6 @@ from lodbench.datasets.codes import (
 )
 from lodbench.datasets.exchange.colmap import read_colmap
 from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.photo_files import mask_names
-from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_cameras
 from lodbench.datasets.published.layout import SplitFiles
@@ -38,6 +35,9 @@ from lodbench.datasets.query import Entry
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.findings import Findings
 from lodbench.geometry import Camera, Pose, wrap_deg
+from lodbench.photos.files import mask_names
+from lodbench.photos.metadata import read_photo_metadata
+from lodbench.photos.pictures import read_picture
 from lodbench.storage.json_text import parse_json
 
 T = TypeVar("T")

@@ -15,12 +15,12 @@ from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.nerfstudio import write_nerfstudio
 from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm, write_pix4d
 from lodbench.datasets.exchange.tum import write_tum
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.queries import own_failure, queries_csv
 from lodbench.harness.export.export import CRS, DATASET, Export
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.harness.runs.survey import survey_csv
+from lodbench.photos.map_frame import MapFrame
 from lodbench.reporting.answers import trust_of
 from lodbench.storage import write_bytes, write_text
 

@@ -11,7 +11,7 @@ from shapely import Polygon, polygons, union_all
 from shapely.geometry.polygon import orient
 
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.map_frame import MapFrame
+from lodbench.photos.map_frame import MapFrame
 from lodbench.reporting.flight_words import doubted_buildings, map_rows
 from lodbench.reporting.map_figure import Marked
 

@@ -20,10 +20,8 @@ from lodbench.datasets.exchange.colmap_moved import write_moved_colmap
 from lodbench.datasets.exchange.geojson import camera_feature, footprint_feature, view_feature, write_geojson
 from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm, write_pix4d
 from lodbench.datasets.exchange.posed import FoundPose, read_json
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import find_mask, find_photo, shared_files
 from lodbench.datasets.query import Entry, Query
-from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import DatasetError, LodbenchError, QueryFault
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
@@ -36,6 +34,8 @@ from lodbench.harness.photo.outputs import ground_below_m
 from lodbench.methods import Estimate
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
 from lodbench.methods.timed_localize import localize_flight
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.undistort import pinhole_of, undistorted
 from lodbench.reporting.answers import is_trusted
 from lodbench.segmentation import check_mask, notes_of, resized
 from lodbench.segmentation.masks import read_mask

@@ -12,15 +12,15 @@ import numpy as np
 
 from lodbench.datasets.declared_crs import brought
 from lodbench.datasets.exchange.posed import FoundPose, Place, read_json
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import find_photo, shared_files
-from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_notes import place_notes
-from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose
 from lodbench.geometry.similarity import FEWEST_POSES, Similarity, fit_similarity
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
+from lodbench.photos.notes import place_notes
+from lodbench.photos.pose import HeightOptions, pose_from_photo
 
 # What rough places and directions are off by, each photo by itself, metres and degrees.
 ROUGH_M, ROUGH_DEG = np.array([3.0, 3.0, 5.0]), 5.0

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.errors import DatasetError
 from lodbench.harness.mask.session import MaskSession
 from lodbench.harness.tracebacks import told_as_fault
+from lodbench.photos.metadata import read_photo_metadata
 from lodbench.reporting.overlays import write_picture
 from lodbench.segmentation import Segmenter, binary_mask
 from lodbench.segmentation.masks import read_mask

@@ -8,11 +8,11 @@ from pathlib import Path
 from lodbench.datasets.codes import GPS_IN_IMAGE, IMAGE_SIZE, IMAGE_UNREADABLE, MASK_UNFIT
 from lodbench.datasets.faults import is_decodable, mask_fault
 from lodbench.datasets.instance_labels import read_labels
-from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, QueryFault
 from lodbench.execution import Progress
 from lodbench.findings import Findings
+from lodbench.photos.metadata import read_photo_metadata
 from lodbench.segmentation.masks import read_mask
 
 

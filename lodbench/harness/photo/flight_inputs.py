@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from lodbench.datasets.exchange.colmap import read_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.own import find_mask
-from lodbench.datasets.photo_files import PHOTO_SUFFIXES, copies_among
-from lodbench.datasets.pictures import encoded, read_picture
-from lodbench.datasets.undistort import undistorted
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
 from lodbench.harness.photo.prepare import PreparedPhoto
 from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS
+from lodbench.photos.files import PHOTO_SUFFIXES, copies_among
+from lodbench.photos.pictures import encoded, read_picture
+from lodbench.photos.undistort import undistorted
 from lodbench.segmentation import no_wider
 from lodbench.storage import write_bytes
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.pictures import read_picture
 from lodbench.evaluation import PoseError
 from lodbench.harness.flights.map_findings import city_and_marks
 from lodbench.harness.photo.many import FlightAnswer, PhotoAnswer
+from lodbench.photos.pictures import read_picture
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.doubts import reasons_for_doubt
 from lodbench.reporting.flight_page import chosen_for_pictures, flight_page, photo_on_page

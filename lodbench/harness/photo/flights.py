@@ -12,9 +12,6 @@ from tempfile import TemporaryDirectory
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.geojson import write_geojson
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_flights import Flight, split_flights
-from lodbench.datasets.photo_notes import height_notes
 from lodbench.datasets.query import Query
 from lodbench.errors import LodbenchError, QueryFault
 from lodbench.execution import Progress
@@ -46,6 +43,9 @@ from lodbench.harness.tracebacks import told_as_fault
 from lodbench.methods import Estimate
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
 from lodbench.methods.timed_localize import localize_flight
+from lodbench.photos.files import Flight, split_flights
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.notes import height_notes
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.flight_words import PriorSource
 from lodbench.reporting.map_figure import Underlay

@@ -17,8 +17,6 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.stored_city import OpenCity
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.datasets.inputs import Input, declared_inputs, require_inputs
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_notes import place_notes, xmp_note
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.harness.city import HEIGHT_HINT, height_above_m, open_city
@@ -31,6 +29,8 @@ from lodbench.methods.fits import NothingFits
 from lodbench.methods.localize import localize
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.protocol import SupportsPriorWidth
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.notes import place_notes, xmp_note
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.reporting.answers import TRUSTED_OVERLAP, is_trusted, probability_text
 from lodbench.segmentation import notes_of

@@ -14,13 +14,13 @@ from typing import Any
 from lodbench.datasets.exchange.geojson import nowhere_feature, write_geojson
 from lodbench.datasets.exchange.survey import SURVEY_COLUMNS, survey_row
 from lodbench.datasets.own import find_mask
-from lodbench.datasets.photo_files import find_photos, require_photos
-from lodbench.datasets.photo_pose import PoseNotStated
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.execution import Progress
 from lodbench.harness.last_write import last_write
 from lodbench.harness.photo.localize import localize_photo
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
+from lodbench.photos.files import find_photos, require_photos
+from lodbench.photos.pose import PoseNotStated
 from lodbench.reporting.answers import rounded_down
 from lodbench.reporting.flight_words import PriorSource, constants_in_words, map_in_words
 from lodbench.storage import hide_formula, make_folder, write_text

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.geojson import camera_feature, footprint_feature, view_feature
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.undistort import undistorted
 from lodbench.geometry import Camera, Pose
 from lodbench.methods import Estimate
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.undistort import undistorted
 from lodbench.rendering import Renderer
 from lodbench.reporting.answers import rounded_down
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture

@@ -14,7 +14,6 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.declared_crs import brought
 from lodbench.datasets.exchange.kapture import unposed_images
 from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import (
     OwnImage,
     Written,
@@ -23,16 +22,17 @@ from lodbench.datasets.own import (
     write_dataset,
 )
 from lodbench.datasets.own_sources import LeftOut, images_from_photos, images_from_poses
-from lodbench.datasets.photo_files import PHOTO_SUFFIXES
-from lodbench.datasets.photo_notes import place_notes, xmp_note
-from lodbench.datasets.photo_pose import HeightOptions
-from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_known_cameras
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, CameraSigmas
 from lodbench.harness.city import far_words, open_city
+from lodbench.photos.files import PHOTO_SUFFIXES
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.notes import place_notes, xmp_note
+from lodbench.photos.pictures import picture_size
+from lodbench.photos.pose import HeightOptions
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,8 @@ from shapely.geometry.polygon import orient
 
 from lodbench.citymap.places import Ellipse, LocatedPixel
 from lodbench.datasets.exchange.geojson import write_geojson
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.geometry import Camera, Pose
+from lodbench.photos.map_frame import MapFrame
 
 Floats = NDArray[np.float64]
 

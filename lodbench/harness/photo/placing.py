@@ -17,14 +17,14 @@ from lodbench.citymap.linear_places import PIXEL_SIGMA_PX, Uncertainty
 from lodbench.citymap.places import LocatedPixel, nowhere, places_of, require_pixels, shifted
 from lodbench.citymap.surfaces import MAP_SIGMA_M, Surfaces
 from lodbench.citymodel.options import ReadOptions
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.pose_text import parse_camera
 from lodbench.errors import DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.photo.placed import KIND, Localized, PlacedFeature, PlacedPhoto, write_places
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import read_photo_metadata
 from lodbench.segmentation import check_mask
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.polygon_files import MaskPolygon, polygons_of

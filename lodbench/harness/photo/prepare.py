@@ -11,15 +11,23 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.inputs import Input
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_camera import (
+from lodbench.datasets.query import Entry
+from lodbench.errors import DatasetError
+from lodbench.geometry import Camera, CameraSigmas, Pose
+from lodbench.harness.city import require_near_city, require_same_region
+from lodbench.harness.photo.outputs import PhotoView
+from lodbench.harness.photo.request import PhotoRequest
+from lodbench.harness.tracebacks import told_as_fault
+from lodbench.photos.camera import (
     PhotoCamera,
     camera_from_photo,
     camera_given,
     require_photo_size,
 )
-from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_pose import (
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
+from lodbench.photos.pictures import read_picture
+from lodbench.photos.pose import (
     START_OF_EACH,
     PoseNotStated,
     latitude_longitude_of,
@@ -27,15 +35,7 @@ from lodbench.datasets.photo_pose import (
     pose_from_photo,
     require_stated,
 )
-from lodbench.datasets.pictures import read_picture
-from lodbench.datasets.query import Entry
-from lodbench.datasets.undistort import pinhole_of, undistorted
-from lodbench.errors import DatasetError
-from lodbench.geometry import Camera, CameraSigmas, Pose
-from lodbench.harness.city import require_near_city, require_same_region
-from lodbench.harness.photo.outputs import PhotoView
-from lodbench.harness.photo.request import PhotoRequest
-from lodbench.harness.tracebacks import told_as_fault
+from lodbench.photos.undistort import pinhole_of, undistorted
 from lodbench.reporting.overlays import write_picture
 from lodbench.segmentation import MapGuidedSegmenter, check_mask
 from lodbench.segmentation.masks import read_mask

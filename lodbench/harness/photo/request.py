@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.map_frame import Place
 from lodbench.datasets.pose_text import format_camera
 from lodbench.errors import DatasetError
 from lodbench.evaluation import PoseError
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.harness.requests import RoughRequest
 from lodbench.methods import Method
+from lodbench.photos.map_frame import Place
 from lodbench.reporting.answers import UNTRUSTED, trust_word
 from lodbench.storage.json_text import finite
 

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from lodbench.datasets.exchange.xmp_sidecar import write_sidecar
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
+from lodbench.photos.map_frame import MapFrame
 from lodbench.storage import can_write
 
 

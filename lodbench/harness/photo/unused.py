@@ -6,9 +6,9 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from lodbench.datasets.photo_files import mask_name
-from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.errors import DatasetError
+from lodbench.photos.files import mask_name
+from lodbench.photos.metadata import read_photo_metadata
 from lodbench.reporting.aligned_text import count_of
 
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from lodbench.citymodel.mesh.texture_files import open_textured_map
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.faults import aspect_fault
-from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.pose_text import (
     format_camera,
     format_pose,
@@ -25,6 +24,7 @@ from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import far_words, open_city
 from lodbench.harness.render.kinds import KINDS, Kind, View, choose_renderer, write_marked
+from lodbench.photos.pictures import picture_size
 from lodbench.plugins import blaming
 from lodbench.rendering import open_renderer
 from lodbench.rendering.projection import require_pinhole

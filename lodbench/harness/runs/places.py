@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, own_failure
@@ -18,6 +17,7 @@ from lodbench.geometry import Pose
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.verify import Verdict
+from lodbench.photos.pictures import read_picture
 from lodbench.reporting.answers import percent_text, trust_of
 from lodbench.reporting.doubts import why_of
 from lodbench.reporting.map_figure import Spot, Underlay, draw_map

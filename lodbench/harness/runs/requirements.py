@@ -14,7 +14,6 @@ from lodbench.citymodel.crs import is_same_plane
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.faults import camera_fault, mask_fault, photo_fault
 from lodbench.datasets.inputs import Input, declared_inputs, inputs_of, require_inputs
-from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, QueryFault
 from lodbench.geometry import Pose
@@ -22,6 +21,7 @@ from lodbench.harness.city import FURTHEST_M, distance_outside_m
 from lodbench.harness.contradictions import Views, same_photos, words_of
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsFlights
+from lodbench.photos.pictures import picture_size
 from lodbench.reporting.aligned_text import count_of
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.masks import MaskFiles

@@ -6,10 +6,10 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from lodbench.datasets.exchange.survey import SURVEY_COLUMNS, survey_row
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.queries import own_failure
 from lodbench.harness.runs.stored import StoredRun
+from lodbench.photos.map_frame import MapFrame
 from lodbench.reporting.answers import rounded_down, trust_of
 from lodbench.storage import hide_formula
 

@@ -10,12 +10,12 @@ import scipy
 from numpy.typing import NDArray
 
 from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry.similarity import Similarity
 from lodbench.harness.georeference.start import rough_start
 from lodbench.harness.tracing.tracing import Traced, TraceRequest
 from lodbench.harness.tracing.views import View, triangulated
+from lodbench.photos.map_frame import MapFrame
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]

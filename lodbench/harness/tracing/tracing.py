@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.exchange.posed import Place, read_json
-from lodbench.datasets.photo_pose import HeightOptions
 from lodbench.errors import DatasetError
+from lodbench.photos.pose import HeightOptions
 from lodbench.storage import write_text
 
 Floats = NDArray[np.float64]

@@ -19,15 +19,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.exchange.geojson import camera_feature, nowhere_feature, write_geojson
 from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import require_some_mask
-from lodbench.datasets.photo_camera import PhotoCamera, camera_from_photo, camera_given, require_photo_size
-from lodbench.datasets.photo_files import in_pose_lines
-from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_notes import place_notes
-from lodbench.datasets.photo_pose import pose_at, pose_from_photo
-from lodbench.datasets.undistort import pinhole_of
-from lodbench.datasets.video_subtitles import find_subtitles, stated_at_start
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
@@ -37,6 +29,13 @@ from lodbench.harness.requests import RoughRequest
 from lodbench.harness.track.frames import Footage, Mask, MaskMaker, Shot, with_masks
 from lodbench.methods.tracking import Frame, Params, Tracker
 from lodbench.methods.tracking.tracker import LOST
+from lodbench.photos.camera import PhotoCamera, camera_from_photo, camera_given, require_photo_size
+from lodbench.photos.files import in_pose_lines
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import PhotoMetadata, find_subtitles, read_photo_metadata, stated_at_start
+from lodbench.photos.notes import place_notes
+from lodbench.photos.pose import pose_at, pose_from_photo
+from lodbench.photos.undistort import pinhole_of
 from lodbench.segmentation import notes_of
 from lodbench.storage import hide_formula, make_folder, write_text
 

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Query
 from lodbench.estimation.model_lines import LensErrors, ModelLines, lens_camera, lines_in_view, project_lines
 from lodbench.estimation.photo_edges import PhotoEdges
@@ -22,6 +21,7 @@ from lodbench.geometry import Camera
 from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.methods.flight.photo_terms import Fit, PhotoTerms, Residuals, summed_up
 from lodbench.methods.flight.roof_parts import RoofParts
+from lodbench.photos.pictures import read_picture
 
 Floats = NDArray[np.float64]
 

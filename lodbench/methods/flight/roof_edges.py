@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera, Pose
+from lodbench.photos.pictures import read_picture
 from lodbench.segmentation import binary_mask
 
 Floats = NDArray[np.float64]

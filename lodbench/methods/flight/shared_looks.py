@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.state import differences
 from lodbench.methods.protocol import Estimate
+from lodbench.photos.pictures import read_picture
 from lodbench.segmentation.region_cut import cross_fitted, cut, signed_distance
 from lodbench.segmentation.working_size import working_size
 

@@ -10,7 +10,6 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera
 from lodbench.geometry.pose_vector import pose_from_vector
@@ -19,6 +18,7 @@ from lodbench.matching.protocol import Features, Matches
 from lodbench.matching.sift import Sift, SiftParams
 from lodbench.methods.flight.bundle import PairMatches
 from lodbench.methods.flight.relative_poses import RelativePose, tangents
+from lodbench.photos.pictures import read_picture
 
 Floats = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.pictures import encoded
 from lodbench.geometry import Camera, Pose
+from lodbench.photos.pictures import encoded
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.raster_kernel import Band, Buffer
 from lodbench.synthesis.objects.scene_props import SceneProps

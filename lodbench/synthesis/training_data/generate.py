@@ -24,12 +24,12 @@ from lodbench.citymodel.options import ReadOptions, told_options
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import open_sources
 from lodbench.datasets.folder import RENDERED_TRUTH_FILE, write_poses
-from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.execution.code_version import own_digest, require_code_version
 from lodbench.execution.executor import DASK, PROCESS, ExecutorParams, spread
+from lodbench.photos.pictures import encoded, read_picture
 from lodbench.storage import (
     digest_of,
     file_digest,
@@ -57,7 +57,7 @@ from lodbench.synthesis.training_data.view_writer import (
 MANIFEST_FILE, SHEET_FILE = "manifest.json", "overview.png"
 SCHEMA = 1
 _LIBRARIES = ("numpy", "numba", "opencv-python-headless", "scipy")
-_LAYERS = ("geometry", "citymodel", "datasets", "rendering", "synthesis")
+_LAYERS = ("geometry", "citymodel", "photos", "datasets", "rendering", "synthesis")
 # Settings that name files, whose content is named instead; and those that change no byte.
 _PATHS = ("city", "texture_model", "props", "terrain", "poses")
 _IDLE = ("out", "sheet", "workers")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.mesh.texture_files import read_textured
 from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.pictures import encoded, encoded_mask
+from lodbench.photos.pictures import encoded, encoded_mask
 from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer

@@ -24,7 +24,7 @@ from tests.data.published_layouts import (
     write_swiss,
     write_uavd4l,
 )
-from tests.datasets.dji_photo import write_photo
+from tests.photos.dji_photo import write_photo
 
 
 def open_published(params: PublishedParams) -> Dataset:

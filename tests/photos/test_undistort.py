@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera
+from lodbench.photos.undistort import pinhole_of, undistorted
 from tests.geometry.test_lens import MODELS
 
 LENSES = [name for name in MODELS if "PINHOLE" not in name]

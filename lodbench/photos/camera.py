@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from lodbench.datasets.faults import FIELD_DEG
-from lodbench.datasets.photo_focal import (
+from lodbench.errors import DatasetError
+from lodbench.geometry import Camera, CameraSigmas
+from lodbench.geometry.camera_sigmas import CALIBRATED, MAKER, UNKNOWN
+from lodbench.photos.focal import (
     NOMINAL_PERCENT,
     by_known_sensor,
     focal_lengths,
@@ -14,16 +16,15 @@ from lodbench.datasets.photo_focal import (
     is_like_equivalent,
     why_no_sensor,
 )
-from lodbench.datasets.photo_metadata import PhotoMetadata
-from lodbench.datasets.photo_xmp import Dewarp
-from lodbench.errors import DatasetError
-from lodbench.geometry import Camera, CameraSigmas
-from lodbench.geometry.camera_sigmas import CALIBRATED, MAKER, UNKNOWN
+from lodbench.photos.metadata import PhotoMetadata
+from lodbench.photos.xmp import Dewarp
 
 # Sizes are whole pixels, so scaling changes the aspect a little; cropping changes it more.
 _ASPECT_TOLERANCE = 0.01
 # Shapes of whole sensors: photos of 16:9 are cut out of them, and optical centres stated of the whole.
 _SENSOR_SHAPES = (4.0 / 3.0, 3.0 / 2.0)
+# A horizontal field of view beyond these, degrees, is a wrong number: fisheyes have no such focal length.
+FIELD_DEG = (3.0, 150.0)
 # Principal points are off the middle by less, as a share of half the picture.
 _OFF_CENTER = 0.05
 
@@ -108,7 +109,7 @@ def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
     Tried in order: DJI's calibration with its distortion (without it where the drone has undistorted the
     picture already), the maker's focal length in pixels, EXIF's focal length with the size of a pixel or with
     the width of a known sensor, a field of view, and the equivalent of a 35 mm camera, which is rounded to a
-    millimetre and so good to a few percent. What no camera can have is passed over (``photo_focal``).
+    millimetre and so good to a few percent. What no camera can have is passed over (``focal``).
 
     A digital zoom enlarges the middle of the lens's picture, and the maker's numbers, which are of the whole
     picture, are left out. The equivalent tells a photo that was scaled since by a program that also changed

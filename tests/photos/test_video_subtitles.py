@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lodbench.datasets.photo_metadata import PhotoMetadata
-from lodbench.datasets.video_subtitles import find_subtitles, stated_at_start
+from lodbench.photos.metadata import PhotoMetadata, find_subtitles, stated_at_start
 
 VIDEO = PhotoMetadata("DJI_0001.MP4", 1920, 1080)
 TIMES = "00:00:00,000 --> 00:00:00,033\n"

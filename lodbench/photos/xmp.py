@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lodbench.citymodel.gml.xml import Element, XmlMembers, local_name, namespace_of
-from lodbench.datasets.photo_tags import exif_values, number_of, place_of, tags_in_xmp
 from lodbench.errors import CityModelError, DatasetError
 from lodbench.findings import Findings
+from lodbench.photos.tags import exif_values, number_of, place_of, tags_in_xmp
 
 # A JPEG segment holds at most 64 kB; other formats could carry anything.
 _MAX_XMP_BYTES = 1 << 20

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from PIL import Image
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
-from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_notes import xmp_note
-from lodbench.datasets.photo_pose import RoughPlace, require_stated
 from lodbench.errors import DatasetError
-from tests.datasets.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
+from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
+from lodbench.photos.notes import xmp_note
+from lodbench.photos.pose import RoughPlace, require_stated
+from tests.photos.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
 
 DEWARP = "2019-08-07;3666.66,3660.12,-12.3,8.5,-0.2651,0.1123,0.0002,-0.0004,-0.0331"
 

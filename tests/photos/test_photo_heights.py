@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_notes import place_notes
-from lodbench.datasets.photo_pose import HeightOptions, height_doubt, is_above_ellipsoid
-from tests.datasets.dji_photo import exif_of, packet_around, write_photo, xmp_packet
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
+from lodbench.photos.notes import place_notes
+from lodbench.photos.pose import HeightOptions, height_doubt, is_above_ellipsoid
+from tests.photos.dji_photo import exif_of, packet_around, write_photo, xmp_packet
 
 NRW = MapFrame("EPSG:25832+7837")
 SKYDIO, PIX4D = "https://www.skydio.com/drone-skydio/1.0/", "http://pix4d.com/camera/1.0/"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_metadata import PhotoMetadata
-from lodbench.datasets.photo_pose import HeightOptions, height_doubt
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import PhotoMetadata
+from lodbench.photos.pose import HeightOptions, height_doubt
 
 # A datum shift known no better than this is worth telling.
 _TELL_ACCURACY_M = 2.0

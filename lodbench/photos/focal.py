@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from lodbench.datasets.photo_metadata import PhotoMetadata
+from lodbench.photos.metadata import PhotoMetadata
 
 # Sensors, millimetres: widths as published by DJI with the drones, heights by the shape of whole photos.
 _SMALL, _ONE_INCH, _FOUR_THIRDS, _FULL = (6.17, 4.6275), (13.2, 8.8), (17.3, 12.975), (35.9, 35.9 * 2 / 3)

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lodbench.datasets.pictures import stored_size
 from lodbench.errors import DatasetError
+from lodbench.photos.pictures import stored_size
 
 # Multi-picture JPEGs, as some drones write, are opened as JPEG.
 _FORMATS = ("JPEG", "PNG", "TIFF")

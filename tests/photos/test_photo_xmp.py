@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_pose import pose_from_photo
-from lodbench.datasets.photo_xmp import LaserRange
 from lodbench.errors import DatasetError
 from lodbench.geometry.angles import rotation_from_dji
-from tests.datasets.dji_photo import PROPERTIES, exif_of, packet_around, write_photo, xmp_packet
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
+from lodbench.photos.pose import pose_from_photo
+from lodbench.photos.xmp import LaserRange
+from tests.photos.dji_photo import PROPERTIES, exif_of, packet_around, write_photo, xmp_packet
 
 NRW = MapFrame("EPSG:25832+7837")
 PARROT = "http://www.parrot.com/drone-parrot/1.0/"

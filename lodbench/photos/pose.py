@@ -12,17 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, cast, get_args
 
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_camera import (
+from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
+from lodbench.geometry import Pose
+from lodbench.geometry.angles import rotation_from_dji
+from lodbench.photos.camera import (
     camera_flag,
     require_lens_picture,
     states_focal_length,
     why_no_focal_length,
 )
-from lodbench.datasets.photo_metadata import PhotoMetadata
-from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
-from lodbench.geometry import Pose
-from lodbench.geometry.angles import rotation_from_dji
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import PhotoMetadata
 
 _AUTEL, _PARROT, _SKYDIO = "AUTEL", "PARROT", "SKYDIO"
 # Parrot: "with reference to the WGS84 ellipsoid", on other models the EGM96 geoid (embedded photo metadata).
@@ -78,7 +78,7 @@ class HeightOptions:
         source: ``sea_level``: the absolute altitude is taken as it stands, as that of a drone without RTK
             is meant. ``ellipsoid``: it is above the WGS 84 ellipsoid, as with RTK. ``takeoff``: the
             relative altitude above ``takeoff_m``. ``auto``: takeoff where ``takeoff_m`` is given, else
-            ellipsoid where ``photo_heights`` says so, else sea_level.
+            ellipsoid where ``source_for`` says so, else sea_level.
         takeoff_m: Height of the take-off point, in the city's heights.
         geoid_m: Height of the city's zero above the ellipsoid there; None asks PROJ.
         offset_m: Added in the end, whatever the height came from.

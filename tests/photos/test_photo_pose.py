@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from pyproj import Geod, Transformer, datadir
 from pyproj.network import is_network_enabled, set_network_enabled
 
-from lodbench.datasets import map_frame
-from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_camera import camera_from_photo
-from lodbench.datasets.photo_metadata import PhotoMetadata
-from lodbench.datasets.photo_notes import datum_note, place_notes
-from lodbench.datasets.photo_pose import HeightOptions, RoughPlace, pose_from_photo
-from lodbench.datasets.photo_xmp import Dewarp
 from lodbench.errors import ConfigError, DatasetError
+from lodbench.photos import map_frame
+from lodbench.photos.camera import camera_from_photo
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.metadata import PhotoMetadata
+from lodbench.photos.notes import datum_note, place_notes
+from lodbench.photos.pose import HeightOptions, RoughPlace, pose_from_photo
+from lodbench.photos.xmp import Dewarp
 
 # A drone over western Germany, far from its zone's meridian: the grid is turned by more than 2 degrees.
 PHOTO = PhotoMetadata(

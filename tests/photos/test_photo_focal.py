@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lodbench.datasets.photo_camera import camera_from_photo, states_focal_length
-from lodbench.datasets.photo_focal import _ROUNDED_MM, _SENSOR_MM, NOMINAL_PERCENT
-from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_pose import RoughPlace, require_stated
-from lodbench.datasets.photo_xmp import _PROPERTIES, Dewarp
 from lodbench.errors import DatasetError
 from lodbench.geometry.camera_sigmas import MAKER, UNKNOWN
-from tests.datasets.dji_photo import PROPERTIES, exif_of, packet_around, write_photo, xmp_packet
+from lodbench.photos.camera import camera_from_photo, states_focal_length
+from lodbench.photos.focal import _ROUNDED_MM, _SENSOR_MM, NOMINAL_PERCENT
+from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
+from lodbench.photos.pose import RoughPlace, require_stated
+from lodbench.photos.xmp import _PROPERTIES, Dewarp
+from tests.photos.dji_photo import PROPERTIES, exif_of, packet_around, write_photo, xmp_packet
 
 GUIDE = Path(__file__).parents[2] / "docs" / "your-own-city.md"
 SKYDIO = "https://www.skydio.com/drone-skydio/1.0/"

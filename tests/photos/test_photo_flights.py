@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lodbench.datasets.photo_flights import split_flights
-from lodbench.datasets.photo_metadata import PhotoMetadata
+from lodbench.photos.files import split_flights
+from lodbench.photos.metadata import PhotoMetadata
 
 START = datetime(2023, 10, 18, 11, 0, 0)
 
