@@ -44,6 +44,7 @@ ROWS = (
     Row(("geometry",), "poses, cameras, lenses, angles"),
     Row(("storage",), "files, digests, random streams"),
     Row(("findings", "plugins", "params", "checks", "extras", "lazy_names", "errors"), "what all others use"),
+    Row(("kernels",), "all code that numba compiles"),
 )
 
 _WIDTH, _TOP, _ROW, _RUN, _PHOTO = 620, 46, 34, 492, 572

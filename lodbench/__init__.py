@@ -5,7 +5,6 @@ The public names below load on first use, so that importing the package costs no
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -40,31 +39,6 @@ __all__ = ["__version__", *sorted(_PUBLIC)]
 # In an uninstalled checkout `baselines/` and `conf/` lie beside the package, not inside it.
 if not (Path(__file__).parent / "conf").is_dir():
     __path__.append(str(Path(__file__).parent.parent))
-
-# Where compiled functions stand; a test holds the list complete.
-_COMPILED = ("citymodel", "methods", "rendering", "segmentation", "synthesis")
-
-
-class _BeforeNumba:
-    """Chooses where compiled functions are kept when numba is imported, not before: it reads many files."""
-
-    def find_spec(self, name: str, *_: object) -> None:
-        """Finds nothing itself, as a finder of ``sys.meta_path`` may."""
-        if name == "numba" and self in sys.meta_path:
-            sys.meta_path.remove(self)
-            _keep_kernels_apart()
-
-
-def _keep_kernels_apart() -> None:
-    from lodbench.kernel_cache import keep_kernels_apart
-
-    keep_kernels_apart(Path(__file__).parent, _COMPILED)
-
-
-if "numba" in sys.modules:
-    _keep_kernels_apart()
-else:
-    sys.meta_path.insert(0, _BeforeNumba())
 
 
 def __getattr__(name: str) -> Any:

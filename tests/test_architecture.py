@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import sys
 import tomllib
 from collections.abc import Iterator
 from functools import cache
@@ -13,6 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = [
+    "kernels",
     "errors",
     "lazy_names",
     "extras",
@@ -143,6 +145,24 @@ def test_no_modules_import_each_other_in_a_circle():
         pytest.fail(" <- ".join(error.args[1]))
 
 
+# Who may import numba besides `kernels`: to try the compiler itself, and methods that bring all their code.
+COMPILERS = ("lodbench/harness/doctor/probes.py", "baselines/")
+
+
+def test_only_kernels_know_numba_and_they_know_nothing_else():
+    own = {*sys.stdlib_module_names, "numpy", "numba", "llvmlite"}
+    wrong = []
+    for path in MODULES:
+        name, is_kernel = name_of(path), layer_of(path) == "kernels"
+        for other in imported(path):
+            root = other.split(".")[0]
+            if is_kernel and root not in own and not other.startswith("lodbench.kernels"):
+                wrong.append(f"{name} imports {other}")
+            if not is_kernel and root in ("numba", "llvmlite") and not name.startswith(COMPILERS):
+                wrong.append(f"{name} imports {other}")
+    assert not wrong
+
+
 def test_nothing_imports_the_baselines():
     wrong = [
         f"{name_of(path)} imports {name}"
@@ -205,7 +225,7 @@ def test_nothing_prints_unpickles_or_parses_xml_elsewhere():
 
 
 # Numba's own files are written without a disk of ours; trials and benches fill folders that they throw away.
-NOT_THROUGH_THE_DISK = ("kernel_cache.py", "conformance/", "bench/")
+NOT_THROUGH_THE_DISK = ("kernels/cache.py", "conformance/", "bench/")
 CHANGES_THE_DISK = {"mkdir", "write_bytes", "write_text", "unlink", "rename", "rmdir", "rmtree", "imwrite"}
 
 

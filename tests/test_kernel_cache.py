@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import lodbench
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-from lodbench.kernel_cache import keep_kernels_apart
-from lodbench.rendering.compiled import say_if_compiling
+from lodbench.kernels import cache
+from lodbench.kernels.compiled import say_if_compiling
 from lodbench.rendering.silhouette import SilhouetteRenderer
 
 pytestmark = pytest.mark.attack
@@ -24,10 +23,14 @@ OUTER = (
     "from numba import njit\n\nfrom fake.inner import inner\n\n"
     "@njit(cache=True)\ndef outer():\n    return inner()\n"
 )
-MAIN = (
-    "import pathlib, numba, lodbench.kernel_cache as k; k.keep_kernels_apart(pathlib.Path('fake'));"
-    "from fake.outer import outer; print(outer())"
-)
+MAIN = """
+import pathlib, lodbench.kernels.cache as cache
+class Locator(cache.KernelLocator):
+    package = pathlib.Path("fake").resolve()
+cache.use_own_folder(Locator)
+from fake.outer import outer
+print(outer())
+"""
 
 
 @pytest.fixture
@@ -71,12 +74,18 @@ def test_a_constant_of_a_file_that_numba_does_not_compile_is_seen(package):
     assert _run(package) == 2
 
 
-def test_what_numba_does_not_compile_does_not_count(package, monkeypatch):
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    before = keep_kernels_apart(package)
+def _own_folder(package):
+    cache.own_folder.cache_clear()
+    cache.code_digest.cache_clear()
+    return cache.own_folder(package)
+
+
+def test_what_stands_outside_the_package_does_not_count(package):
+    before = _own_folder(package)
+    (package.parent / "other.py").write_text("from numba import njit\n")
+    assert _own_folder(package) == before
     (package / "__init__.py").write_text("# another comment")
-    assert keep_kernels_apart(package) == before
-    assert os.environ["NUMBA_CACHE_DIR"] == str(before)
+    assert _own_folder(package) != before
 
 
 def _kept(package):
@@ -124,7 +133,7 @@ def test_a_folder_that_others_can_write_to_is_emptied(package):
     (folder,) = package.glob("__pycache__/kernels-*")
     assert folder.stat().st_mode & 0o777 == 0o700
     folder.chmod(0o777)
-    (stranger,) = folder.glob("*/*.nbi")
+    (stranger,) = folder.glob("*.nbi")
     stranger.write_bytes(b"cos\nsystem\n(S'touch stranger_was_here'\ntR.")
     assert _run(package) == 1
     assert folder.stat().st_mode & 0o777 == 0o700
@@ -132,20 +141,22 @@ def test_a_folder_that_others_can_write_to_is_emptied(package):
 
 
 def test_a_folder_of_another_user_is_not_used(package, monkeypatch):
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setattr("os.geteuid", lambda: 12345)
-    assert keep_kernels_apart(package) is None
-    assert "NUMBA_CACHE_DIR" not in os.environ
+    assert _own_folder(package) is None
 
 
-def test_a_folder_the_user_has_set_stays(package, monkeypatch, tmp_path):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert keep_kernels_apart(package) is None
-    assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path)
+@pytest.mark.slow
+def test_a_folder_the_user_has_set_is_used_and_knows_called_files_too(package, monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "set"))
+    for value in (1, 2):
+        (package / "inner.py").write_text(INNER.format(value=value))
+        assert _run(package) == value
+        assert len(list((tmp_path / "set").rglob("*.nbi"))) == 1
+    assert not list(package.glob("__pycache__/kernels-*"))
 
 
 def test_the_first_use_says_that_it_compiles(tmp_path, monkeypatch, caplog):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
     for lines in (1, 0):
         caplog.clear()
         say_if_compiling.cache_clear()
@@ -155,31 +166,52 @@ def test_the_first_use_says_that_it_compiles(tmp_path, monkeypatch, caplog):
             "First use: compiling takes about a minute, once."
         ] * lines
         # As numba names what it keeps.
-        (tmp_path / "engine_kernel.draw_view-1.py311.nbi").touch()
+        (tmp_path / "silhouettes.draw_view-1.py311.nbi").touch()
+
+
+def _triangle():
+    corners = np.array([(0, 0, 0), (9, 0, 0), (0, 9, 5)], np.float32)
+    rows, ends = np.array([(0, 1, 2)], np.int32), (np.array([0, 3]), np.array([0, 1]))
+    return Scene(corners, rows, *ends, ("a",), "1", None, np.zeros(3))
 
 
 def test_a_renderer_that_draws_nothing_compiles_nothing_and_says_nothing(tmp_path, monkeypatch, caplog):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
     say_if_compiling.cache_clear()
-    corners = np.array([(0, 0, 0), (9, 0, 0), (0, 9, 5)], np.float32)
-    rows, ends = np.array([(0, 1, 2)], np.int32), (np.array([0, 3]), np.array([0, 1]))
-    renderer = SilhouetteRenderer(Scene(corners, rows, *ends, ("a",), "1", None, np.zeros(3)), 1)
+    renderer = SilhouetteRenderer(_triangle(), 1)
     assert caplog.records == []
     renderer.render(Camera(64, 48, 60.0, 60.0, 32.0, 24.0), Pose.from_matrix(np.eye(4)))
     assert [record.getMessage()[:9] for record in caplog.records] == ["First use"]
 
 
-def test_all_compiled_functions_stand_where_they_are_looked_for():
-    root = Path(lodbench.__file__).parent
-    cached = [path.relative_to(root) for path in root.rglob("*.py") if "cache=True" in path.read_text()]
-    assert {path.parts[0] for path in cached} <= set(lodbench._COMPILED)
-
-
-def test_a_place_that_cannot_be_used_is_left_alone(package, monkeypatch):
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    folder = keep_kernels_apart(package)
+def test_a_place_that_cannot_be_used_is_left_alone(package):
+    folder = _own_folder(package)
     folder.rmdir()
     folder.write_text("not a folder")
-    monkeypatch.delenv("NUMBA_CACHE_DIR")
-    assert keep_kernels_apart(package) is None
-    assert "NUMBA_CACHE_DIR" not in os.environ
+    assert _own_folder(package) is None
+    assert folder.read_text() == "not a folder"
+
+
+def test_kernels_are_kept_by_the_digest_of_their_package_and_no_setting_of_the_process_changes():
+    code = (
+        "import os\nbefore = dict(os.environ)\n"
+        "import numba, lodbench\nplace = numba.config.CACHE_DIR\n"
+        "import lodbench.rendering.silhouette\nfrom lodbench.kernels import cache, masks\n"
+        "assert dict(os.environ) == before and numba.config.CACHE_DIR == place\n"
+        "assert masks.count_bits._cache._impl.locator.get_source_stamp() == cache.code_digest(cache._HERE)\n"
+        "print(masks.count_bits.stats.cache_path)"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == str(cache.own_folder(cache._HERE))
+
+
+def test_kernels_are_given_no_types_that_their_digest_does_not_know(tmp_path):
+    # Of a named tuple numba keeps the class by name, and the order of its fields is compiled in.
+    scene, camera = _triangle(), Camera(64, 48, 60.0, 60.0, 32.0, 24.0)
+    SilhouetteRenderer(scene, 1).render(camera, Pose.from_matrix(np.eye(4)))
+    kept = [path for path in cache.kept_kernels("*") or []]
+    assert kept
+    foreign = [path.name for path in kept if re.search(rb"lodbench\.(?!kernels)", path.read_bytes())]
+    assert foreign == []

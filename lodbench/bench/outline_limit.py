@@ -21,10 +21,10 @@ from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.geometry import Pose, wrap_deg
 from lodbench.geometry.pose_vector import turn_per_angle, vector_from_pose
 from lodbench.harness.city import open_city
+from lodbench.kernels.edges import measure_distances
 from lodbench.methods.contour_alignment.alignment import Aligner, signed_distance
 from lodbench.methods.contour_alignment.method import ContourAlignment
 from lodbench.methods.contour_alignment.outline import OutlinePoints
-from lodbench.methods.contour_alignment.outline_kernel import measure_distances
 from lodbench.storage import random_stream
 from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.view_sampling import FINE_SIZE

@@ -14,10 +14,12 @@ from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
+from lodbench.kernels.arguments import EdgeFaces
+from lodbench.kernels.projection import visible_buildings
 from lodbench.rendering import DepthRenderer, Fit, Instances, IouCounts, Scorer, ViewEdges, make_renderer
 from lodbench.rendering.bits import Words
-from lodbench.rendering.edges import EdgeFaces, edge_faces, edge_pairs, edges_in_view
-from lodbench.rendering.projection import require_poses, view_planes, visible_buildings
+from lodbench.rendering.edges import edge_faces, edge_pairs, edges_in_view
+from lodbench.rendering.projection import require_poses, view_planes
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.selection import bounding_spheres
 from lodbench.rendering.silhouette import SilhouetteRenderer

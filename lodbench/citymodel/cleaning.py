@@ -34,7 +34,7 @@ def clean_polygons(raw: RawCity) -> tuple[Polygons, NDArray[np.int64]]:
     new_lengths = np.zeros(len(lengths), np.int64)
     mark_points = small_cities.mark_points
     if not small_cities.is_few(raw.points.size):
-        from lodbench.citymodel.city_kernels import mark_points
+        from lodbench.kernels.city import mark_points
     mark_points(raw.points, raw.ring_starts, is_kept, new_lengths, is_closed, is_repeated)
     np.less(new_lengths, 3, out=is_short)
     # In formats without closing points a closing point is a repeat.

@@ -41,7 +41,7 @@ def parse_rings(
         texts, joined = clean, RING_SEPARATOR.join(clean)
     if small_cities.is_few(len(joined) // 8):  # a number has seven characters and a blank at least, mostly
         return small_cities.scan(texts)
-    from lodbench.citymodel.city_kernels import POWERS, scan
+    from lodbench.kernels.city import POWERS, scan
 
     if not texts:
         return np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.bool_)

@@ -56,7 +56,7 @@ def _find_repeats(polygons: Polygons, chosen: NDArray[np.int64], kept_as: NDArra
     bits = polygons.points.view(np.uint64)
     hash_corners = small_cities.hash_corners
     if not small_cities.is_few(polygons.points.size):
-        from lodbench.citymodel.city_kernels import hash_corners
+        from lodbench.kernels.city import hash_corners
     hash_corners(bits, polygons.ring_starts, polygons.polygon_starts, chosen, hashes)
     is_interior = polygons.kind[chosen] == SurfaceKind.INTERIOR
     owner = polygons.building[chosen].astype(np.uint64)

@@ -12,7 +12,7 @@ from lodbench.citymodel.raw import take_segments
 
 # Coordinates of all passes of a process up to which numba is not loaded for them: these take 0.1 s, it 0.4.
 _FEW_NUMBERS = 1_000_000
-# Plain decimals between white space, as ``city_kernels.scan`` takes them.
+# Plain decimals between white space, as ``kernels.city.scan`` takes them.
 _DECIMAL = rb"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 _NUMBER = re.compile(_DECIMAL)
 _NUMBERS = re.compile(rb"\s*(?:%s(?:\s+|\Z))*" % _DECIMAL)
@@ -53,7 +53,7 @@ def mark_points(
     is_closed: NDArray[np.bool_],
     is_repeated: NDArray[np.bool_],
 ) -> None:
-    """Fills what ``city_kernels.mark_points`` does."""
+    """Fills what ``kernels.city.mark_points`` does."""
     rings = np.flatnonzero(np.diff(starts) > 0)
     first, last = starts[rings], starts[rings + 1] - 1
     is_repeat = np.zeros(len(points), np.bool_)
@@ -73,7 +73,7 @@ def hash_corners(
     chosen: NDArray[np.int64],
     hashes: NDArray[np.uint64],
 ) -> None:
-    """Fills what ``city_kernels.hash_corners`` does."""
+    """Fills what ``kernels.city.hash_corners`` does."""
     odd, mixer, shift = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(31)
     corners, starts = take_segments(ring_starts[polygon_starts], chosen)
     key = np.zeros(len(corners), np.uint64)

@@ -7,7 +7,7 @@ from typing import Any
 
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError
-from lodbench.rendering.raster_rule import GUARD_PX
+from lodbench.kernels.raster_rule import GUARD_PX
 
 
 def set_sizes(params: object, names: Iterable[str], least_px: int = 1) -> None:

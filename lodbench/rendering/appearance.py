@@ -5,31 +5,12 @@ Real appearance (textures, weather, ground) is for training images, and replaces
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
+
+from lodbench.kernels.arguments import Appearance
 
 _WALLS = [(222, 214, 198), (205, 205, 203), (226, 203, 172), (196, 178, 160), (235, 231, 222)]
 _ROOFS = [(166, 92, 70), (140, 84, 72), (120, 122, 126), (150, 150, 148), (96, 88, 86), (182, 120, 88)]
-
-
-class Appearance(NamedTuple):
-    """What surfaces look like, for the kernel.
-
-    Attributes:
-        walls: (N, 3) uint8 RGB, one of which each building gets by its index.
-        roofs: (M, 3) uint8 RGB, likewise, for surfaces that look up.
-        background: (3,) uint8 RGB where there is no building.
-        sun: (3,) float64 unit vector towards the light, world axes.
-        ambient: Share of light that comes from everywhere, 0 to 1.
-    """
-
-    walls: NDArray[np.uint8]
-    roofs: NDArray[np.uint8]
-    background: NDArray[np.uint8]
-    sun: NDArray[np.float64]
-    ambient: float
 
 
 def plain_appearance() -> Appearance:

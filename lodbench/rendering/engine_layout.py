@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.rendering.engine_arrays import Indices, SceneArrays
+from lodbench.kernels.arguments import SceneArrays
+from lodbench.rendering.engine_arrays import Indices
 from lodbench.rendering.selection import bounding_spheres, sphere_tree
 from lodbench.rendering.topology import edge_table
 

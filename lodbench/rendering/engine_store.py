@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from lodbench.citymodel.scene import Scene
+from lodbench.kernels.arguments import SceneArrays
 from lodbench.rendering import engine_arrays, engine_layout, selection, topology
-from lodbench.rendering.engine_arrays import SceneArrays
 from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_text
 from lodbench.storage.arrays import map_array, write_arrays
 from lodbench.storage.json_text import parse_json

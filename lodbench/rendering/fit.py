@@ -15,22 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import RenderingError
-from lodbench.rendering.bits import Words, count_bits, pack_mask
-from lodbench.rendering.fit_kernels import (
+from lodbench.kernels.masks import (
+    count_bits,
     count_overlaps,
-    dilations,
     distance_sums,
+    fill_padded,
+    grow,
     outline_of,
-    pad_words,
+    padded_stride,
     sum_under,
-    valid_bits,
 )
+from lodbench.rendering.bits import Words, pack_mask
 
 Floats = NDArray[np.float64]
 
 # Probabilities and weights are counted in steps of 2**-16: finer than any network's output means, and
 # the sum over 8192 x 8192 pixels stays far below 2**53.
 _ONE = 1 << 16
+_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
 class Fit(Protocol):
@@ -142,10 +144,10 @@ class BoundaryFit:
             raise RenderingError(f"reach_px={reach_px}: outlines are compared within 1 pixel or more.")
         self.size = _size_of(mask)
         self.reach_px = reach_px
-        self._valid = valid_bits(*self.size)
+        self._valid = _valid_bits(*self.size)
         self._outline = np.zeros_like(self._valid)
-        outline_of(pad_words(pack_mask(mask), self._valid), self._valid, self.size[0], self._outline)
-        self._grown = dilations(self._outline, self._valid, self.size[0], reach_px)
+        outline_of(_pad_words(pack_mask(mask), self._valid), self._valid, self.size[0], self._outline)
+        self._grown = _dilations(self._outline, self._valid, self.size[0], reach_px)
 
     def __call__(self, words: Words) -> Floats:
         """Returns the (N,) fit of N silhouettes' outlines. Eq. (L9) of docs/methods/lodlocv2.md."""
@@ -173,3 +175,30 @@ def _row_sums(values: NDArray[np.int64]) -> NDArray[np.int32]:
     sums = np.zeros((values.shape[0], values.shape[1] + 1), dtype=np.int32)
     np.cumsum(values, axis=1, out=sums[:, 1:])
     return sums
+
+
+def _valid_bits(width: int, height: int) -> Words:
+    """Returns the padded words of a picture that is all set."""
+    stride = padded_stride(width)
+    rows = np.zeros((height + 2, stride), dtype=np.uint64)
+    rows[1:-1, :-1] = _ALL
+    if width % 64:
+        rows[1:-1, -2] = np.uint64((1 << (width % 64)) - 1)
+    return np.concatenate([np.zeros(1, dtype=np.uint64), rows.ravel(), np.zeros(1, dtype=np.uint64)])
+
+
+def _pad_words(words: Words, valid: Words) -> Words:
+    """Returns the padded words of a (H, S) picture."""
+    padded = np.zeros_like(valid)
+    fill_padded(words, padded)
+    return padded
+
+
+def _dilations(outline: Words, valid: Words, width: int, reach: int) -> NDArray[np.uint64]:
+    """Returns (reach, F) pixels within 0, 1, .. reach - 1 steps of an outline, padded words."""
+    grown = np.zeros((reach, len(valid)), dtype=np.uint64)
+    grown[0] = outline
+    wide = np.zeros_like(valid)
+    for r in range(1, reach):
+        grow(grown[r - 1], valid, width, r % 2 == 0, wide, grown[r])
+    return grown

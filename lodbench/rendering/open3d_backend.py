@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
+from lodbench.kernels.depth import fill_rays
+from lodbench.kernels.raster_rule import NEAR_M
 from lodbench.rendering.projection import pose_arrays, require_pinhole
-from lodbench.rendering.raster_rule import NEAR_M
 from lodbench.rendering.system_libraries import import_fault
 
 
@@ -65,20 +65,8 @@ def pixel_rays(camera: Camera, pose: Pose) -> NDArray[np.float32]:
     rays = np.empty((camera.height, camera.width, 6), dtype=np.float32)
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-    _fill_rays(x, y, *pose_arrays(pose), rays)
+    fill_rays(x, y, *pose_arrays(pose), rays)
     return rays
-
-
-@njit(cache=True, nogil=True)
-def _fill_rays(x, y, r, center, rays):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Writes the rays through columns x and rows y, in camera axes at 1 m, of a pose."""
-    for i in range(y.shape[0]):
-        for j in range(x.shape[0]):
-            for k in range(3):
-                # The transposed rotation, applied to (x, y, 1).
-                along = x[j] * r[0, k] + y[i] * r[1, k] + r[2, k]
-                rays[i, j, k] = center[k] + NEAR_M * along
-                rays[i, j, 3 + k] = along
 
 
 def _import_open3d() -> Any:

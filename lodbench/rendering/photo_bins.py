@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lodbench.errors import RenderingError
+from lodbench.kernels.photo_edges import DIRECTIONS, EDGE_LEVELS, FINE_STEPS, FINEST, looked_up
 
 # A mean changes slowly: it is taken of a picture so small that its kernel is this wide, pixels. At the
 # borders it is then the exact one to a fiftieth of the picture's deviation, elsewhere to a five-hundredth.
@@ -153,13 +153,9 @@ def _levels(values: Picture, count: int) -> NDArray[np.int64]:
 
 Levels = NDArray[np.uint8]
 
-# Levels of strength, equally full over all pixels and directions, and directions over half a turn.
-EDGE_LEVELS, DIRECTIONS = 16, 12
 # The part of the width that the mean strength is taken over.
 # Every so many-th row and column says where one level ends and the next begins.
 _STEP = 3
-# Steps of strength per mean strength, and how many are told apart.
-_FINE_STEPS, _FINEST = 256.0, 4095
 
 
 def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Levels:
@@ -187,8 +183,8 @@ def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: fl
         [np.cos(angles) ** 2, 2.0 * np.cos(angles) * np.sin(angles), np.sin(angles) ** 2], axis=1
     )
     forms = np.ascontiguousarray(np.stack([xx, xy, yy], axis=2) / (around**2)[..., None])
-    some = np.sqrt(np.maximum(forms[::_STEP, ::_STEP] @ turns.T, 0.0)) * _FINE_STEPS
-    levels: Levels = _looked_up(forms, turns, _level_table(np.minimum(some, _FINEST).astype(np.int64)))
+    some = np.sqrt(np.maximum(forms[::_STEP, ::_STEP] @ turns.T, 0.0)) * FINE_STEPS
+    levels: Levels = looked_up(forms, turns, _level_table(np.minimum(some, FINEST).astype(np.int64)))
     return levels
 
 
@@ -206,23 +202,8 @@ def _level_table(steps: NDArray[np.int64]) -> Levels:
     Args:
         steps: Some of a photo, in fine steps.
     """
-    up_to = np.bincount(steps.ravel(), minlength=_FINEST + 1).cumsum()
+    up_to = np.bincount(steps.ravel(), minlength=FINEST + 1).cumsum()
     places = np.arange(1, EDGE_LEVELS) / EDGE_LEVELS * (steps.size - 1)
     low, high = (np.searchsorted(up_to, whole(places), side="right") for whole in (np.floor, np.ceil))
     ends = low + (high - low) * (places - np.floor(places))
-    return np.searchsorted(ends, np.arange(_FINEST + 1), side="right").astype(np.uint8)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _looked_up(forms, turns, table):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Returns (H, W, 12) uint8 levels of quadratic forms (H, W, 3) of directions (12, 3)."""
-    height, width = forms.shape[:2]
-    levels = np.empty((height, width, len(turns)), dtype=np.uint8)
-    for row in range(height):
-        for column in range(width):
-            form = forms[row, column]
-            for k in range(len(turns)):
-                square = form[0] * turns[k, 0] + form[1] * turns[k, 1] + form[2] * turns[k, 2]
-                step = np.sqrt(max(square, 0.0)) * _FINE_STEPS
-                levels[row, column, k] = table[int(min(step, _FINEST))]
-    return levels
+    return np.searchsorted(ends, np.arange(FINEST + 1), side="right").astype(np.uint8)

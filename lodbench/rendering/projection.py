@@ -3,55 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
-from lodbench.rendering.raster_rule import GUARD_PX
+from lodbench.kernels.raster_rule import GUARD_PX
 
 Floats = NDArray[np.float64]
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def camera_axes(px, py, pz, r, c):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns a local point in camera axes, metres (raster rule 1)."""
-    dx, dy, dz = np.float64(px) - c[0], np.float64(py) - c[1], np.float64(pz) - c[2]
-    x = (r[0, 0] * dx + r[0, 1] * dy) + r[0, 2] * dz
-    y = (r[1, 0] * dx + r[1, 1] * dy) + r[1, 2] * dz
-    z = (r[2, 0] * dx + r[2, 1] * dy) + r[2, 2] * dz
-    return x, y, z
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def snap(x, y, z, f):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the snapped screen position of a point in camera axes, sub-pixels (raster rule 3)."""
-    inverse = 1.0 / z
-    u = (f[0] * x) * inverse + f[2]
-    v = (f[1] * y) * inverse + f[3]
-    return np.floor(u * 256.0 + 0.5), np.floor(v * 256.0 + 0.5)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def is_outside(sphere, rotation, center, planes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Tells whether a bounding sphere (x, y, z, radius) lies wholly outside one of the planes."""
-    x, y, z = camera_axes(sphere[0], sphere[1], sphere[2], rotation, center)
-    for i in range(planes.shape[0]):
-        if planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z < -sphere[3]:
-            return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def visible_buildings(spheres, rotation, center, planes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the indices, ascending, of the buildings whose bounding sphere is not outside."""
-    chosen = np.empty(spheres.shape[0], dtype=np.int64)
-    count = 0
-    for b in range(spheres.shape[0]):
-        if not is_outside(spheres[b], rotation, center, planes):
-            chosen[count] = b
-            count += 1
-    return chosen[:count]
 
 
 def require_pinhole(camera: Camera) -> None:

@@ -12,9 +12,10 @@ from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import blender_from_opencv
+from lodbench.kernels.projection import visible_buildings
+from lodbench.kernels.raster_rule import NEAR_M
 from lodbench.rendering.gl_guard import Watch, require_driver
-from lodbench.rendering.projection import pose_arrays, require_pinhole, view_planes, visible_buildings
-from lodbench.rendering.raster_rule import NEAR_M
+from lodbench.rendering.projection import pose_arrays, require_pinhole, view_planes
 from lodbench.rendering.selection import bounding_spheres
 from lodbench.rendering.system_libraries import RENDERER_PACKAGES, import_fault
 

@@ -12,23 +12,18 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-from lodbench.rendering.appearance import Appearance, plain_appearance
-from lodbench.rendering.projection import (
-    pose_arrays,
-    require_pinhole,
-    require_poses,
-    view_planes,
-    visible_buildings,
-)
-from lodbench.rendering.protocol import Layers
-from lodbench.rendering.raster_kernel import Band, Buffer, Mesh, blank_buffer, draw_band
-from lodbench.rendering.raster_layers import (
-    blank_planes,
+from lodbench.kernels.arguments import Appearance, Band, Buffer, Mesh, Planes
+from lodbench.kernels.depth import (
+    draw_band,
     resolve_buildings,
     resolve_depth,
     resolve_layers,
     resolve_normals,
 )
+from lodbench.kernels.projection import visible_buildings
+from lodbench.rendering.appearance import plain_appearance
+from lodbench.rendering.projection import pose_arrays, require_pinhole, require_poses, view_planes
+from lodbench.rendering.protocol import Layers
 from lodbench.rendering.selection import bounding_spheres
 
 Floats = NDArray[np.float64]
@@ -83,7 +78,7 @@ class RasterRenderer:
         Raises:
             RenderingError: The camera has lens distortion or is wider or higher than 8192 pixels.
         """
-        planes = blank_planes(camera.width, camera.height)
+        planes = _blank_planes(camera.width, camera.height)
         center = np.ascontiguousarray(pose.center)
 
         def resolve(band: Band, buffer: Buffer) -> None:
@@ -187,7 +182,7 @@ class RasterRenderer:
         shape = band.stop - band.first, band.height
         known = getattr(self._of_thread, "buffer", None)
         if known is None or known[0] != shape:
-            known = shape, blank_buffer(*shape)
+            known = shape, _blank_buffer(*shape)
             self._of_thread.buffer = known
             return known[1]
         buffer: Buffer = known[1]
@@ -201,3 +196,24 @@ def _bands(camera: Camera, width: int) -> Iterator[Band]:
     for first in range(0, camera.width, width):
         stop = min(camera.width, first + width)
         yield Band(first, stop, camera.height, intrinsics, view_planes(camera, first, stop))
+
+
+def _blank_buffer(columns: int, height: int) -> Buffer:
+    """Returns an empty buffer.
+
+    Its columns are an odd number of cache lines long: were it a power of two, as 1024 rows are, all
+    pixels of a row would compete for the same few places of the cache.
+    """
+    padded = 16 * ((height + 15) // 16 | 1)
+    return Buffer(np.zeros((columns, padded)), np.full((columns, padded), -1, dtype=np.int32))
+
+
+def _blank_planes(width: int, height: int) -> Planes:
+    """Returns room for every layer of a view; the values are yet to be written."""
+    return Planes(
+        np.empty((height, width), dtype=np.float32),
+        np.empty((height, width), dtype=np.int32),
+        np.empty((height, width), dtype=np.int32),
+        np.empty((height, width, 3), dtype=np.float32),
+        np.empty((height, width, 3), dtype=np.uint8),
+    )

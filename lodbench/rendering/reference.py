@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
+from lodbench.kernels.raster_rule import GUARD_PX, NEAR_M, SUBPIXELS
 from lodbench.rendering.projection import pose_arrays
-from lodbench.rendering.raster_rule import GUARD_PX, NEAR_M, SUBPIXELS
 
 Points = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import RenderingError
+from lodbench.kernels.masks import code_lengths_saved, outline_sides
 from lodbench.rendering.bits import Words, words_per_row
-from lodbench.rendering.region_kernels import code_lengths_saved, outline_sides
 
 Floats = NDArray[np.float64]
 

@@ -7,34 +7,14 @@ only be too large, so no picture depends on it.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.rendering.projection import is_outside
+from lodbench.kernels.arguments import SphereTree
+from lodbench.kernels.projection import BRANCH
 
 Floats = NDArray[np.float64]
-
-# Children of a node.
-_BRANCH = 8
-
-
-class SphereTree(NamedTuple):
-    """Bounding spheres of buildings, of eights of them, of eights of eights, up to one for all.
-
-    Attributes:
-        order: (M,) int64 the buildings that are not empty, those close to each other close together.
-        nodes: (N, 4) float64 x, y, z, radius: of the buildings in that order, then of each eight nodes
-            in turn of the level before, and so on.
-        levels: (L + 1,) int64 offsets of the levels into ``nodes``.
-    """
-
-    order: NDArray[np.int64]
-    nodes: Floats
-    levels: NDArray[np.int64]
 
 
 def sphere_tree(spheres: Floats) -> SphereTree:
@@ -63,11 +43,11 @@ def bounding_spheres(scene: Scene) -> Floats:
 
 def _bound(spheres: Floats) -> Floats:
     """Returns (ceil(N / 8), 4) spheres round each eight of (N, 4) spheres in turn."""
-    starts = np.arange(0, len(spheres), _BRANCH)
+    starts = np.arange(0, len(spheres), BRANCH)
     low = np.minimum.reduceat(spheres[:, :3] - spheres[:, 3:], starts, axis=0)
     high = np.maximum.reduceat(spheres[:, :3] + spheres[:, 3:], starts, axis=0)
     middle = (low + high) / 2
-    away = np.sqrt(((spheres[:, :3] - np.repeat(middle, _BRANCH, axis=0)[: len(spheres)]) ** 2).sum(axis=1))
+    away = np.sqrt(((spheres[:, :3] - np.repeat(middle, BRANCH, axis=0)[: len(spheres)]) ** 2).sum(axis=1))
     reach = np.maximum.reduceat(away + spheres[:, 3], starts)
     return np.concatenate([middle, (reach * (1.0 + 1e-9))[:, None]], axis=1)
 
@@ -91,75 +71,3 @@ def _hilbert_places(points: Floats) -> NDArray[np.int64]:
         x, y = np.where(backwards, 2**16 - 1 - x, x), np.where(backwards, 2**16 - 1 - y, y)
         x, y = np.where(up == 0, y, x), np.where(up == 0, x, y)
     return places
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _spread_of(rotations, centers):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Returns how far N views lie from the first, metres, and how much they are turned, as a chord."""
-    away, turned = 0.0, 0.0
-    for i in range(1, rotations.shape[0]):
-        square, chord = 0.0, 0.0
-        for k in range(3):
-            square += (centers[i, k] - centers[0, k]) ** 2
-            for m in range(3):
-                # The squared Frobenius distance of two rotations is 8 sin(a / 2) ** 2.
-                chord += (rotations[i, k, m] - rotations[0, k, m]) ** 2
-        away = max(away, np.sqrt(square))
-        turned = max(turned, np.sqrt(chord * 0.5))
-    return away, turned
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _any_sees(sphere, rotations, centers, planes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Tells whether a sphere is not outside of one of N views at least."""
-    for i in range(rotations.shape[0]):
-        c = centers[i]
-        distance = abs(sphere[0] - c[0]) + abs(sphere[1] - c[1]) + abs(sphere[2] - c[2])
-        wider = (sphere[0], sphere[1], sphere[2], sphere[3] + 1e-6 * distance)
-        if not is_outside(wider, rotations[i], c, planes):
-            return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def select_buildings(tree, rotations, centers, planes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the buildings, (K,) int64, that any of N nearby views may see.
-
-    Seen from the first view, a point at distance s moves by at most ``d + 2 sin(a / 2) (s + d)`` for
-    a view that is d away and turned by the angle a: so much wider is each sphere made, by what its
-    furthest point may move, so a node is never passed over for a child that is not. Views that differ
-    by 15 degrees would so take in the city up to the horizon: groups are looked at from each view.
-
-    Args:
-        tree: SphereTree, or whatever has its arrays.
-        rotations: (N, 3, 3) float64 cam_from_world, N >= 1.
-        centers: (N, 3) float64 camera centres, local metres.
-        planes: (5, 3) float64, see ``View``.
-    """
-    away, turned = _spread_of(rotations, centers)
-    kept = np.zeros(1, dtype=np.int64)
-    count = 1
-    for level in range(tree.levels.shape[0] - 2, -1, -1):
-        first, stop = tree.levels[level], tree.levels[level + 1]
-        parents, wanted = kept, count
-        kept = np.empty(_BRANCH * wanted, dtype=np.int64)
-        count = 0
-        for i in range(wanted):
-            for node in range(_BRANCH * parents[i], min(stop - first, _BRANCH * (parents[i] + 1))):
-                sphere = tree.nodes[first + node]
-                furthest = sphere[3] + np.sqrt(
-                    (sphere[0] - centers[0, 0]) ** 2
-                    + (sphere[1] - centers[0, 1]) ** 2
-                    + (sphere[2] - centers[0, 2]) ** 2
-                )
-                slack = away + turned * (furthest + away) + 1e-6 * furthest
-                wider = (sphere[0], sphere[1], sphere[2], sphere[3] + slack)
-                if is_outside(wider, rotations[0], centers[0], planes):
-                    continue
-                if level > 0 and not _any_sees(sphere, rotations, centers, planes):
-                    continue
-                kept[count] = node
-                count += 1
-    for i in range(count):
-        kept[i] = tree.order[kept[i]]
-    return kept[:count]

@@ -14,14 +14,18 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-from lodbench.rendering.bits import Words, count_bits, pack_mask, unpack_mask, words_per_row
-from lodbench.rendering.compiled import say_if_compiling
-from lodbench.rendering.engine_arrays import Scratch, View, blank_scratch
-from lodbench.rendering.engine_kernel import draw_view, draw_views, score_views
+from lodbench.kernels.arguments import Scratch, View
+from lodbench.kernels.compiled import say_if_compiling
+from lodbench.kernels.masks import count_bits
+from lodbench.kernels.projection import select_buildings
+from lodbench.kernels.silhouettes import draw_instances, draw_view, draw_views, score_views
+from lodbench.kernels.simd import LANES
+from lodbench.rendering.bits import Words, pack_mask, unpack_mask, words_per_row
+from lodbench.rendering.engine_arrays import blank_scratch
 from lodbench.rendering.engine_layout import moved_arrays
 from lodbench.rendering.engine_store import open_arrays
 from lodbench.rendering.fit import Fit, IouFit, fit_values
-from lodbench.rendering.instances import Instances, draw_instances
+from lodbench.rendering.instances import Instances
 from lodbench.rendering.nearby import nearby_order
 from lodbench.rendering.projection import (
     pose_arrays,
@@ -31,8 +35,6 @@ from lodbench.rendering.projection import (
     view_planes,
 )
 from lodbench.rendering.protocol import IouCounts
-from lodbench.rendering.selection import select_buildings
-from lodbench.rendering.simd import LANES
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -5,40 +5,15 @@ With correct perspective, bilinear, and from pictures halved as often as the vie
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.mesh.textured import TexturedMesh
-from lodbench.rendering.compiled import per_pixel
+from lodbench.kernels.looks import Charts
 
 # A texture is halved so often at most, and not below this side.
 _LEVELS, _LEAST_SIDE = 8, 4
-
-
-class Charts(NamedTuple):
-    """Where on its texture each triangle is, for the kernel.
-
-    On a triangle, texture coordinates (or red, green and blue) are affine in the place in the world, so
-    a look-up by the place is free of perspective errors.
-
-    Attributes:
-        slope: (T, 3, 3) float64: change of u and v, or of red, green and blue, per metre.
-        start: (T, 3, 2) float64: of each, at the first corner; and that corner's coordinates.
-        picture: (T,) int32 texture, or -1.
-        texels: (N,) uint8 all textures at all sizes, RGB after RGB.
-        offset: (P, levels) int64 where each begins.
-        size: (P, levels, 2) int64 its width and height.
-    """
-
-    slope: NDArray[np.float64]
-    start: NDArray[np.float64]
-    picture: NDArray[np.int32]
-    texels: NDArray[np.uint8]
-    offset: NDArray[np.int64]
-    size: NDArray[np.int64]
 
 
 def make_charts(mesh: TexturedMesh | None) -> Charts:
@@ -91,55 +66,3 @@ def _pyramids(
             offset[number, level], size[number, level] = begin, (width, height)
             begin += flat[-1].size
     return np.concatenate(flat), offset, size
-
-
-@per_pixel
-def texture_light(row, x, y, z, pixel_m, charts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the linear RGB of a textured triangle at a point; arguments as for ``texture_colour``."""
-    red, green, blue = texture_colour(row, x, y, z, pixel_m, charts)
-    scale = 1.0 / 65025.0
-    return red * red * scale, green * green * scale, blue * blue * scale
-
-
-@per_pixel
-def texture_colour(row, x, y, z, pixel_m, charts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the RGB of a textured triangle at a point, 0 to 255.
-
-    Args:
-        row: Of the triangle in the charts.
-        x: Point, east, local metres.
-        y: North.
-        z: Up.
-        pixel_m: Size of a pixel there.
-        charts: Charts.
-    """
-    start, slope = charts.start, charts.slope
-    dx, dy, dz = x - start[row, 0, 1], y - start[row, 1, 1], z - start[row, 2, 1]
-    a = start[row, 0, 0] + slope[row, 0, 0] * dx + slope[row, 0, 1] * dy + slope[row, 0, 2] * dz
-    b = start[row, 1, 0] + slope[row, 1, 0] * dx + slope[row, 1, 1] * dy + slope[row, 1, 2] * dz
-    picture = charts.picture[row]
-    if picture < 0:
-        c = start[row, 2, 0] + slope[row, 2, 0] * dx + slope[row, 2, 1] * dy + slope[row, 2, 2] * dz
-        return a, b, c
-    # The coarser direction decides the size of the texture to look at.
-    across = np.sqrt(slope[row, 0, 0] ** 2 + slope[row, 0, 1] ** 2 + slope[row, 0, 2] ** 2)
-    along = np.sqrt(slope[row, 1, 0] ** 2 + slope[row, 1, 1] ** 2 + slope[row, 1, 2] ** 2)
-    texels = pixel_m * max(across * charts.size[picture, 0, 0], along * charts.size[picture, 0, 1])
-    level = 0
-    while texels > 1.5 and level < charts.size.shape[1] - 1:
-        texels *= 0.5
-        level += 1
-    width, height = charts.size[picture, level, 0], charts.size[picture, level, 1]
-    begin = charts.offset[picture, level]
-    u, v = (a - np.floor(a)) * width - 0.5, (1.0 - (b - np.floor(b))) * height - 0.5
-    i, j = np.int64(np.floor(u)), np.int64(np.floor(v))
-    fu, fv = u - i, v - j
-    red = green = blue = 0.0
-    for k in range(4):
-        column, line = (i + (k & 1)) % width, (j + (k >> 1)) % height
-        weight = (fu if k & 1 else 1.0 - fu) * (fv if k >> 1 else 1.0 - fv)
-        place = begin + 3 * (line * width + column)
-        red += weight * charts.texels[place]
-        green += weight * charts.texels[place + 1]
-        blue += weight * charts.texels[place + 2]
-    return red, green, blue

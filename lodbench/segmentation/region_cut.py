@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from lodbench.kernels.estimation import least_total
 from lodbench.rendering import appearance_bins
 
 Mask = NDArray[np.bool_]
@@ -48,7 +48,7 @@ def cut(photo: NDArray[np.uint8], silhouette: Mask, looks: NDArray[np.floating] 
     shape = np.clip(signed_distance(silhouette) / reach_px, -1.0, 1.0)
     against = -(_COLOUR_WEIGHT * colours + _SHAPE_NATS * shape)
     beside, upright = _outline_costs(photo)
-    return np.asarray(_least_total(against.astype(np.float32), beside, upright, _ITERATIONS), np.float32)
+    return np.asarray(least_total(against.astype(np.float32), beside, upright, _ITERATIONS), np.float32)
 
 
 def cross_fitted(photo: NDArray[np.uint8], silhouette: Mask) -> Floats:
@@ -127,30 +127,3 @@ def _outline_costs(photo: NDArray[np.uint8]) -> tuple[Floats, Floats]:
     )
     first, second = costs
     return first.astype(np.float32), second.astype(np.float32)
-
-
-@njit(cache=True, nogil=True)
-def _least_total(against, beside, upright, iterations):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Returns (H, W) in [0, 1] with the least sum of ``against`` times it and the costs of its steps."""
-    height, width = against.shape
-    step, one, zero = np.float32(0.35), np.float32(1), np.float32(0)
-    answer, ahead = np.zeros_like(against), np.zeros_like(against)
-    across, down = np.zeros_like(against), np.zeros_like(against)
-    for _ in range(iterations):
-        for y in range(height):
-            for x in range(width):
-                a = across[y, x] + step * (ahead[y, x + 1] - ahead[y, x]) if x < width - 1 else zero
-                b = down[y, x] + step * (ahead[y + 1, x] - ahead[y, x]) if y < height - 1 else zero
-                norm = max(one, np.sqrt((a / beside[y, x]) ** 2 + (b / upright[y, x]) ** 2))
-                across[y, x], down[y, x] = a / norm, b / norm
-        for y in range(height):
-            for x in range(width):
-                flow = across[y, x] + down[y, x]
-                if x > 0:
-                    flow -= across[y, x - 1]
-                if y > 0:
-                    flow -= down[y - 1, x]
-                value = min(max(answer[y, x] + step * (flow - against[y, x]), zero), one)
-                ahead[y, x] = np.float32(2) * value - answer[y, x]
-                answer[y, x] = value
-    return answer

@@ -30,10 +30,10 @@ Where something new goes:
   ``conf/generate-training-data.yaml``;
 - a look of pictures (sun, air, season, sensor): a file in ``conf/training``; a new kind of change is a
   field of ``LookRanges`` in ``photo/look.py``, used in ``photo/renderer.py`` if the sensor makes
-  it and in ``photo/surfaces.py`` or ``photo/ground.py`` if the place does;
+  it and in ``kernels/surfaces.py`` or ``kernels/patterns.py`` if the place does;
 - a thing that stands around: its shape in ``objects``, its places in ``surroundings/surroundings.py``
   or ``town/trees_and_cars.py``;
 - something that networks take for a building and is none: a function and a line in ``CLUTTER`` of
-  ``surroundings/clutter.py``; a colour of roofs or walls: the palettes of ``photo/surfaces.py``;
+  ``surroundings/clutter.py``; a colour of roofs or walls: the palettes of ``photo/shading.py``;
 - an error of masks: a field in ``mask_error_fields.py``, used in ``mask_degradation.py``.
 """

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lodbench.methods.contour_alignment.correlated import add_products, error_covariance, whiten
+from lodbench.kernels.estimation import add_products, error_covariance, whiten
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import numpy as np
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-from lodbench.rendering.raster_rule import NEAR_M
+from lodbench.kernels.raster_rule import NEAR_M
 
 # Hits nearer to an edge than this share of the triangle, or to the next hit than this share of the
 # depth, are not decided here.

@@ -6,13 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from lodbench.rendering.bits import (
-    count_bits,
-    intersect_and_clear,
-    pack_mask,
-    unpack_mask,
-    words_per_row,
-)
+from lodbench.kernels.masks import count_bits, intersect_and_clear
+from lodbench.rendering.bits import pack_mask, unpack_mask, words_per_row
 
 masks = npst.arrays(np.bool_, st.tuples(st.integers(1, 6), st.integers(1, 200)))
 

@@ -6,8 +6,9 @@ import numpy as np
 
 from lodbench.geometry import Camera, EulerAngles
 from lodbench.geometry.angles import rotation_from_euler
-from lodbench.rendering.line_sums import LinePoints, count_along_lines, sum_along_lines
-from lodbench.rendering.photo_bins import DIRECTIONS, EDGE_LEVELS, directed_edge_levels
+from lodbench.kernels.arguments import LinePoints
+from lodbench.kernels.photo_edges import DIRECTIONS, EDGE_LEVELS, count_along_lines, sum_along_lines
+from lodbench.rendering.photo_bins import directed_edge_levels
 
 
 def test_levels_are_equally_full_and_have_the_edge_s_direction():

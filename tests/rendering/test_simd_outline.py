@@ -8,11 +8,12 @@ from math import ceil
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from lodbench.rendering.coverage import blank_coverage, edge_lists
 from numba import njit
 
-from lodbench.rendering.coverage import append_edge, blank_coverage, edge_lists, mark_edges, pack_corner
-from lodbench.rendering.simd import LANES
-from lodbench.rendering.simd_outline import face_triangles, project_vertices
+from lodbench.kernels.coverage import append_edge, mark_edges, pack_corner
+from lodbench.kernels.simd import LANES
+from lodbench.kernels.simd_kernels import face_triangles, project_vertices
 
 # The guard band, in sub-pixels.
 _REACH = 8192 * 256

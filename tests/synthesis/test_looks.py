@@ -10,7 +10,8 @@ import pytest
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
+from lodbench.kernels.looks import SurfaceClass
+from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo import LookRanges, PhotoRenderer, draw_look, look_ranges
 from tests.town import box_obj
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from lodbench.errors import RenderingError
-from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass, read_props, write_props
+from lodbench.kernels.looks import SurfaceClass
+from lodbench.synthesis.objects.scene_props import SceneProps, read_props, write_props
 
 
 def props_of(surfaces, origin=(0.0, 0.0, 0.0)):

@@ -9,9 +9,9 @@ import pytest
 
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.errors import DatasetError
+from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder
-from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.surroundings.ground import Ground
 from lodbench.synthesis.surroundings.surroundings import CLUTTER, Spot, make_surroundings
 

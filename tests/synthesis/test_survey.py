@@ -59,8 +59,8 @@ def test_ground_lies_as_a_map_does_and_what_hangs_over_is_left_out():
 
 def shading_of(corners, surface):
     from lodbench.synthesis.objects.scene_props import SceneProps
-    from lodbench.synthesis.photo.kernel import plain_shading
     from lodbench.synthesis.photo.render_scene import make_skin
+    from lodbench.synthesis.photo.shading import plain_shading
     from lodbench.synthesis.survey.textured_map import survey_look
 
     count = len(corners)
@@ -79,7 +79,7 @@ def shading_of(corners, surface):
 
 @pytest.mark.slow
 def test_a_picture_shows_at_a_place_what_the_place_looks_like():
-    from lodbench.synthesis.objects.scene_props import SurfaceClass
+    from lodbench.kernels.looks import SurfaceClass
 
     corners = wall(0, 12, 2, 8)
     shading = shading_of(corners, SurfaceClass.WALL)

@@ -24,15 +24,12 @@ from lodbench.geometry.pose_vector import (
     rotation_derivatives,
     vector_from_pose,
 )
-from lodbench.methods.contour_alignment.outline import (
-    EdgeArrays,
-    OutlinePoints,
-    edges_in_reach,
-    sample_outline,
-)
-from lodbench.methods.contour_alignment.outline_kernel import building_sums, measure_distances
+from lodbench.kernels.arguments import EdgeArrays
+from lodbench.kernels.edges import building_sums, measure_distances
+from lodbench.kernels.projection import visible_buildings
+from lodbench.methods.contour_alignment.outline import OutlinePoints, edges_in_reach, sample_outline
 from lodbench.methods.contour_alignment.params import Params
-from lodbench.rendering.projection import view_planes, visible_buildings
+from lodbench.rendering.projection import view_planes
 from lodbench.segmentation import binary_mask
 from lodbench.segmentation.mapped_overlap import mapped_overlap
 

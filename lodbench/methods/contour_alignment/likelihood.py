@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.kernels.estimation import error_covariance, whiten
 from lodbench.methods.contour_alignment.alignment import Residuals
-from lodbench.methods.contour_alignment.correlated import error_covariance, whiten
 from lodbench.methods.contour_alignment.params import Params
 
 Floats = NDArray[np.float64]

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-from lodbench.methods.contour_alignment.outline_kernel import sample_edges
-from lodbench.rendering.projection import view_planes, visible_buildings
+from lodbench.kernels.arguments import EdgeArrays
+from lodbench.kernels.edges import sample_edges
+from lodbench.kernels.projection import visible_buildings
+from lodbench.rendering.projection import view_planes
 from lodbench.rendering.selection import bounding_spheres
 from lodbench.rendering.topology import edge_table
 
@@ -19,34 +20,6 @@ Floats = NDArray[np.float64]
 
 # Points of a first try; a view with more is sampled again with room for all.
 _ROOM = 1 << 14
-
-
-class EdgeArrays(NamedTuple):
-    """The edges of some buildings, for the kernel.
-
-    Attributes:
-        vertices: (V, 3) float64, scene metres.
-        corners: (E, 2) int32 vertex indices.
-        sides: (E, 2) int32 triangle indices.
-        second_weight: (E,) int32, see ``EdgeTable``.
-        starts: (B + 1,) int64 edges of each building.
-        planes: (T, 4) float64 normal and offset of each triangle.
-        spheres: (B, 4) float64 centre and radius.
-        floors: (B,) float64 lowest height of each building, metres.
-        rises: (B,) float64 height of each building from there, metres.
-        rows: (B,) int64 which of the scene's buildings they are.
-    """
-
-    vertices: Floats
-    corners: NDArray[np.int32]
-    sides: NDArray[np.int32]
-    second_weight: NDArray[np.int32]
-    starts: NDArray[np.int64]
-    planes: Floats
-    spheres: Floats
-    floors: Floats
-    rises: Floats
-    rows: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

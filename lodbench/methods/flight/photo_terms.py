@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.kernels.edges import measure_distances
+from lodbench.kernels.estimation import add_products, error_covariance, whiten
 from lodbench.methods.contour_alignment.alignment import Aligner
-from lodbench.methods.contour_alignment.correlated import add_products, error_covariance, whiten
 from lodbench.methods.contour_alignment.outline import OutlinePoints
-from lodbench.methods.contour_alignment.outline_kernel import measure_distances
 from lodbench.methods.contour_alignment.params import Params as PhotoParams
 from lodbench.methods.flight.roof_parts import RoofParts
 

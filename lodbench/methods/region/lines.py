@@ -18,14 +18,15 @@ from lodbench.datasets.query import Query
 from lodbench.geometry import Camera
 from lodbench.geometry.angles import rotations_from_euler
 from lodbench.geometry.pose_vector import pose_from_vector
+from lodbench.kernels.arguments import LinePoints
+from lodbench.kernels.photo_edges import EDGE_LEVELS, count_along_lines, sum_along_lines
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import Evidence, Photo, views_of
 from lodbench.methods.region.evolution import Cloud, maximize
 from lodbench.methods.region.params import ALL, BESIDE_POSE, POSE, ROOFS, Params
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, step_of
 from lodbench.methods.region.search import local_maxima, samples
-from lodbench.rendering.line_sums import LinePoints, count_along_lines, sum_along_lines
-from lodbench.rendering.photo_bins import EDGE_LEVELS, Levels
+from lodbench.rendering.photo_bins import Levels
 
 Floats = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, require_numbers
 from lodbench.geometry import AxisRange, Camera, PoseGrid
+from lodbench.kernels.raster_rule import GUARD_PX
 from lodbench.methods.search_params import ranges_of
-from lodbench.rendering.raster_rule import GUARD_PX
 
 _CIRCLE_DEG = 360.0
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")

@@ -24,7 +24,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lodbench.methods.contour_alignment.correlated import error_covariance
+from lodbench.kernels.estimation import error_covariance
 from lodbench.methods.contour_alignment.outline import OutlinePoints
 from lodbench.methods.region.evidence import Evidence
 from lodbench.methods.region.search import OutlineJacobian

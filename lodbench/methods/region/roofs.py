@@ -26,6 +26,7 @@ from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.pitched_blocks import pitched_blocks
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
+from lodbench.kernels.arguments import EdgeFaces
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.params import (
     BASE_OFFSET,
@@ -37,7 +38,6 @@ from lodbench.methods.region.params import (
     ROOFS,
     Params,
 )
-from lodbench.rendering.edges import EdgeFaces
 
 Floats = NDArray[np.float64]
 

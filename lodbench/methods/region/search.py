@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from lodbench.datasets.query import Query
 from lodbench.geometry import Pose, PoseGrid
 from lodbench.geometry.pose_vector import pose_from_vector, rotation_derivatives
-from lodbench.methods.contour_alignment.outline import EdgeArrays, OutlinePoints, sample_outline
+from lodbench.kernels.arguments import EdgeArrays
+from lodbench.methods.contour_alignment.outline import OutlinePoints, sample_outline
 from lodbench.methods.fits import nothing_fits
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import Evidence

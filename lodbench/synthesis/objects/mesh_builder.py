@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
+from lodbench.kernels.looks import SurfaceClass
+from lodbench.synthesis.objects.scene_props import SceneProps
 
 Points = NDArray[np.float64]
 Triangles = NDArray[np.int64]

@@ -16,7 +16,6 @@ import io
 import zipfile
 import zlib
 from dataclasses import dataclass, fields, replace
-from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -24,39 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import RenderingError
+from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage.atomic import write_bytes
-
-
-class SurfaceClass(IntEnum):
-    """What a surface is made of. Numbers are written to files: never change or reuse one."""
-
-    # Ground below 20, then what belongs to buildings and hence to their masks, then occluders from 40 on.
-    GROUND = 0  # bare earth, gravel
-    GRASS = 1
-    FIELD = 2  # crops, meadows beyond the town
-    ROAD = 3
-    MARKING = 4
-    PAVEMENT = 5  # pavements, squares, yards
-    WATER = 6
-    WALL = 20
-    ROOF_FLAT = 21
-    ROOF_TILE = 22
-    WINDOW = 23
-    DOOR = 24
-    FRAME = 25  # window reveals and sills, eaves, railings
-    CHIMNEY = 26
-    FLOOR = 27  # undersides
-    TRUNK = 40
-    FOLIAGE = 41
-    CAR_BODY = 42
-    CAR_GLASS = 43
-    FENCE = 44  # hedges, walls of gardens
-    CLUTTER = 45  # containers, tents
-
-    @property
-    def is_ground(self) -> bool:
-        """Whether it lies on the ground or is the ground."""
-        return self < SurfaceClass.WALL
 
 
 @dataclass(frozen=True, slots=True, eq=False)

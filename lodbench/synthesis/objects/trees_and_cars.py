@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.kernels.looks import SurfaceClass
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder, Points, Triangles, palette, ring_walls
-from lodbench.synthesis.objects.scene_props import SurfaceClass
 
 _TRUNK = palette("5c4c3c")
 _LEAVES = palette("465c2c 546832 3c522a 626e38 4e643e")

@@ -6,16 +6,16 @@ import math
 from dataclasses import dataclass, field, fields
 from functools import cache
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError, nearest_names
+from lodbench.kernels.looks import CameraResponse, Look, Triple
 from lodbench.params import read_settings, to_params
 
 Range = tuple[float, float]
-Triple = tuple[float, float, float]
 
 
 def _drawn(low: float, high: float, within: Range = (0.0, 1.5)) -> Any:
@@ -82,43 +82,6 @@ def look_ranges(name: str) -> LookRanges:
     if name not in known:
         raise ConfigError(f"There is no look {name}.", nearest_names(name, sorted(known)))
     return to_params(read_settings(known[name].read_text(encoding="utf-8")), LookRanges, "look")
-
-
-class Look(NamedTuple):
-    """The look of one picture, for the kernel; see ``LookRanges`` for what is not explained here."""
-
-    sun: Triple  # unit vector towards the sun, world axes
-    sun_rgb: Triple  # its light, linear
-    sky_rgb: Triple  # light of the whole sky on level ground, linear
-    haze_rgb: Triple  # colour of far air, linear
-    zenith_rgb: Triple  # colour of the sky straight up, linear
-    haze_per_m: float  # share of contrast lost per metre
-    dryness: float
-    texture: float
-    tint_jitter: float
-    dirt: float
-    windows: float
-    window_light: float
-    storey_m: float
-    window_spacing_m: float
-    skylights: float
-    roof_units: float
-    repaint: float
-    seed: int  # of patterns and of objects' colours
-
-
-class CameraResponse(NamedTuple):
-    """How light becomes a picture file; see ``LookRanges``."""
-
-    exposure: float
-    contrast: float
-    saturation: float
-    white_balance: float
-    vignette: float
-    blur_px: float
-    noise: float
-    jpeg_quality: int
-    seed: int
 
 
 def draw_look(ranges: LookRanges, generator: np.random.Generator) -> tuple[Look, CameraResponse]:

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
-from lodbench.rendering.texture_charts import Charts, make_charts
+from lodbench.kernels.looks import LAND_COVER, TEXTURED, Charts, Skin, SurfaceClass
+from lodbench.rendering.texture_charts import make_charts
 from lodbench.rendering.triangle_groups import grouped_scene, triangle_groups
-from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
-from lodbench.synthesis.photo.ground import LAND_COVER, TEXTURED
-from lodbench.synthesis.photo.surfaces import linear
+from lodbench.synthesis.objects.scene_props import SceneProps
+from lodbench.synthesis.photo.shading import linear
 
 Floats = NDArray[np.float64]
 
@@ -26,19 +26,6 @@ _MOST_TILED_M2 = 1600.0
 ON_GROUND = [kind for kind in SurfaceClass if kind.is_ground]
 _ON_WALLS = [SurfaceClass.WINDOW, SurfaceClass.DOOR, SurfaceClass.FRAME]
 _NO_CASTERS = np.array([*ON_GROUND, *_ON_WALLS, LAND_COVER, TEXTURED], dtype=np.uint8)
-
-
-class Skin(NamedTuple):
-    """What the triangles of a render scene look like, for the kernel."""
-
-    normal: NDArray[np.float32]  # (T, 3) float32 unit normals, whichever side
-    surface: NDArray[np.uint8]  # (T,) uint8 ``SurfaceClass``, or ``LAND_COVER``
-    number: NDArray[np.int32]  # (T,) int32 of the object
-    tint: NDArray[np.float32]  # (T, 3) float32 linear base colour; a negative red one for the palette's
-    # (T, 7) float32. Walls: tangent x, y, where the wall begins along it, its width, base and top heights; a
-    # width of 0 for no painted windows. Leaves: centre of the crown at 0 to 2, and 1 at 6, for light as round
-    # a crown.
-    place: NDArray[np.float32]
 
 
 class RenderScene(NamedTuple):

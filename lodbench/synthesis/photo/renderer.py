@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
+<<<<<<< HEAD
 from lodbench.photos.pictures import encoded
+=======
+from lodbench.kernels.arguments import Band, Buffer
+from lodbench.kernels.looks import CameraResponse, LandCover, Look, Shading, SunMap
+from lodbench.kernels.shading import BRIGHTEST, TONE_STEPS, expose, resolve_photo
+>>>>>>> a73a35f7 (Kernels: all compiled functions in one leaf package with a digest of its own; no environment variable is changed)
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.rendering.raster_kernel import Band, Buffer
 from lodbench.synthesis.objects.scene_props import SceneProps
-from lodbench.synthesis.photo.ground import NO_LAND_COVER, LandCover
-from lodbench.synthesis.photo.kernel import Shading, resolve_photo
-from lodbench.synthesis.photo.look import CameraResponse, Look
-from lodbench.synthesis.photo.noise import unit_hash
 from lodbench.synthesis.photo.render_scene import make_render_scene
-from lodbench.synthesis.photo.sunlight import NO_SUN_MAP, SunMap, draw_sun_map, ground_in_view
-from lodbench.synthesis.photo.surfaces import PALETTES
+from lodbench.synthesis.photo.shading import NO_LAND_COVER, PALETTES
+from lodbench.synthesis.photo.sunlight import NO_SUN_MAP, draw_sun_map, ground_in_view
 
 # Side of the shadow map, pixels: of the largest one each is half a metre where 450 m are in view.
 _LEAST_SUN_MAP, _MOST_SUN_MAP = 512, 1536
@@ -109,7 +109,6 @@ def photo_file(photo: NDArray[np.uint8], suffix: str, response: CameraResponse) 
     return encoded(np.ascontiguousarray(photo[..., ::-1]), suffix, options)
 
 
-_STEPS, _BRIGHTEST = 2048, 4
 _MIDDLE = 0.45  # the grey that contrast leaves as it is
 
 
@@ -124,40 +123,17 @@ def apply_camera_response(light: NDArray[np.float32], how: CameraResponse) -> ND
         blurred = cv2.GaussianBlur(light, (0, 0), how.blur_px, borderType=cv2.BORDER_REPLICATE)
         light = np.asarray(blurred, dtype=np.float32)
     picture = np.empty(light.shape, dtype=np.uint8)
-    _expose(light, how, _tone_curve(how), picture)
+    expose(light, how, _tone_curve(how), picture)
     return picture
 
 
 def _tone_curve(how: CameraResponse) -> NDArray[np.float32]:
-    """Returns the brightness, 0 to 1, of linear light 0, 1 / _STEPS, 2 / _STEPS, ...
+    """Returns the brightness, 0 to 1, of linear light 0, 1 / TONE_STEPS, 2 / TONE_STEPS, ...
 
     It is the inverse of ``linear``, with a shoulder instead of a hard cut at white, and contrast.
     """
-    light = np.arange(_STEPS * _BRIGHTEST + 2) / _STEPS
+    light = np.arange(TONE_STEPS * BRIGHTEST + 2) / TONE_STEPS
     value = np.sqrt(1.0 - np.exp(-1.55 * light))
     dark = _MIDDLE * (np.minimum(value, _MIDDLE) / _MIDDLE) ** how.contrast
     bright = 1.0 - (1.0 - _MIDDLE) * ((1.0 - np.maximum(value, _MIDDLE)) / (1.0 - _MIDDLE)) ** how.contrast
     return np.where(value < _MIDDLE, dark, bright).astype(np.float32)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _expose(light, how, curve, picture):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    height, width, _ = light.shape
-    balance = (1.0 + how.white_balance, 1.0, 1.0 - how.white_balance)
-    reach = 4.0 / (height * height + width * width)
-    for row in range(height):
-        for column in range(width):
-            dx, dy = column + 0.5 - 0.5 * width, row + 0.5 - 0.5 * height
-            gain = how.exposure * (1.0 - how.vignette * (dx * dx + dy * dy) * reach)
-            grey = 0.3 * light[row, column, 0] + 0.6 * light[row, column, 1] + 0.1 * light[row, column, 2]
-            for c in range(3):
-                value = grey + how.saturation * (light[row, column, c] - grey)
-                place = min(_BRIGHTEST * 1.0, max(0.0, gain * balance[c] * value)) * _STEPS
-                step = np.int64(place)
-                value = curve[step] + (curve[step + 1] - curve[step]) * (place - step)
-                # Photons come by chance: brighter is noisier, by the root, which the curve undoes.
-                # The four bytes of a hash, added up, are near enough normal.
-                bits = np.int64(unit_hash(column, row, how.seed + c) * 4294967296.0)
-                total = (bits & 255) + ((bits >> 8) & 255) + ((bits >> 16) & 255) + ((bits >> 24) & 255)
-                value += how.noise * (0.6 + 0.5 * value) * ((total - 510.0) * (1.0 / 147.8))
-                picture[row, column, c] = np.uint8(min(255.0, max(0.0, 255.0 * value + 0.5)))

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.geometry import Camera, Pose
-from lodbench.rendering.compiled import per_pixel
+from lodbench.kernels.looks import SunMap
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.synthesis.photo.noise import dot, plus
 
 Floats = NDArray[np.float64]
 
@@ -18,16 +15,6 @@ Floats = NDArray[np.float64]
 _DISTANCE_M = 60_000.0
 # Beyond this distance from the middle of what is seen, nothing casts a shadow.
 REACH_M = 450.0
-
-
-class SunMap(NamedTuple):
-    """Depth towards the sun, for the kernel."""
-
-    depth: NDArray[np.float32]  # (N, N) float32 metres from the map's camera; 0 where there is nothing
-    rotation: tuple[tuple[float, float, float], ...]  # (3, 3) sun_from_world
-    center: tuple[float, float, float]  # (3,) of the camera, local metres
-    focal: float  # focal length, pixels
-    texel_m: float  # size of a map pixel on the scene
 
 
 _LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -80,32 +67,3 @@ def _looking_along(axis: Floats) -> Floats:
     right = np.cross(axis, aside)
     right /= np.linalg.norm(right)
     return np.ascontiguousarray(np.stack([right, np.cross(axis, right), axis]))
-
-
-@per_pixel
-def sun_share(point, normal, facing, sun_map):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns how much of the sun reaches a point, (3,) local metres, 0 to 1: four map pixels, weighted.
-
-    The normal, (3,), is on the camera's side; ``facing`` is the cosine between it and the sun, above 0.
-    """
-    # Off the surface by a map pixel and more where light grazes it: it must not shade itself.
-    push = sun_map.texel_m * (0.6 + 0.8 * (1.0 - facing))
-    c, r = sun_map.center, sun_map.rotation
-    way = plus(plus(point, normal, push), c, -1.0)
-    depth = dot(r[2], way)
-    size = sun_map.depth.shape[0]
-    scale = sun_map.focal / depth
-    u = dot(r[0], way) * scale + 0.5 * size - 0.5
-    v = dot(r[1], way) * scale + 0.5 * size - 0.5
-    i, j = np.int64(np.floor(u)), np.int64(np.floor(v))
-    if i < 0 or j < 0 or i >= size - 1 or j >= size - 1:
-        return 1.0
-    bias = depth - 0.08 - 0.5 * sun_map.texel_m
-    fu, fv = u - i, v - j
-    lit = 0.0
-    for row in range(2):
-        for column in range(2):
-            first = sun_map.depth[j + row, i + column]
-            if first == 0.0 or first >= bias:
-                lit += (fu if column else 1.0 - fu) * (fv if row else 1.0 - fv)
-    return lit

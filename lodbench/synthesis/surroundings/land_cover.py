@@ -12,8 +12,8 @@ from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.kernels.looks import SurfaceClass
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.photo import LandCover
 
 Floats = NDArray[np.float64]

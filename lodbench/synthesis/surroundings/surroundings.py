@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
+from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import (
     BLOCK_FACES,
@@ -24,7 +25,7 @@ from lodbench.synthesis.objects.mesh_builder import (
     pick,
     ring_walls,
 )
-from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
+from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.objects.trees_and_cars import add_cars, add_trees
 from lodbench.synthesis.photo import LAND_COVER
 from lodbench.synthesis.surroundings.ground import Ground, Land, ground_from_bases, ground_from_raster

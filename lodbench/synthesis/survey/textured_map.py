@@ -18,18 +18,17 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
-from lodbench.rendering.compiled import per_pixel, pixel_loop
+from lodbench.kernels.looks import Shading, SurfaceClass
+from lodbench.kernels.shading import bake, light_corners
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import random_stream, write_bytes
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder
-from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
+from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo import CameraResponse, Look, LookRanges, draw_look
-from lodbench.synthesis.photo.kernel import Shading, flat_normal, out_of_crown, plain_shading, surface_light
-from lodbench.synthesis.photo.noise import scaled
 from lodbench.synthesis.photo.render_scene import ON_GROUND, make_render_scene, make_skin
 from lodbench.synthesis.photo.renderer import apply_camera_response
+from lodbench.synthesis.photo.shading import plain_shading
 from lodbench.synthesis.photo.sunlight import draw_sun_map
-from lodbench.synthesis.photo.surfaces import surface_colour
 from lodbench.synthesis.town.buildings import Age
 from lodbench.synthesis.town.ground import add_ground
 from lodbench.synthesis.town.props import add_buildings, building_colours, fine_bodies
@@ -130,74 +129,15 @@ def baked(layout: Layout, corners: Floats, shading: Shading) -> NDArray[np.float
     width, height = layout.size
     light = np.zeros((height, width, 3), dtype=np.float32)
     for margin in (1.5, 0.0):
-        _bake(layout.triangle, layout.texels, corners, layout.texel_m, margin, shading, light)
+        bake(layout.triangle, layout.texels, corners, layout.texel_m, margin, shading, light)
     return light
 
 
 def corner_light(triangle: NDArray[np.int64], corners: Floats, shading: Shading) -> NDArray[np.float32]:
     """Returns the (N, 3, 3) linear RGB of the corners of some triangles; arguments as for ``baked``."""
     light = np.zeros((len(triangle), 3, 3), dtype=np.float32)
-    _light_corners(triangle, corners, shading, light)
+    light_corners(triangle, corners, shading, light)
     return light
-
-
-@per_pixel
-def _surface_light(triangle, point, pixel_m, shading):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Returns the linear RGB of a triangle at a point, looked at straight."""
-    skin = shading.skin
-    normal = flat_normal(skin, triangle)
-    if skin.place[triangle, 6] > 0.0:
-        # Leaves: light as round a crown, from outside of it.
-        normal = out_of_crown(skin, triangle, point)
-    albedo, _ = surface_colour(triangle, point, normal, pixel_m, shading)
-    # What mirrors the sky looks different from everywhere: a map shows it dull.
-    return surface_light(albedo, 0.0, point, normal, scaled(normal, -1.0), shading)
-
-
-@pixel_loop
-def _bake(triangles, texels, corners, texel_m, margin, shading, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Writes the light of texels within triangles; with a margin, of those up to so many texels outside."""
-    height, width, _ = out.shape
-    for k in range(len(triangles)):
-        t = triangles[k]
-        ax, ay = texels[k, 0, 0], texels[k, 0, 1]
-        bx, by = texels[k, 1, 0] - ax, texels[k, 1, 1] - ay
-        cx, cy = texels[k, 2, 0] - ax, texels[k, 2, 1] - ay
-        area = bx * cy - by * cx
-        if abs(area) < 1e-9:
-            continue
-        # What one texel across an edge changes of each barycentric coordinate.
-        slope_b, slope_c = np.sqrt(cx * cx + cy * cy) / abs(area), np.sqrt(bx * bx + by * by) / abs(area)
-        slope_a = np.sqrt((bx - cx) ** 2 + (by - cy) ** 2) / abs(area)
-        left = max(0, np.int64(np.floor(ax + min(0.0, bx, cx) - margin)))
-        right = min(width, np.int64(np.ceil(ax + max(0.0, bx, cx) + margin)))
-        top = max(0, np.int64(np.floor(ay + min(0.0, by, cy) - margin)))
-        bottom = min(height, np.int64(np.ceil(ay + max(0.0, by, cy) + margin)))
-        for row in range(top, bottom):  # type: ignore[call-overload]
-            for column in range(left, right):  # type: ignore[call-overload]
-                dx, dy = column + 0.5 - ax, row + 0.5 - ay
-                b, c = (dx * cy - dy * cx) / area, (bx * dy - by * dx) / area
-                a = 1.0 - b - c
-                if a < -margin * slope_a or b < -margin * slope_b or c < -margin * slope_c:
-                    continue
-                if margin > 0.0 and a >= 0.0 and b >= 0.0 and c >= 0.0:
-                    continue
-                x = a * corners[t, 0, 0] + b * corners[t, 1, 0] + c * corners[t, 2, 0]
-                y = a * corners[t, 0, 1] + b * corners[t, 1, 1] + c * corners[t, 2, 1]
-                z = a * corners[t, 0, 2] + b * corners[t, 1, 2] + c * corners[t, 2, 2]
-                red, green, blue = _surface_light(t, (x, y, z), texel_m, shading)
-                out[row, column, 0], out[row, column, 1], out[row, column, 2] = red, green, blue
-
-
-@pixel_loop
-def _light_corners(triangles, corners, shading, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Writes the light of triangles' corners."""
-    for k in range(len(triangles)):
-        t = triangles[k]
-        for corner in range(3):
-            point = (corners[t, corner, 0], corners[t, corner, 1], corners[t, corner, 2])
-            red, green, blue = _surface_light(t, point, 0.5, shading)
-            out[k, corner, 0], out[k, corner, 1], out[k, corner, 2] = red, green, blue
 
 
 # The map is a square of tiles round the middle of town; what lies around it has plain colours.

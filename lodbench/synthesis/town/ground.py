@@ -12,9 +12,9 @@ import mapbox_earcut
 import numpy as np
 import scipy
 
+from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder, Triangles, grid_triangles, palette
-from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.town.shapes import (
     Points,
     along_line,

@@ -11,9 +11,10 @@ from lodbench.citymodel.model import Polygons, SurfaceKind
 from lodbench.citymodel.raw import starts_of
 from lodbench.citymodel.triangulate import triangulate
 from lodbench.findings import Findings
+from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder, palette, pick
-from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
+from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.town.buildings import Building
 from lodbench.synthesis.town.ground import add_ground
 from lodbench.synthesis.town.shapes import Points

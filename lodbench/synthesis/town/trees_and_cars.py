@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import BLOCK_FACES, MeshBuilder, palette, pick
-from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.objects.trees_and_cars import add_cars, add_trees
 from lodbench.synthesis.town.shapes import (
     Points,

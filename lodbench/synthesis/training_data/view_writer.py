@@ -22,7 +22,7 @@ from lodbench.storage import digest_of, random_stream, write_bytes
 from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo import LandCover, PhotoRenderer, draw_look
 from lodbench.synthesis.photo.renderer import apply_camera_response, photo_file
-from lodbench.synthesis.photo.surfaces import linear
+from lodbench.synthesis.photo.shading import linear
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import PlannedView
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from solid_checks import volume_m3
 
-from lodbench.synthesis.objects.scene_props import SurfaceClass
+from lodbench.kernels.looks import SurfaceClass
 from lodbench.synthesis.town.ground import filled, refined
 from lodbench.synthesis.town.props import demo_props
 from lodbench.synthesis.town.town import ORIGIN_M

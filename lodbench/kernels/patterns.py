@@ -1,28 +1,96 @@
-"""Ground in a picture: earth, grass, fields, pavements, water, and roads with their markings."""
+"""What surfaces are painted with: triples, noise from integer hashes, and the ground with its roads."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from lodbench.rendering.compiled import per_pixel
-from lodbench.synthesis.objects.scene_props import SurfaceClass
-from lodbench.synthesis.photo.noise import detail, grain, mix, scaled, stripe, unit_hash, value_noise
+from lodbench.kernels.compiled import per_pixel
+from lodbench.kernels.looks import SurfaceClass
 
-# Ground whose class, cell by cell, is in a ``LandCover``.
-LAND_COVER = np.uint8(255)
-# Surfaces that carry their own light: those of a textured mesh.
-TEXTURED = np.uint8(254)
+_MASK = 0xFFFFFFFF
+
+
+@per_pixel
+def unit_hash(a, b, c):
+    """Returns a number in [0, 1) that three integers, each within 31 bits, decide."""
+    h = (a * 0x27D4EB2D + b * 0x165667B1 + c * 0x1E3779B1) & _MASK
+    h ^= h >> 15
+    h = (h * 0x5EBCA6B7) & _MASK
+    h ^= h >> 13
+    h = (h * 0x42B2AE35) & _MASK
+    h ^= h >> 16
+    return h * (1.0 / 4294967296.0)
+
+
+@per_pixel
+def value_noise(x, y, seed):
+    """Returns smooth noise in [-1, 1] of a point of the plane; its grain has size 1."""
+    fx, fy = np.floor(x), np.floor(y)
+    i, j = np.int64(fx), np.int64(fy)
+    u, v = x - fx, y - fy
+    u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)
+    low = unit_hash(i, j, seed) * (1.0 - u) + unit_hash(i + 1, j, seed) * u
+    high = unit_hash(i, j + 1, seed) * (1.0 - u) + unit_hash(i + 1, j + 1, seed) * u
+    return 2.0 * (low * (1.0 - v) + high * v) - 1.0
+
+
+@per_pixel
+def detail(grain_m, pixel_m):
+    """Returns how much of a pattern of a grain size a pixel of a size still shows, 0 to 1.
+
+    A pattern finer than two pixels is left out, so that it cannot alias.
+    """
+    return min(1.0, max(0.0, grain_m / (2.0 * pixel_m) - 0.5))
+
+
+@per_pixel
+def grain(x, y, size_m, pixel_m, seed):
+    """Returns noise in [-1, 1] of a grain size, faded where a pixel no longer shows it."""
+    shown = detail(size_m, pixel_m)
+    if shown <= 0.0:
+        return 0.0
+    return shown * value_noise(x / size_m, y / size_m, seed)
+
+
+@per_pixel
+def stripe(x, low, high, width):
+    """Returns how much of a pixel of a width, centred on x, lies between low and high, about."""
+    wide = max(width, 1e-6)
+    rising = min(1.0, max(0.0, (x - low) / wide + 0.5))
+    falling = min(1.0, max(0.0, (high - x) / wide + 0.5))
+    return rising * falling
+
+
+@per_pixel
+def mix(a, b, share):
+    """Returns the colour a with a share of b."""
+    keep = 1.0 - share
+    return a[0] * keep + b[0] * share, a[1] * keep + b[1] * share, a[2] * keep + b[2] * share
+
+
+@per_pixel
+def scaled(a, factor):
+    """Returns a triple times a number."""
+    return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+@per_pixel
+def plus(a, b, factor):
+    """Returns the triple a and so many times b."""
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+@per_pixel
+def dot(a, b):
+    """Returns the scalar product of two triples."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
 _LAST = 200
-
 _GROUND, _GRASS, _FIELD = int(SurfaceClass.GROUND), int(SurfaceClass.GRASS), int(SurfaceClass.FIELD)
 _ROAD, _MARKING = int(SurfaceClass.ROAD), int(SurfaceClass.MARKING)
 _PAVEMENT, _WATER = int(SurfaceClass.PAVEMENT), int(SurfaceClass.WATER)
-
 _OWN = (-1.0, -1.0, -1.0)  # no tint
-
 _FIELD_M = 90.0  # size of a farmer's field
 _SLAB_M = 0.5  # paving slabs
 _KERB_M = 0.2
@@ -30,30 +98,8 @@ _LINE_M = 0.14  # painted lines
 _DASH_M = 6.0  # a dash and its gap
 
 
-class LandCover(NamedTuple):
-    """What covers the ground, on a grid."""
-
-    # (rows, columns) uint8 ``SurfaceClass``, south to north; roads are in ``road_m2``.
-    classes: NDArray[np.uint8]
-    # (rows, columns) float32 square of the distance to the middle of the nearest road.
-    road_m2: NDArray[np.float32]
-    # (rows, columns) float32 direction of that road, counter-clockwise from east.
-    road_rad: NDArray[np.float32]
-    west: float  # left edge of the first column, local metres
-    south: float  # lower edge of the first row
-    cell_m: float  # size of a cell
-    half_road_m: float  # half the width of a carriageway
-    pavement_m: float  # width of the pavement beside it
-
-
-_GRASSLAND = np.full((1, 1), _GRASS, dtype=np.uint8)
-_FAR, _EAST = np.full((1, 1), 1e6, dtype=np.float32), np.zeros((1, 1), dtype=np.float32)
-# One cell of grass, for scenes whose triangles all say what they are.
-NO_LAND_COVER = LandCover(_GRASSLAND, _FAR, _EAST, 0.0, 0.0, 1.0, 3.0, 1.5)
-
-
 @per_pixel
-def ground_colour(kind, tint, x, y, pixel_m, look, cover):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def ground_colour(kind, tint, x, y, pixel_m, look, cover):
     """Returns the linear RGB of a ground surface at a point, and the share of sky it mirrors.
 
     The kind is a ``SurfaceClass``, or ``LAND_COVER`` to look it up in the cover. A tint of negative red
@@ -65,7 +111,7 @@ def ground_colour(kind, tint, x, y, pixel_m, look, cover):  # type: ignore[no-un
 
 
 @per_pixel
-def _cover(kind, tint, x, y, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _cover(kind, tint, x, y, pixel_m, look):
     seed, texture = look.seed, look.texture
     broad = 0.6 * grain(x, y, 23.0, pixel_m, seed) + 0.4 * grain(x, y, 6.1, pixel_m, seed + 1)
     fine = 0.6 * grain(x, y, 1.1, pixel_m, seed + 2) + 0.4 * grain(x, y, 0.3, pixel_m, seed + 3)
@@ -93,7 +139,7 @@ def _cover(kind, tint, x, y, pixel_m, look):  # type: ignore[no-untyped-def]  # 
 
 
 @per_pixel
-def _plants(kind, tint, x, y, broad, fine, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _plants(kind, tint, x, y, broad, fine, pixel_m, look):
     """Returns the colour of lawns and fields: green to straw, in patches; fields in rows."""
     seed, texture = look.seed, look.texture
     lush = tint if tint[0] >= 0.0 else (0.055, 0.095, 0.028)
@@ -115,7 +161,7 @@ def _plants(kind, tint, x, y, broad, fine, pixel_m, look):  # type: ignore[no-un
 
 
 @per_pixel
-def _covered_colour(x, y, pixel_m, look, cover):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _covered_colour(x, y, pixel_m, look, cover):
     rows, columns = cover.classes.shape
     # A wavering look-up hides the cells' corners.
     wave = 0.45 * cover.cell_m
@@ -150,7 +196,7 @@ def _covered_colour(x, y, pixel_m, look, cover):  # type: ignore[no-untyped-def]
 
 
 @per_pixel
-def _road_place(x, y, cover):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _road_place(x, y, cover):
     """Returns the distance from the middle of the nearest road and the way along it, metres."""
     rows, columns = cover.road_m2.shape
     fx = (x - cover.west) / cover.cell_m - 0.5

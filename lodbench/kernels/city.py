@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from lodbench.kernels.compiled import checked
 
 POWERS: NDArray[np.float64] = 10.0 ** np.arange(23, dtype=np.float64)  # all exact in float64
 _SEMICOLON, _PLUS, _MINUS, _DOT = 59, 43, 45, 46
@@ -15,7 +16,7 @@ _MAX_MANTISSA = np.uint64(10**17)  # one digit more still fits an int64
 _MAX_EXACT = np.uint64(2**53)  # of its type, or numba compares both as float64
 
 
-@numba.njit(cache=True, nogil=True)
+@checked
 def mark_points(
     points: NDArray[np.float64],
     starts: NDArray[np.int64],
@@ -43,7 +44,7 @@ def mark_points(
             lengths[ring] += is_kept[p]
 
 
-@numba.njit(cache=True, nogil=True)
+@checked
 def hash_corners(
     bits: NDArray[np.uint64],
     ring_starts: NDArray[np.int64],
@@ -73,7 +74,7 @@ def hash_corners(
         hashes[1, i] = twisted
 
 
-@numba.njit(cache=True, nogil=True)
+@checked
 def _decimal(mantissa: np.uint64, exponent: int, powers: NDArray[np.float64]) -> float:  # pragma: no cover
     """Returns mantissa * 10**exponent, |exponent| <= 22, rounded as float() rounds it."""
     high = np.float64(mantissa)
@@ -96,7 +97,7 @@ def _decimal(mantissa: np.uint64, exponent: int, powers: NDArray[np.float64]) ->
     return corrected
 
 
-@numba.njit(cache=True, nogil=True)
+@checked
 def scan(  # noqa: C901 - one state machine; as three functions it takes a tenth longer
     data: NDArray[np.uint8],
     powers: NDArray[np.float64],

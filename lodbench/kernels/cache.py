@@ -1,8 +1,8 @@
 """Where numba keeps compiled functions: apart for every state of the code they come from.
 
-numba looks only at the date of the file that a function stands in. When a function it calls, or a constant
-it uses, changes in another file (an update, a ``git pull``), it would go on using the old code, or fail to
-read what it kept.
+numba looks only at the file that a function stands in. When a function it calls, or a constant it uses,
+changes in another file (an update, a ``git pull``), it would go on using the old code. All that kernels are
+compiled from stands in this package: its digest names the folder, and is the stamp that numba compares.
 
 What numba keeps is unpickled and run, and a damaged file fails for ever. So the folder is this user's alone,
 and the digests of its files, noted when a process ends, are compared when one starts.
@@ -17,49 +17,111 @@ import hashlib
 import json
 import logging
 import os
-import re
 import shutil
-import sys
+from functools import cache
 from pathlib import Path
+from typing import Any
 
-_NAME = re.compile(r"kernels-[0-9a-f]{16}")
+from numba.core import config
+from numba.core.caching import CacheImpl, _CacheLocator
+
 _LOGGER = logging.getLogger(__name__)
 _DIGESTS = "digests.json"
-_IMPORTS = re.compile(r"^from ([\w.]+) import ", re.MULTILINE)
+_HERE = Path(__file__).parent
 
 
-def keep_kernels_apart(package: Path, parts: tuple[str, ...] = ("",)) -> Path | None:
-    """Points numba to a folder of its own for the present code of a package; removes those of older code.
+class KernelLocator(_CacheLocator):
+    """Where numba keeps a function of a package, its stamp being the digest of the package's code.
 
-    The folder lies in the package's ``__pycache__``. Where that cannot be written or belongs to another user,
-    or where the user has set ``NUMBA_CACHE_DIR``, nothing is done and None returned: numba then finds a place
-    by itself. Damaged files, and those that a killed process left, are removed: numba compiles them again.
+    In a folder of its own where that can be used (``own_folder``), otherwise where numba would by itself:
+    ``NUMBA_CACHE_DIR``, or the user's cache.
     """
-    configured = os.environ.get("NUMBA_CACHE_DIR")
-    if configured and not _NAME.fullmatch(Path(configured).name):
+
+    package = _HERE
+
+    def __init__(self, line: int, folder: str) -> None:
+        self._line, self._folder = line, folder
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> KernelLocator | None:
+        """Returns the place of a function of the package, None for another's."""
+        if Path(py_file).parent != cls.package:
+            return None
+        folder = None if _configured() else own_folder(cls.package)
+        line = py_func.__code__.co_firstlineno
+        if folder is not None:
+            return cls(line, str(folder))
+        others: list[Any] = [
+            each for each in CacheImpl._locator_classes if not issubclass(each, KernelLocator)
+        ]
+        for other in others:
+            found = other.from_function(py_func, py_file)
+            if found is not None:
+                return cls(line, found.get_cache_path())
         return None
+
+    def get_cache_path(self) -> str:
+        """Returns the folder."""
+        return self._folder
+
+    def get_source_stamp(self) -> str:
+        """Returns the digest of the package's code."""
+        return code_digest(self.package)
+
+    def get_disambiguator(self) -> str:
+        """Returns the function's line, as numba's own locators do."""
+        return str(self._line)
+
+
+def use_own_folder(locator: type[KernelLocator] = KernelLocator) -> None:
+    """Has numba ask a locator before its own; what is compiled of other packages is not concerned."""
+    if locator not in CacheImpl._locator_classes:
+        CacheImpl._locator_classes.insert(0, locator)
+
+
+def kept_kernels(name: str) -> list[Path] | None:
+    """Returns the files that hold kernels of a name, "module.function"; None where numba chose the place."""
+    folder = _configured() or own_folder(_HERE)
+    return None if folder is None else list(folder.rglob(f"{name}-*.nbi"))
+
+
+def _configured() -> Path | None:
+    """Returns the folder that the user has set for all that numba compiles."""
+    folder: str = config.CACHE_DIR  # type: ignore[attr-defined]
+    return Path(folder) if folder else None
+
+
+@cache
+def own_folder(package: Path) -> Path | None:
+    """Returns the folder for a package's compiled functions of the present code; removes those of older code.
+
+    It lies in the package's ``__pycache__``. Where that cannot be written or belongs to another user, None is
+    returned. Damaged files, and those that a killed process left, are removed: numba compiles them again.
+    """
     home = package / "__pycache__"
     if not os.access(home if home.is_dir() else package, os.W_OK):
-        os.environ.pop("NUMBA_CACHE_DIR", None)
         return None
-    folder = home / f"kernels-{_digest(package, parts)}"
+    folder = home / f"kernels-{code_digest(package)}"
     if not folder.is_dir():
         for other in home.glob("kernels-*"):
             shutil.rmtree(other, ignore_errors=True)
     try:
-        is_usable = _is_private(folder)
+        if not _is_private(folder):
+            return None
     except OSError:  # a full disk, or a file of that name
-        is_usable = False
-    if not is_usable:
-        os.environ.pop("NUMBA_CACHE_DIR", None)
         return None
     _remove_damaged(folder)
     atexit.register(_note_digests, folder)
-    os.environ["NUMBA_CACHE_DIR"] = str(folder)
-    numba = sys.modules.get("numba")
-    if numba is not None:
-        numba.config.reload_config()
     return folder
+
+
+@cache
+def code_digest(package: Path) -> str:
+    """Returns a digest of all code of a package."""
+    digest = hashlib.sha256()
+    for path in sorted(package.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def _is_private(folder: Path) -> bool:
@@ -135,23 +197,3 @@ def _stamp(path: Path) -> list[int | str]:
 
 def _file_digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _digest(package: Path, parts: tuple[str, ...]) -> str:
-    """Returns a digest of all code that numba compiles, and of the files it takes constants from."""
-    digest = hashlib.sha256()
-    files: set[Path] = set()
-    for path in {path for part in parts for path in (package / part).rglob("*.py")}:
-        code = path.read_text(encoding="utf-8")
-        if "numba" in code:
-            files |= {path, *_imported(package, code)}
-    for path in sorted(files):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def _imported(package: Path, code: str) -> list[Path]:
-    """Returns the package's files that some code imports from."""
-    names = [name.split(".") for name in _IMPORTS.findall(code)]
-    paths = [package.joinpath(*rest).with_suffix(".py") for first, *rest in names if first == package.name]
-    return [path for path in paths if path.is_file()]

@@ -1,20 +1,18 @@
-"""Least squares under errors that go together: every outline point has a row in one covariance matrix."""
+"""Least squares under correlated errors, votes for places, and the least total variation."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from lodbench.kernels.compiled import checked, kernel
 
 # Columns that are eliminated at once: a matrix of 250 rows is larger than a core's first cache, and each pass
 # over it fetches all of it anew. Each number is changed in the same order as one by one.
 _BLOCK = 4
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def error_covariance(pixels, rises, feet, buildings, noise, lengths, errors):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel
+def error_covariance(pixels, rises, feet, buildings, noise, lengths, errors):
     """Returns the lower half of the points' error covariance, (N, N) square pixels.
 
     The mask's outline errs alike at points near each other in the picture: a curve that bends, without
@@ -46,8 +44,8 @@ def error_covariance(pixels, rises, feet, buildings, noise, lengths, errors):  #
     return matrix
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def whiten(matrix, columns):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel
+def whiten(matrix, columns):
     """Divides columns by the Cholesky factor of a matrix, both in place; returns the log determinant.
 
     On one core and in one order, so that the answer depends on no library's threads.
@@ -81,14 +79,14 @@ def whiten(matrix, columns):  # type: ignore[no-untyped-def]  # noqa: ANN001, AN
     return log_determinant
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _subtract(factor, row, start, target):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@kernel
+def _subtract(factor, row, start, target):
     for k in range(start, len(target)):
         target[k] -= factor * row[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _subtract_four(factors, rows, start, target):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@kernel
+def _subtract_four(factors, rows, start, target):
     """Takes four multiples of rows from a target in place, one after the other, from some place on."""
     one, two, three, four = factors
     first, second, third, fourth = rows[0][start:], rows[1][start:], rows[2][start:], rows[3][start:]
@@ -101,8 +99,8 @@ def _subtract_four(factors, rows, start, target):  # type: ignore[no-untyped-def
         rest[k] = value - four * fourth[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def add_products(columns, share, products):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel
+def add_products(columns, share, products):
     """Adds ``share`` times the products of all pairs of columns to the upper half of a matrix in place.
 
     On one core and in one order, as ``whiten``: matrices this small cost a library more in waking threads.
@@ -121,3 +119,69 @@ def add_products(columns, share, products):  # type: ignore[no-untyped-def]  # n
     for i in range(count - count % _BLOCK, count):
         for j in range(width):
             _subtract(-share * columns[i, j], columns[i], j, products[j])
+
+
+@kernel
+def add_votes(places, ground, heights, rotation, center, lens, covered, shown, furthest_m, looks, hits):
+    """Counts where a photo sees places past the map's buildings, and where its mask holds them; in place.
+
+    Args:
+        places: (N, 2) east and north, scene metres.
+        ground: (N,) heights of the ground there, scene metres.
+        heights: (H,) above it at which each is looked for, metres.
+        rotation: (3, 3) cam_from_world.
+        center: (3,) of the camera.
+        lens: Focal lengths and principal point, fx, fy, cx, cy, pixels.
+        covered: (rows, columns) what the map explains.
+        shown: (rows, columns) the mask.
+        furthest_m: Places further off on the ground are left out.
+        looks: (H, N) added to where the place is seen.
+        hits: (H, N) added to where the mask holds it.
+    """
+    rows, columns = covered.shape
+    for n in range(len(places)):
+        east, north = places[n, 0] - center[0], places[n, 1] - center[1]
+        if east * east + north * north >= furthest_m * furthest_m:
+            continue
+        x = rotation[0, 0] * east + rotation[0, 1] * north
+        y = rotation[1, 0] * east + rotation[1, 1] * north
+        z = rotation[2, 0] * east + rotation[2, 1] * north
+        for level in range(len(heights)):
+            up = ground[n] + heights[level] - center[2]
+            depth = z + rotation[2, 2] * up
+            if depth <= 1.0:
+                continue
+            u = lens[0] * (x + rotation[0, 2] * up) / depth + lens[2]
+            v = lens[1] * (y + rotation[1, 2] * up) / depth + lens[3]
+            if u < 0.0 or v < 0.0 or u >= columns or v >= rows or covered[int(v), int(u)]:
+                continue
+            looks[level, n] += 1.0
+            if shown[int(v), int(u)]:
+                hits[level, n] += 1.0
+
+
+@checked
+def least_total(against, beside, upright, iterations):
+    """Returns (H, W) in [0, 1] with the least sum of ``against`` times it and the costs of its steps."""
+    height, width = against.shape
+    step, one, zero = np.float32(0.35), np.float32(1), np.float32(0)
+    answer, ahead = np.zeros_like(against), np.zeros_like(against)
+    across, down = np.zeros_like(against), np.zeros_like(against)
+    for _ in range(iterations):
+        for y in range(height):
+            for x in range(width):
+                a = across[y, x] + step * (ahead[y, x + 1] - ahead[y, x]) if x < width - 1 else zero
+                b = down[y, x] + step * (ahead[y + 1, x] - ahead[y, x]) if y < height - 1 else zero
+                norm = max(one, np.sqrt((a / beside[y, x]) ** 2 + (b / upright[y, x]) ** 2))
+                across[y, x], down[y, x] = a / norm, b / norm
+        for y in range(height):
+            for x in range(width):
+                flow = across[y, x] + down[y, x]
+                if x > 0:
+                    flow -= across[y, x - 1]
+                if y > 0:
+                    flow -= down[y - 1, x]
+                value = min(max(answer[y, x] + step * (flow - against[y, x]), zero), one)
+                ahead[y, x] = np.float32(2) * value - answer[y, x]
+                answer[y, x] = value
+    return answer

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from lodbench.rendering.compiled import per_pixel
-from lodbench.synthesis.objects.mesh_builder import palette
-from lodbench.synthesis.objects.scene_props import SurfaceClass
-from lodbench.synthesis.photo.ground import ground_colour
-from lodbench.synthesis.photo.noise import detail, grain, mix, scaled, stripe, unit_hash, value_noise
+from lodbench.kernels.compiled import per_pixel
+from lodbench.kernels.looks import SurfaceClass
+from lodbench.kernels.patterns import (
+    detail,
+    grain,
+    ground_colour,
+    mix,
+    scaled,
+    stripe,
+    unit_hash,
+    value_noise,
+)
 
 _WALL, _WINDOW, _GLASS = int(SurfaceClass.WALL), int(SurfaceClass.WINDOW), int(SurfaceClass.CAR_GLASS)
 _TILE, _FLAT, _BODY = int(SurfaceClass.ROOF_TILE), int(SurfaceClass.ROOF_FLAT), int(SurfaceClass.CAR_BODY)
@@ -22,31 +26,8 @@ _UNIT_M = 6.5  # grid of machines on flat roofs
 _SKYLIGHT_M = 2.6  # grid of skylights and panels on pitched roofs
 
 
-class Palettes(NamedTuple):
-    """Linear RGB colours, (N, 3) each, for objects that have none of their own."""
-
-    walls: NDArray[np.float64]
-    tiles: NDArray[np.float64]
-    flats: NDArray[np.float64]
-    paints: NDArray[np.float64]
-
-
-def linear(colours: object) -> NDArray[np.float64]:
-    """Returns linear RGB, 0 to 1, of 8-bit colours: a square, which the camera response undoes."""
-    return (np.asarray(colours, dtype=np.float64) / 255.0) ** 2
-
-
-_WALLS = "e1dacb d0ceca e4cdac bca48e eeebe4 a66e58 d6be96 b4b2ac 965c4a cad6d6 787674 e8d6be"
-_TILES = "9e543e 8a4e40 b06a4c 685c56 545254 784034 92705c 464242 be7c5c 6e7074 603c32 807a70"
-_TILES += " 9ea09e 48505c 46608c 587062 d6d6d2"  # fibre cement, slate, painted sheets
-_FLATS = "969490 6e6e70 bcbab4 847c70 d6d4d0 5c5c5c 7a826c a8a094 8e969c 524e4a"
-_FLATS += " 607446 b6ae9e 2c364e 688096 e4e4e2"  # planted, gravel, solar panels, sheet metal: as over halls
-_PAINTS = "e6e6e6 1e2024 787a7e aaacb0 8c181a 22366e 3c3e42 cdc8be 18422c d6d6d2"
-PALETTES = Palettes(*(linear(palette(codes)) for codes in (_WALLS, _TILES, _FLATS, _PAINTS)))
-
-
 @per_pixel
-def _base_colour(table, tint, number, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _base_colour(table, tint, number, look):
     """Returns an object's colour: its own or one of a table's, a little off."""
     red, green, blue = tint
     if red < 0.0 or unit_hash(number, look.seed, 2) < look.repaint:
@@ -59,7 +40,7 @@ def _base_colour(table, tint, number, look):  # type: ignore[no-untyped-def]  # 
 
 
 @per_pixel
-def _glass(number, i, j, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _glass(number, i, j, look):
     """Returns the colour of a pane: dark, or lighter where a blind is down."""
     dark = 0.012 + 0.03 * look.window_light
     blind = unit_hash(i * 31 + number, j, look.seed + 21)
@@ -70,7 +51,7 @@ def _glass(number, i, j, look):  # type: ignore[no-untyped-def]  # noqa: ANN001,
 
 
 @per_pixel
-def _facade(colour, skin, triangle, number, point, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _facade(colour, skin, triangle, number, point, pixel_m, look):
     """Returns the colour of a wall with windows at a point, and the share of sky it mirrors.
 
     The point is (3,) local metres, ``number`` is the building's, ``pixel_m`` the size of a pixel there.
@@ -113,7 +94,7 @@ def _facade(colour, skin, triangle, number, point, pixel_m, look):  # type: igno
 
 
 @per_pixel
-def _pitched(colour, number, point, normal, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _pitched(colour, number, point, normal, pixel_m, look):
     """Returns the colour of a tiled roof: rows of tiles, stains, moss, skylights."""
     x, y, z = point
     flat = np.sqrt(normal[0] * normal[0] + normal[1] * normal[1])
@@ -142,7 +123,7 @@ def _pitched(colour, number, point, normal, pixel_m, look):  # type: ignore[no-u
 
 
 @per_pixel
-def _flat_roof(colour, number, x, y, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _flat_roof(colour, number, x, y, pixel_m, look):
     """Returns the colour of a flat roof: gravel or sheets, puddle stains, machines and hatches."""
     turn = np.pi * unit_hash(number, 41, 41)
     u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
@@ -166,7 +147,7 @@ def _flat_roof(colour, number, x, y, pixel_m, look):  # type: ignore[no-untyped-
 
 
 @per_pixel
-def _leaves(tint, number, point, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _leaves(tint, number, point, pixel_m, look):
     """Returns the colour of leaves, dark in the gaps between them."""
     x, y, z = point
     green = tint if tint[0] >= 0.0 else (0.035, 0.062, 0.018)
@@ -179,7 +160,7 @@ def _leaves(tint, number, point, pixel_m, look):  # type: ignore[no-untyped-def]
 
 
 @per_pixel
-def surface_colour(triangle, point, normal, pixel_m, shading):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def surface_colour(triangle, point, normal, pixel_m, shading):
     """Returns the linear RGB of a triangle at a point, (3,) local metres, and the share of sky it mirrors.
 
     The normal is unit, ``pixel_m`` the size of a pixel there.

@@ -1,16 +1,31 @@
-"""What a model's lines find in a photo's edges, for many poses at a time."""
+"""Edges of a photo by direction, and what a model's lines find in them, for many poses at a time."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-from lodbench.rendering.photo_bins import DIRECTIONS
+from lodbench.kernels.compiled import inlined, kernel
 
-Floats = NDArray[np.float64]
+# Levels of strength, equally full over all pixels and directions, and directions over half a turn.
+EDGE_LEVELS, DIRECTIONS = 16, 12
+# Steps of strength per mean strength, and how many are told apart.
+FINE_STEPS, FINEST = 256.0, 4095
+
+
+@kernel
+def looked_up(forms, turns, table):
+    """Returns (H, W, 12) uint8 levels of quadratic forms (H, W, 3) of directions (12, 3)."""
+    height, width = forms.shape[:2]
+    levels = np.empty((height, width, len(turns)), dtype=np.uint8)
+    for row in range(height):
+        for column in range(width):
+            form = forms[row, column]
+            for k in range(len(turns)):
+                square = form[0] * turns[k, 0] + form[1] * turns[k, 1] + form[2] * turns[k, 2]
+                step = np.sqrt(max(square, 0.0)) * FINE_STEPS
+                levels[row, column, k] = table[int(min(step, FINEST))]
+    return levels
+
 
 # Cosine and sine of the angles between one direction and the next.
 _COSINES, _SINES = (turn((np.arange(DIRECTIONS) + 0.5) * (np.pi / DIRECTIONS)) for turn in (np.cos, np.sin))
@@ -18,28 +33,8 @@ _COSINES, _SINES = (turn((np.arange(DIRECTIONS) + 0.5) * (np.pi / DIRECTIONS)) f
 _NEAREST_M = 1.0
 
 
-class LinePoints(NamedTuple):
-    """P points of lines, for the kernel.
-
-    Attributes:
-        points: (P, 2, 3) float64 a point and another farther along its line, scene metres.
-        rises: (P, 2) float64 by how much either moves up where roofs are a metre higher, metres.
-        lifts: (P, 2) float64 by how much either moves up where walls end a metre higher, metres.
-        outward: (P, 2) float64 how far the first moves along x and y where eaves stand out a metre farther.
-        kinds: (P,) int64 its kind, by which levels are worth something or counted.
-        buildings: (P,) int64 the building that it is summed up or counted for.
-    """
-
-    points: Floats
-    rises: Floats
-    lifts: Floats
-    outward: Floats
-    kinds: NDArray[np.int64]
-    buildings: NDArray[np.int64]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, own_m, worth, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel
+def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, own_m, worth, sums):
     """Adds up what the levels are worth that points of lines meet in a photo; outside is worth nothing.
 
     For N poses, and for each building by itself at D heights of its roof.
@@ -81,8 +76,8 @@ def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, own
                             sums[n, building, k] += value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def count_along_lines(lines, rotation, center, of_all_m, intrinsics, levels, offset_px, own_m, counts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel
+def count_along_lines(lines, rotation, center, of_all_m, intrinsics, levels, offset_px, own_m, counts):
     """Counts the points of lines that meet each level in a photo, as seen from one pose.
 
     Args:
@@ -113,8 +108,8 @@ def count_along_lines(lines, rotation, center, of_all_m, intrinsics, levels, off
                 of_point[d, all_levels[cells[0]]] += 1
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _side_by_side(rotations, centers, of_all_m):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@inlined
+def _side_by_side(rotations, centers, of_all_m):
     """Returns arrays over poses: inner loops go along these, so that several are worked on at a time."""
     rows = np.ascontiguousarray(rotations.reshape(len(rotations), 9).T)
     turns = (rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8])
@@ -124,8 +119,8 @@ def _side_by_side(rotations, centers, of_all_m):  # type: ignore[no-untyped-def]
     return turns, places, (rows[0], rows[1], rows[2])
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _blank(count):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@inlined
+def _blank(count):
     """Returns room for what so many poses see of a point."""
     # Each an array of its own: of parts of one a compiler cannot know that they do not overlap.
     x, y, z, nearer = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
@@ -134,8 +129,8 @@ def _blank(count):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     return (x, y, z, nearer), (across_u, across_v), (left, top), directions, cells
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _see_lines(ends, rises, lifts, outward, turns, centers, of_all, intrinsics, seen, across):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@inlined
+def _see_lines(ends, rises, lifts, outward, turns, centers, of_all, intrinsics, seen, across):
     """Writes where a line's point and its nearer end are in the axes of each camera, and what is across it.
 
     The former in metres, the latter a direction in the picture.
@@ -166,8 +161,8 @@ def _see_lines(ends, rises, lifts, outward, turns, centers, of_all, intrinsics, 
         across_u[n], across_v[n] = focal_y * (y * r - t * z), focal_x * (s * z - x * r)
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _find_directions(across, directions):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@inlined
+def _find_directions(across, directions):
     """Writes which of the directions over half a turn is nearest to each line's across, without its angle."""
     across_u, across_v = across
     for n in range(len(directions)):
@@ -179,8 +174,8 @@ def _find_directions(across, directions):  # type: ignore[no-untyped-def]  # noq
         directions[n] = 0 if passed == DIRECTIONS else passed
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _step_aside(offset_px, intrinsics, across, starts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@inlined
+def _step_aside(offset_px, intrinsics, across, starts):
     """Writes where in the picture each camera's axis is taken to be, so far beside the line, pixels."""
     (across_u, across_v), (left, top) = across, starts
     left[:], top[:] = intrinsics[2], intrinsics[3]
@@ -190,8 +185,8 @@ def _step_aside(offset_px, intrinsics, across, starts):  # type: ignore[no-untyp
         left[n], top[n] = left[n] + share * u, top[n] + share * v
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _find_cells(own_m, rise, turns, seen, starts, directions, intrinsics, shape, cells):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@inlined
+def _find_cells(own_m, rise, turns, seen, starts, directions, intrinsics, shape, cells):
     """Writes which of all levels, one after the other, each pose meets; -1 outside the picture."""
     height, width, count = shape
     focal_x, focal_y = intrinsics[0], intrinsics[1]

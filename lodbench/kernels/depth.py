@@ -5,86 +5,21 @@ Columns lie along memory, because the raster rule gives each triangle one run of
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-from lodbench.rendering.clipping import MAX_CORNERS, clip_polygon
-from lodbench.rendering.projection import camera_axes, is_outside, snap
-from lodbench.rendering.raster_rule import GUARD_PX, NEAR_M
+from lodbench.kernels.compiled import checked, inlined, kernel
+from lodbench.kernels.projection import MAX_CORNERS, camera_axes, clip_polygon, is_outside, snap
+from lodbench.kernels.raster_rule import GUARD_PX, NEAR_M
 
 # A triangle whose snapped corners all stay this far inside the guard band needs no clipping.
 _SAFE_SUBPIXELS = (GUARD_PX - 2.0) * 256.0
-
 # Inverse depths closer than this, relative, are one depth: rounding differs between two copies of a
 # face that start at different corners, and the first copy is to win everywhere.
 _NEARER = 1.0 + 1e-9
 
-Floats = NDArray[np.float64]
 
-
-class Mesh(NamedTuple):
-    """A scene for the kernel, see ``Scene``.
-
-    Attributes:
-        vertices: (V, 3) float32, local metres.
-        triangles: (T, 3) int32.
-        vertex_starts: (B + 1,) int64.
-        triangle_starts: (B + 1,) int64.
-        spheres: (B, 4) float64 bounding spheres.
-    """
-
-    vertices: NDArray[np.float32]
-    triangles: NDArray[np.int32]
-    vertex_starts: NDArray[np.int64]
-    triangle_starts: NDArray[np.int64]
-    spheres: Floats
-
-
-class Band(NamedTuple):
-    """Columns of a view.
-
-    Attributes:
-        first: First column.
-        stop: One past the last.
-        height: Rows of the view.
-        intrinsics: (4,) float64 fx, fy, cx, cy, pixels.
-        planes: (5, 3) float64 what the band sees, see ``view_planes``.
-    """
-
-    first: int
-    stop: int
-    height: int
-    intrinsics: Floats
-    planes: Floats
-
-
-class Buffer(NamedTuple):
-    """What the columns of a band show; row c of an array is column ``first + c``.
-
-    Attributes:
-        inverse: (C, H or more) float64, 1 / metres along the optical axis, 0 where there is nothing.
-        winner: (C, H or more) int32 nearest triangle, -1 where there is nothing.
-    """
-
-    inverse: Floats
-    winner: NDArray[np.int32]
-
-
-def blank_buffer(columns: int, height: int) -> Buffer:
-    """Returns an empty buffer.
-
-    Its columns are an odd number of cache lines long: were it a power of two, as 1024 rows are, all
-    pixels of a row would compete for the same few places of the cache.
-    """
-    padded = 16 * ((height + 15) // 16 | 1)
-    return Buffer(np.zeros((columns, padded)), np.full((columns, padded), -1, dtype=np.int32))
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _depth_plane(a, b, c, f):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@inlined
+def _depth_plane(a, b, c, f):
     """Returns (p, q, s) with 1 / z = p * column + q * row + s over the plane of three corners.
 
     The corners are not snapped: depth is where the ray through the pixel's centre meets the plane.
@@ -101,8 +36,8 @@ def _depth_plane(a, b, c, f):  # type: ignore[no-untyped-def]  # noqa: ANN001, A
     return 0.0, 0.0, np.inf
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _first_row(x, ua, va, ub, vb):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@inlined
+def _first_row(x, ua, va, ub, vb):
     """Returns the first row whose centre is at or below where an edge, ua < ub, crosses column centre x.
 
     It is ``ceil(n / d)`` of integers, found exactly: see ``coverage.add_line``.
@@ -113,8 +48,8 @@ def _first_row(x, ua, va, ub, vb):  # type: ignore[no-untyped-def]  # noqa: ANN0
     return np.int64(np.floor((n + d - 0.5) * (1.0 / d)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fill(u, v, z, plane, triangle, band, buffer):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@kernel
+def _fill(u, v, z, plane, triangle, band, buffer):
     """Draws a triangle of three snapped corners (raster rule 4); z bounds the depth.
 
     Rows and columns are bounded as integers, so no corner, however wrong, leads out of the buffer.
@@ -145,8 +80,8 @@ def _fill(u, v, z, plane, triangle, band, buffer):  # type: ignore[no-untyped-de
             winner[row] = triangle if is_nearer else winner[row]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fill_clipped(a, b, c, plane, triangle, band, buffer, polygon, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@kernel
+def _fill_clipped(a, b, c, plane, triangle, band, buffer, polygon, scratch):
     """Draws what clipping leaves of a triangle, as a fan (raster rule 2)."""
     f = band.intrinsics
     for axis in range(3):
@@ -161,8 +96,8 @@ def _fill_clipped(a, b, c, plane, triangle, band, buffer, polygon, scratch):  # 
         _fill((u0, u1, u2), (v0, v1, v2), z, plane, triangle, band, buffer)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _project(vertices, rotation, center, f, points):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@kernel
+def _project(vertices, rotation, center, f, points):
     """Writes x, y, z in camera axes and the snapped u, v of each vertex to ``points``."""
     for k in range(vertices.shape[0]):
         x, y, z = camera_axes(vertices[k, 0], vertices[k, 1], vertices[k, 2], rotation, center)
@@ -170,8 +105,8 @@ def _project(vertices, rotation, center, f, points):  # type: ignore[no-untyped-
         points[k, 3], points[k, 4] = snap(x, y, z, f)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _draw_triangle(a, b, c, triangle, band, buffer, polygon, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@kernel
+def _draw_triangle(a, b, c, triangle, band, buffer, polygon, scratch):
     """Draws a triangle of three rows of ``_project``, clipped if it reaches out of the safe space."""
     f = band.intrinsics
     left, right = min(a[3], b[3], c[3]), max(a[3], b[3], c[3])
@@ -190,8 +125,8 @@ def _draw_triangle(a, b, c, triangle, band, buffer, polygon, scratch):  # type: 
         _fill(u, v, z, plane, triangle, band, buffer)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def draw_band(mesh, buildings, rotation, center, band, buffer):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel
+def draw_band(mesh, buildings, rotation, center, band, buffer):
     """Draws some buildings into the blank buffer of a band: the nearest triangle of every pixel.
 
     Args:
@@ -215,3 +150,113 @@ def draw_band(mesh, buildings, rotation, center, band, buffer):  # type: ignore[
         for t in range(mesh.triangle_starts[b], mesh.triangle_starts[b + 1]):
             i, j, k = mesh.triangles[t, 0] - v0, mesh.triangles[t, 1] - v0, mesh.triangles[t, 2] - v0
             _draw_triangle(points[i], points[j], points[k], np.int32(t), band, buffer, polygon, scratch)
+
+
+@kernel
+def _facing_normal(mesh, triangle, center):
+    """Returns a triangle's unit normal on the side of a point, or zeros if it has no area."""
+    i, j, k = mesh.triangles[triangle]
+    a, b, c = mesh.vertices[i], mesh.vertices[j], mesh.vertices[k]
+    e0, e1, e2 = np.float64(b[0]) - a[0], np.float64(b[1]) - a[1], np.float64(b[2]) - a[2]
+    g0, g1, g2 = np.float64(c[0]) - a[0], np.float64(c[1]) - a[1], np.float64(c[2]) - a[2]
+    x, y, z = e1 * g2 - e2 * g1, e2 * g0 - e0 * g2, e0 * g1 - e1 * g0
+    length = np.sqrt(x * x + y * y + z * z)
+    if length == 0.0:
+        return 0.0, 0.0, 0.0
+    towards = x * (center[0] - a[0]) + y * (center[1] - a[1]) + z * (center[2] - a[2])
+    scale = 1.0 / length if towards >= 0.0 else -1.0 / length
+    return x * scale, y * scale, z * scale
+
+
+@kernel
+def _shade(appearance, building, x, y, z):
+    """Returns the RGB of a building's surface of a given normal: Lambert's law and ambient light."""
+    # Neighbours in the file are neighbours on the ground: a hash keeps them from looking alike.
+    number = (building * 2654435761 >> 8) & 0xFFFF
+    table = appearance.roofs if abs(z) > 0.3 else appearance.walls
+    rgb = table[number % table.shape[0]]
+    sun = appearance.sun
+    light = appearance.ambient + (1.0 - appearance.ambient) * max(0.0, x * sun[0] + y * sun[1] + z * sun[2])
+    return np.uint8(rgb[0] * light), np.uint8(rgb[1] * light), np.uint8(rgb[2] * light)
+
+
+@kernel
+def resolve_depth(band, buffer, depth):
+    """Writes a band's columns of (H, W) float32 depth."""
+    for row in range(band.height):
+        for column in range(band.first, band.stop):
+            inverse = buffer.inverse[column - band.first, row]
+            depth[row, column] = 1.0 / inverse if inverse > 0.0 else 0.0
+
+
+@kernel
+def resolve_normals(mesh, center, band, buffer, normal):
+    """Writes a band's columns of (H, W, 3) float32 normals."""
+    known = np.int32(-1)
+    nx = ny = nz = 0.0
+    for row in range(band.height):
+        for column in range(band.first, band.stop):
+            triangle = buffer.winner[column - band.first, row]
+            if triangle != known:
+                known = triangle
+                nx = ny = nz = 0.0
+                if triangle >= 0:
+                    nx, ny, nz = _facing_normal(mesh, triangle, center)
+            normal[row, column, 0], normal[row, column, 1], normal[row, column, 2] = nx, ny, nz
+
+
+@kernel
+def resolve_buildings(mesh, band, buffer, building):
+    """Writes a band's columns of (H, W) int32 indices of buildings, -1 for none."""
+    known, number = np.int32(-1), np.int64(-1)
+    for row in range(band.height):
+        for column in range(band.first, band.stop):
+            triangle = buffer.winner[column - band.first, row]
+            if triangle != known:
+                known, number = triangle, np.int64(-1)
+                if triangle >= 0:
+                    number = np.searchsorted(mesh.triangle_starts, triangle, side="right") - 1
+            building[row, column] = number
+
+
+@kernel
+def resolve_layers(mesh, appearance, center, band, buffer, planes):
+    """Writes a band's columns of every layer.
+
+    Pixels of a row mostly repeat their left neighbour's triangle, so what belongs to a triangle is
+    worked out when it changes.
+    """
+    resolve_depth(band, buffer, planes.depth)
+    known, building = np.int32(-1), np.int64(-1)
+    nx = ny = nz = 0.0
+    red, green, blue = appearance.background[0], appearance.background[1], appearance.background[2]
+    for row in range(band.height):
+        for column in range(band.first, band.stop):
+            triangle = buffer.winner[column - band.first, row]
+            if triangle != known:
+                known, building = triangle, np.int64(-1)
+                nx = ny = nz = 0.0
+                red, green, blue = appearance.background
+                if triangle >= 0:
+                    building = np.searchsorted(mesh.triangle_starts, triangle, side="right") - 1
+                    nx, ny, nz = _facing_normal(mesh, triangle, center)
+                    red, green, blue = _shade(appearance, building, nx, ny, nz)
+            planes.triangle[row, column], planes.building[row, column] = triangle, building
+            planes.normal[row, column, 0] = nx
+            planes.normal[row, column, 1] = ny
+            planes.normal[row, column, 2] = nz
+            planes.colour[row, column, 0] = red
+            planes.colour[row, column, 1] = green
+            planes.colour[row, column, 2] = blue
+
+
+@checked
+def fill_rays(x, y, r, center, rays):
+    """Writes the rays through columns x and rows y, in camera axes at 1 m, of a pose."""
+    for i in range(y.shape[0]):
+        for j in range(x.shape[0]):
+            for k in range(3):
+                # The transposed rotation, applied to (x, y, 1).
+                along = x[j] * r[0, k] + y[i] * r[1, k] + r[2, k]
+                rays[i, j, k] = center[k] + NEAR_M * along
+                rays[i, j, 3 + k] = along

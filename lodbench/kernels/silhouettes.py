@@ -1,51 +1,43 @@
 """The silhouette engine's hot loop: views of a scene into bit-packed rows, on one core.
 
 Eight hypotheses are drawn together: a building is projected, its triangles faced and its outline found
-for all eight (``simd_outline``), each hypothesis gathering the edges of its outlines in a list. Then each
+for all eight (``simd_kernels``), each hypothesis gathering the edges of its outlines in a list. Then each
 in turn has its edges marked and swept into words (``coverage``), while its marks fit the cache.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from lodbench.rendering.bits import intersect_and_clear
-from lodbench.rendering.clipping import MAX_CORNERS, clip_polygon
-from lodbench.rendering.coverage import (
-    MAX_LAYERS,
-    accumulate,
-    append_edge,
-    expect_marks,
-    mark_edges,
-)
-from lodbench.rendering.projection import camera_axes, snap
-from lodbench.rendering.raster_rule import GUARD_PX, NEAR_M
-from lodbench.rendering.selection import select_buildings
-from lodbench.rendering.simd import LANES
-from lodbench.rendering.simd_outline import collect_outline, face_triangles, project_vertices
+from lodbench.kernels.compiled import inlined, kernel
+from lodbench.kernels.coverage import MAX_LAYERS, accumulate, append_edge, expect_marks, mark_edges
+from lodbench.kernels.masks import intersect_and_clear
+from lodbench.kernels.projection import MAX_CORNERS, camera_axes, clip_polygon, select_buildings, snap
+from lodbench.kernels.raster_rule import GUARD_PX, NEAR_M
+from lodbench.kernels.simd import LANES
+from lodbench.kernels.simd_kernels import collect_outline, face_triangles, project_vertices
 
 # A building whose snapped corners all stay this far inside the guard band needs no clipping.
 _SAFE_SUBPIXELS = int((GUARD_PX - 2.0) * 256.0)
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _side(ua, va, ub, vb, uc, vc):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@inlined
+def _side(ua, va, ub, vb, uc, vc):
     """Returns +1, -1 or 0: which way a snapped triangle turns on the screen."""
     area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va)
     return np.int32(area > 0.0) - np.int32(area < 0.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _flush(view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@kernel
+def _flush(view, scratch, words):
     """Draws the edges gathered so far into each hypothesis's words."""
     for lane in range(words.shape[0]):
         mark_edges(scratch.lists, lane, view.width, view.height, scratch.coverage.marks)
         accumulate(scratch.coverage, lane, view.height, words[lane])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _has_room(lists, edges, hypotheses):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@kernel
+def _has_room(lists, edges, hypotheses):
     """Tells whether every hypothesis's list has room for so many edges more, and one."""
     most = np.int64(0)
     for lane in range(hypotheses):
@@ -53,8 +45,8 @@ def _has_room(lists, edges, hypotheses):  # type: ignore[no-untyped-def]  # noqa
     return most + edges < lists.column.shape[0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _gather_clipped(scene, b, lane, rotation, center, view, scratch, words, layers):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@kernel
+def _gather_clipped(scene, b, lane, rotation, center, view, scratch, words, layers):
     """Gathers a building's edges triangle by triangle, clipped; returns how many layers there may be now.
 
     Slow, for the few buildings at the edge of the view, and for those with more triangles than fit.
@@ -89,8 +81,8 @@ def _gather_clipped(scene, b, lane, rotation, center, view, scratch, words, laye
     return layers
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _sort_out(scene, b, view, scratch, hypotheses):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@kernel
+def _sort_out(scene, b, view, scratch, hypotheses):
     """Returns bit masks of the hypotheses that see a projected building whole, and that must clip it."""
     whole, cut = np.int64(0), np.int64(0)
     is_large = scene.starts[b + 1, 1] - scene.starts[b, 1] > MAX_LAYERS
@@ -109,11 +101,11 @@ def _sort_out(scene, b, view, scratch, hypotheses):  # type: ignore[no-untyped-d
     return whole, cut
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _gather_whole(scene, b, whole, view, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@kernel
+def _gather_whole(scene, b, whole, view, scratch):
     """Gathers a projected building's outline for the hypotheses that see it whole."""
     u, v, lists, capacity = scratch.u, scratch.v, scratch.lists, scratch.lists.column.shape[0]
-    face_triangles(  # type: ignore[call-arg]
+    face_triangles(
         scene.corner_a, scene.corner_b, scene.corner_c, scene.starts[b, 1], scene.starts[b + 1, 1], u, v,
         scratch.facing,
     )  # fmt: skip
@@ -124,8 +116,8 @@ def _gather_whole(scene, b, whole, view, scratch):  # type: ignore[no-untyped-de
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def draw_group(scene, buildings, rotations, centers, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel
+def draw_group(scene, buildings, rotations, centers, view, scratch, words):
     """Draws the silhouettes of some buildings seen from 1 to 8 poses into ``words``, which must be clear.
 
     Args:
@@ -146,7 +138,7 @@ def draw_group(scene, buildings, rotations, centers, view, scratch, words):  # t
             scratch.poses[8 * (9 + i) + lane] = centers[source, i]
     layers = 0
     for b in buildings:
-        project_vertices(  # type: ignore[call-arg]
+        project_vertices(
             scene.x, scene.y, scene.z, scene.starts[b, 0], scene.starts[b + 1, 0], scratch.poses,
             view.intrinsics, scratch.u, scratch.v, scratch.extent, scratch.nearest,
         )  # fmt: skip
@@ -169,15 +161,15 @@ def draw_group(scene, buildings, rotations, centers, view, scratch, words):  # t
     _flush(view, scratch, words)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def draw_view(scene, rotation, center, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel
+def draw_view(scene, rotation, center, view, scratch, words):
     """Draws the silhouette of a scene into ``words``, (H, ceil(W / 64)) uint64, which must be clear."""
     shape = (1, words.shape[0], words.shape[1])
     draw_views(scene, rotation.reshape(1, 3, 3), center.reshape(1, 3), view, scratch, words.reshape(shape))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def draw_views(scene, rotations, centers, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel
+def draw_views(scene, rotations, centers, view, scratch, words):
     """Draws N views into ``words``, (N, H, S), which must be clear; see ``score_views``."""
     for i in range(0, rotations.shape[0], LANES):
         r, c = rotations[i : i + LANES], centers[i : i + LANES]
@@ -185,8 +177,8 @@ def draw_views(scene, rotations, centers, view, scratch, words):  # type: ignore
         draw_group(scene, seen, r, c, view, scratch, words[i : i + LANES])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def score_views(scene, rotations, centers, view, scratch, words, query):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel
+def score_views(scene, rotations, centers, view, scratch, words, query):
     """Draws N views; returns (N,) int64 pixels that each shares with the query, and its own pixels.
 
     Each eight views in turn should lie close together: they share a selection of buildings. ``words``,
@@ -201,3 +193,87 @@ def score_views(scene, rotations, centers, view, scratch, words, query):  # type
         for lane in range(r.shape[0]):
             shared[i + lane], areas[i + lane] = intersect_and_clear(words[lane], query)
     return shared, areas
+
+
+@kernel
+def _range_of(middle, half, near, far, focal, offset, size):
+    """Returns the first pixel and the last + 1 that a span between two depths may cover."""
+    low = focal * min((middle - half) / near, (middle - half) / far) + offset - 1.0
+    high = focal * max((middle + half) / near, (middle + half) / far) + offset + 2.0
+    limit = np.float64(size)
+    return np.int64(min(max(low, 0.0), limit)), np.int64(min(max(high, 0.0), limit))
+
+
+@kernel
+def _box_of(sphere, rotation, center, view):
+    """Returns rows and words (first row, last + 1, first word, last + 1) that a sphere may cover."""
+    x, y, z = camera_axes(sphere[0], sphere[1], sphere[2], rotation, center)
+    radius = sphere[3] + 1e-6 * (abs(x) + abs(y) + abs(z))
+    left, right, top, bottom = np.int64(0), np.int64(view.width), np.int64(0), np.int64(view.height)
+    if z - radius > NEAR_M:
+        f, near, far = view.intrinsics, z - radius, z + radius
+        left, right = _range_of(x, radius, near, far, f[0], f[2], view.width)
+        top, bottom = _range_of(y, radius, near, far, f[1], f[3], view.height)
+    return top, bottom, left >> 6, (right + 63) >> 6
+
+
+@kernel
+def _trimmed(words, box):
+    """Returns the part of a box of words in which bits are set; an empty one is (0, 0, 0, 0)."""
+    top, bottom, left, right = box
+    first_row, last_row, first_word, last_word = bottom, -1, right, -1
+    for row in range(top, bottom):
+        for k in range(left, right):
+            if words[row, k] != np.uint64(0):
+                first_row, last_row = min(first_row, row), row
+                first_word, last_word = min(first_word, k), max(last_word, k)
+    if last_row < 0:
+        return np.int64(0), np.int64(0), np.int64(0), np.int64(0)
+    return first_row, last_row + 1, first_word, last_word + 1
+
+
+@kernel
+def draw_instances(scene, buildings, rotations, centers, view, scratch, words):
+    """Draws buildings one by one; returns those that cover a pixel, their boxes, offsets and words.
+
+    Args:
+        scene: SceneArrays.
+        buildings: (N,) int64 indices.
+        rotations: (1, 3, 3) float64 cam_from_world.
+        centers: (1, 3) float64 camera centre, local metres.
+        view: View.
+        scratch: Scratch.
+        words: (1, H, ceil(W / 64)) uint64, clear; so it is left.
+    """
+    kept = np.empty(buildings.shape[0], dtype=np.int64)
+    boxes = np.empty((buildings.shape[0], 4), dtype=np.int64)
+    starts = np.zeros(buildings.shape[0] + 1, dtype=np.int64)
+    stored = np.empty(1024, dtype=np.uint64)
+    count = 0
+    for n in range(buildings.shape[0]):
+        b = buildings[n]
+        draw_group(scene, buildings[n : n + 1], rotations, centers, view, scratch, words)
+        box = _box_of(scene.spheres[b], rotations[0], centers[0], view)
+        top, bottom, left, right = _trimmed(words[0], box)
+        if bottom == 0:
+            continue
+        begin = starts[count]
+        stop = begin + (bottom - top) * (right - left)
+        if stop > stored.shape[0]:
+            larger = np.empty(2 * stop, dtype=np.uint64)
+            larger[:begin] = stored[:begin]
+            stored = larger
+        for row in range(top, bottom):
+            for k in range(left, right):
+                stored[begin] = words[0, row, k]
+                words[0, row, k] = np.uint64(0)
+                begin += 1
+        kept[count], starts[count + 1] = b, stop
+        boxes[count, 0], boxes[count, 1], boxes[count, 2], boxes[count, 3] = top, bottom, left, right
+        count += 1
+    return (
+        kept[:count].copy(),
+        boxes[:count].copy(),
+        starts[: count + 1].copy(),
+        stored[: starts[count]].copy(),
+    )

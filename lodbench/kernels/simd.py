@@ -133,7 +133,7 @@ class Memory:
 
     def __init__(self, context: Any, builder: Any, array_type: Any, array: Any) -> None:
         self.builder = builder
-        self.data = make_array(array_type)(context, builder, array).data  # type: ignore[no-untyped-call]
+        self.data = make_array(array_type)(context, builder, array).data
 
     def _vector_at(self, index: Any) -> Any:
         here = self.builder.gep(self.data, [index])
@@ -189,7 +189,7 @@ class Running:
 
     def __init__(self, builder: Any, start: Any) -> None:
         self.builder = builder
-        self.slot = cgutils.alloca_once_value(builder, start)  # type: ignore[no-untyped-call]
+        self.slot = cgutils.alloca_once_value(builder, start)
 
     def get(self) -> Any:
         """Returns the LLVM value now."""
