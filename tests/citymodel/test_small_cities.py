@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import small_cities
-from lodbench.kernels import city as city_kernels
 from lodbench.citymodel.coordinates import parse_rings
 from lodbench.citymodel.raw import starts_of
+from lodbench.kernels import city as city_kernels
 
 ODD_TEXTS = [
     "",

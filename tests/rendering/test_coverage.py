@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lodbench.rendering.coverage import blank_coverage
 
 from lodbench.citymodel.scene import build_scene
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.kernels.coverage import accumulate, expect_marks
 from lodbench.rendering.bits import unpack_mask, words_per_row
+from lodbench.rendering.engine_arrays import blank_coverage
 from lodbench.rendering.reference import ReferenceRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 

@@ -8,12 +8,12 @@ from math import ceil
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from lodbench.rendering.coverage import blank_coverage, edge_lists
 from numba import njit
 
 from lodbench.kernels.coverage import append_edge, mark_edges, pack_corner
 from lodbench.kernels.simd import LANES
 from lodbench.kernels.simd_kernels import face_triangles, project_vertices
+from lodbench.rendering.engine_arrays import blank_coverage, edge_lists
 
 # The guard band, in sub-pixels.
 _REACH = 8192 * 256

@@ -9,13 +9,10 @@ from numpy.typing import NDArray
 from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-<<<<<<< HEAD
-from lodbench.photos.pictures import encoded
-=======
 from lodbench.kernels.arguments import Band, Buffer
 from lodbench.kernels.looks import CameraResponse, LandCover, Look, Shading, SunMap
 from lodbench.kernels.shading import BRIGHTEST, TONE_STEPS, expose, resolve_photo
->>>>>>> a73a35f7 (Kernels: all compiled functions in one leaf package with a digest of its own; no environment variable is changed)
+from lodbench.photos.pictures import encoded
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo.render_scene import make_render_scene
