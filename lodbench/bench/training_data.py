@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tempfile
 import time
@@ -12,7 +13,6 @@ from pathlib import Path
 
 from lodbench.bench.figures import Figure, Progress, Report, load_in_words, no_progress, plain_report
 from lodbench.bench.options import SEED, option
-from lodbench.bench.scene_opening import resident_mb
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import ConfigError, LodbenchError, require_within
@@ -183,3 +183,10 @@ def _memory(params: GenerateParams, parts: PictureParts, views: tuple[PlannedVie
 
 def _size(params: GenerateParams) -> str:
     return f"{params.size[0]}x{params.size[1]}"
+
+
+def resident_mb() -> float | None:
+    """Returns the memory this process holds, megabytes, where the system tells."""
+    status = Path("/proc/self/status")
+    found = re.search(r"VmRSS:\s*(\d+) kB", status.read_text()) if status.is_file() else None
+    return int(found[1]) * 1024 / 1e6 if found else None

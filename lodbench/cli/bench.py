@@ -14,13 +14,11 @@ from lodbench.bench.city import CityOptions, measure_city
 from lodbench.bench.evaluation import EvaluationOptions, measure_evaluation
 from lodbench.bench.figures import Report
 from lodbench.bench.options import add_options, options_of
-from lodbench.bench.scale import ScaleOptions, measure_scale
 from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
-from lodbench.bench.slopes import SlopeOptions, measure_slopes
 from lodbench.bench.startup import StartupOptions, measure_startup
 from lodbench.bench.training_data import TrainingDataOptions, measure_training_data
 from lodbench.bench.workers import WorkerOptions, measure_workers
-from lodbench.cli import bench_flight_uses, bench_flights, bench_real, bench_segmentation, bench_views
+from lodbench.cli import bench_flights, bench_real, bench_segmentation, bench_views
 from lodbench.cli.bench_views import add_city, city_file
 from lodbench.cli.parser import Parser
 from lodbench.errors import ConfigError
@@ -33,15 +31,25 @@ Measure = Callable[[argparse.Namespace, ProgressCallback], Report]
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = _parser().parse_args(argv)
-    if getattr(options, "pictures", None) is not None:
-        make_folder(options.pictures)  # a name of no folder is refused before the work
-    with ProgressCallback(f"bench {options.what}") as steps:
-        report = MEASURES[options.what](options, steps)
-    if getattr(options, "pictures", None) is not None:
-        report.write_pictures(options.pictures)
+    measured(options, f"bench {options.what}", MEASURES[options.what])
+    return 0
+
+
+def measured(options: argparse.Namespace, name: str, measure: Measure) -> None:
+    """Measures and prints, as text or by ``--json``, and writes the pictures that ``--pictures`` asks for.
+
+    Raises:
+        LodbenchError: As the measure, or there is no such folder of pictures.
+    """
+    pictures = getattr(options, "pictures", None)
+    if pictures is not None:
+        make_folder(pictures)  # a name of no folder is refused before the work
+    with ProgressCallback(name) as steps:
+        report = measure(options, steps)
+    if pictures is not None:
+        report.write_pictures(pictures)
     lines = [json.dumps(each.to_json()) for each in report.figures] if options.json else [report.text]
     sys.stdout.write("\n".join(lines) + "\n")
-    return 0
 
 
 def _plain(measure: Callable[..., Report], kind: type) -> Measure:
@@ -74,20 +82,15 @@ def _startup(given: argparse.Namespace, steps: ProgressCallback) -> Report:
 
 MEASURES: dict[str, Measure] = {
     "silhouettes": _of_city(measure_silhouettes, SilhouetteOptions),
-    "scale": _plain(measure_scale, ScaleOptions),
     "accuracy": bench_views.accuracy,
-    "budget": bench_views.budget,
     "city": _of_city(measure_city, CityOptions),
     "evaluation": _plain(measure_evaluation, EvaluationOptions),
     "flights": bench_flights.measure,
-    "georeference": bench_flight_uses.measure_georeference,
     "real": bench_real.measure,
     "segmentation": bench_segmentation.measure_segmentation,
-    "slopes": _plain(measure_slopes, SlopeOptions),
     "startup": _startup,
-    "tracking": bench_flight_uses.measure_track,
+    "tracking": bench_flights.measure_track,
     "training-data": _training_data,
-    "wide-priors": bench_views.wide_priors,
     "workers": _plain(measure_workers, WorkerOptions),
 }
 
@@ -105,10 +108,6 @@ def _parser() -> argparse.ArgumentParser:
 
     speed = "time per hypothesis, beside other renderers"
     add_city(add("silhouettes", SilhouetteOptions, speed, "pictures of how costs and ratios spread"))
-    large = "a city of a million buildings beside its core: cost per hypothesis, opening, memory"
-    add("scale", ScaleOptions, large)
-    slopes = "CPU time and memory over hypotheses, pixels, buildings, queries, workers"
-    add("slopes", SlopeOptions, slopes, "the picture")
     starting = "CPU time, time and memory of whole commands, beside another build's: what starting costs"
     startup = add("startup", StartupOptions, starting)
     cold = "localize over an empty kernel cache as well, which compiles"
@@ -118,7 +117,7 @@ def _parser() -> argparse.ArgumentParser:
     add_city(add("city", CityOptions, reading))
     add("evaluation", EvaluationOptions, "scoring many methods on many queries; a run's page")
     bench_flights.add_flights(actions)
-    bench_flight_uses.add_uses(actions)
+    bench_flights.add_tracking(actions)
     bench_real.add_real(actions)
     bench_segmentation.add_segmentation(actions)
     add_city(add("training-data", TrainingDataOptions, "masks and photos per second; memory"))

@@ -1,4 +1,4 @@
-"""``lodbench bench flights``: whole flights over a real model."""
+"""``lodbench bench flights`` and ``tracking``: whole flights over a real model, and their frames."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from typing import Any
 from lodbench.bench.figures import Report
 from lodbench.bench.flights import measure_flights
 from lodbench.bench.joint_solves import measure_joint_solves
+from lodbench.bench.options import add_options, options_of
+from lodbench.bench.tracking import TrackingOptions, measure_tracking
 from lodbench.cli.bench_views import city_file, seeds, whole_numbers
+from lodbench.cli.segmenters import require_frames_looked_at, segmenter_of
 from lodbench.errors import ConfigError, require_within
 from lodbench.execution import ProgressCallback
 from lodbench.methods.flight import FlightMethod, Params
@@ -50,6 +53,15 @@ def add_flights(actions: Any) -> argparse.ArgumentParser:
     ):
         add(f"--{name}", type=float, default=0.0, help=f"share of buildings that {what} (0)")
     return parser
+
+
+def add_tracking(actions: Any) -> None:
+    """Adds the parser of ``tracking``."""
+    tracked = actions.add_parser("tracking", help="drawn frames from pixels to poses, and how many a second")
+    add_options(tracked, TrackingOptions)
+    tracked.add_argument("--segmenter", default="compact", metavar="NAME", help="(compact)")
+    tracked.add_argument("--city", type=Path, required=True, help="city model")
+    tracked.add_argument("--seeds", type=seeds, default="0", help="comma-separated (0)")
 
 
 def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
@@ -102,3 +114,18 @@ def _require_sound(options: argparse.Namespace) -> None:
 
 def _counts(text: str) -> list[int]:
     return whole_numbers("Numbers of photos", text, "Write --joint 100,250,500")
+
+
+def measure_track(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    """Returns how fast and how well frames are tracked.
+
+    Raises:
+        LodbenchError: An option is out of range, or as ``measure_tracking``.
+    """
+    city_file(options)
+    asked = options_of(options, TrackingOptions)
+    # The first, which is searched for, does not count.
+    require_within("--frames", asked.frames, 2)
+    segmenter = segmenter_of(options.segmenter)
+    require_frames_looked_at(segmenter, options.segmenter)
+    return measure_tracking(options.city, options.seeds, segmenter, asked, steps)

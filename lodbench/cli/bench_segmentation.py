@@ -6,9 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from lodbench.bench.disturbed_silhouettes import Disturbance
 from lodbench.bench.figures import Report
-from lodbench.bench.guided_masks import GuidedOptions, measure_guided_masks
+from lodbench.bench.guided_masks import Disturbance, GuidedOptions, measure_guided_masks
 from lodbench.bench.instance_quality import measure_instances
 from lodbench.bench.iou_recall import measure_iou_recall
 from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks
@@ -168,7 +167,7 @@ def _curve(options: argparse.Namespace, steps: ProgressCallback) -> Report:
 
 
 def _masks(options: argparse.Namespace, steps: ProgressCallback) -> Report:
-    from lodbench.bench.mask_town import town_sets
+    from lodbench.bench.mask_quality import town_sets
 
     segmenter = _segmenter(options, "compact")
     data, visible = options.data, options.visible

@@ -1,4 +1,4 @@
-"""`lodbench bench accuracy`, `budget` and `wide-priors`: sweeps over seeded views of a city."""
+"""`lodbench bench accuracy`: seeded views of a city."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.bench.accuracy import measure_accuracy
-from lodbench.bench.accuracy_causes import measure_causes
 from lodbench.bench.accuracy_cities import measure_cities
-from lodbench.bench.budget import measure_budget
 from lodbench.bench.figures import Report
 from lodbench.bench.options import SEED
-from lodbench.bench.wide_priors import measure_wide_priors
 from lodbench.datasets.inputs import Input
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import ProgressCallback
+from lodbench.methods import Method
 from lodbench.methods.registry import make_method
 from lodbench.synthesis.photo import look_ranges
 from lodbench.synthesis.views_dataset import AREAS, ViewsParams, World
@@ -36,38 +34,29 @@ _OPTIONS = {
     "camera_height_m": "--camera-height",
     "building_share": "--building-share",
 }
-# Fewer masks say nothing about how masks err.
-_FEWEST_MASKS = 20
 
 
 def add_views(actions: Any) -> None:
-    """Adds the three parsers."""
+    """Adds the parser."""
     accuracy = actions.add_parser("accuracy", help="recall of methods on synthetic views of a real model")
-    accuracy.add_argument("--views", type=int, default=200, help="seeded views (200)")
-    accuracy.add_argument("--method", default="lodlocv2", help="methods, comma-separated (lodlocv2)")
     accuracy.add_argument("--pictures", type=Path, help="folder for reliability and risk over coverage")
-    why = "why poses are not found: causes of errors taken away, one a column"
-    accuracy.add_argument("--causes", action="store_true", help=why)
-    limit = "with --causes: what the best estimate finds that knows map and noise, from so many masks a view"
-    accuracy.add_argument("--limit", type=int, default=0, metavar="MASKS", help=limit)
+    add_methods(accuracy)
+
+
+def add_methods(parser: argparse.ArgumentParser) -> None:
+    """Adds the options that ``asked_methods`` and ``asked_views`` read."""
+    parser.add_argument("--method", default="lodlocv2", help="methods, comma-separated (lodlocv2)")
     looked = "draw photos in this look: plain, varied or hard (none), for methods that look at photos"
-    accuracy.add_argument("--look", help=looked)
+    parser.add_argument("--look", help=looked)
     several = "city model, repeat for a table of several; the demo town"
-    accuracy.add_argument("--city", type=Path, action="append", help=several)
-    budget = actions.add_parser("budget", help="recall of both methods over the hypotheses they may render")
-    budget.add_argument("--views", type=int, default=50, help="seeded views (50)")
-    budget.add_argument("--pictures", type=Path, help="folder for the picture")
-    beside = "basins beside the full grid, pose by pose: --prior-range 50 to 200"
-    wide = actions.add_parser("wide-priors", help=beside)
-    wide.add_argument("--views", type=int, default=6, help="seeded views (6)")
-    for action in (budget, wide):
-        add_city(action)
-    for action in (accuracy, budget, wide):
-        _add_drawing(action.add_argument)
+    parser.add_argument("--city", type=Path, action="append", help=several)
+    add_drawing(parser, 200)
 
 
-def _add_drawing(add: Any) -> None:
-    """Adds the options of what is drawn."""
+def add_drawing(parser: argparse.ArgumentParser, num_views: int) -> None:
+    """Adds the options of what is drawn, which ``views_of`` and ``seeds_of`` read."""
+    add: Any = parser.add_argument
+    add("--views", type=int, default=num_views, help=f"seeded views ({num_views})")
     add("--seed", type=int, default=0, help=f"{SEED} (0)")
     add("--seeds", type=seeds, help="seeds, comma-separated, each with views of its own; instead of --seed")
     add("--mask-iou", type=float, default=0.88, help="of the degraded masks (0.88)")
@@ -126,40 +115,40 @@ def _or_demo(city: Path | None) -> Path:
 
 
 def accuracy(given: argparse.Namespace, steps: ProgressCallback) -> Report:
-    """Returns what methods find, of one city, of several, or with causes of errors taken away."""
+    """Returns what methods find, of one city or of several."""
+    methods, drawn = asked_methods(given), asked_views(given)
+    if len(drawn) == 1:
+        return measure_accuracy(drawn[0], seeds_of(given), methods, steps)
+    return measure_cities(drawn, seeds_of(given), methods, steps)
+
+
+def asked_methods(given: argparse.Namespace) -> list[Method]:
+    """Returns the methods named.
+
+    Raises:
+        ConfigError: There is none of a name, or one looks at photos and none are drawn.
+    """
     # One named twice would count its views twice.
     methods = [make_method(name) for name in dict.fromkeys(given.method.split(","))]
     blind = [method.name for method in methods if Input.IMAGE in method.requires]
     if blind and given.look is None:
         raise ConfigError(f"{blind[0]} looks at photos, and no photos are drawn.", "Add --look hard.")
+    return methods
+
+
+def asked_views(given: argparse.Namespace) -> list[ViewsParams]:
+    """Returns what is drawn over each city named.
+
+    Raises:
+        LodbenchError: A city is not there, the look is not known, or an option is out of range.
+    """
     if given.look is not None:
         look_ranges(given.look)  # not known: told before any city is read
-    if given.limit and (not given.causes or given.limit < _FEWEST_MASKS):
-        raise ConfigError(
-            f"--limit {given.limit} is a column of --causes, of {_FEWEST_MASKS} masks a view or more.",
-            "Write --causes --limit 200.",
-        )
-    drawn = [replace(_views(given, city), look=given.look) for city in dict.fromkeys(given.city or [None])]
-    seeded = _seeds(given)
-    if given.causes:
-        return measure_causes(drawn, seeded, methods, steps, limit_draws=given.limit)
-    if len(drawn) == 1:
-        return measure_accuracy(drawn[0], seeded, methods, steps)
-    return measure_cities(drawn, seeded, methods, steps)
+    return [replace(views_of(given, city), look=given.look) for city in dict.fromkeys(given.city or [None])]
 
 
-def budget(given: argparse.Namespace, steps: ProgressCallback) -> Report:
-    """Returns what more hypotheses find."""
-    return measure_budget(_views(given, given.city), _seeds(given), steps)
-
-
-def wide_priors(given: argparse.Namespace, steps: ProgressCallback) -> Report:
-    """Returns where basins and the full grid end."""
-    return measure_wide_priors(_views(given, given.city), _seeds(given), steps)
-
-
-def _views(given: argparse.Namespace, city: Path | None) -> ViewsParams:
-    """Returns what is drawn over a city.
+def views_of(given: argparse.Namespace, city: Path | None) -> ViewsParams:
+    """Returns what is drawn over a city, or the demo town.
 
     Raises:
         LodbenchError: The city is not there, or an option is out of range.
@@ -190,7 +179,8 @@ def _params(given: argparse.Namespace) -> ViewsParams:
     )
 
 
-def _seeds(given: argparse.Namespace) -> list[int]:
+def seeds_of(given: argparse.Namespace) -> list[int]:
+    """Returns the seeds of what is drawn."""
     return given.seeds or [given.seed]
 
 

@@ -27,9 +27,7 @@ _FLAGS = {
 _OF_RUNS = ("verify", "report", "export", "leaderboard")
 # What else benches call settings.
 _OF_BENCHES = {
-    **dict.fromkeys(
-        ("accuracy", "budget", "wide-priors", "flights", "georeference"), ("--lod ", "--map-lod ")
-    ),
+    **dict.fromkeys(("accuracy", "flights"), ("--lod ", "--map-lod ")),
     "real": ("--root ", "--query "),
 }
 _OPTIONS = {field.name: f"--option {field.name}" for field in fields(ReadOptions)}

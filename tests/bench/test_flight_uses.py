@@ -1,4 +1,4 @@
-"""What is measured of georeferencing, tracking and joint solves, on the tests' town."""
+"""What is measured of tracking and joint solves, on the tests' town."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ import pytest
 
 from lodbench.bench.flights import _roofs_shown
 from lodbench.bench.joint_solves import measure_joint_solves
-from lodbench.bench.reconstructions import Noise, measure_reconstructions
 from lodbench.bench.tracking import TrackingOptions, measure_tracking
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.cli import main
 from lodbench.datasets.query import Query
-from lodbench.errors import ConfigError, LodbenchError
+from lodbench.errors import ConfigError
 from lodbench.geometry import EulerAngles
 from lodbench.methods.flight import FlightMethod, Params
 from lodbench.methods.protocol import FlightEstimate
@@ -27,19 +26,6 @@ def city(tmp_path):
     path = tmp_path / "city.obj"
     path.write_text(box_obj())
     return path
-
-
-@pytest.mark.slow
-def test_a_reconstruction_is_placed_again(city):
-    flights = FlightsParams(str(city), num_photos=5, path="orbit", mask_iou=0.97)
-    report = measure_reconstructions(flights, [4], Noise(0.02, 0.01))
-    error, placed = report.figures
-    assert (placed.value, placed.peer) == (1, "of 1")
-    assert error.value < 1.0
-    numbers = [float(word) for word in report.text.splitlines()[1].split()[1:]]
-    assert numbers[1] == pytest.approx(error.value, abs=0.01)
-    # The start was far off.
-    assert numbers[-1] > 3.0 * error.value
 
 
 def test_frames_are_counted_whether_found_or_lost(city):
@@ -62,16 +48,10 @@ def test_frames_are_counted_whether_found_or_lost(city):
         ("tracking --segmenter masks", "--segmenter masks looks at no frames"),
         ("tracking --city absent.gml", "absent.gml does not exist"),
         ("tracking --seeds 0,1,0", "A seed is given twice: 0,1,0"),
-        ("georeference --photos 2", "--photos=2 is not at least 3"),
-        ("georeference --mask-iou 2", "--mask-iou=2 is not"),
-        ("georeference --noise-m -1", "--noise-m=-1 is not at least 0"),
-        ("georeference --noise-deg nan", "--noise-deg=nan is not finite"),
-        ("georeference --city absent.gml", "absent.gml does not exist"),
         ("accuracy --city absent.gml", "absent.gml does not exist"),
         ("accuracy --views 0", "--views=0 is not a number of views"),
-        ("budget --mask-iou 2", "--mask-iou=2 is not in (0, 1]"),
         ("accuracy --camera-height 80,40", "--camera-height=40 is not"),
-        ("wide-priors --prior-range -1", "--prior-range=-1 is not at least 0"),
+        ("accuracy --prior-range -1", "--prior-range=-1 is not at least 0"),
         ("real --query . --prior-yaw -1", "--prior-yaw=-1 is not at least 0"),
         ("real --query absent", "hint: Give --query FOLDER"),
         ("flights --relative-poses reconstruction --look plain", "--relative-poses reconstruction needs one"),
@@ -83,11 +63,6 @@ def test_what_cannot_be_measured_is_told_before_any_work(city, capsys, words, sa
     place = [] if "--city" in more else ["--city", str(city)]
     assert main(["bench", what, *place, *more]) == 2
     assert said in capsys.readouterr().err
-
-
-def test_flights_that_cannot_be_drawn_are_no_rows_that_failed(tmp_path):
-    with pytest.raises(LodbenchError, match="absent"):
-        measure_reconstructions(FlightsParams(str(tmp_path / "absent.gml"), path="orbit"), [0], Noise())
 
 
 def test_joint_solves_have_one_thread_for_linear_algebra_as_runs_have(city):

@@ -161,17 +161,17 @@ def test_faults_are_one_line_and_a_hint(words, expected, capsys, tmp_path, monke
 
 
 def test_both_sets_of_a_town_show_the_same_views(tmp_path, monkeypatch):
-    from lodbench.bench import mask_town
+    from lodbench.bench import mask_quality
 
     made = []
     monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path))
-    monkeypatch.setattr(mask_town, "generate_training_data", made.append)
-    monkeypatch.setattr(mask_town, "demo_folder", lambda params: tmp_path / params.look)
-    data, visible = mask_town.town_sets("test", 80)
+    monkeypatch.setattr(mask_quality, "generate_training_data", made.append)
+    monkeypatch.setattr(mask_quality, "demo_folder", lambda params: tmp_path / params.look)
+    data, visible = mask_quality.town_sets("test", 80)
     photos, cut = made
     assert (photos.out, cut.out) == (str(data), str(visible))
     assert replace(cut, out=photos.out, occluders_in_mask=False, images=True) == photos
     assert (photos.limit, photos.size, photos.min_buildings) == (80, (512, 384), 0.05)
     assert photos.city.startswith(str(tmp_path / "test"))
-    assert mask_town.town_sets("test", 80).data == data
-    assert mask_town.town_sets("test", 81).data != data
+    assert mask_quality.town_sets("test", 80).data == data
+    assert mask_quality.town_sets("test", 81).data != data

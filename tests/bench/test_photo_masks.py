@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lodbench.bench.disturbed_silhouettes import Disturbance, disturbed
+from lodbench.bench.guided_masks import Disturbance, disturbed
 from lodbench.bench.photo_masks import measure_photo_masks
 from lodbench.cli import main
 from lodbench.cli.bench import MEASURES

@@ -7,6 +7,8 @@ a method kept, a better choice among them.
 
 from __future__ import annotations
 
+import sys
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
@@ -14,10 +16,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from experiments.causes.outline_limit import share_within_reach
+from experiments.command import run
 from lodbench.bench.accuracy_cities import drawable, names_of, share_found
 from lodbench.bench.figures import Figure, Progress, Report, no_progress
-from lodbench.bench.outline_limit import share_within_reach
 from lodbench.bench.views import Job, protocol_of, sweep
+from lodbench.cli.bench_views import add_methods, asked_methods, asked_views, seeds_of
+from lodbench.errors import ConfigError
 from lodbench.methods import Method
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.table_columns import finite_text
@@ -41,6 +46,8 @@ _GLOSSARY = (
     "exact map: the level that masks are drawn from."
 )
 _LIMIT = "best linear"
+# Fewer masks say nothing about how masks err.
+_FEWEST_MASKS = 20
 _LIMIT_GLOSSARY = (
     f"{_LIMIT}: what least squares find that start at the truth, over the exact map, and know "
     "how such masks err: hardly any method will find more from them."
@@ -145,3 +152,20 @@ def _figures(table: dict[str, dict[str, dict[str, float]]]) -> Iterator[Figure]:
         for city, row in cities.items():
             for column, percent in row.items():
                 yield Figure(f"found {column} {method} {city}", percent, "%")
+
+
+def _add(parser: ArgumentParser) -> None:
+    add_methods(parser)
+    limit = "what the best estimate finds that knows map and noise, from so many masks a view"
+    parser.add_argument("--limit", type=int, default=0, metavar="MASKS", help=limit)
+
+
+def _measured(given: Namespace, steps: Progress) -> Report:
+    if 0 < given.limit < _FEWEST_MASKS:
+        raise ConfigError(f"--limit is of {_FEWEST_MASKS} masks a view or more.", "Write --limit 200.")
+    methods, drawn = asked_methods(given), asked_views(given)
+    return measure_causes(drawn, seeds_of(given), methods, steps, limit_draws=given.limit)
+
+
+if __name__ == "__main__":
+    sys.exit(run("causes", _add, _measured))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import sys
+from argparse import ArgumentParser
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from experiments.command import run
 from lodbench.bench.figures import Figure, Progress, Report, no_progress
 from lodbench.bench.views import Job, of_seeds, protocol_of, sweep
+from lodbench.cli.bench_views import add_city, add_drawing, seeds_of, views_of
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.errors import FAILED
 from lodbench.methods.contour_alignment import ContourAlignment
@@ -95,3 +99,18 @@ def report_pairs(pairs: pd.DataFrame, title: str) -> Report:
     ]
     counted = f"{same} of {len(pairs)} end within {SAME_M:g} m and {SAME_DEG:g} deg of each other. {title}"
     return Report(f"{format_columns(rows)}\n{counted}", figures, pairs)
+
+
+def _add(parser: ArgumentParser) -> None:
+    add_city(parser)
+    add_drawing(parser, 6)
+
+
+if __name__ == "__main__":
+    sys.exit(
+        run(
+            "wide_priors",
+            _add,
+            lambda given, steps: measure_wide_priors(views_of(given, given.city), seeds_of(given), steps),
+        )
+    )

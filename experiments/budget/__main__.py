@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import sys
+from argparse import ArgumentParser
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from experiments.command import run
 from lodbench.bench.figures import Figure, Progress, Report, no_progress
 from lodbench.bench.views import Job, of_seeds, protocol_of, sweep
+from lodbench.cli.bench_views import add_city, add_drawing, seeds_of, views_of
 from lodbench.evaluation.queries import ERROR
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, summarize
 from lodbench.methods import Method
@@ -84,3 +88,18 @@ def _ladder() -> list[Method]:
         wider = replace(ours, stride_m=stride_m, stride_yaw_deg=stride_yaw_deg)
         methods.append(ContourAlignment(replace(wider, starts=starts, steps=steps)))
     return methods
+
+
+def _add(parser: ArgumentParser) -> None:
+    add_city(parser)
+    add_drawing(parser, 50)
+
+
+if __name__ == "__main__":
+    sys.exit(
+        run(
+            "budget",
+            _add,
+            lambda given, steps: measure_budget(views_of(given, given.city), seeds_of(given), steps),
+        )
+    )

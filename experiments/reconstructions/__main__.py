@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import sys
+from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from experiments.command import run
 from lodbench.bench.figures import Figure, Progress, Report, no_progress
+from lodbench.cli.bench_views import city_file, seeds
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.posed import FoundPose
@@ -145,3 +150,32 @@ def write_reconstruction(dataset: Dataset, folder: Path, noise: Noise, seed: int
             rough.append(FoundPose(entry.name, "", entry.prior))
     write_colmap(model, folder / "model")
     write_lines(rough, folder / "rough.txt")
+
+
+def _add(parser: ArgumentParser) -> None:
+    add: Any = parser.add_argument
+    add("--city", type=Path, required=True, help="city model")
+    add("--seeds", type=seeds, default="0", help="comma-separated (0)")
+    add("--photos", type=int, default=16, help="of each flight (16)")
+    add("--mask-iou", type=float, default=0.88, help="of the degraded masks (0.88)")
+    add("--noise-m", type=float, default=0.1, help="of a reconstruction's places (0.1)")
+    add("--noise-deg", type=float, default=0.05, help="of its directions (0.05)")
+    add("--path", choices=tuple(FLIGHT_PATHS), help="how they fly (each kind)")
+    add("--map-lod", help="level of detail to place it in (the lowest)")
+    add("--mask-lod", help="that masks are drawn from, or finest (the map's)")
+
+
+def _measured(given: Namespace, steps: Progress) -> Report:
+    flights = FlightsParams(
+        str(city_file(given)),
+        num_photos=given.photos,
+        path=given.path,
+        mask_iou=given.mask_iou,
+        lod=given.map_lod,
+        mask_lod=given.mask_lod,
+    )
+    return measure_reconstructions(flights, given.seeds, Noise(given.noise_m, given.noise_deg), steps)
+
+
+if __name__ == "__main__":
+    sys.exit(run("reconstructions", _add, _measured))

@@ -6,16 +6,18 @@ CPU seconds, not those of a clock, so that a busy machine tells the same; slope 
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import astuple, dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from experiments.command import run_options
+from experiments.scale.grown_city import TILE_BUILDINGS
+from experiments.scale.slope_points import Reach, points_within
 from lodbench.bench.figures import Figure, Progress, Report, no_progress
-from lodbench.bench.grown_city import TILE_BUILDINGS
 from lodbench.bench.options import SEED, option
-from lodbench.bench.slope_points import Reach, points_within
 from lodbench.errors import ConfigError
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.table_columns import finite_text
@@ -121,3 +123,7 @@ def _picture(data: pd.DataFrame, slopes: dict[str, float]) -> dict[str, bytes]:
                     ruler.set_minor_formatter(NullFormatter())
 
     return {f"slopes.{kind}": content for kind, content in draw_figure(12.0, 5.5, draw).items()}
+
+
+if __name__ == "__main__":
+    sys.exit(run_options("scale.slopes", SlopeOptions, measure_slopes))

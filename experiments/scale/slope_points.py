@@ -1,4 +1,4 @@
-"""The points of ``bench slopes``, each in a process of its own: CPU seconds, and the memory it held at most.
+"""The points of the slopes, each in a process of its own: CPU seconds, and the memory it held at most.
 
 Peaks are of whole processes, Python and its libraries included, which hold some 150 MB before any work.
 """
@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from lodbench.bench.city_tiles import write_tiles
-from lodbench.bench.grown_city import TILE_BUILDINGS, open_grown_city
-from lodbench.bench.scale import ScaleOptions, swarms_inside
+from experiments.scale.grown_city import TILE_BUILDINGS, open_grown_city
+from experiments.scale.measure import ScaleOptions, swarms_inside
+from lodbench.bench.city import write_tiles
 from lodbench.bench.silhouettes import Swarm
 from lodbench.citymodel.mesh.writer import obj_text
 from lodbench.citymodel.read import read_city_model

@@ -1,4 +1,4 @@
-"""What opening a stored scene takes: `python -m lodbench.bench.scene_opening FOLDER` does it and says.
+"""What opening a stored scene takes: `python -m experiments.scale.opening FOLDER` does it and says.
 
 Memory is what the process holds when the scene is open, mapped pages that were read included.
 """
@@ -6,13 +6,13 @@ Memory is what the process holds when the scene is open, mapped pages that were 
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from lodbench.bench.training_data import resident_mb
 from lodbench.citymodel.scene_file import read_scene
 from lodbench.errors import LodbenchError
 from lodbench.rendering.silhouette import SilhouetteRenderer
@@ -41,7 +41,7 @@ def open_apart(folder: Path) -> Opening:
     Raises:
         LodbenchError: The process failed.
     """
-    command = [sys.executable, "-m", "lodbench.bench.scene_opening", str(folder)]
+    command = [sys.executable, "-m", "experiments.scale.opening", str(folder)]
     done = subprocess.run(command, capture_output=True, text=True)  # noqa: S603
     if done.returncode != 0:
         raise LodbenchError(f"Opening {folder} in a process of its own failed: {done.stderr.strip()[-300:]}")
@@ -58,13 +58,6 @@ def measure_opening(folder: Path) -> Opening:
     after = resident_mb()
     del engine
     return Opening(seconds, cpu_s, after, before)
-
-
-def resident_mb() -> float | None:
-    """Returns the memory this process holds, megabytes, where the system tells."""
-    status = Path("/proc/self/status")
-    found = re.search(r"VmRSS:\s*(\d+) kB", status.read_text()) if status.is_file() else None
-    return int(found[1]) * 1024 / 1e6 if found else None
 
 
 if __name__ == "__main__":
