@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lodbench.citymodel.lifespans import holds_on
-from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.options import PATH_OPTIONS, ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene
 from lodbench.citymodel.source import Source, open_sources
@@ -32,7 +32,7 @@ _LOGGER = logging.getLogger(__name__)
 # What decides the numbers besides our own code. Those of extras need not be there.
 _LIBRARIES = (
     "mapbox_earcut", "numpy", "pyproj", "shapely", "lxml", "trimesh", "scipy",
-    "pyogrio", "rasterio", "pyarrow",
+    "pyogrio", "rasterio", "pyarrow", "laspy",
 )  # fmt: skip
 
 
@@ -116,15 +116,15 @@ def scene_key(path: Path, lod: str | None, options: ReadOptions, roof_height: st
         CityModelError: The file is missing or cannot be read.
     """
     files = dict.fromkeys(source.path for source in open_sources(path, options.layers))
-    if options.terrain is not None:
-        files[Path(options.terrain)] = None
+    others = [getattr(options, name) for name in PATH_OPTIONS]
+    files |= dict.fromkeys(Path(name) for name in others if name is not None)
     try:
         digests = [_digest(file) for file in files]
     except OSError as error:
         raise CityModelError(
             f"{error.filename or path} cannot be read: {error.strerror}.", "Check its permissions."
         ) from None
-    settings = [lod, {**asdict(options), "terrain": None}, roof_height]
+    settings = [lod, asdict(options) | dict.fromkeys(PATH_OPTIONS), roof_height]
     return digest_of([FORMAT_VERSION, code_digest(options.reader), digests, *settings], length=24)
 
 
@@ -147,7 +147,7 @@ def code_digest(reader: str | None) -> str:
     Raises:
         ConfigError: There is no such reader.
     """
-    files = sorted(Path(__file__).parent.glob("*.py"))
+    files = sorted(Path(__file__).parent.rglob("*.py"))
     plug_in = None if reader is None else find_plugin("city_readers", reader)
     if plug_in is not None and not plug_in.is_ours:
         files += package_files(plug_in.point.module.partition(".")[0])

@@ -1,9 +1,9 @@
 """The catalogue of city model findings: one stable code per kind of defect, in groups of hundred.
 
 LB1xx rings and polygons, LB2xx the structure of a file, LB3xx coordinate reference systems and
-heights, LB4xx buildings and levels of detail, LB6xx solids (LB5xx are of datasets). A code never
-changes its meaning and is never reused; new kinds get the next free number. An ERROR lost data, a
-WARNING changed it or doubts it, INFO tells what was decided.
+heights, LB4xx buildings and levels of detail, LB6xx solids, LB7xx surface models (LB5xx are of
+datasets). A code never changes its meaning and is never reused; new kinds get the next free number. An
+ERROR lost data, a WARNING changed it or doubts it, INFO tells what was decided.
 """
 
 from __future__ import annotations
@@ -131,6 +131,26 @@ SOLIDS_EQUAL = FindingCode(614, _W, "Two solids of an object have the same corne
 INTERIOR_DISCONNECTED = FindingCode(615, _W, "The holes of a solid divide its interior.")
 SOLIDS_DISCONNECTED = FindingCode(
     616, _W, "The solids of a composite solid do not all share faces with each other."
+)
+
+SURFACE_NO_DATA = FindingCode(701, _W, "Cells of a surface model have no height; nothing is drawn there.")
+SURFACE_NO_DATUM = FindingCode(
+    702, _I, "A surface model names no system of its heights; they are taken as those of the plane."
+)
+SURFACE_GROUND_ESTIMATED = FindingCode(
+    703, _I, "No terrain model is given; the ground is estimated from the surface model."
+)
+SURFACE_OFFSET = FindingCode(
+    704, _W, "Surface and terrain model have no ground in common: their zero heights may differ."
+)
+SURFACE_STEP = FindingCode(705, _W, "Heights of a surface model jump along a border between its tiles.")
+SURFACE_COARSE = FindingCode(706, _W, "Heights of a surface model are written in coarse steps.")
+SURFACE_PLANTS = FindingCode(
+    707, _I, "What rises above the ground without plane parts is taken as vegetation; it is left out."
+)
+SURFACE_SIMPLIFIED = FindingCode(708, _I, "A surface model is drawn as plane pieces within a tolerance.")
+SURFACE_NO_ROOF = FindingCode(
+    709, _W, "A surface model shows no roof over a footprint; attributes count instead."
 )
 
 # The published error codes of val3dity, the usual validator of 3D city models, for what it reports too.

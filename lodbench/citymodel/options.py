@@ -37,6 +37,8 @@ class ReadOptions:
             there is no ``terrain``.
         ground_m: Ground height where neither column nor terrain gives one.
         terrain: Raster terrain model to take ground heights from, in the unit that its band or system names.
+        surface: Surface model (raster, laser points, a folder of tiles) to take the heights of footprints
+            from; columns count where it shows no roof.
         default_height_m: Height of footprints without one; None drops them with a finding.
         base: ``as_given``; ``ground`` sets models with a zero base on ``terrain`` or ``ground_m``;
             ``sunk`` raises what lies within ``sunk_m`` of a building's lowest point, for walls that
@@ -65,6 +67,7 @@ class ReadOptions:
     ground_column: str | None = None
     ground_m: float = 0.0
     terrain: str | None = None
+    surface: str | None = None
     default_height_m: float | None = None
     base: Literal["as_given", "ground", "sunk"] = "as_given"
     sunk_m: float = 3.0
@@ -120,6 +123,8 @@ def _is_day(text: str) -> bool:
         return False
 
 
+# Options that name files, whose content counts and not where they lie.
+PATH_OPTIONS = ("terrain", "surface")
 _SHAPING = {field.name for field in fields(ReadOptions)} - {"crs", "is_strict", "has_details", "has_textures"}
 
 
@@ -132,12 +137,11 @@ def told_options(options: ReadOptions) -> dict[str, Any]:
 def made_with(options: ReadOptions, roof_height: str | None) -> dict[str, Any]:
     """Returns what shapes a scene beside its file, as JSON values by name: a scene remembers it.
 
-    The reference system is the scene's own; of a terrain the name of the file must do.
+    The reference system is the scene's own; of other files (``PATH_OPTIONS``) their names must do.
     """
     told: dict[str, Any] = {name: value for name, value in told_options(options).items() if name in _SHAPING}
     told = {name: list(value) if isinstance(value, tuple) else value for name, value in told.items()}
-    if options.terrain is not None:
-        told["terrain"] = Path(options.terrain).name
+    told |= {name: Path(told[name]).name for name in PATH_OPTIONS if name in told}
     return told if roof_height is None else told | {"roof_height": roof_height}
 
 

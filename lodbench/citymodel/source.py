@@ -119,7 +119,7 @@ HEAD_BYTES = 4096
 MESH_SUFFIXES = (".ply", ".stl", ".glb", ".gltf")
 _CITY_SUFFIXES = (".gml", ".xml", ".citygml", ".json", ".jsonl", ".obj", *MESH_SUFFIXES)
 # Read by GDAL from a path, never from a stream of ours.
-_VECTOR_SUFFIXES = (".gpkg", ".shp", ".geojson", ".fgb", ".gdb", ".parquet", ".geoparquet")
+_VECTOR_SUFFIXES = (".gpkg", ".shp", ".geojson", ".fgb", ".gdb", ".parquet", ".geoparquet", ".pbf", ".osm")
 _ARCHIVE_SUFFIXES = (".gz", ".zip")
 # Beside the tiles, PLATEAU and others deliver these; none holds a building.
 _OTHER_FOLDERS = frozenset({"codelists", "metadata", "schemas", "specification"})

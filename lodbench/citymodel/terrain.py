@@ -66,16 +66,17 @@ def ground_under(points: NDArray[np.float64], crs: str, options: ReadOptions) ->
     path = Path(str(options.terrain))
     if not path.is_file():
         raise CityModelError(f"There is no terrain model at {path}.", "Check the path.")
-    unit_m = _height_unit_m(crs)
+    unit_m = height_unit_m(crs)
     if path.suffix.lower() == ".asc":
-        heights_m = _read_ascii(path).at(points) * unit_m
+        heights_m = read_ascii(path).at(points) * unit_m
     else:
         heights_m = _raster_heights_m(path, points, crs)
     return np.where((heights_m > LOWEST_M) & (heights_m < HIGHEST_M), heights_m / unit_m, np.nan)
 
 
-def _height_unit_m(crs: str) -> float:
-    known = resolve_crs(crs)
+def height_unit_m(crs: str | None) -> float:
+    """Returns metres per unit of height of a reference system; 1 for one that is not known."""
+    known = None if crs is None else resolve_crs(crs)
     return 1.0 if known is None else known.height_unit_m
 
 
@@ -83,25 +84,44 @@ def _raster_heights_m(path: Path, points: NDArray[np.float64], crs: str) -> NDAr
     """Returns (N,) heights of a raster in metres; only the part of it under the points is read."""
     instead = "Or convert the raster to an ASCII grid (.asc)."
     with opened_raster(path, raster_driver(path), instead) as raster:
-        grid = _empty_grid(raster.transform, path)
+        grid = empty_grid(raster.transform, path)
         own_crs = crs if raster.crs is None else raster.crs.to_wkt()
         if raster.crs is not None:
             points = _projected(points, crs, own_crs)
-        unit_m = _UNITS_M.get(str(raster.units[0]).strip().lower()) or _height_unit_m(own_crs)
         rows, columns = _window(grid, points, raster.shape)
         if (rows[1] - rows[0]) * (columns[1] - columns[0]) > _MAX_CELLS:
             raise CityModelError(f"{path} has too many cells under the city.", "Warp it to larger cells.")
-        band = raster.read(1, window=(rows, columns), masked=True)
+        heights_m = read_band_m(raster, own_crs, rows, columns)
     part = replace(
         grid,
-        heights=band.astype(np.float64).filled(np.nan),
+        heights=heights_m,
         west=grid.west + columns[0] * grid.cell_x,
         north=grid.north - rows[0] * grid.cell_y,
     )
-    return part.at(points) * unit_m
+    return part.at(points)
 
 
-def _empty_grid(step: Any, path: Path) -> Terrain:
+def read_band_m(
+    raster: Any, crs: str | None, rows: tuple[int, int], columns: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Returns a window of a raster's first band as heights in metres, NaN where there is none.
+
+    Scale and offset of the band count; so does its unit, and where it names none that of the system.
+
+    Args:
+        raster: As ``opened_raster`` yields it.
+        crs: Its reference system.
+        rows: First and last (not included).
+        columns: Likewise.
+    """
+    unit_m = _UNITS_M.get(str(raster.units[0]).strip().lower()) or height_unit_m(crs)
+    band = raster.read(1, window=(rows, columns), masked=True)
+    heights: NDArray[np.float64] = band.astype(np.float64).filled(np.nan)
+    heights_m: NDArray[np.float64] = (heights * raster.scales[0] + raster.offsets[0]) * unit_m
+    return heights_m
+
+
+def empty_grid(step: Any, path: Path) -> Terrain:
     """Returns the place and the cells of a raster, without heights, by its affine transform.
 
     Raises:
@@ -138,7 +158,7 @@ def _window(
     return (int(rows.min()), int(rows.max()) + 1), (int(columns.min()), int(columns.max()) + 1)
 
 
-def _read_ascii(path: Path) -> Terrain:
+def read_ascii(path: Path) -> Terrain:
     """Returns an ESRI ASCII grid; its reference system is taken to be that of the footprints."""
     header: dict[str, float] = {}
     try:

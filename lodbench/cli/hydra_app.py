@@ -27,6 +27,7 @@ PATH_KEYS = frozenset(
         "dataset.root",
         "dataset.city_model",
         "source.options.terrain",
+        "source.options.surface",
         "city",
         "poses",
         "intrinsics",

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.citymodel.lifespans import date_in
+from lodbench.citymodel.options import PATH_OPTIONS
 from lodbench.cli.source_profiles import profile_of
 from lodbench.datasets.own import find_mask, require_some_mask
 from lodbench.datasets.prior_sources import FilePrior, prior_digest
@@ -17,12 +18,11 @@ from lodbench.harness.city import open_city
 # What names the run folder leaves out paths, whose content is named instead, and how work is spread.
 # The origin of a published dataset is withheld for privacy, so it is not written down either.
 _PATHS_IN_DATASET = {"root", "city_model", "origin"}
-_PATHS_IN_OPTIONS = {"terrain"}
 
 
 def data_identity(dataset_params: Any, source: dict[str, Any]) -> dict[str, Any]:
     """Returns the settings of a dataset and its source, less paths: their content is named instead."""
-    options = _without(source.get("options") or {}, _PATHS_IN_OPTIONS)
+    options = _without(source.get("options") or {}, set(PATH_OPTIONS))
     return {
         "dataset": _without(asdict(dataset_params), _PATHS_IN_DATASET),
         "source": {**source, "options": options},

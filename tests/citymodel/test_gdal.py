@@ -64,7 +64,7 @@ class TestDrivers:
         )
         words = [sys.executable, "-c", script, str(path)]
         done = subprocess.run(words, capture_output=True, text=True, check=True)
-        drivers = {"ESRI Shapefile", "FlatGeobuf", "GPKG", "GeoJSON", "OpenFileGDB"}
+        drivers = {"ESRI Shapefile", "FlatGeobuf", "GPKG", "GeoJSON", "OSM", "OpenFileGDB"}
         assert set(done.stdout.strip().split(",")) == drivers
         assert done.stderr == ""
 

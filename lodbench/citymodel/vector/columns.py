@@ -67,20 +67,14 @@ class Columns:
         Raises:
             CityModelError: A column asked for is not there, or none holds heights or storeys.
         """
-        names = list(self._table)
-        if options.height_column is None and options.storeys_column is None:
-            roof, ground = (find_column(names, known) for known in (_ROOFS, _GROUNDS))
-            if roof is not None and ground is not None:
-                return self._numbers(roof) - self._numbers(ground), [roof, ground]
-        height = None
-        if options.height_column is not None or options.storeys_column is None:
-            height = self._asked_or_known(options.height_column, _HEIGHTS)
-        storeys = self._asked_or_known(options.storeys_column, _STOREYS)
-        height = height or (None if storeys else find_column(names, _HEIGHTS_PERHAPS))
+        parted = self._roof_and_ground(options)
+        if parted is not None:
+            return self._numbers(parted[0]) - self._numbers(parted[1]), list(parted)
+        height, storeys = self._height_and_storeys(options)
         if height is None and storeys is None:
             if options.default_height_m is not None:
                 return np.full(self._count, np.nan), []
-            listed = ", ".join(names) or "none at all"
+            listed = ", ".join(self._table) or "none at all"
             raise CityModelError(
                 f"{self._source} has no column of heights or storeys among: {listed}.",
                 "Name it: height_column=..., storeys_column=... or default_height_m=...",
@@ -88,8 +82,58 @@ class Columns:
         values = self._numbers(height) if height is not None else np.full(self._count, np.nan)
         if storeys is not None:
             from_storeys = self._numbers(storeys) * (options.storey_height_m / unit_m)
-            values = np.where(np.isfinite(values) & (values > 0), values, from_storeys)
+            values = np.where(
+                np.isfinite(values) & (values > 0), values, from_storeys + self._roof_rise(options, unit_m)
+            )
         return values, [name for name in (height, storeys) if name is not None]
+
+    def height_sources(self, options: ReadOptions) -> NDArray[np.str_]:
+        """Returns (N,) names of the columns that ``heights`` takes the heights from."""
+        parted = self._roof_and_ground(options)
+        if parted is not None:
+            return np.full(self._count, f"columns {parted[0]} and {parted[1]}")
+        height, storeys = self._height_and_storeys(options)
+        by_storeys = np.full(self._count, f"column {storeys}" if storeys else "nothing")
+        if height is None:
+            return by_storeys
+        values = self._numbers(height)
+        return np.where(
+            np.isfinite(values) & ((values > 0) | (storeys is None)), f"column {height}", by_storeys
+        )
+
+    def _roof_and_ground(self, options: ReadOptions) -> tuple[str, str] | None:
+        """Returns the columns whose difference is the height, where nobody named others."""
+        if options.height_column is not None or options.storeys_column is not None:
+            return None
+        roof, ground = (find_column(list(self._table), known) for known in (_ROOFS, _GROUNDS))
+        return None if roof is None or ground is None else (roof, ground)
+
+    def _height_and_storeys(self, options: ReadOptions) -> tuple[str | None, str | None]:
+        """Returns the columns of heights and of storeys, named by the user or known.
+
+        Raises:
+            CityModelError: One that is named is not there.
+        """
+        height = None
+        if options.height_column is not None or options.storeys_column is None:
+            height = self._asked_or_known(options.height_column, _HEIGHTS)
+        storeys = self._asked_or_known(options.storeys_column, _STOREYS)
+        return height or (None if storeys else find_column(list(self._table), _HEIGHTS_PERHAPS)), storeys
+
+    def _roof_rise(self, options: ReadOptions, unit_m: float) -> NDArray[np.float64]:
+        """Returns (N,) how far roofs rise above the storeys by ``roof:height``, else ``roof:levels``; else 0.
+
+        In OpenStreetMap's Simple 3D Buildings ``building:levels`` does not count storeys within the roof.
+        """
+        rise = np.zeros(self._count)
+        for name, factor in (
+            ("roof:levels", options.storey_height_m / unit_m),
+            ("roof:height", 1.0 / unit_m),
+        ):
+            if name in self._table:
+                values = factor * self._numbers(name)
+                rise = np.where(np.isfinite(values) & (values >= 0), values, rise)
+        return rise
 
     def bottoms(self, options: ReadOptions, unit_m: float = 1.0) -> tuple[NDArray[np.float64], list[str]]:
         """Returns (N,) heights above ground at which footprints begin, 0 by default, and the columns.

@@ -24,13 +24,15 @@ from lodbench.citymodel.codes import (
 from lodbench.citymodel.crs import resolve_crs
 from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.model import SurfaceKind
-from lodbench.citymodel.objects import TALLEST_M
+from lodbench.citymodel.objects import TALLEST_M, CityObjects
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of, take_segments
 from lodbench.citymodel.roof_types import pitched_buildings
+from lodbench.citymodel.surface.roofs import MeasuredFootprints, measure_footprints
 from lodbench.citymodel.terrain import HIGHEST_M, LOWEST_M, ground_under
 from lodbench.citymodel.vector.columns import Columns
 from lodbench.citymodel.vector.gdal import missing_bytes, read_vector
+from lodbench.citymodel.vector.osm import building_columns
 from lodbench.citymodel.vector.wkb import WkbPolygons
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
@@ -107,7 +109,12 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
     if polygons.has_z and _are_surfaces(polygons, columns, options):
         city = surfaces_as_read(polygons, columns, source, crs)
     else:
-        city = _blocks(polygons, columns, source, crs, options)
+        measured, met = None, Findings()
+        if options.surface is not None:
+            named = options.crs or str(crs)
+            measured = measure_footprints(geometries, columns.ids(), named, options, met)
+        city = _blocks(polygons, columns, source, crs, options, measured)
+        city.findings.items += met.items
     city.findings.items[:0] = findings.items
     return city
 
@@ -133,7 +140,12 @@ def _parse(geometries: list[bytes | None], source: str) -> WkbPolygons:
 
 
 def _blocks(
-    polygons: WkbPolygons, columns: Columns, source: str, crs: str | None, options: ReadOptions
+    polygons: WkbPolygons,
+    columns: Columns,
+    source: str,
+    crs: str | None,
+    options: ReadOptions,
+    measured: MeasuredFootprints | None,
 ) -> RawCity:
     """Returns the footprints drawn up from the ground to their heights."""
     findings = Findings()
@@ -143,7 +155,7 @@ def _blocks(
     known = resolve_crs(options.crs or str(crs))
     # Columns are in the unit of the heights, feet where the plane is; what the user sets is in metres.
     unit_m = 1.0 if known is None else known.height_unit_m
-    heights, bottoms = _heights(columns, options, unit_m, ids, findings)
+    heights, bottoms, height_from = _heights(columns, options, unit_m, ids, measured, findings)
     rings, ring_starts, polygon_starts, owner = _kept_polygons(polygons, heights, ids, findings)
     if len(owner) == 0 and any(item.code is UNDERGROUND for item in findings.items):
         raise NotACity(
@@ -156,11 +168,26 @@ def _blocks(
             f"{source} has coordinates that are not finite numbers.", "Repair or export the file again."
         )
     corners = rings[ring_starts[polygon_starts[:-1]]]
-    ground = _ground(columns, corners, owner, options.crs or str(crs), options)
-    ground = _without_gaps(ground, owner, ids, options, unit_m, polygons, findings)
+    ground, ground_from = _ground(columns, corners, owner, options.crs or str(crs), options)
+    if measured is not None:
+        below = measured.ground_m[owner] / unit_m
+        ground = np.where(np.isfinite(below), below, ground)
+        ground_from = np.where(np.isfinite(below), measured.ground_source, ground_from)
+    ground, ground_from = _without_gaps(ground, ground_from, owner, ids, options, unit_m, polygons, findings)
     blocks = extrude(rings, ring_starts, polygon_starts, ground + bottoms[owner], ground + heights[owner])
     used, building = np.unique(owner[blocks.footprint], return_inverse=True)
     pitched = pitched_buildings(columns.roof_types(), len(ids))
+    objects = None
+    if options.has_details:
+        first = np.unique(owner, return_index=True)[1]
+        told = [
+            {"height_from": str(height_from[n]), "ground_from": str(ground_from[k])}
+            | ({} if measured is None else measured.attributes(n))
+            for n, k in zip(used.tolist(), first.tolist(), strict=True)
+        ]
+        named = tuple(ids[n] for n in used)
+        lone = np.full(len(used), -1, np.int32), np.arange(len(used), dtype=np.int32)
+        objects = CityObjects(named, ("Building",) * len(used), *lone, tuple(told))
     return RawCity(
         source=source,
         format="footprints",
@@ -178,6 +205,8 @@ def _blocks(
         # Vector files keep longitude or easting first whatever their reference system declares.
         axis_orders=("east_first",),
         pitched=None if pitched is None else pitched[used],
+        part=None if objects is None else building.reshape(-1).astype(np.int32),
+        objects=objects,
     )
 
 
@@ -187,38 +216,43 @@ def _ground(
     owner: NDArray[np.int64],
     crs: str,
     options: ReadOptions,
-) -> NDArray[np.float64]:
-    """Returns the ground height of each polygon, NaN where nothing gives it.
+) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
+    """Returns the ground height of each polygon, NaN where nothing gives it, and what gives it.
 
     A column that is named goes before the terrain, which fills its gaps; one whose name is merely known
     is asked only where there is no terrain.
     """
-    ground = np.full(len(owner), np.nan)
+    ground, source = np.full(len(owner), np.nan), "column"
     if options.terrain is None or options.ground_column is not None:
         column = columns.ground(options)
         ground = ground if column is None else column[owner]
+    is_column = np.isfinite(ground)
     if options.terrain is not None:
         under = ground_under(corners, crs, options)
-        ground = np.where(np.isfinite(ground), ground, under)
-    return ground
+        ground = np.where(is_column, ground, under)
+    return ground, np.where(is_column, source, "terrain model")
 
 
 def _without_gaps(
     ground: NDArray[np.float64],
+    ground_from: NDArray[np.str_],
     owner: NDArray[np.int64],
     ids: list[str],
     options: ReadOptions,
     unit_m: float,
     polygons: WkbPolygons,
     findings: Findings,
-) -> NDArray[np.float64]:
-    """Returns ground heights with the default in place of what is not known, and says where, and of which."""
+) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
+    """Returns ground heights with the default in place of what is not known, and what gives each.
+
+    Findings say where, and of which.
+    """
     is_lost = ~((ground * unit_m > LOWEST_M) & (ground * unit_m < HIGHEST_M))
     # One word where nothing could give the ground; else those that fall through its gaps.
     default = f"ground_m={options.ground_m:g}{_of_their_own(polygons) if is_lost.any() else ''}"
     for name in [""] if is_lost.all() else [ids[i] for i in np.unique(owner[is_lost])]:
         findings.add(GROUND_DEFAULTED, name, default)
-    return np.where(is_lost, options.ground_m / unit_m, ground)
+    return np.where(is_lost, options.ground_m / unit_m, ground), np.where(is_lost, "ground_m", ground_from)
 
 
 def _of_their_own(polygons: WkbPolygons) -> str:
@@ -231,10 +265,25 @@ def _of_their_own(polygons: WkbPolygons) -> str:
 
 
 def _heights(
-    columns: Columns, options: ReadOptions, unit_m: float, ids: list[str], findings: Findings
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Returns (N,) heights of roofs and of undersides above the ground; NaN for footprints to leave out."""
-    heights, names = columns.heights(options, unit_m)
+    columns: Columns,
+    options: ReadOptions,
+    unit_m: float,
+    ids: list[str],
+    measured: MeasuredFootprints | None,
+    findings: Findings,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.str_]]:
+    """Returns (N,) heights of roofs and of undersides above the ground, and what gives the former.
+
+    Heights are NaN for footprints to leave out.
+    """
+    heights, names, height_from = np.full(len(ids), np.nan), list[str](), np.full(len(ids), "nothing")
+    if measured is None or columns.has_heights(options):
+        heights, names = columns.heights(options, unit_m)
+        height_from = columns.height_sources(options)
+    if measured is not None:
+        is_measured = np.isfinite(measured.height_m)
+        heights = np.where(is_measured, measured.height_m / unit_m, heights)
+        height_from = np.where(is_measured, "surface model", height_from)
     bottoms, bottom_names = columns.bottoms(options, unit_m)
     is_below = columns.underground()
     is_missing = ~((heights > 0) & (heights * unit_m < TALLEST_M))
@@ -248,7 +297,8 @@ def _heights(
     is_missing |= is_turned
     default = np.nan if options.default_height_m is None else options.default_height_m / unit_m
     tops = np.where(is_below, np.nan, np.where(is_missing, default, heights))
-    return tops, np.where(bottoms < tops, bottoms, 0.0)
+    height_from = np.where(is_missing, "default_height_m", height_from)
+    return tops, np.where(bottoms < tops, bottoms, 0.0), height_from
 
 
 def _no_height(source: str, findings: Findings) -> CityModelError:
@@ -301,6 +351,8 @@ def _read_table(
     for text in told:
         findings.add(READER_WARNING, source, text)
     table = {str(name): np.asarray(column) for name, column in zip(meta["fields"], values, strict=True)}
+    if path.lower().endswith((".pbf", ".osm")):
+        table = building_columns(table, len(geometries))
     return meta["crs"], list(geometries), table
 
 

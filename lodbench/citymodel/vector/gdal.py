@@ -17,6 +17,7 @@ from pathlib import Path, PurePosixPath
 from types import ModuleType
 from typing import Any
 
+from lodbench.citymodel.vector.osm import IS_BUILDING, LAYER
 from lodbench.errors import CityModelError, nearest_names
 
 VECTOR_DRIVERS = {
@@ -25,6 +26,8 @@ VECTOR_DRIVERS = {
     ".geojson": "GeoJSON",
     ".fgb": "FlatGeobuf",
     ".gdb": "OpenFileGDB",
+    ".pbf": "OSM",
+    ".osm": "OSM",
 }
 _LAYERED = (".gpkg", ".gdb")
 RASTER_DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".img": "HFA", ".hgt": "SRTMHGT", ".dt2": "DTED"}
@@ -32,7 +35,7 @@ RASTER_DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".img": "HFA", ".hgt": "SRT
 _OTHER_DRIVERS = (
     "MEM", "PCIDSK", "PDS4", "VICAR", "PDF", "MBTiles", "EEDA", "OGCAPI", "GDALG", "MapInfo File",
     "LVBAG", "S57", "DGN", "OGR_VRT", "VRT", "CSV", "GML", "GPX", "LIBKML", "KML", "GeoJSONSeq",
-    "ESRIJSON", "TopoJSON", "OGR_GMT", "SQLite", "WAsP", "DXF", "GeoRSS", "VFK", "PGDUMP", "OSM",
+    "ESRIJSON", "TopoJSON", "OGR_GMT", "SQLite", "WAsP", "DXF", "GeoRSS", "VFK", "PGDUMP",
     "GPSBabel", "OGR_PDS", "WFS", "OAPIF", "EDIGEO", "Idrisi", "ODS", "XLSX", "XLS",
     "Elasticsearch", "Carto", "AmigoCloud", "SXF", "Selafin", "JML", "PLSCENES", "CSW", "VDV",
     "MVT", "NGW", "MapML", "GTFS", "PMTiles", "JSONFG", "MiraMonVector", "ADBC", "AVCBin", "AVCE00",
@@ -42,6 +45,8 @@ _HEADS: dict[str, Callable[[bytes], bool]] = {
     ".gpkg": lambda head: head.startswith(b"SQLite format 3\0") and head[68:70] == b"GP",
     ".shp": lambda head: head.startswith(b"\0\0\x27\x0a"),
     ".fgb": lambda head: head.startswith(b"fgb"),
+    ".pbf": lambda head: head[4:15] == b"\n\tOSMHeader",
+    ".osm": lambda head: b"<osm" in head,
     # No other driver reads a file that begins so, but those whose name the path below leaves out.
     ".geojson": lambda head: head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"{"),
 }
@@ -55,7 +60,7 @@ def read_vector(path: str, source: str, layer: str | None) -> tuple[Any, list[st
     Args:
         path: A file, a FileGDB folder, or ``/vsizip/...``.
         source: Name for messages.
-        layer: Layer to read, or None for the first that has geometries.
+        layer: Layer to read, or None for the first that has geometries; of OpenStreetMap the buildings.
 
     Raises:
         CityModelError: pyogrio is not installed, the file is of another kind than its ending says, or
@@ -80,7 +85,12 @@ def read_vector(path: str, source: str, layer: str | None) -> tuple[Any, list[st
         told: list[str] = []
         if layer is not None or suffix in _LAYERED:
             layer, told = _choose_layer(pyogrio, place, source, layer)
-        table = pyogrio.raw.read(place, layer=layer)
+        if VECTOR_DRIVERS.get(suffix) == "OSM":
+            # Else what belongs to other layers is kept in memory.
+            pyogrio.set_gdal_config_options({"OGR_INTERLEAVED_READING": "YES"})
+            table = pyogrio.raw.read(place, layer=layer or LAYER, where=IS_BUILDING)
+        else:
+            table = pyogrio.raw.read(place, layer=layer)
     return table, told + list(dict.fromkeys(str(item.message) for item in caught))
 
 

@@ -12,6 +12,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from lodbench import __version__
+from lodbench.citymodel.options import PATH_OPTIONS
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.prior_sources import prior_text
 from lodbench.evaluation.queries import queries_csv, summarize_queries
@@ -32,7 +33,9 @@ _NAMED = {
     "segmenter": ("weights", "encoder_weights"),
 }
 # More of them, sealed where they are set: seals of older versions stay good. No run writes the last two.
-_NAMED_LATER = {"segmenter": ("mask_weights", "folder"), "prior": ("path",), "source.options": ("terrain",)}
+_NAMED_LATER = {
+    "segmenter": ("mask_weights", "folder"), "prior": ("path",), "source.options": PATH_OPTIONS,
+}  # fmt: skip
 # Sections that may be of a plug-in: which of its settings are paths only its author knows.
 _GROUPS = {"dataset": "datasets", "segmenter": "segmenters", "prior": "priors"}
 

@@ -20,7 +20,7 @@ from lodbench import __version__
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.mesh.texture_files import files_of_textured, read_textured
 from lodbench.citymodel.mesh.textured import offset_to_city
-from lodbench.citymodel.options import ReadOptions, told_options
+from lodbench.citymodel.options import PATH_OPTIONS, ReadOptions, told_options
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import open_sources
 from lodbench.datasets.folder import RENDERED_TRUTH_FILE, write_poses
@@ -260,7 +260,8 @@ def generate_training_data(
     if executor.name == DASK:
         # Names and a digest go over the network: what stands around a city takes more than the city.
         files: dict[str, Any] = {name: _whole(getattr(params, name)) for name in _FILES}
-        found = replace(params, **files), replace(options, terrain=_whole(options.terrain))
+        others: dict[str, Any] = {name: _whole(getattr(options, name)) for name in PATH_OPTIONS}
+        found = replace(params, **files), replace(options, **others)
         workers = (_make_world, (*found, parts.digest(), out, own_digest()))
     _write_views(workers, missing, out, resumed, executor)
     write_sheet(params, plan.views, out / SHEET_FILE)
