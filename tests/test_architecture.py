@@ -60,6 +60,7 @@ LATE = {
     "pyogrio",
     "pyarrow",
     "rasterio",
+    "laspy",
     "pooch",
     "requests",
     "rerun",

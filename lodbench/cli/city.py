@@ -1,4 +1,4 @@
-"""`lodbench city info|check|convert FILE`: look into a city model, and write it in another format."""
+"""`lodbench city info|check|convert|make`: look into a city model, write it otherwise, or make one."""
 
 from __future__ import annotations
 
@@ -38,6 +38,8 @@ def main(argv: Sequence[str]) -> int:
         return _info(asked, profile.options)
     if asked.action == "check":
         return _check(asked, profile.options)
+    if asked.action == "make":
+        return _make(asked, profile.options)
     return _convert(asked, profile.options, asked.lod or profile.lod)
 
 
@@ -127,6 +129,23 @@ def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -
         summaries = [conversion_summary(str(each.target), each) for each in done]
     values = summaries[0] if asked.tiles is None else {"tiles": summaries}
     _write(asked, values, lambda: "\n".join(map(format_conversion, summaries)))
+    return 0
+
+
+def _make(asked: argparse.Namespace, options: ReadOptions) -> int:
+    """Writes footprints as buildings, and the page that says where their heights come from."""
+    from lodbench.citymodel.convert import check_target
+    from lodbench.cli.city_text import format_made
+    from lodbench.harness.city_make import make_city
+
+    check_target(asked.out)
+    given = [path for path in (asked.footprints, asked.dsm, asked.dtm) if path is not None]
+    require_other(asked.out, given)
+    surface, terrain = (None if path is None else str(path) for path in (asked.dsm, asked.dtm))
+    options = replace(options, surface=surface or options.surface, terrain=terrain or options.terrain)
+    with ProgressCallback(f"reading {asked.footprints.name}", "MB", 1_000_000) as progress:
+        made = make_city(asked.footprints, asked.out, options, progress)
+    _write(asked, made, lambda: format_made(made))
     return 0
 
 

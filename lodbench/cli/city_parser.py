@@ -11,8 +11,8 @@ from lodbench.cli.parser import Parser
 from lodbench.cli.source_profiles import DATE_HELP
 
 _EXAMPLES = """\
-FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb, .parquet) or a mesh
-(.obj, .ply, .stl, .glb); a .zip of these, a .gz of all but footprints, or a folder of tiles.
+FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb, .parquet, .pbf, .osm) or
+a mesh (.obj, .ply, .stl, .glb); a .zip of these, a .gz of all but footprints, or a folder of tiles.
 
 examples:
   lodbench city info 53394525_bldg_6697_op.gml
@@ -20,6 +20,7 @@ examples:
   lodbench city info zurich.xml --crs EPSG:21781             the file says "CH1903", which is degrees
   lodbench city info Massachusetts-25-000.zip --source open_city_model --option ground_m=12
   lodbench city check houses.shp --option height_column=HOEHE --option ground_m=430
+  lodbench city make --footprints berlin.osm.pbf --dsm dsm/ --dtm dtm.tif berlin.city.json
   lodbench city convert tile.city.json town.glb --lod 2.2
   lodbench city convert lod2.gml blocks.obj --lod 1 --roof-height median
   lodbench city convert tiles/ centre.city.jsonl --to-crs EPSG:25832 --bbox 691000 5335000 692000 5336000
@@ -32,25 +33,30 @@ examples:
 how to read a file, each as --option KEY=VALUE (explained under lodbench.citymodel.ReadOptions):
   axis_order=east_first|north_first  is_strict=false  origin=[E,N,UP]  up_axis=y|z  layer=NAME
   height_column=NAME  storeys_column=NAME  storey_height_m=3  default_height_m=9
-  ground_column=NAME  ground_m=0  terrain=FILE  base=as_given|ground|sunk  sunk_m=3  date=YYYY-MM-DD
+  ground_column=NAME  ground_m=0  terrain=FILE  surface=FILE  base=as_given|ground|sunk  sunk_m=3
+  date=YYYY-MM-DD
 """
 
 
 _ACTIONS = {
     "info": "show format, reference system, place, levels of detail, numbers of buildings, areas, findings",
     "check": "list every defect with its building, and how much area was lost; exit code 1 if data was lost",
+    "make": "write footprints as LoD1 buildings, as high as a surface model or attributes say, with a page",
     "convert": "write it, or a part, as CityJSON (.json, .jsonl), CityGML (.gml), .glb, .ply, .obj or .scene",
 }
 
 
 def city_parser() -> argparse.ArgumentParser:
     """Returns the parser of `lodbench city`."""
-    parser = Parser("lodbench city", description="Inspect, check or convert a city model.", epilog=_EXAMPLES)
-    actions = parser.add_subparsers(dest="action", required=True, metavar="info|check|convert")
+    about_all = "Inspect, check, convert or make a city model."
+    parser = Parser("lodbench city", description=about_all, epilog=_EXAMPLES)
+    actions = parser.add_subparsers(dest="action", required=True, metavar="|".join(_ACTIONS))
     for name, about in _ACTIONS.items():
         action = actions.add_parser(name, help=about, description=about, epilog=_EXAMPLES)
         if name == "convert":
             _add_convert(action.add_argument)
+        elif name == "make":
+            _add_make(action.add_argument)
         else:
             what = "file, archive or folder of tiles" + ("; or a scene" if name == "info" else "")
             action.add_argument("file", type=Path, metavar="FILE", help=what)
@@ -84,6 +90,21 @@ def _add_convert(add: Any) -> None:
     having = "only buildings with this attribute, or with a part that has it; may be repeated"
     add("--where", action="append", default=[], metavar="ATTRIBUTE=VALUE", help=having)
     add("--roof-height", metavar="RULE", help="derive LoD1 where there is none: median, max, p70 or eave")
+
+
+def _add_make(add: Any) -> None:
+    """Adds what a city is made from."""
+    add(
+        "out",
+        type=Path,
+        metavar="OUT",
+        help="city to write: .city.json, .gml ...; the page beside it is OUT.html",
+    )
+    plans = "footprints: .osm.pbf, .osm, .gpkg, .geojson, .shp, .fgb, .parquet"
+    add("--footprints", type=Path, required=True, metavar="FILE", help=plans)
+    heights = "surface model: .tif, .asc, .laz, or a folder of tiles"
+    add("--dsm", type=Path, metavar="FILE", help=heights)
+    add("--dtm", type=Path, metavar="FILE", help="terrain model (default: estimated from the surface model)")
 
 
 def _add_reading(add: Any) -> None:

@@ -106,6 +106,17 @@ def conversion_summary(target: str, done: Conversion) -> dict[str, Any]:
     }
 
 
+def format_made(made: dict[str, Any]) -> str:
+    """Returns what `city make` wrote as lines of text."""
+    lines = [f"{made['written']}: LoD 1, {count_of(format(made['buildings'], ','), 'buildings')}"]
+    lines += [f"CRS {crs_in_words(made['crs'])}"]
+    lines += [f"  {count:>8,}  height from {source}" for source, count in made["heights_from"].items()]
+    lines += [f"  {count:>8,}  ground from {source}" for source, count in made["grounds_from"].items()]
+    lines += [f"  {count:>8,}  left out: {why}" for why, count in made["left_out"].items()]
+    lines += [f"which from where: {made['page']}"]
+    return "\n".join([*lines, *_finding_lines(made["findings"], made["finding_objects"])])
+
+
 def format_conversion(summary: dict[str, Any]) -> str:
     """Returns what was written as lines of text."""
     buildings = count_of(format(summary["buildings"], ","), "buildings")

@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.reporting.figures import SERIES
 from lodbench.reporting.page import Picture, rendered
 
 Floats = NDArray[np.float64]
@@ -100,7 +101,7 @@ def draw_map(
         city=city,
         outline=outline,
         imagery=None if imagery is None else _imagery(imagery, low, high),
-        marked=[(part.title, "".join(_ring(ring, low) for ring in part.rings)) for part in marked],
+        marked=[("marked", *_marked(part, low)) for part in marked],
         tracks=_tracks(spots, low) if is_flight else [],
         spots=[
             (spot.key, spot.trust, _ellipse(spot, low, enlarged), _lines(spot, low), _dots(spot, low))
@@ -119,7 +120,29 @@ def draw_map(
             if any(getattr(spot, kind) is not None for spot in spots)
         ],
         enlarged=enlarged if any(spot.covariance is not None for spot in spots) else 0,
+        kinds=[("marked", "in doubt")] if marked else [],
     )
+
+
+def draw_plan(groups: Mapping[str, Sequence[Marked]]) -> str:
+    """Returns parts of a city from above, a colour for each group, as HTML; "" where there is none."""
+    rings = [ring for parts in groups.values() for part in parts for ring in part.rings]
+    if not rings:
+        return ""
+    ends = np.array([(ring.min(axis=0), ring.max(axis=0)) for ring in rings])
+    low, high = ends[:, 0].min(axis=0) - _MARGIN_M, ends[:, 1].max(axis=0) + _MARGIN_M
+    width, height = (round(float(side), 1) for side in high - low)
+    kinds = {name: f"kind{number % len(SERIES)}" for number, name in enumerate(groups)}
+    return rendered(
+        "map.html.jinja", box=(0.0, -height, width, height), city="", outline="", imagery=None,
+        marked=[(kinds[name], *_marked(part, low)) for name, parts in groups.items() for part in parts],
+        tracks=[], spots=[], view="", classes="map", many=_MANY, crowd=_CROWD, legend=[], enlarged=0,
+        kinds=[(kind, name) for name, kind in kinds.items()],
+    )  # fmt: skip
+
+
+def _marked(part: Marked, low: Floats) -> tuple[str, str]:
+    return part.title, "".join(_ring(ring, low) for ring in part.rings)
 
 
 def _imagery(imagery: Underlay, low: Floats, high: Floats) -> tuple[str, str, list[float]]:

@@ -12,7 +12,7 @@ _ROOT = Path(__file__).resolve().parents[2]
 def test_codes_are_unique_and_grouped() -> None:
     catalogue = finding_catalogue()
     assert len({code.code for code in catalogue}) == len({code.name for code in catalogue}) == len(catalogue)
-    assert all(re.fullmatch(r"LB[1-46]\d\d", code.code) for code in catalogue)
+    assert all(re.fullmatch(r"LB[1-467]\d\d", code.code) for code in catalogue)
     assert all(code.meaning.endswith(".") for code in catalogue)
     assert not {code.code for code in catalogue} & set(DATASET_CODES)
 

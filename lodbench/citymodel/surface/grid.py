@@ -1,14 +1,11 @@
-"""Surface models on square cells, read by windows: GeoTIFF, ASCII grids, folders of tiles of them."""
+"""Surface models as heights on a grid that are read by windows, and what is checked of them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,33 +13,22 @@ from numpy.typing import NDArray
 from lodbench.citymodel.codes import SURFACE_NO_DATA, SURFACE_STEP
 from lodbench.citymodel.crs import resolve_crs
 from lodbench.citymodel.terrain import (
-    HIGHEST_M,
-    LOWEST_M,
-    Terrain,
-    empty_grid,
     height_unit_m,
-    read_ascii,
-    read_band_m,
 )
-from lodbench.citymodel.vector.gdal import opened_raster, raster_driver
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
 Floats = NDArray[np.float32]
 Span = tuple[int, int]
 
-RASTER_SUFFIXES = (".tif", ".tiff", ".asc")
-LASER_SUFFIXES = (".laz", ".las")
 # What a header may state: 32,768 cells a side, 8 km at 0.25 m.
 _MAX_CELLS = 1 << 30
-# Tiles may be off the common raster by so much of a cell, which is rounding.
-_OFF_CELLS = 0.02
 # Heights beside each other on the two sides of a border between tiles differ by more in the median: a step.
 _STEP_M = 0.3
 # Cells coarser than this show no building, metres.
 _COARSEST_M = 5.0
 # Cells read at a time, a side.
-BLOCK = 2048
+BLOCK = 1024
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,102 +81,6 @@ class SurfaceGrid:
                 yield (row, min(row + side, self.shape[0])), (column, min(column + side, self.shape[1]))
 
 
-class _Tile(NamedTuple):
-    """A raster file: its place, the cells it has, its reference system and metres per unit of it."""
-
-    path: Path
-    grid: Terrain
-    shape: tuple[int, int]
-    crs: str | None
-
-
-def surface_files(path: Path) -> list[Path]:
-    """Returns the files of a surface model: the path itself, or rasters and laser points in a folder."""
-    if not path.is_dir():
-        return [path]
-    known = RASTER_SUFFIXES + LASER_SUFFIXES
-    files = [file for file in sorted(path.rglob("*")) if file.suffix.lower() in known and file.is_file()]
-    return [file for file in files if not file.name.startswith("._")]
-
-
-def open_surface(path: Path, crs: str | None = None) -> SurfaceGrid:
-    """Returns a surface model whose heights are read by windows; nothing but headers is read yet.
-
-    Args:
-        path: GeoTIFF, ASCII grid, LAS or LAZ, or a folder of tiles of one of these kinds.
-        crs: Reference system instead of the one it names.
-
-    Raises:
-        CityModelError: It is missing, unreadable, turned, in degrees, too large or too coarse, its tiles do
-            not fit together, or what reads it is not installed.
-    """
-    files = surface_files(path)
-    if not path.exists() or not files:
-        raise CityModelError(f"There is no surface model at {path}.", "It is a .tif, .asc, .laz or a folder.")
-    kinds = {file.suffix.lower() in LASER_SUFFIXES for file in files}
-    if len(kinds) > 1:
-        raise CityModelError(f"{path} holds rasters and laser points.", "Put them into folders of their own.")
-    if kinds.pop():
-        from lodbench.citymodel.surface.laser import rasterised_points
-
-        return rasterised_points(files, str(path), crs)
-    return _mosaic([_tile(file, crs) for file in files], str(path))
-
-
-def _tile(path: Path, crs: str | None) -> _Tile:
-    if not path.is_file():
-        raise CityModelError(f"There is no surface model at {path}.", "Check the path.")
-    if path.suffix.lower() == ".asc":
-        ascii_grid = _ascii(path)
-        return _Tile(path, ascii_grid, ascii_grid.heights.shape, crs)
-    with opened_raster(path, raster_driver(path)) as raster:
-        if raster.dtypes[0].startswith("complex"):
-            raise CityModelError(f"{path} holds complex numbers, no heights.", "Take the surface model.")
-        own = crs if crs is not None or raster.crs is None else raster.crs.to_wkt()
-        return _Tile(path, empty_grid(raster.transform, path), raster.shape, own)
-
-
-@lru_cache(maxsize=4)
-def _ascii(path: Path) -> Terrain:
-    return read_ascii(path)
-
-
-def _mosaic(tiles: Sequence[_Tile], name: str) -> SurfaceGrid:
-    """Returns tiles of one raster as a grid."""
-    first = tiles[0]
-    cell = (first.grid.cell_x, first.grid.cell_y)
-    for tile in tiles:
-        if tile.crs != first.crs and _plane(tile.crs) != _plane(first.crs):
-            raise CityModelError(
-                f"{tile.path} and {first.path} are in different reference systems.", "Warp them to one."
-            )
-        if not np.allclose((tile.grid.cell_x, tile.grid.cell_y), cell, rtol=1e-6):
-            raise CityModelError(
-                f"{tile.path} and {first.path} have cells of different sizes.", "Warp them: gdalwarp -tr."
-            )
-    west, north = min(t.grid.west for t in tiles), max(t.grid.north for t in tiles)
-    exact = np.array([[(north - t.grid.north) / cell[1], (t.grid.west - west) / cell[0]] for t in tiles])
-    starts = np.rint(exact).astype(np.int64)
-    off = np.abs(exact - starts).max(axis=1)
-    if off.max() > _OFF_CELLS:
-        raise CityModelError(
-            f"{tiles[int(off.argmax())].path} lies {off.max():.2f} cells off the raster of the other tiles.",
-            "Warp them to one raster: gdalwarp -tap -tr.",
-        )
-    ends = starts + [t.shape for t in tiles]
-    rows, columns = (int(side) for side in ends.max(axis=0))
-    grid = SurfaceGrid(
-        name, first.crs, west, north, cell, plane_unit_m(first.crs, name), (rows, columns),
-        read=lambda rows, columns: _read_tiles(tiles, starts, rows, columns),
-        borders=(
-            tuple(sorted({int(row) for row in starts[:, 0]} - {0})),
-            tuple(sorted({int(column) for column in starts[:, 1]} - {0})),
-        ),
-    )  # fmt: skip
-    require_size(grid)
-    return grid
-
-
 def require_size(grid: SurfaceGrid) -> None:
     """Makes sure that a grid can be worked on.
 
@@ -210,11 +100,6 @@ def require_size(grid: SurfaceGrid) -> None:
         )
 
 
-def _plane(crs: str | None) -> object:
-    known = None if crs is None else resolve_crs(crs)
-    return crs if known is None else known.horizontal
-
-
 def plane_unit_m(crs: str | None, name: str) -> float:
     """Returns metres per unit of a plane; 1 where its system is not known.
 
@@ -232,33 +117,6 @@ def plane_unit_m(crs: str | None, name: str) -> float:
     return float(known.horizontal.axis_info[0].unit_conversion_factor)
 
 
-def _read_tiles(tiles: Sequence[_Tile], starts: NDArray[np.int64], rows: Span, columns: Span) -> Floats:
-    """Returns heights of a window; where tiles overlap, those of the first that has any."""
-    heights = np.full((rows[1] - rows[0], columns[1] - columns[0]), np.nan, np.float32)
-    for tile, (top, left) in zip(tiles, starts.tolist(), strict=True):
-        own_rows = max(rows[0] - top, 0), min(rows[1] - top, tile.shape[0])
-        own_columns = max(columns[0] - left, 0), min(columns[1] - left, tile.shape[1])
-        if own_rows[0] >= own_rows[1] or own_columns[0] >= own_columns[1]:
-            continue
-        found = _read_tile(tile, own_rows, own_columns)
-        part = heights[
-            own_rows[0] + top - rows[0] : own_rows[1] + top - rows[0],
-            own_columns[0] + left - columns[0] : own_columns[1] + left - columns[0],
-        ]
-        np.copyto(part, found, where=np.isnan(part))
-    return heights
-
-
-def _read_tile(tile: _Tile, rows: Span, columns: Span) -> NDArray[np.float64]:
-    if tile.path.suffix.lower() == ".asc":
-        heights_m = _ascii(tile.path).heights[slice(*rows), slice(*columns)] * height_unit_m(tile.crs)
-    else:
-        with opened_raster(tile.path, raster_driver(tile.path)) as raster:
-            heights_m = read_band_m(raster, tile.crs, rows, columns)
-    is_land = (heights_m > LOWEST_M) & (heights_m < HIGHEST_M)
-    return np.where(is_land, heights_m, np.nan)
-
-
 def tell_gaps(grid: SurfaceGrid, missing: int, findings: Findings) -> None:
     """Adds a finding of cells without a height.
 
@@ -273,7 +131,7 @@ def tell_gaps(grid: SurfaceGrid, missing: int, findings: Findings) -> None:
         )
     if missing:
         share = f"{100.0 * missing / cells:.1f} % of {cells:,} cells"
-        findings.add(SURFACE_NO_DATA, grid.name, share)
+        findings.add(SURFACE_NO_DATA, "", share)
 
 
 def tell_steps(grid: SurfaceGrid, findings: Findings) -> None:
@@ -286,9 +144,7 @@ def tell_steps(grid: SurfaceGrid, findings: Findings) -> None:
             first, second = heights if axis == 0 else heights.T
             jumps = (second - first)[np.isfinite(second - first)]
             if len(jumps) and abs(float(np.median(jumps))) > _STEP_M:
-                findings.add(
-                    SURFACE_STEP, grid.name, f"{np.median(jumps):+.2f} m at {word} {border}, between tiles"
-                )
+                findings.add(SURFACE_STEP, "", f"{np.median(jumps):+.2f} m at {word} {border}, between tiles")
 
 
 def height_step_m(heights: Floats) -> float:

@@ -21,6 +21,7 @@ from lodbench.citymodel.surface.grid import (
     SurfaceGrid,
     height_step_m,
     tell_gaps,
+    tell_steps,
 )
 from lodbench.citymodel.terrain import ground_under
 from lodbench.errors import CityModelError
@@ -58,8 +59,7 @@ class Ground:
         ]
         (row, row_next, down), (column, column_next, right) = weights
         at_rows = self.heights_m[row] * (1 - down)[:, None] + self.heights_m[row_next] * down[:, None]
-        below: Floats = at_rows[:, column] * (1 - right) + at_rows[:, column_next] * right
-        return below
+        return np.asarray(at_rows[:, column] * (1 - right) + at_rows[:, column_next] * right, np.float32)
 
 
 def _neighbours(
@@ -77,7 +77,7 @@ def find_ground(grid: SurfaceGrid, options: ReadOptions, findings: Findings) -> 
     Args:
         grid: The surface model.
         options: ``terrain`` names a terrain model, which goes before what the points' classes say.
-        findings: Receives gaps, an estimate instead of a terrain model, and other zero heights of one.
+        findings: Receives gaps, steps, an estimate instead of a terrain model, and other zero heights of one.
 
     Raises:
         CityModelError: No cell has a height, or the terrain model cannot be read or lies elsewhere.
@@ -85,8 +85,9 @@ def find_ground(grid: SurfaceGrid, options: ReadOptions, findings: Findings) -> 
     step = max(1, round(_GROUND_CELL_M / grid.cell_m))
     lowest, missing, whole_m = _lowest(grid, step)
     tell_gaps(grid, missing, findings)
+    tell_steps(grid, findings)
     if whole_m:
-        findings.add(SURFACE_COARSE, grid.name, f"steps of {whole_m:g} m")
+        findings.add(SURFACE_COARSE, "", f"steps of {whole_m:g} m")
     if options.terrain is not None:
         given = _of_terrain(grid, step, lowest.shape, options)
         _tell_offset(lowest - given, options, findings)
@@ -95,7 +96,7 @@ def find_ground(grid: SurfaceGrid, options: ReadOptions, findings: Findings) -> 
         ground = _coarse(grid, grid.read_ground, step)
         if np.isfinite(ground).any():
             return Ground(fill_gaps(ground), step, "laser points of class 2")
-    findings.add(SURFACE_GROUND_ESTIMATED, grid.name, f"openings of up to {2 * _WIDEST_M:g} m")
+    findings.add(SURFACE_GROUND_ESTIMATED, "", f"openings of up to {2 * _WIDEST_M:g} m")
     return Ground(estimate_ground(lowest, step * grid.cell_m), step, "estimated from the surface model")
 
 
@@ -160,7 +161,7 @@ def _tell_offset(above: Floats, options: ReadOptions, findings: Findings) -> Non
         return
     off = float(np.percentile(known, 20))
     if abs(off) > _OFFSET_M:
-        findings.add(SURFACE_OFFSET, str(options.terrain), f"the surface lies {off:+.1f} m from it")
+        findings.add(SURFACE_OFFSET, "", f"the surface lies {off:+.1f} m from it")
 
 
 def estimate_ground(lowest: Floats, cell_m: float) -> Floats:
@@ -180,7 +181,7 @@ def estimate_ground(lowest: Floats, cell_m: float) -> Floats:
         radius = min(radius, widest)
         opened = grey_opening(before, size=(2 * radius + 1, 2 * radius + 1))
         is_object |= before - opened > _SLOPE * (radius - last) * cell_m + _FIRST_M
-        before, last, radius = opened, radius, 2 * radius
+        before, last, radius = opened, radius, max(radius + 1, round(1.3 * radius))
     if is_object.all():
         return before
     return fill_gaps(np.where(is_object, np.nan, surface).astype(np.float32))

@@ -122,8 +122,8 @@ def _rasters(
                 is_ground, is_plant = np.isin(kinds, _GROUND), np.isin(kinds, _PLANTS)
                 np.minimum.at(ground, place[is_ground], heights[is_ground])
                 np.maximum.at(plants, place[is_plant], heights[is_plant])
-    surface, ground, plants = (
+    first, second, third = (
         np.where(np.isfinite(band), band, np.float32(np.nan)).reshape(shape)
         for band in (surface, ground, plants)
     )
-    return surface, ground, plants
+    return first, second, third

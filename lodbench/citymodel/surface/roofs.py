@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import SURFACE_NO_ROOF
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.surface.grid import BLOCK, Span, SurfaceGrid, open_surface
+from lodbench.citymodel.surface.files import open_surface
+from lodbench.citymodel.surface.grid import BLOCK, Span, SurfaceGrid
 from lodbench.citymodel.surface.ground import Ground, find_ground
 from lodbench.findings import Findings
 
 Array = NDArray[np.float64]
 
 # Cells beside the eaves show wall and ground: so much of a footprint's rim is left out, metres, and a cell.
-_RIM_M = 0.75
+_RIM_M = 0.5
 # Of fewer cells nothing is known of a roof; nor of one half of whose cells have no height.
 _LEAST_CELLS, _LEAST_SHARE = 4, 0.5
 # Shares of the cells below eaves, the middle and the ridge: a chimney or an overhanging tree is neither.

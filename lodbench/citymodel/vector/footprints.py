@@ -181,7 +181,11 @@ def _blocks(
     if options.has_details:
         first = np.unique(owner, return_index=True)[1]
         told = [
-            {"height_from": str(height_from[n]), "ground_from": str(ground_from[k])}
+            {
+                "measuredHeight": round(float(heights[n]) * unit_m, 3),
+                "height_from": str(height_from[n]),
+                "ground_from": str(ground_from[k]),
+            }
             | ({} if measured is None else measured.attributes(n))
             for n, k in zip(used.tolist(), first.tolist(), strict=True)
         ]

@@ -1,0 +1,119 @@
+"""A city made of footprints: as high as a surface model or attributes say, and a page of what says what."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lodbench.citymodel.codes import (
+    GEOMETRY_EMPTY,
+    HEIGHT_MISSING,
+    UNDERGROUND,
+    finding_catalogue,
+)
+from lodbench.citymodel.convert import convert_city
+from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.read import read_city_model
+from lodbench.citymodel.source import open_sources
+from lodbench.errors import CityModelError
+from lodbench.reporting.city_page import MadeBuilding, city_page
+from lodbench.storage import write_text
+
+# Why a footprint is in no city, by its finding.
+_LEFT_OUT = {
+    HEIGHT_MISSING: "no height",
+    UNDERGROUND: "below the ground",
+    GEOMETRY_EMPTY: "no area",
+}
+
+
+def make_city(
+    footprints: Path,
+    out: Path,
+    options: ReadOptions,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, Any]:
+    """Writes footprints as LoD1 buildings that say where their heights come from, and a page of it.
+
+    Attributes of each building: ``measuredHeight``, ``height_from``, ``ground_from``; of those measured in a
+    surface model ``eaves_height_m``, ``ridge_height_m`` and ``roof_cells`` too.
+
+    Args:
+        footprints: A file of footprints.
+        out: The city to write; the page is beside it, with ``.html`` in place of its last ending.
+        options: ``surface``, ``terrain``, and how columns are called.
+        progress: As for ``read_city_model``.
+
+    Returns:
+        What was written, as JSON values by name.
+
+    Raises:
+        CityModelError: A file cannot be read, is no file of footprints, or no footprint has a height.
+        OSError: The disk is full.
+    """
+    if any(source.vector_path is None for source in open_sources(footprints)):
+        raise CityModelError(
+            f"{footprints} is no file of footprints by its ending.",
+            "Known: .osm.pbf, .osm, .gpkg, .geojson, .shp, .fgb, .gdb, .parquet.",
+        )
+    model = read_city_model(footprints, options=replace(options, has_details=True), progress=progress)
+    buildings = _buildings(model)
+    left_out: dict[str, list[str]] = defaultdict(list)
+    for item in model.findings.items:
+        if item.code in _LEFT_OUT:
+            left_out[_LEFT_OUT[item.code]].append(item.object_id)
+    conversion = convert_city(model, out, options=options)
+    meanings = {str(code): code.meaning for code in finding_catalogue()}
+    counts = conversion.findings.counts()
+    page = out.with_suffix(".html")
+    told = [(code, count, meanings[code]) for code, count in counts.items()]
+    lines = [f"Footprints: {footprints.name}."]
+    lines += [f"Surface model: {Path(options.surface).name}."] if options.surface else []
+    lines += [f"Terrain model: {Path(options.terrain).name}."] if options.terrain else []
+    write_text(page, city_page(out.name, [" ".join(lines)], buildings, left_out, told))
+    return {
+        "written": str(out),
+        "page": str(page),
+        "buildings": len(buildings),
+        "crs": model.crs,
+        "heights_from": dict(Counter(each.height_from for each in buildings).most_common()),
+        "grounds_from": dict(Counter(each.ground_from for each in buildings).most_common()),
+        "left_out": {why: len(names) for why, names in left_out.items()},
+        "findings": counts,
+        "finding_objects": conversion.findings.objects(),
+    }
+
+
+def _buildings(model: CityModel) -> list[MadeBuilding]:
+    """Returns the buildings of a city of blocks, with the rings of their floors in the city's coordinates."""
+    polygons, objects = model.polygons, model.objects
+    rings: dict[int, list[Any]] = defaultdict(list)
+    ground_m = np.full(len(model.building_ids), np.nan)
+    for n in np.flatnonzero(polygons.kind == SurfaceKind.GROUND).tolist():
+        building, first = int(polygons.building[n]), polygons.polygon_starts[n]
+        starts = polygons.ring_starts[first : polygons.polygon_starts[n + 1] + 1]
+        rings[building] += [
+            polygons.points[start:end, :2] + model.origin[:2] for start, end in pairwise(starts.tolist())
+        ]
+        ground_m[building] = polygons.points[starts[0], 2] + model.origin[2]
+    attributes = () if objects is None else objects.attributes
+    return [
+        MadeBuilding(
+            name,
+            float(told["measuredHeight"]),
+            float(ground),
+            told["height_from"],
+            told["ground_from"],
+            rings[n],
+        )
+        for n, (name, ground, told) in enumerate(
+            zip(model.building_ids, ground_m.tolist(), attributes, strict=True)
+        )
+    ]
