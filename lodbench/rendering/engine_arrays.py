@@ -1,4 +1,4 @@
-"""What the silhouette engine's kernel works on: the scene, the view, and a thread's working memory."""
+"""Blank working memory of the silhouette engine: lists of edges, marks, and what eight hypotheses need."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from lodbench.rendering.bits import words_per_row
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.uint32]
-
 
 # Room in a hypothesis's list of edges: more than most views have, and small enough for the cache.
 _LIST_CAPACITY = 8192

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from lodbench.citymodel.scene import Scene
+from lodbench.kernels import arguments
 from lodbench.kernels.arguments import SceneArrays
-from lodbench.rendering import engine_arrays, engine_layout, selection, topology
+from lodbench.rendering import engine_layout, selection, topology
 from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_text
 from lodbench.storage.arrays import map_array, write_arrays
 from lodbench.storage.json_text import parse_json
@@ -69,5 +70,5 @@ def _read(folder: Path) -> SceneArrays:
 @cache
 def _code_digest() -> str:
     """Returns a digest of the code that lays scenes out: no version number has to be remembered."""
-    modules = (engine_arrays, engine_layout, selection, topology)
+    modules = (arguments, engine_layout, selection, topology)
     return digest_of([file_digest(Path(str(module.__file__))) for module in modules])

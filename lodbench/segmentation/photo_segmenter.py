@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench import kernels
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault
@@ -81,7 +82,8 @@ def _read(path: Path) -> NDArray[np.uint16] | None:
 @cache
 def _code_digest() -> str:
     """Returns a digest of the code that makes masks: other code makes its own."""
-    return digest_of_code(sorted(Path(__file__).parent.rglob("*.py")), _LIBRARIES)
+    files = [*sorted(Path(__file__).parent.rglob("*.py")), Path(kernels.__file__).with_name("estimation.py")]
+    return digest_of_code(files, _LIBRARIES)
 
 
 # A change of how photos are read or brought to size makes another answer.

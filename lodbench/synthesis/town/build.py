@@ -205,6 +205,7 @@ DEMO_CODE = (
     *("synthesis/objects/*.py", "synthesis/photo/*.py", "synthesis/queries.py"),
     *("synthesis/view_sampling.py", "synthesis/mask_*.py"),
     *("citymodel/building_boxes.py", "datasets/priors.py"),
+    *(f"kernels/{name}.py" for name in ("looks", "patterns", "shading", "surfaces", "textures")),
 )
 # Of quaternions and of metres.
 _POSE_DECIMALS = (12, 6)

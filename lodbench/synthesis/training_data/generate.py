@@ -57,7 +57,7 @@ from lodbench.synthesis.training_data.view_writer import (
 MANIFEST_FILE, SHEET_FILE = "manifest.json", "overview.png"
 SCHEMA = 1
 _LIBRARIES = ("numpy", "numba", "opencv-python-headless", "scipy")
-_LAYERS = ("geometry", "citymodel", "photos", "datasets", "rendering", "synthesis")
+_LAYERS = ("kernels", "geometry", "citymodel", "photos", "datasets", "rendering", "synthesis")
 # Settings that name files, whose content is named instead; and those that change no byte.
 _PATHS = ("city", "texture_model", "props", "terrain", "poses")
 _IDLE = ("out", "sheet", "workers")
