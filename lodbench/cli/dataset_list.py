@@ -40,21 +40,14 @@ def main(argv: Sequence[str]) -> int:
 
 def _lines(found: Survey) -> list[str]:
     missing, spec = found.missing(), found.spec
-    has_any = bool(found.splits or found.city_model)
+    has_any = found.is_there
     state = "complete" if not missing else "incomplete" if has_any else "not there"
-    size = f", {_num_bytes(found) / 2**20:,.1f} MiB" if has_any else ""
-    lines = [f"{spec.id:<13} {state}{size}: {spec.title}, LoD{spec.lod}"]
+    size = f", {found.num_bytes() / 2**20:,.1f} MiB" if has_any else ""
+    lines = [f"{spec.id:<13} {state}{size}: {spec.title}, {spec.map_words}"]
     if missing:
         lines += [f"  missing  {line}" for line in missing] if has_any else []
         lines += [f"  get      {host.what}: {host.url}" for host in spec.hosts]
     return lines
-
-
-def _num_bytes(found: Survey) -> int:
-    files = [path for split in found.splits for path in split.folder.rglob("*") if path.is_file()]
-    if found.city_model is not None and found.city_model.is_file():
-        files.append(found.city_model)
-    return sum(path.stat().st_size for path in files)
 
 
 def _other_line(plug_in: PlugIn) -> str:
@@ -86,7 +79,7 @@ def _values(found: Survey) -> dict[str, Any]:
         "root": str(found.root),
         "splits": {split.spec.name: str(split.folder) for split in found.splits},
         "city_model": None if found.city_model is None else str(found.city_model),
-        "bytes": _num_bytes(found),
+        "bytes": found.num_bytes(),
         "missing": found.missing(),
         "sources": [{"what": h.what, "url": h.url, "how": h.how} for h in spec.hosts],
     }

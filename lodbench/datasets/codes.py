@@ -93,5 +93,14 @@ PHOTO_UNLIKE_CITY = FindingCode(542, _W, "Photos show no edges at the city's out
 UNLIKE_RECONSTRUCTION = FindingCode(
     543, _W, "A true pose differs from the dataset's reconstruction, or that cannot be read."
 )
+READING_INFERRED = FindingCode(
+    544, _I, "What the dataset's documentation leaves open was decided by the data itself."
+)
+READING_UNFIT = FindingCode(
+    545, _W, "A setting for what the documentation leaves open does not fit the data."
+)
+HEIGHTS_UNLIKE = FindingCode(
+    546, _E, "Cameras are not as high above the city's ground as they can be: another vertical datum."
+)
 
 CATALOGUE = catalogue_of(globals())

@@ -163,6 +163,8 @@ class Dataset:
             instances.
         assumed: Of ``tilt`` and ``height``, what the priors only assume: methods that require it do not run.
         crs: Reference system of the poses as the data states it, or None.
+        protocol: Name of the bins and metrics that its results are reported by, of
+            ``lodbench.evaluation.protocols``.
     """
 
     name: str
@@ -187,6 +189,7 @@ class Dataset:
     on_demand: Mapping[str, Callable[[], Path]] = field(default_factory=dict)
     assumed: frozenset[str] = frozenset()
     crs: str | None = None
+    protocol: str = "lodloc"
 
     def __repr__(self) -> str:
         splits = ", ".join(self.splits)

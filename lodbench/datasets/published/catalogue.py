@@ -2,12 +2,35 @@
 
 from __future__ import annotations
 
-from lodbench.datasets.published import swiss_epfl, swiss_epflv2, uavd4l_lod, uavd4l_lodv2
+from lodbench.datasets.published import (
+    anyvisloc,
+    egeniouss,
+    ortholoc,
+    semcitylocked,
+    swiss_epfl,
+    swiss_epflv2,
+    tokyo_lodv3,
+    uavd4l,
+    uavd4l_lod,
+    uavd4l_lodv2,
+)
 from lodbench.datasets.published.spec import PublishedSpec
 from lodbench.errors import ConfigError, nearest_names
 
 SPECS: dict[str, PublishedSpec] = {
-    spec.id: spec for spec in (uavd4l_lod.SPEC, uavd4l_lodv2.SPEC, swiss_epfl.SPEC, swiss_epflv2.SPEC)
+    module.SPEC.id: module.SPEC
+    for module in (
+        uavd4l_lod,
+        uavd4l_lodv2,
+        swiss_epfl,
+        swiss_epflv2,
+        tokyo_lodv3,
+        uavd4l,
+        egeniouss,
+        ortholoc,
+        anyvisloc,
+        semcitylocked,
+    )
 }
 
 

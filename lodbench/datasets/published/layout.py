@@ -15,6 +15,7 @@ from lodbench.datasets.published.spec import (
     REFERENCE_FOLDER,
     TEXTURED_NAMES,
     TRUTH_FILES,
+    Part,
     PublishedSpec,
     SplitSpec,
 )
@@ -60,6 +61,8 @@ class Survey:
 
     Attributes:
         unreadable_city: A city model in a format that is not read.
+        home: Folder that the ``parts`` of the dataset are below, where it has some.
+        lacking: Those of them that are not there.
     """
 
     spec: PublishedSpec
@@ -69,6 +72,22 @@ class Survey:
     unreadable_city: Path | None
     textured_map: Path | None = None
     references: Path | None = None
+    home: Path | None = None
+    lacking: tuple[Part, ...] = ()
+
+    @property
+    def is_there(self) -> bool:
+        """Tells whether anything of the dataset is there."""
+        return bool(self.splits or self.city_model or len(self.lacking) < len(self.spec.parts))
+
+    def num_bytes(self) -> int:
+        """Returns the size of the files that are there."""
+        home = self.home or self.root
+        files = {path for split in self.splits for path in split.folder.rglob("*") if path.is_file()}
+        files |= {path for part in self.spec.parts for path in home.glob(part.place) if path.is_file()}
+        if self.city_model is not None and self.city_model.is_file():
+            files.add(self.city_model)
+        return sum(path.stat().st_size for path in files)
 
     def missing(self) -> list[str]:
         """Returns what a run needs and is not there: one line each."""
@@ -76,14 +95,16 @@ class Survey:
         lines = []
         for split in self.spec.splits:
             files = found.get(split.name)
-            if files is None and split.is_test:
+            if files is None and split.is_test and not self.spec.parts:
                 lines.append(f"split {split.name}: no folder {split.folders[0]}")
             if files is not None:
                 wanted = {TRUTH_FILES[0]: files.truth, CAMERA_FILES[0]: files.cameras}
                 if split.is_test:
                     wanted[PRIOR_FILES[0]] = files.priors
                 lines += [f"split {split.name}: no {name}" for name, path in wanted.items() if path is None]
-        if self.city_model is None:
+        is_empty = self.spec.parts and not self.is_there
+        lines += [f"{part.what}: no {part.place}" for part in self.lacking if part.is_needed or is_empty]
+        if self.city_model is None and self.spec.city_files:
             also = f"; {self.unreadable_city.name} is not read" if self.unreadable_city else ""
             lines.append(f"city model: none of {', '.join(self.spec.city_files)}{also}")
         return lines
@@ -99,6 +120,8 @@ def survey(spec: PublishedSpec, root: str | None, city: str | None, prior_file: 
         prior_file: Name of the file or folder of priors; None for the first known one.
     """
     base = data_root() if root is None else Path(root).expanduser()
+    if spec.parts:
+        return _survey_parts(spec, base, city)
     splits = tuple(
         files for split in spec.splits if (files := _find_split(base, split, prior_file)) is not None
     )
@@ -121,6 +144,26 @@ def survey(spec: PublishedSpec, root: str | None, city: str | None, prior_file: 
     )
 
 
+def _survey_parts(spec: PublishedSpec, base: Path, city: str | None) -> Survey:
+    """Returns what is there of a dataset that lists its parts."""
+    homes = [base, *(base / prefix / spec.folder for prefix in PREFIXES)]
+    lacking = {
+        home: tuple(part for part in spec.parts if next(home.glob(part.place), None) is None)
+        for home in homes
+    }
+    home = min(homes, key=lambda folder: len(lacking[folder]))
+    cities = sorted(path for name in spec.city_files for path in home.glob(name))
+    return Survey(
+        spec,
+        base,
+        (),
+        (cities[0] if cities else None) if city is None else Path(city).expanduser(),
+        _first(path for name in spec.unreadable_city_files for path in sorted(home.glob(name))),
+        home=home,
+        lacking=lacking[home],
+    )
+
+
 def require_data(found: Survey) -> None:
     """Makes sure that there are queries.
 
@@ -131,16 +174,27 @@ def require_data(found: Survey) -> None:
     """
     if found.city_model is not None and not found.city_model.exists():
         raise DatasetError(f"The city model {found.city_model} does not exist.", "Set city=FILE.")
+    if found.spec.parts:
+        if any(part.is_needed for part in found.lacking):
+            raise not_all_of(found)
+        return
     has_test = any(files.spec.is_test for files in found.splits)
     broken = any(not files.is_complete for files in found.splits)
     if has_test and not broken:
         return
-    raise DatasetError(f"{found.spec.id}: not all of {found.spec.title} is in {found.root}.", advice(found))
+    raise not_all_of(found)
+
+
+def not_all_of(found: Survey) -> DatasetError:
+    """Returns the error that parts of a dataset are missing, with the screen of text that says what to do."""
+    return DatasetError(f"{found.spec.id}: not all of {found.spec.title} is in {found.root}.", advice(found))
 
 
 def advice(found: Survey) -> str:
     """Returns what to do about missing parts, for a screen of 24 lines."""
     spec = found.spec
+    if spec.parts:
+        return _advice_on_parts(found)
     tests = [split for split in spec.splits if split.is_test]
     parts = ", ".join((TRUTH_FILES[0], PRIOR_FILES[0], CAMERA_FILES[0]))
     lists = ", ".join(split.split_files[0] for split in tests)
@@ -155,6 +209,25 @@ def advice(found: Survey) -> str:
         f"  {MODEL_FOLDERS[0]}/{spec.city_files[0]}   (or city=FILE)",
         f"  {MODEL_FOLDERS[0]}/{TEXTURED_NAMES[0]}/, {spec.folder}/{REFERENCE_FOLDER}/   (if required)",
         "  masks/ is not published: building masks (255 = building) by any network, named as the photos",
+        "get it:",
+        *(f"  {host.what}: {host.url}\n    {host.how}" for host in spec.hosts),
+        "check it:",
+        f"  lodbench dataset check {spec.id}{where}",
+    ]
+    return "\n".join(lines)
+
+
+def _advice_on_parts(found: Survey) -> str:
+    spec, where = found.spec, "" if found.root == data_root() else f" --root {found.root}"
+    width = max(len(part.place) for part in spec.parts)
+    lines = [
+        "missing:",
+        *(f"  {line}" for line in found.missing()[:6]),
+        f"expected, in {found.root} or dataset.root=DIR:",
+        *(
+            f"  {part.place.ljust(width)}  {part.what}{'' if part.is_needed else ' (if there)'}"
+            for part in spec.parts
+        ),
         "get it:",
         *(f"  {host.what}: {host.url}\n    {host.how}" for host in spec.hosts),
         "check it:",

@@ -1,9 +1,10 @@
 """What can be said of a published dataset: folders, file names in the order they are tried, counts.
 
-Two trees are in use. LoD-Loc's: ``UAVD4L-LoD/inTraj/{Query_image/, GT_pose.txt, GPS_pose.txt,
-intrinsic.txt}``, ``UAVD4L-LoD/split/*.json``, ``MODEL/*.obj``. LoD-Loc v2's: ``data/UAVD4L-LoD/inTraj/
-{query/, dataset_test.txt}``, ``data/all_colmaps/UAVD4L-LoD/inTraj/colmap_320/{cameras,images}.txt``; the
-Swiss scenes lie there beside the others.
+Of LoD-Loc's datasets two trees are in use. LoD-Loc's: ``UAVD4L-LoD/inTraj/{Query_image/, GT_pose.txt,
+GPS_pose.txt, intrinsic.txt}``, ``UAVD4L-LoD/split/*.json``, ``MODEL/*.obj``. LoD-Loc v2's:
+``data/UAVD4L-LoD/inTraj/{query/, dataset_test.txt}``, ``data/all_colmaps/UAVD4L-LoD/inTraj/colmap_320/
+{cameras,images}.txt``; the Swiss scenes lie there beside the others. A dataset in a layout of its own lists
+its ``parts`` instead.
 """
 
 from __future__ import annotations
@@ -69,21 +70,44 @@ class Download:
 
 
 @dataclass(frozen=True, slots=True)
+class Part:
+    """A file, or files, of a dataset in a layout of its own.
+
+    Attributes:
+        place: Below the dataset's folder, as a pattern: ``query_images/val/*``.
+        what: In words.
+        split: The split that cannot be read without it; "" for none in particular.
+        is_needed: Whether queries cannot be made without it.
+        media: Its MIME type.
+    """
+
+    place: str
+    what: str
+    split: str = ""
+    is_needed: bool = True
+    media: str = "text/plain"
+
+
+@dataclass(frozen=True, slots=True)
 class PublishedSpec:
     """One dataset: queries over one city model.
 
     Attributes:
         id: Name on the command line.
         title: Name in the papers.
-        lod: Level of detail of the city model, for people: the files do not say.
+        lod: Level of detail of the city model, for people: the files do not say; or what else the map is.
         folder: The folder of the download.
         splits: In the order of the papers' tables.
-        city_files: Names of the city model, in the order tried.
+        hosts: Where to get it.
+        city_files: Names of the city model, in the order tried; patterns where there are ``parts``.
         unreadable_city_files: Names of it in formats that are not read.
         ecef: The frame its files may come in besides east, north, up.
         photo_crs: CRS of which the local frame is a shift, to place photos by their GPS.
-        hosts: Where to get it.
         downloads: What can be fetched by itself.
+        parts: Files of a layout of its own; empty for LoD-Loc's.
+        protocol: Name of its bins and metrics, of ``lodbench.evaluation.protocols``.
+        year: Of its publication.
+        camera_height_m: Between which heights above the ground its cameras are; None where not stated.
     """
 
     id: str
@@ -91,12 +115,21 @@ class PublishedSpec:
     lod: str
     folder: str
     splits: tuple[SplitSpec, ...]
-    city_files: tuple[str, ...]
-    unreadable_city_files: tuple[str, ...]
-    ecef: ShiftedEcef | None
-    photo_crs: str | None
     hosts: tuple[Host, ...]
+    city_files: tuple[str, ...] = ()
+    unreadable_city_files: tuple[str, ...] = ()
+    ecef: ShiftedEcef | None = None
+    photo_crs: str | None = None
     downloads: tuple[Download, ...] = ()
+    parts: tuple[Part, ...] = ()
+    protocol: str = "lodloc"
+    year: str = "2024"
+    camera_height_m: tuple[float, float] | None = None
+
+    @property
+    def map_words(self) -> str:
+        """Returns what the map is: ``LoD2``, or ``surface model with orthophoto``."""
+        return f"LoD{self.lod}" if self.lod[:1].isdigit() else self.lod
 
 
 # LoD-Loc's download, of which all four are part.

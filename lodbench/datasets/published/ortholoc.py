@@ -1,0 +1,226 @@
+"""``dataset=ortholoc``: OrthoLoC, drone photos each with a surface model; see data_cards/ortholoc.md."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.codes import READING_INFERRED
+from lodbench.datasets.pictures import encoded
+from lodbench.datasets.published.layout import not_all_of
+from lodbench.datasets.published.own_layout import (
+    AUTO,
+    Array,
+    OwnLayoutParams,
+    as_dataset,
+    find_parts,
+    kept_folder,
+    read_arrays,
+    require_word,
+    write_grid,
+)
+from lodbench.datasets.published.spec import Host, Part, PublishedSpec, SplitSpec
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import DatasetError, LodbenchError, require_within
+from lodbench.findings import Findings
+from lodbench.geometry import Camera, CameraSigmas, Pose
+from lodbench.storage import make_folder, write_bytes
+
+_REPOSITORY = "https://github.com/deepscenario/OrthoLoC"
+_SPLITS = ("test_inPlace", "test_outPlace", "val", "train")
+SPEC = PublishedSpec(
+    id="ortholoc",
+    title="OrthoLoC",
+    lod="surface model with orthophoto",
+    folder="OrthoLoC",
+    splits=tuple(SplitSpec(name, (f"full/{name}",), (), is_test=name.startswith("test")) for name in _SPLITS),
+    hosts=(
+        Host("samples (.npz)", _REPOSITORY, "a web share of TU Munich, linked there; its size is not stated"),
+    ),
+    parts=tuple(
+        Part(f"full/{name}/*.npz", f"samples of {name}", name, False, "application/octet-stream")
+        for name in _SPLITS
+    ),
+    protocol="ortholoc",
+    year="2025",
+)
+_ARRAYS = {
+    "image_query": Array((None, None, 3), "u"),
+    "intrinsics": Array((3, 3)),
+    "extrinsics": Array((3, 4)),
+    "scale": Array((2,)),
+}
+_MAP = {
+    "image_dop": Array((None, None, 3), "u"),
+    "dsm": Array((None, None, 3), "f", is_finite=False),
+}
+_POINTS = Array((None, None, 3), "f", is_finite=False)
+_FOCALS, _ORIGINS = ("known", "unknown"), {"centre": 0.5, "corner": 0.0}
+# Every sample has coordinates of its own: each lies in a cell of a square grid, this far from the next.
+_CELL_M, _MOST_SAMPLES = 2000.0, 4096
+# Of an unknown focal length: COLMAP's first guess, as a multiple of the longer side, and how good it is.
+_FOCAL_GUESS, _FOCAL_PERCENT = 1.2, 30.0
+# Samples whose points are projected, every which pixel of them, and how well that must fit, pixels.
+_CHECKED, _STEP, _NEAR_PX = 5, 16, 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class OrthoLocParams(OwnLayoutParams):
+    """Settings of OrthoLoC, described in ``conf/dataset/ortholoc.yaml``."""
+
+    name: str = SPEC.id
+    samples: str = "*"
+    focal: str = "known"
+    pixel_origin: str = AUTO
+    map_stride: int = 4
+
+    def __post_init__(self) -> None:
+        require_within("dataset.map_stride", self.map_stride, 1)
+
+
+class _Sample(NamedTuple):
+    split: str
+    path: Path
+    size: tuple[int, int]
+    intrinsics: NDArray[Any]
+    pose: Pose
+
+
+def cell_offset(index: int) -> tuple[float, float, float]:
+    """Returns where the zero of a dataset's sample of some number lies in the dataset, metres."""
+    side = int(np.sqrt(_MOST_SAMPLES))
+    return (_CELL_M * (index % side), _CELL_M * (index // side), 0.0)
+
+
+def open_ortholoc(params: OrthoLocParams) -> Dataset:
+    """Returns OrthoLoC: a query per sample, without priors, over the surface models of all of them.
+
+    Raises:
+        DatasetError: There are no samples or too many, or one is malformed.
+        ConfigError: A setting is unknown.
+    """
+    require_word("dataset.focal", params.focal, _FOCALS)
+    require_word("dataset.pixel_origin", params.pixel_origin, [AUTO, *_ORIGINS])
+    found, home = find_parts(SPEC, params)
+    files = [
+        (split, path)
+        for split in _SPLITS
+        for path in sorted((home / "full" / split).glob("*.npz"))
+        if fnmatch.fnmatch(path.stem, params.samples)
+    ]
+    if not files and not found.is_there:
+        raise not_all_of(found)
+    if not files:
+        raise DatasetError(f"No sample of {found.root} is called {params.samples}.", "Set dataset.samples.")
+    if len(files) > _MOST_SAMPLES:
+        raise DatasetError(
+            f"{len(files)} samples are more than the {_MOST_SAMPLES} that are opened at a time.",
+            "Select some by their names: dataset.samples='L01_R*'.",
+        )
+    findings = Findings()
+    samples = [_read(split, path) for split, path in files]
+    half = _half_pixel(params.pixel_origin, samples, findings)
+    paths = [path for _, path in files]
+    pictures = kept_folder(SPEC.id, paths, "pictures", lambda folder: _write_pictures(folder, samples))
+    city = found.city_model or kept_folder(
+        f"{SPEC.id}-map",
+        paths,
+        params.map_stride,
+        lambda folder: _write_maps(folder, paths, params.map_stride),
+    )
+    entries, truth = [], {}
+    for index, sample in enumerate(samples):
+        camera, sigmas = _camera(sample, half, params.focal)
+        name = f"{sample.path.stem}.png"
+        image = pictures / sample.split / name
+        entry = Entry(name, sample.split, camera, None, image, None, camera_sigmas=sigmas)
+        entries.append(entry)
+        truth[entry.key] = sample.pose.shifted(cell_offset(index))
+    dataset = as_dataset(found, entries, truth, findings, city_model=city, textured_map=city, lod=params.lod)
+    note = "there are no priors; prior=uniform draws them around the truth"
+    return replace(dataset, notes=(*dataset.notes, note))
+
+
+def _read(split: str, path: Path) -> _Sample:
+    arrays = read_arrays(path, _ARRAYS)
+    try:
+        pose = Pose.from_matrix(arrays["extrinsics"])
+    except LodbenchError as error:
+        raise DatasetError(f"{path}: extrinsics: {error.message}", "Download it again.") from error
+    height, width = arrays["image_query"].shape[:2]
+    return _Sample(split, path, (width, height), arrays["intrinsics"].astype(np.float64), pose)
+
+
+def _camera(sample: _Sample, half_px: float, focal: str) -> tuple[Camera, CameraSigmas | None]:
+    """Returns a sample's camera, or a guess at it and how good that is where it is not to be known."""
+    (fx, skew, cx), (_, fy, cy), last = sample.intrinsics.tolist()
+    width, height = sample.size
+    try:
+        if skew or last != [0.0, 0.0, 1.0]:
+            raise LodbenchError("no pinhole without skew")
+        camera = Camera(width, height, fx, fy, cx + half_px, cy + half_px)
+    except LodbenchError as error:
+        raise DatasetError(f"{sample.path}: intrinsics: {error.message.rstrip('.')}.") from error
+    if focal == "known":
+        return camera, None
+    guess = _FOCAL_GUESS * max(width, height)
+    sigmas = CameraSigmas(_FOCAL_PERCENT, 1.0, 0.0, "stated")
+    return Camera(width, height, guess, guess, 0.5 * width, 0.5 * height), sigmas
+
+
+def _half_pixel(asked: str, samples: Sequence[_Sample], findings: Findings) -> float:
+    """Returns what to add to principal points: half a pixel if pixels count from their centres.
+
+    A pixel's point, projected, lies on its number in the one case, half a pixel beyond in the other.
+
+    Raises:
+        DatasetError: It lies at neither.
+    """
+    if asked != AUTO:
+        return _ORIGINS[asked]
+    off = []
+    for sample in samples[:: max(1, len(samples) // _CHECKED)]:
+        width, height = sample.size
+        points = read_arrays(sample.path, {"point_map": _POINTS})["point_map"]
+        if points.shape[:2] != (height, width):
+            raise DatasetError(f"{sample.path}: point_map is {points.shape}, its photo {height} x {width}.")
+        rows, columns = np.mgrid[0:height:_STEP, 0:width:_STEP]
+        seen = points[rows, columns].astype(np.float64) @ sample.pose.rotation.T + sample.pose.translation
+        with np.errstate(all="ignore"):
+            pixels = seen @ sample.intrinsics.T
+            pixels = pixels[..., :2] / pixels[..., 2:]
+        off.append(np.nanmedian(pixels - np.stack([columns, rows], axis=2), axis=(0, 1)))
+    offset = np.median(off, axis=0)
+    fitting = [n for n, half in _ORIGINS.items() if np.abs(offset - (0.5 - half)).max() < _NEAR_PX]
+    if not fitting:
+        raise DatasetError(
+            f"The point maps of {SPEC.id} lie {offset[0]:.2f}, {offset[1]:.2f} px off their pixels.",
+            "Set dataset.pixel_origin to centre or corner: where the first pixel's zero is.",
+        )
+    findings.add(READING_INFERRED, "dataset.pixel_origin", f"{fitting[0]}, by {len(off)} point maps")
+    return _ORIGINS[fitting[0]]
+
+
+def _write_pictures(folder: Path, samples: Sequence[_Sample]) -> None:
+    for sample in samples:
+        picture = read_arrays(sample.path, {"image_query": _ARRAYS["image_query"]})["image_query"]
+        target = make_folder(folder / sample.split) / f"{sample.path.stem}.png"
+        write_bytes(target, encoded(np.ascontiguousarray(picture[..., ::-1]), ".png"), False)
+
+
+def _write_maps(folder: Path, paths: Sequence[Path], stride: int) -> None:
+    for index, path in enumerate(paths):
+        arrays = read_arrays(path, _MAP)
+        dsm, picture = arrays["dsm"], np.ascontiguousarray(arrays["image_dop"][..., ::-1])
+        if not np.isfinite(dsm).all(axis=2).any():
+            raise DatasetError(f"{path}: dsm holds no height.", "Download it again.")
+        rows, columns = np.mgrid[0 : dsm.shape[0] : stride, 0 : dsm.shape[1] : stride]
+        corners = np.stack([(columns + 0.5) / dsm.shape[1], (rows + 0.5) / dsm.shape[0]], axis=2)
+        places = dsm[rows, columns].astype(np.float64) + np.array(cell_offset(index))
+        write_grid(folder, f"{index:04d}_{path.stem}", places, picture, corners)
