@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,9 @@ def add_dataset_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--root", metavar="DIR", help="where a published dataset was unpacked")
     parser.add_argument("--city", metavar="FILE", help="its city model")
     parser.add_argument("--lod", help="level of detail of the city model")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="a setting: dataset.NAME of a run"
+    )
 
 
 def open_named(options: argparse.Namespace) -> Dataset:
@@ -39,9 +43,33 @@ def open_named(options: argparse.Namespace) -> Dataset:
         return open_dataset({key: value for key, value in values.items() if value is not None})
     takes = dataset_settings(name)
     given: dict[str, Any] = {"root": options.root, "city_model": options.city, "lod": options.lod}
-    values = {key: value for key, value in given.items() if value is not None}
+    values = {key: value for key, value in given.items() if value is not None} | _set(
+        options.set, name, takes
+    )
     refused = sorted(set(values) - takes)
     if refused:
         option = {"root": "--root", "city_model": "--city", "lod": "--lod"}[refused[0]]
         raise ConfigError(f"Dataset {name} takes no {option}.")
     return open_dataset({**(read_config("dataset", name) or {"name": name}), **values})
+
+
+def _set(words: Sequence[str], dataset: str, takes: Collection[str]) -> dict[str, Any]:
+    """Returns the settings of words ``NAME=VALUE``, values read as YAML.
+
+    Raises:
+        ConfigError: A word is none, or the dataset has no such setting.
+    """
+    import yaml
+
+    values: dict[str, Any] = {}
+    for word in words:
+        name, equals, text = word.removeprefix("dataset.").partition("=")
+        if not equals or name not in takes:
+            raise ConfigError(f"--set {word}: Dataset {dataset} takes no {name}.", nearest_names(name, takes))
+        try:
+            values[name] = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ConfigError(
+                f"--set {word} cannot be read as YAML.", "Quote it: --set \"NAME='TEXT'\""
+            ) from error
+    return values

@@ -9,7 +9,7 @@ from importlib.resources import files
 from typing import Any
 
 from lodbench.datasets.published.catalogue import SPECS
-from lodbench.datasets.published.spec import PublishedSpec
+from lodbench.datasets.published.spec import Part, PublishedSpec
 from lodbench.errors import DatasetError
 
 
@@ -70,12 +70,18 @@ def card_croissant(card: Card) -> dict[str, Any]:
         ("true-poses", "GT_pose.txt", "True poses, world to camera."),
         ("priors", "GPS_pose.txt", "Rough poses, world to camera."),
     ]
+    if spec.parts:
+        sets, files = [], [_file_set(_id_of(part), part.place, part.what, part.media) for part in spec.parts]
+    else:
+        files = [*(_file_set(id_, f"**/{name}", what) for id_, name, what in sets), _image_set()]
+    kind = "photos" if spec.parts else "drone photos"
+    over = spec.map_words if spec.parts else f"an LoD{spec.lod} city model"
     return {
         "@context": _context(),
         "@type": "sc:Dataset",
         "conformsTo": _CROISSANT,
         "name": spec.id,
-        "description": f"{spec.title}: drone photos with poses over an LoD{spec.lod} city model. "
+        "description": f"{spec.title}: {kind} with poses over {over}. "
         f"{card.section('Provenance')} True poses: {card.section('True poses')}",
         "license": head["licence_url"],
         "usageInfo": head["licence"],
@@ -83,9 +89,9 @@ def card_croissant(card: Card) -> dict[str, Any]:
         "citeAs": head["citation"],
         "creator": [{"@type": "sc:Person", "name": name} for name in head["creators"]],
         "version": "1.0.0",
-        "datePublished": "2025" if spec.id.endswith("v2") else "2024",
+        "datePublished": spec.year,
         "isLiveDataset": True,
-        "distribution": [*_file_objects(spec), *(_file_set(*item) for item in sets), _image_set()],
+        "distribution": [*_file_objects(spec), *files],
         "recordSet": [_split_records(spec), *(_pose_records(*item) for item in sets)],
     }
 
@@ -119,15 +125,19 @@ def _file_objects(spec: PublishedSpec) -> list[dict[str, Any]]:
     return [folder, *files]
 
 
-def _file_set(id_: str, name: str, description: str) -> dict[str, Any]:
+def _id_of(part: Part) -> str:
+    return re.sub(r"\W+", "-", part.what)
+
+
+def _file_set(id_: str, pattern: str, description: str, media: str = "text/plain") -> dict[str, Any]:
     return {
         "@type": "cr:FileSet",
         "@id": f"{id_}-files",
         "name": f"{id_}-files",
         "description": description,
         "containedIn": {"@id": "download"},
-        "encodingFormat": "text/plain",
-        "includes": f"**/{name}",
+        "encodingFormat": media,
+        "includes": pattern,
     }
 
 

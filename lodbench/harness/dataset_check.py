@@ -19,6 +19,7 @@ from lodbench.datasets.codes import (
     FIELD_OF_VIEW,
     FILE_MISSING,
     FOCAL_UNLIKE_PHOTO,
+    HEIGHTS_UNLIKE,
     KEY_TWICE,
     PRINCIPAL_EXCHANGED,
     PRINCIPAL_POINT,
@@ -50,6 +51,8 @@ from lodbench.storage import file_digest
 _SAME_FOCAL = 1.2
 # So many true poses of a flight tell a plan by their heights and tilts to these: no drone flies so.
 _LEAST_POSES, _SHARE, _PLAN_M, _PLAN_DEG = 8, 0.25, 0.001, 0.001
+# The ground is the lowest corner within so many metres, or of the nearest few; it slopes by up to 3 m.
+_NEARBY_M, _FEW, _GROUND_M, _MOST_HEIGHTS = 50.0, 8, 3.0, 20
 # GPS without corrections is within this nearly always, metres.
 _GPS_M = 15.0
 
@@ -211,6 +214,7 @@ def check_dataset(
         scene = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
         _check_place(dataset, scene, findings)
         _check_views(dataset, scene, findings)
+        _check_heights(dataset, scene, findings)
     _check_downloads(dataset, findings)
     check_photos(dataset, with_pixels, findings)
     check_parts(dataset, scene, findings)
@@ -321,6 +325,23 @@ def _check_views(dataset: Dataset, scene: Scene, findings: Findings) -> None:
             if truth is not None and entry.camera is not None:
                 if not sees(entry.camera, truth.shifted(-scene.origin), corners):
                     findings.add(CITY_NOT_IN_VIEW, entry.key)
+
+
+def _check_heights(dataset: Dataset, scene: Scene, findings: Findings) -> None:
+    """Compares the cameras' heights above the ground of buildings nearby with those that they can have."""
+    known = SPECS.get(dataset.name)
+    centres = [pose.center - scene.origin for pose in dataset.truth.values()]
+    if known is None or known.camera_height_m is None or not centres:
+        return
+    corners = scene.vertices.astype(np.float64)
+    above = []
+    for centre in centres[:: max(1, len(centres) // _MOST_HEIGHTS)]:
+        away = np.hypot(*(corners[:, :2] - centre[:2]).T)
+        near = corners[away <= max(_NEARBY_M, float(np.sort(away)[:_FEW][-1]))]
+        above.append(float(centre[2] - near[:, 2].min()))
+    middle, (low, high) = float(np.median(above)), known.camera_height_m
+    if not low - _GROUND_M <= middle <= high + _GROUND_M:
+        findings.add(HEIGHTS_UNLIKE, dataset.name, f"{middle:.1f} m in the median, not {low:g} to {high:g} m")
 
 
 def _check_downloads(dataset: Dataset, findings: Findings) -> None:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from lodbench.datasets.codes import READING_INFERRED, READING_UNFIT
 from lodbench.datasets.exchange.posed import read_json
 from lodbench.datasets.own import find_inside
-from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.published.layout import advice
 from lodbench.datasets.published.own_layout import (
@@ -37,6 +36,7 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError, require_within
 from lodbench.findings import Findings
 from lodbench.geometry import Camera, EulerAngles, Pose, wrap_deg
+from lodbench.photos.pictures import encoded, read_picture
 from lodbench.storage import random_stream, write_bytes
 
 _REPOSITORY = "https://github.com/UAV-AVL/Benchmark"
@@ -165,11 +165,8 @@ def _scene(home: Path, asked: str | None) -> Path:
     if asked is None and len(names) == 1:
         return home / names[0]
     if asked not in names:
-        what = (
-            f"{home} holds several scenes, each in a frame of its own"
-            if asked is None
-            else f"there is no {asked}"
-        )
+        several = f"{home} holds several scenes, each in a frame of its own"
+        what = f"There is no {asked}" if asked else several
         raise DatasetError(f"{what}: {', '.join(names)}.", f"Name one: dataset.scene={names[0]}")
     return home / asked
 

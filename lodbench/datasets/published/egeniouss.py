@@ -9,7 +9,6 @@ from pathlib import Path
 from lodbench.datasets.codes import NO_IMAGE, NO_PRIOR
 from lodbench.datasets.exchange.posed import content
 from lodbench.datasets.own import find_photo
-from lodbench.datasets.photo_files import PHOTO_SUFFIXES
 from lodbench.datasets.pose_text import parse_camera
 from lodbench.datasets.published.own_layout import (
     AUTO,
@@ -30,6 +29,7 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError, require_within
 from lodbench.findings import Findings
 from lodbench.geometry import Camera, CameraSigmas, Pose
+from lodbench.photos.files import PHOTO_SUFFIXES
 
 _RECORD = "https://zenodo.org/records/17644019"
 SPEC = PublishedSpec(

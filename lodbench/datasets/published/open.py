@@ -142,6 +142,7 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
         textured_map=textured,
         photo_crs=spec.photo_crs,
         photo_origin=None if params.origin is None else tuple(params.origin),
+        protocol=spec.protocol,
     )
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.codes import READING_INFERRED
-from lodbench.datasets.pictures import encoded
 from lodbench.datasets.published.layout import not_all_of
 from lodbench.datasets.published.own_layout import (
     AUTO,
@@ -30,6 +29,7 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError, require_within
 from lodbench.findings import Findings
 from lodbench.geometry import Camera, CameraSigmas, Pose
+from lodbench.photos.pictures import encoded
 from lodbench.storage import make_folder, write_bytes
 
 _REPOSITORY = "https://github.com/deepscenario/OrthoLoC"
@@ -139,7 +139,10 @@ def open_ortholoc(params: OrthoLocParams) -> Dataset:
         camera, sigmas = _camera(sample, half, params.focal)
         name = f"{sample.path.stem}.png"
         image = pictures / sample.split / name
-        entry = Entry(name, sample.split, camera, None, image, None, camera_sigmas=sigmas)
+        percent = None if sigmas is None else sigmas.stated_focal_percent
+        entry = Entry(
+            name, sample.split, camera, None, image, None, lens_percent=percent, camera_sigmas=sigmas
+        )
         entries.append(entry)
         truth[entry.key] = sample.pose.shifted(cell_offset(index))
     dataset = as_dataset(found, entries, truth, findings, city_model=city, textured_map=city, lod=params.lod)

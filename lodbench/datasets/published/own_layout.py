@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.codes import READING_INFERRED, READING_UNFIT
 from lodbench.datasets.exchange.posed import Place, content
-from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.pose_text import lines_to_text, parse_camera
 from lodbench.datasets.published.layout import Survey, advice, require_data, survey
 from lodbench.datasets.published.spec import PublishedSpec
 from lodbench.datasets.query import Dataset, Entry, notes_of
-from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import ConfigError, DatasetError, LodbenchError, nearest_names
 from lodbench.findings import Findings
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.geometry.pose import rotation_from_quaternion
+from lodbench.photos.pictures import encoded, read_picture
+from lodbench.photos.undistort import pinhole_of, undistorted
 from lodbench.storage import digest_of, make_folder, new_folder, write_bytes
 from lodbench.storage.paths import cache_root
 

@@ -9,9 +9,6 @@ from typing import Literal
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.codes import NO_CAMERA, READING_INFERRED
-from lodbench.datasets.photo_camera import camera_from_photo
-from lodbench.datasets.photo_files import PHOTO_SUFFIXES
-from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.published.own_layout import (
     AUTO,
@@ -26,6 +23,9 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError, require_within
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
+from lodbench.photos.camera import camera_from_photo
+from lodbench.photos.files import PHOTO_SUFFIXES
+from lodbench.photos.metadata import read_photo_metadata
 
 _RECORD = "https://huggingface.co/datasets/DevinEaston/SemCityLockeD"
 SPEC = PublishedSpec(

@@ -23,6 +23,7 @@ SPEC = replace(
     city_files=("swiss_LoD1_final.obj", "Swiss-EPFL-LoD1.obj", "Swiss-EPFLv2.obj"),
     unreadable_city_files=("swiss_LoD1_final.osgb",),
     hosts=(QUERIES, NOT_RELEASED),
+    year="2025",
 )
 
 

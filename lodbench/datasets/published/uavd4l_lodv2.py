@@ -26,6 +26,7 @@ SPEC = replace(
     unreadable_city_files=("move22.osgb", "move22.blend"),
     hosts=(QUERIES, Host("city model", LOD1.url, "or: lodbench dataset download uavd4l_lodv2")),
     downloads=(LOD1,),
+    year="2025",
 )
 
 
