@@ -36,10 +36,13 @@ def main(argv: Sequence[str]) -> int:
         _EPILOG,
     )
     add_dataset_options(parser)
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="a setting: dataset.NAME of a run"
+    )
     parser.add_argument("--headers-only", action="store_true", help="do not decode photos and masks")
     parser.add_argument("--json", action="store_true", help="print plain values instead of text")
     options = parser.parse_args(argv[1:])
-    dataset, card = open_named(options), config_card(options.dataset)
+    dataset, card = open_named(options, options.set), config_card(options.dataset)
     counts = card.counts if card else {}
     dataset = replace(dataset, city_hint=in_flags(dataset.city_hint))
     report = check_dataset(dataset, with_pixels=not options.headers_only, counts=counts)

@@ -9,7 +9,7 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.composing import composed
-from lodbench.cli.configs import config_files
+from lodbench.cli.configs import config_files, read_config
 from lodbench.cli.setting_help import Group, groups_of, settings_of_group
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.plugins import plugin_names
@@ -104,9 +104,10 @@ def _unknown(key: str, config_name: str, words: Sequence[str]) -> ConfigError:
 
 
 def _choices_with(name: str, group: Group) -> list[str]:
-    """Returns the choices of a group that have a setting, as they are typed: ``dataset=folder``."""
+    """Returns the choices of a group that have a setting, as typed; those that cannot do without first."""
+    files = config_files(group.folder)
     return [
         f"{group.key}={choice}"
-        for choice in config_files(group.folder)
+        for choice in sorted(files, key=lambda choice: name in (read_config(group.folder, choice) or {}))
         if any(s.key == f"{group.key}.{name}" for s in settings_of_group(group.key, group.folder, choice))
     ]

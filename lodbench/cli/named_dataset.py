@@ -20,13 +20,14 @@ def add_dataset_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--root", metavar="DIR", help="where a published dataset was unpacked")
     parser.add_argument("--city", metavar="FILE", help="its city model")
     parser.add_argument("--lod", help="level of detail of the city model")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="a setting: dataset.NAME of a run"
-    )
 
 
-def open_named(options: argparse.Namespace) -> Dataset:
+def open_named(options: argparse.Namespace, settings: Sequence[str] = ()) -> Dataset:
     """Returns the dataset that the options name.
+
+    Args:
+        options: Of the command.
+        settings: Words ``NAME=VALUE``, as ``--set`` has them.
 
     Raises:
         LodbenchError: It is no name and no folder, or its data is missing or malformed.
@@ -40,12 +41,12 @@ def open_named(options: argparse.Namespace) -> Dataset:
                 f"{root} is neither a dataset nor a folder.", nearest_names(root, set(known) - {root})
             )
         values = {"name": "folder", "root": root, "city_model": options.city, "lod": options.lod}
-        return open_dataset({key: value for key, value in values.items() if value is not None})
+        values = {key: value for key, value in values.items() if value is not None}
+        return open_dataset(values | _set(settings, "folder", dataset_settings("folder")))
     takes = dataset_settings(name)
     given: dict[str, Any] = {"root": options.root, "city_model": options.city, "lod": options.lod}
-    values = {key: value for key, value in given.items() if value is not None} | _set(
-        options.set, name, takes
-    )
+    values = {key: value for key, value in given.items() if value is not None}
+    values |= _set(settings, name, takes)
     refused = sorted(set(values) - takes)
     if refused:
         option = {"root": "--root", "city_model": "--city", "lod": "--lod"}[refused[0]]

@@ -1,5 +1,5 @@
-"""The four datasets of the LoD-Loc papers, read from wherever a person put the download.
+"""Published datasets, read from wherever a person put the download.
 
-A module of facts each (``spec`` says which), over readers of the two layouts they come in. A dataset in
-another layout is a module of ``lodbench/datasets``.
+A module of facts each (``spec`` says which): those of the LoD-Loc papers over readers of the two layouts they
+come in, others with a reader of their own over ``own_layout``.
 """

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.codes import READING_INFERRED, READING_UNFIT
 from lodbench.datasets.exchange.posed import read_json
-from lodbench.datasets.own import find_inside
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.published.layout import advice
 from lodbench.datasets.published.own_layout import (
@@ -178,7 +177,7 @@ def _read(path: Path) -> _Sample:
             raise DatasetError(f"{path}: image is {arrays['image'].shape}, not in colour.")
         return _Sample(path, arrays, None)
     named = str(arrays.get("image_relpath", ""))
-    photo = find_inside(path.parent, named) if named else None
+    photo = _inside(path.parent, named)
     if photo is None:
         raise DatasetError(f"{path} has no image, and its image_relpath {named[:80]!r} is no file beside it.")
     return _Sample(path, arrays, photo)
@@ -327,10 +326,17 @@ def _map(scene: Path, reference: tuple[Path, dict[str, Any]], name: str, stride:
 
 def _file(reference: Path, stated: dict[str, Any], key: str) -> Path:
     named = stated.get(key)
-    path = find_inside(reference.parent, named) if isinstance(named, str) and named else None
+    path = _inside(reference.parent, named)
     if path is None:
         raise DatasetError(f"{reference}: {key} {str(named)[:80]!r} is no file beside it.")
     return path
+
+
+def _inside(folder: Path, named: object) -> Path | None:
+    """Returns the file of a name, which is a stranger's: never one outside of a folder."""
+    from lodbench.datasets.own import find_inside
+
+    return find_inside(folder, named) if isinstance(named, str) and named else None
 
 
 def _pair(

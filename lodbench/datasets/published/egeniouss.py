@@ -8,7 +8,6 @@ from pathlib import Path
 
 from lodbench.datasets.codes import NO_IMAGE, NO_PRIOR
 from lodbench.datasets.exchange.posed import content
-from lodbench.datasets.own import find_photo
 from lodbench.datasets.pose_text import parse_camera
 from lodbench.datasets.published.own_layout import (
     AUTO,
@@ -83,6 +82,8 @@ def open_egeniouss(params: EgenioussParams) -> Dataset:
         DatasetError: Parts are missing or malformed, or what the documentation leaves open is not decided.
         ConfigError: A setting is unknown.
     """
+    from lodbench.datasets.own import find_photo
+
     require_word("dataset.priors", params.priors, _PRIORS)
     found, home = find_parts(SPEC, params)
     findings = Findings()

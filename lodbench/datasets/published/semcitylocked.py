@@ -9,7 +9,6 @@ from typing import Literal
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.codes import NO_CAMERA, READING_INFERRED
-from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.published.own_layout import (
     AUTO,
     OwnLayoutParams,
@@ -118,6 +117,8 @@ def open_semcitylocked(params: SemCityParams) -> Dataset:
 
 def _true_poses(params: SemCityParams) -> dict[str, Pose]:
     """Returns the poses of a file by the stems of their photos, less ``origin``."""
+    from lodbench.datasets.pose_files import read_pose_file
+
     if params.poses is None:
         return {}
     shift = [-value for value in params.origin or (0.0, 0.0, 0.0)]

@@ -1,4 +1,4 @@
-"""Loaders of layouts of their own: each reads its miniature, and refuses ten damaged ones in one line each."""
+"""Loaders of own layouts: each reads its miniature, and refuses ten damaged ones in one line each."""
 
 from __future__ import annotations
 
