@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from time import process_time
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +33,11 @@ from lodbench.methods.flight import FlightMethod
 from lodbench.methods.flight.gone_buildings import shares_held
 from lodbench.methods.flight.map_views import views_of
 from lodbench.methods.protocol import Estimate, FlightEstimate
+from lodbench.segmentation import Segmenter
 from lodbench.segmentation.masks import read_mask
 from lodbench.storage import random_stream
 from lodbench.synthesis.flights.dataset import MAP_TRUTH_FILE, FlightsParams, drone_errors, open_flights
+from lodbench.synthesis.surroundings.surroundings import make_surroundings, standing_clutter
 
 Floats = NDArray[np.float64]
 
@@ -58,9 +61,20 @@ class _Tally:
 
 
 def measure_flights(
-    flights: FlightsParams, seeds: Sequence[int], method: FlightMethod, progress: Progress = no_progress
+    flights: FlightsParams,
+    seeds: Sequence[int],
+    method: FlightMethod,
+    progress: Progress = no_progress,
+    segmenter: Segmenter | None = None,
 ) -> Report:
     """Returns how well a method finds seeded flights, and what they say of drone and map.
+
+    Args:
+        flights: What is drawn.
+        seeds: Of the flights.
+        method: What finds them.
+        progress: Is called with flights done, and all.
+        segmenter: Makes masks from drawn photos; None for silhouettes that are degraded.
 
     Raises:
         LodbenchError: The city cannot be read, or no flight can be drawn over it.
@@ -73,16 +87,22 @@ def measure_flights(
             raise AssertionError("flights are drawn over a city")
         scene = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
         for flight in range(params.num_flights):
-            _fly(tally, params, dataset, scene, flight, method)
+            _fly(tally, params, dataset, scene, flight, method, segmenter)
             done += 1
             progress(done, total)
     return _report(tally, flights, seeds)
 
 
 def _fly(
-    tally: _Tally, params: FlightsParams, dataset: Dataset, scene: Scene, flight: int, method: FlightMethod
+    tally: _Tally,
+    params: FlightsParams,
+    dataset: Dataset,
+    scene: Scene,
+    flight: int,
+    method: FlightMethod,
+    segmenter: Segmenter | None,
 ) -> None:
-    queries, truth = queries_of(dataset, scene, flight)
+    queries, truth = queries_of(dataset, scene, flight, segmenter)
     city_map = CityMap(scene)
     streams = [partial(random_stream, 0, query.name) for query in queries]
     started = process_time()
@@ -96,7 +116,7 @@ def _fly(
     ]
     if found.findings:
         tally.constants.append(_constants_off(params, flight, found))
-        if params.map_errors():
+        if _scores_map(params):
             tally.score += _score(params, dataset, found, queries, truth, city_map)
 
 
@@ -104,8 +124,18 @@ def _error(found: Estimate | QueryFault, truth: Pose) -> PoseError:
     return pose_error(found.pose, truth) if isinstance(found, Estimate) else FAILED
 
 
-def queries_of(dataset: Dataset, scene: Scene, flight: int) -> tuple[list[Query], list[Pose]]:
-    """Returns the photos of a flight as a method sees them, and where they were taken, scene frame."""
+def _scores_map(params: FlightsParams) -> bool:
+    """Returns whether findings are counted: of wrong maps, and of exact ones where photos show more."""
+    return bool(params.map_errors()) or params.look is not None
+
+
+def queries_of(
+    dataset: Dataset, scene: Scene, flight: int, segmenter: Segmenter | None = None
+) -> tuple[list[Query], list[Pose]]:
+    """Returns the photos of a flight as a method sees them, and where they were taken, scene frame.
+
+    Masks are the dataset's, or a segmenter's of the photos.
+    """
     entries = [entry for entry in dataset.entries if entry.sequence == f"flight_{flight:02d}"]
     truth = [dataset.truth[entry.key].shifted(-scene.origin) for entry in entries]
     queries = [
@@ -114,7 +144,7 @@ def queries_of(dataset: Dataset, scene: Scene, flight: int) -> tuple[list[Query]
             entry.split,
             entry.camera,  # type: ignore[arg-type]
             entry.prior.shifted(-scene.origin),  # type: ignore[union-attr]
-            read_mask(entry.mask),  # type: ignore[arg-type]
+            read_mask(entry.mask) if segmenter is None else segmenter.segment(entry),  # type: ignore[arg-type]
             entry.image,
             sequence=entry.sequence,
             reconstructed=entry.reconstructed,
@@ -147,7 +177,9 @@ def _score(
     truth: Sequence[Pose],
     city_map: CityMap,
 ) -> MapScore:
-    changed = json.loads((dataset.root / MAP_TRUTH_FILE).read_text(encoding="utf-8"))
+    changed: dict[str, Any] = {"heights": {}, "missing": [], "extra": []}
+    if params.map_errors():
+        changed = json.loads((dataset.root / MAP_TRUTH_FILE).read_text(encoding="utf-8"))
     world = open_cached_city(
         Path(params.city_model),
         lod=params.mask_lod or params.lod,
@@ -166,7 +198,15 @@ def _score(
         name = world.building_ids[building]
         if name in changed["missing"]:
             missing[name] = [*(low[:2] + world.origin[:2]), *(high[:2] + world.origin[:2])]
-    return score_map(found.findings, changed, shown, roofs, missing)
+    return score_map(found.findings, changed, shown, roofs, missing, _clutter(params, world))
+
+
+def _clutter(params: FlightsParams, world: Scene) -> list[list[float]]:
+    """Returns west, south, east and north of what stands beside buildings, the city's coordinates."""
+    if params.look is None:
+        return []
+    props, land = make_surroundings(world, params.flights_seed)
+    return standing_clutter(props, land)
 
 
 def _photos_of(queries: Sequence[Query], truth: Sequence[Pose], city_map: CityMap) -> dict[str, int]:
@@ -208,7 +248,7 @@ def _report(tally: _Tally, flights: FlightsParams, seeds: Sequence[int]) -> Repo
         Figure("mean probability of being within", 100.0 * float(np.mean(tally.probabilities)), "%"),
         Figure("expected calibration error", 100.0 * calibration.ece, "%"),
         *_constant_figures(tally),
-        *(_map_figures(tally.score) if flights.map_errors() else ()),
+        *(_map_figures(tally.score) if _scores_map(flights) else ()),
         Figure("CPU time per photo", tally.cpu_s / len(errors), "s"),
     ]
     title = f"{Path(flights.city_model).name}, {len(errors)} photos, seeds {','.join(map(str, seeds))}"
@@ -229,6 +269,7 @@ def _constant_figures(tally: _Tally) -> list[Figure]:
 
 
 def _map_figures(score: MapScore) -> list[Figure]:
+    nothing = score.places - score.rightly_missing - score.clutter
     rows = (
         (f"heights within 0.5 m, of {score.heights} shown twice and told", score.recovered, score.heights),
         (f"wrong heights found, of {score.wrong}", score.found_wrong, score.wrong),
@@ -236,7 +277,9 @@ def _map_figures(score: MapScore) -> list[Figure]:
         (f"gone buildings found, of {score.gone}", score.rightly_gone, score.gone),
         (f"said to be gone rightly, of {score.told_gone}", score.rightly_gone, score.told_gone),
         (f"missing buildings found, of {score.missing}", score.found, score.missing),
-        (f"said to be missing rightly, of {score.places}", score.rightly_missing, score.places),
+        (f"places not in the map: buildings, of {score.places}", score.rightly_missing, score.places),
+        (f"places not in the map: containers, tents, heaps, of {score.places}", score.clutter, score.places),
+        (f"places not in the map: nothing there, of {score.places}", nothing, score.places),
     )
     return [Figure(name, 100.0 * part / whole if whole else float("nan"), "%") for name, part, whole in rows]
 

@@ -39,6 +39,7 @@ def add_flights(actions: Any) -> argparse.ArgumentParser:
     add("--map-lod", help="level of detail that is searched (the lowest)")
     add("--mask-lod", help="level of detail that photos show, or finest (the map's)")
     add("--look", help="draw photos in this look: plain, varied or hard (none)")
+    add("--segmenter", metavar="NAME", help="masks of drawn photos by it (silhouettes, degraded)")
     add("--photo-width", type=int, default=PHOTO_SIZE[0], help=f"of drawn photos, pixels ({PHOTO_SIZE[0]})")
     add("--reconstruct", action="store_true", help="by COLMAP, from the photos (pycolmap)")
     add("--relative-poses", choices=RELATIVE_POSES, default="auto", help="(auto)")
@@ -89,7 +90,8 @@ def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     )
     method = FlightMethod(Params(relative_poses=options.relative_poses))
     if options.joint is None:
-        return measure_flights(flights, options.seeds, method, steps)
+        segmenter = None if options.segmenter is None else segmenter_of(options.segmenter)
+        return measure_flights(flights, options.seeds, method, steps, segmenter)
     flights = replace(flights, flights_seed=options.seeds[0], path=flights.path or "orbit")
     return measure_joint_solves(flights, options.joint, method, traces_memory=options.memory, progress=steps)
 
@@ -106,6 +108,8 @@ def _require_sound(options: argparse.Namespace) -> None:
     require_within("--photo-width", options.photo_width, FINE_SIZE[0], RGB_CAMERA.width)
     if options.reconstruct and options.look is None:
         raise ConfigError("--reconstruct needs photos.", "Add --look plain.")
+    if options.segmenter is not None and (options.look is None or options.joint is not None):
+        raise ConfigError("--segmenter needs drawn photos.", "Add --look varied, and leave --joint out.")
     if options.relative_poses == "reconstruction" and not options.reconstruct:
         raise ConfigError("--relative-poses reconstruction needs one.", "Add --reconstruct --look plain.")
     if options.relative_poses == "tracks" and options.look is None:

@@ -33,6 +33,7 @@ class MapScore:
         found: Of them, those found.
         places: Places said to lack a building.
         rightly_missing: Of them, those where the map lacks one.
+        clutter: Of the others, those where something else stands that no map holds: containers, tents, heaps.
     """
 
     heights: int = 0
@@ -48,6 +49,7 @@ class MapScore:
     found: int = 0
     places: int = 0
     rightly_missing: int = 0
+    clutter: int = 0
 
     def __add__(self, other: MapScore) -> MapScore:
         """Returns the counts of both."""
@@ -60,6 +62,7 @@ def score_map(
     shown: Collection[str],
     roofs: Collection[str],
     boxes: Mapping[str, Sequence[float]],
+    clutter: Sequence[Sequence[float]] = (),
 ) -> MapScore:
     """Returns how a flight's findings compare with what was done to the map.
 
@@ -70,6 +73,7 @@ def score_map(
         shown: Ids of the buildings of either that at least three photos show.
         roofs: Ids of the map's buildings whose roofs at least two photos show.
         boxes: West, south, east and north of each missing building, the city's coordinates.
+        clutter: The same of what stands there besides.
     """
     truth = changed["heights"]
     told = {b["id"]: b for b in findings["buildings"] if b["id"] not in changed["extra"]}
@@ -79,6 +83,8 @@ def score_map(
     told_gone = [c["id"] for c in findings["changes"] if c["kind"] == "gone"]
     places = [_polygon(c["outline"]) for c in findings["changes"] if c["kind"] == "missing"]
     lacking = {name: box(*boxes[name]).buffer(_NEAR_M) for name in changed["missing"] if name in boxes}
+    others = [place for place in places if not any(place.intersects(there) for there in lacking.values())]
+    standing = unary_union([box(*each) for each in clutter])
     return MapScore(
         heights=len(errors),
         recovered=int(np.count_nonzero(np.array(errors) < RECOVERED_M)),
@@ -95,7 +101,8 @@ def score_map(
             for name, there in lacking.items()
         ),
         places=len(places),
-        rightly_missing=sum(any(place.intersects(there) for there in lacking.values()) for place in places),
+        rightly_missing=len(places) - len(others),
+        clutter=sum(bool(place.intersects(standing)) for place in others),
     )
 
 

@@ -134,7 +134,7 @@ def map_in_words(findings: Mapping[str, Any], most: int = 5) -> list[str]:
     lacking = sum(change["kind"] == "missing" for change in findings.get("changes", []))
     mapped, places = rows[: len(rows) - lacking], rows[len(rows) - lacking :]
     errors = f"{count_of(len(mapped), 'possible errors')} of the map"
-    not_mapped = "buildings or containers not in the map, which may hold a part of all"
+    not_mapped = "buildings, containers or heaps not in the map, which may hold a part of all"
     return [
         *_listed(f"{errors}, {count_of(count, 'buildings')} checked:", mapped, most),
         *_listed(f"{count_of(len(places), 'places')} with {not_mapped}:", places, most),
@@ -174,9 +174,16 @@ def map_rows(findings: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         if change["kind"] == "gone":
             rows.append((str(change["id"]), f"probably gone ({100 * change['probability']:.0f} %)", photos))
         else:
-            size = f"{change['area_m2']:.0f} m2 and {change['top_m']:.0f} m high"
-            rows.append(("building missing in the map", size, photos))
+            rows.append(("not in the map", f"{change['area_m2']:.0f} m2, {_height(change)}", photos))
     return rows
+
+
+def _height(place: Mapping[str, Any]) -> str:
+    """Returns how high something is that the map lacks, and how well that is known."""
+    if place["height_m"] is not None:
+        return f"{place['height_m']:.1f} m +-{place['sigma_m']:.1f} high"
+    at_most = "" if place["at_most_m"] is None else f", below {place['at_most_m']:.0f} m"
+    return f"height not determined{at_most}"
 
 
 def doubted_buildings(buildings: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:

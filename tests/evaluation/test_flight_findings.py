@@ -18,7 +18,9 @@ def place(west, south):
         "kind": "missing",
         "outline": [ring],
         "area_m2": 64.0,
-        "top_m": 5.0,
+        "height_m": 5.0,
+        "sigma_m": 0.5,
+        "at_most_m": 8.0,
         "share": 0.9,
         "photos": ["p"],
     }
@@ -39,14 +41,20 @@ def test_counts_of_a_flight_and_of_two():
             {"kind": "gone", "id": "c", "probability": 0.95, "photos": ["p"]},
             place(111.0, 113.0),  # beside the corner of what is missing, within three metres
             place(500.0, 500.0),
+            place(700.0, 700.0),  # on a container
         ],
     }
     score = score_map(
-        findings, CHANGED, {"a", "b", "c", "d", "m", "x", "y"}, {"a", "b", "c", "d", "y"}, BOXES
+        findings,
+        CHANGED,
+        {"a", "b", "c", "d", "m", "x", "y"},
+        {"a", "b", "c", "d", "y"},
+        BOXES,
+        clutter=[(706.0, 700.0, 712.0, 702.4), (110.0, 110.0, 120.0, 120.0)],
     )
     assert score == MapScore(
         heights=4, recovered=2, wrong=2, found_wrong=1, doubted=3, rightly=1, gone=2, told_gone=2,
-        rightly_gone=1, missing=1, found=1, places=2, rightly_missing=1,
+        rightly_gone=1, missing=1, found=1, places=3, rightly_missing=1, clutter=1,
     )  # fmt: skip
     assert (score + score).heights == 8
     assert (score + MapScore()) == score

@@ -54,7 +54,8 @@ def test_what_is_contradicted_is_told_and_lies_where_it_stands(scene):
         [500_040.0, 5_600_010.0],
         [500_030.0, 5_600_000.0],
     ]
-    lacking = {"kind": "missing", "outline": [ring], "area_m2": 50.0, "top_m": 6.0, "photos": ["p"]}
+    lacking = {"kind": "missing", "outline": [ring], "area_m2": 50.0, "photos": ["p"]}
+    lacking |= {"height_m": None, "sigma_m": None, "at_most_m": 8.0}
     gone = {"kind": "gone", "id": "court", "probability": 0.9, "photos": ["p"]}
     findings = {"buildings": [doubted], "changes": [gone, lacking]}
     features = contradiction_features(scene, frame, findings, "flight 1")
@@ -66,7 +67,7 @@ def test_what_is_contradicted_is_told_and_lies_where_it_stands(scene):
     assert found[1] == pytest.approx(found[0])
     assert found[2] == pytest.approx((500_036.67, 5_600_003.33), abs=0.01)
     _, marks = city_and_marks(scene, findings)
-    assert [mark.title.split(":")[0] for mark in marks] == ["court", "court", "building missing in the map"]
+    assert [mark.title.split(":")[0] for mark in marks] == ["court", "court", "not in the map"]
 
 
 def test_a_building_that_this_map_has_not_is_told_without_an_outline(scene):

@@ -13,7 +13,7 @@ from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder
 from lodbench.synthesis.surroundings.ground import Ground
-from lodbench.synthesis.surroundings.surroundings import CLUTTER, Spot, make_surroundings
+from lodbench.synthesis.surroundings.surroundings import CLUTTER, Spot, make_surroundings, standing_clutter
 
 SLOPE = Ground(-100.0, -100.0, 10.0, np.fromfunction(lambda row, column: 2.0 * column, (21, 21)))
 
@@ -37,6 +37,20 @@ def test_trees_cars_and_clutter_keep_clear_of_buildings(made, city):
             points[:, None, :2] < boxes.high[:, :2] - 0.5
         )
         assert not inside.all(axis=2).any(), kind
+
+
+def test_what_stands_beside_buildings_is_boxed_and_what_is_painted_is_not(made, city):
+    props, land = made
+    boxes = np.array(standing_clutter(props, land)) - np.tile(props.origin[:2], 2)
+    containers = corners_of(props, SurfaceClass.CLUTTER).mean(axis=1)
+    inside = ((containers[:, None, :2] >= boxes[:, :2]) & (containers[:, None, :2] <= boxes[:, 2:])).all(
+        axis=2
+    )
+    assert inside.any(axis=1).all()
+    heaps = (props.surface == SurfaceClass.GROUND) & props.tint.any(axis=1)
+    assert len(np.unique(props.objects[heaps | (props.surface == SurfaceClass.CLUTTER)])) >= len(boxes) > 5
+    # A yard is wider than anything that stands.
+    assert (boxes[:, 2:] - boxes[:, :2]).max() < 18.0
 
 
 def test_a_city_with_a_house_at_zero_gets_no_land(city):

@@ -20,12 +20,15 @@ from lodbench.methods.flight.joint import shared_covariance
 from lodbench.methods.flight.map_views import views_of
 from lodbench.methods.flight.missing_buildings import missing_buildings
 from lodbench.methods.flight.params import Params
+from lodbench.methods.flight.roof_edges import open_pictures
 from lodbench.methods.flight.roof_sweep import sweep_roofs
-from lodbench.methods.flight.state import CONSTANTS, FOCAL, Solution
+from lodbench.methods.flight.state import CONSTANTS, FOCAL, Solution, State
 from lodbench.methods.flight.witnesses import APART_DEG, apart_deg, roof_middles
 
 Floats = NDArray[np.float64]
 
+# What masks alone say.
+MASKS = "masks too large by"
 # Of the shared numbers before the buildings': name and unit.
 _NAMES = (
     ("east", "m"),
@@ -38,7 +41,7 @@ _NAMES = (
     ("radial distortion k1", ""),
     ("principal point to the right", "share"),
     ("principal point down", "share"),
-    ("masks too large by", "px"),
+    (MASKS, "px"),
     ("roofs higher than the map", "m"),
     ("feet of walls higher than the map", "m"),
 )
@@ -72,24 +75,31 @@ def findings_of(
     kept = [int(k) for k in np.flatnonzero(state.weights > 0)]
     kept_queries, poses = [queries[k] for k in kept], [pose_from_vector(state.vectors[k]) for k in kept]
     views = views_of(kept_queries, poses, float(state.lens[0]))
-    changes = [*gone_buildings(views, city_map), *missing_buildings(views, city_map)]
+    pictures = open_pictures(kept_queries, poses, state.lens[:2])
+    curves = sweep_roofs(pictures, city_map)
+    changes = [*gone_buildings(views, city_map), *missing_buildings(views, city_map, pictures)]
     gone = {change["id"] for change in changes if change["kind"] == "gone"}
-    heights = building_heights(
-        aligned, sweep_roofs(kept_queries, poses, state.lens[:2], city_map), city_map.scene, params
-    )
+    heights = building_heights(aligned, curves, city_map.scene, params)
     centers = np.array([pose.center for pose in poses]).reshape(-1, 3)
     buildings = _buildings(heights, aligned, city_map.scene, centers)
     return {
-        "constants": _constants(aligned, params, of_ends),
+        "constants": constants_of(aligned, params, of_ends),
         # What is gone has no height.
         "buildings": [building for building in buildings if building["id"] not in gone],
         "changes": changes,
+        **lost_of(state, queries),
+    }
+
+
+def lost_of(state: State, queries: Sequence[Query]) -> dict[str, Any]:
+    """Returns the photos that others alone place, and ``reasons`` why, by name."""
+    return {
         "lost": [query.name for query, weight in zip(queries, state.weights, strict=True) if weight == 0.0],
         "reasons": {queries[k].name: reason for k, reason in state.reasons.items()},
     }
 
 
-def _constants(aligned: Aligned, params: Params, of_ends: Floats) -> dict[str, dict[str, Any]]:
+def constants_of(aligned: Aligned, params: Params, of_ends: Floats) -> dict[str, dict[str, Any]]:
     """Returns what photos share, by name: value, sigma, unit, whether photos told it; none that is held."""
     state = aligned.state
     spread = np.sqrt(np.diag(shared_covariance(aligned.solution, np.arange(CONSTANTS)) + of_ends))

@@ -17,7 +17,7 @@ from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.contour_alignment.uncertainty import probability_within
 from lodbench.methods.flight.aligning import Aligned, align, footprint_covariance, mean_iou, side_by_side
 from lodbench.methods.flight.bundle import block_of
-from lodbench.methods.flight.findings import cannot_tell_focal, findings_of
+from lodbench.methods.flight.findings import MASKS, cannot_tell_focal, constants_of, findings_of, lost_of
 from lodbench.methods.flight.joint import photo_covariance, solve
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import LENS
@@ -38,6 +38,8 @@ _TIE_STEPS = 6
 _SAME_SCALE = "focal length and height cannot be separated with these photos: focal length unchanged"
 # Edges place a flight where no less of the map's lines than this show one: more than do by chance.
 _LEAST_EDGES = 0.55
+# Priors scatter that do so by more than this times what was declared.
+_SCATTERED = 2.0
 # What photos have in common is this many sigmas from what was expected before all is believed less.
 _EXPECTED_SIGMAS = 2.0
 
@@ -116,6 +118,25 @@ class FlightMethod:
         if len(faults) == len(alone):
             return FlightEstimate(faults)
         start = self._start(queries, city_map, alone) if start is None else start
+        aligned, method = self._aligned_by_masks(queries, alone, city_map, start)
+        begun, scattered = aligned.state, self._params_of(start)
+        if float((scattered.own_sigmas() / self.params.own_sigmas()).max()) > _SCATTERED:
+            # Edges begin where priors that err together lead; what is said does not rest on such priors.
+            method._with_covariances(queries, start, aligned, city_map)
+            aligned, method = FlightMethod(scattered)._aligned_by_masks(queries, alone, city_map, start)
+        found = method._finished(queries, start, aligned, city_map)
+        if method.params.focal < self.params.focal:
+            found.findings["notes"] = [_SAME_SCALE]
+        return self._refined_by_edges(queries, start, (begun, aligned.state), found, city_map)
+
+    def _aligned_by_masks(
+        self,
+        queries: Sequence[Query],
+        alone: Sequence[Estimate | QueryFault],
+        city_map: CityMap,
+        start: State,
+    ) -> tuple[Aligned, FlightMethod]:
+        """Returns where masks have a flight, and the method, its focal length held if they do not tell it."""
         offsets = np.array(
             [
                 differences(vector_from_pose(found.pose)[None], vector[None])[0]
@@ -126,38 +147,41 @@ class FlightMethod:
         offset, _ = flight_error(queries, start.vectors, offsets, city_map, self.params)
         aligned = align(queries, start.begun(np.arange(len(queries)), offset), city_map, self.params)
         if not cannot_tell_focal(aligned.solution, self.params):
-            found = self._finished(queries, start, aligned, city_map)
-        else:
-            held = FlightMethod(replace(self.params, focal=0.0))
-            aligned.state.constants[FOCAL] = start.constants[FOCAL] = 0.0
-            aligned = align(queries, aligned.state, city_map, held.params)
-            found = held._finished(queries, start, aligned, city_map)
-            found.findings["notes"] = [_SAME_SCALE]
-        return self._refined_by_edges(queries, start, aligned.state, found, city_map)
+            return aligned, self
+        held = FlightMethod(replace(self.params, focal=0.0))
+        aligned.state.constants[FOCAL] = start.constants[FOCAL] = 0.0
+        return align(queries, aligned.state, city_map, held.params), held
 
     def _refined_by_edges(
         self,
         queries: Sequence[Query],
         start: State,
-        state: State,
+        states: tuple[State, State],
         found: FlightEstimate,
         city_map: CityMap,
     ) -> FlightEstimate:
         """Returns a flight that masks have placed where edges have it, if these lie on the map's lines.
 
-        Findings about the map stay those of masks, without those that edges contradict.
+        Findings about the map stay those of masks, without those that edges contradict; what is said of the
+        drone goes with the poses. ``states`` are where edges begin, and where ``found`` has the photos.
         """
+        begun, state = states
         if all(query.image is None for query in queries):
             return found
         if start.reconstruction is None:
             return _checked(found, queries, state, city_map)
         method = FlightMethod(replace(self.params, single="region"))
-        begun = replace(start, vectors=state.vectors).begun(np.arange(len(queries)), np.zeros(6))
+        begun = replace(start, vectors=begun.vectors).begun(np.arange(len(queries)), np.zeros(6))
         aligned, method = method._aligned_by_edges(queries, begun, city_map)
         if mean_iou(aligned.terms) < _LEAST_EDGES:
             return _checked(found, queries, state, city_map)
         refined = method._with_covariances(queries, begun, aligned, city_map)
-        return _checked(FlightEstimate(refined.estimates, found.findings), queries, aligned.state, city_map)
+        by_edges = constants_of(aligned, method.params, np.array(refined.findings["of_constants"]))
+        by_masks = found.findings["constants"]
+        constants = {name: by_masks.get(name) if name == MASKS else each for name, each in by_edges.items()}
+        findings = {**found.findings, **lost_of(aligned.state, queries)}
+        findings["constants"] = {name: each for name, each in constants.items() if each is not None}
+        return _checked(FlightEstimate(refined.estimates, findings), queries, aligned.state, city_map)
 
     def _solve_by_edges(
         self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
@@ -178,11 +202,15 @@ class FlightMethod:
         self, queries: Sequence[Query], start: State, city_map: CityMap
     ) -> tuple[Aligned, FlightMethod]:
         """Returns where edges have a flight, and the method that knows how far its priors scatter."""
-        params = self.params.for_edges()
-        if start.reconstruction is not None:
-            gaps = differences(start.vectors, start.priors)
-            params = params.with_scatter(gaps[start.reconstruction.photos])
+        params = self._params_of(start).for_edges()
         return align(queries, start, city_map, params), FlightMethod(params)
+
+    def _params_of(self, start: State) -> Params:
+        """Returns the parameters with priors that scatter as they do against a block of photos, if any."""
+        if start.reconstruction is None:
+            return self.params
+        gaps = differences(start.vectors, start.priors)
+        return self.params.with_scatter(gaps[start.reconstruction.photos])
 
     def _require_reconstruction(self, queries: Sequence[Query]) -> None:
         known = sum(query.reconstructed is not None for query in queries)

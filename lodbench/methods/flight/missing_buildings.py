@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.kernels.estimation import add_votes
 from lodbench.methods.flight.map_views import View
+from lodbench.methods.flight.roof_edges import SweepPicture
+from lodbench.methods.flight.roof_sweep import sweep_place
 from lodbench.methods.flight.witnesses import APART_DEG, apart_deg
 
 Floats = NDArray[np.float64]
@@ -33,14 +35,30 @@ _NEIGHBOURS = 3
 _SQUARE = 256
 # What lies this near to a building's silhouette is its own, badly drawn; what lies further is seen too small.
 _MARGIN_PX, _FURTHEST_M = 3, 400.0
+# Heights that pixels are asked for; what they say is known no better than this, and not stated if known worse
+# than that, metres. What is most probably lower than this lies on the ground.
+_TRIED_M, _BEST_M, _OPEN_M, _FLAT_M = np.arange(0.0, 30.01, 0.5), 1.0, 2.0, 1.0
+# Looked for 2 m higher, a place moves by 1 m in a photo 27 deg off the nadir, a tenth of what is as large as
+# this: of smaller ones masks do not show whether they rise, square metres.
+_WIDE_M2 = 100.0
+# Points of a cell whose colours are compared, metres from its corner.
+_WITHIN_M = np.array([(0.5, 0.5), (0.5, 1.5), (1.5, 0.5), (1.5, 1.5)])
 
 
-def missing_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, Any]]:
-    """Returns places that photos show buildings at and the map has none, the largest first.
+def missing_buildings(
+    views: Sequence[View], city_map: CityMap, pictures: Sequence[SweepPicture] = ()
+) -> list[dict[str, Any]]:
+    """Returns places where something stands that masks hold and the map has not, the largest first.
 
-    Each with its ``outline``: rings of (east, north) in the city's coordinates, ``area_m2``, ``top_m`` above
-    the ground, the ``share`` of photos that show it of those that could, the ``photos``, and ``apart_deg``
-    between the directions that they look from.
+    Each with its ``outline``: rings of (east, north) in the city's coordinates, ``area_m2``, ``height_m``
+    above the ground and its ``sigma_m``, both None where pixels do not determine it, ``at_most_m``, which
+    masks allow (None: more than is looked for), the ``share`` of photos that show it of those that could, the
+    ``photos``, and ``apart_deg`` between the directions that they look from.
+
+    Args:
+        views: Where masks are looked at.
+        city_map: The map.
+        pictures: The photos as ``sweep_roofs`` leaves them: at its height something looks alike in all.
     """
     if len(views) < _FEWEST_PHOTOS:
         return []
@@ -48,7 +66,7 @@ def missing_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str
     ground = _Ground(city_map)
     corner, counts = _grid(views, ground.usual)
     cells, shares = _built_cells(views, known, corner, counts, ground)
-    return _components(cells, shares, corner, ground, views, known, city_map)
+    return _components(cells, shares, corner, ground, views, known, city_map, pictures)
 
 
 class _Ground:
@@ -173,6 +191,7 @@ def _components(
     views: Sequence[View],
     known: Sequence[Mask],
     city_map: CityMap,
+    pictures: Sequence[SweepPicture],
 ) -> list[dict[str, Any]]:
     """Returns the connected places of (N, 2) cells that are large enough."""
     found = []
@@ -182,8 +201,6 @@ def _components(
         if area < _LEAST_M2:
             continue
         middle = corner + _CELL_M * (cells.mean(axis=0) + 0.5)
-        levels = shares[:, rows].max(axis=1) >= _SHARE
-        top = float(np.array(_HEIGHTS_M)[levels].max())
         place = np.array([[*middle, float(ground.at(middle[None])[0]) + _HEIGHTS_M[0]]])
         photos, centers = [], []
         for view, covered in zip(views, known, strict=True):
@@ -200,6 +217,9 @@ def _components(
             continue
         if not _rises(cells, shares[:2, rows], (place[0, 2] - _HEIGHTS_M[0], corner), np.array(centers)):
             continue
+        height = _height(cells, shares[:, rows], corner, ground, pictures, city_map)
+        if height is None:
+            continue
         share = float(shares[:2, rows].mean())
         lowest = cells.min(axis=0)
         shape = np.zeros(np.ptp(cells, axis=0) + 1, dtype=bool)
@@ -211,13 +231,54 @@ def _components(
                 "kind": "missing",
                 "outline": outline,
                 "area_m2": area,
-                "top_m": top,
+                **height,
                 "share": share,
                 "photos": photos,
                 "apart_deg": apart,
             }
         )
     return sorted(found, key=lambda change: -change["area_m2"])
+
+
+def _height(
+    cells: Cells,
+    shares: Floats,
+    corner: Floats,
+    ground: _Ground,
+    pictures: Sequence[SweepPicture],
+    city_map: CityMap,
+) -> dict[str, float | None] | None:
+    """Returns how high cells are, as ``missing_buildings`` has it; None where pixels show the ground there.
+
+    Masks bound a height alone: near the nadir what they leave free is a cone over the place. None too where
+    pixels do not determine it, and the place is so small that masks do not show whether it rises.
+    """
+    held = np.flatnonzero(shares.max(axis=1) >= _SHARE)[-1]
+    at_most_m = _HEIGHTS_M[held + 1] if held + 1 < len(_HEIGHTS_M) else None
+    places = (corner + _CELL_M * _inner(cells)[:, None] + _WITHIN_M).reshape(-1, 2)
+    tried_m = _TRIED_M if at_most_m is None else _TRIED_M[_TRIED_M <= at_most_m]
+    curve = sweep_place(np.column_stack([places, ground.at(places)]), tried_m, pictures, city_map)
+    said: dict[str, float | None] = {"height_m": None, "sigma_m": None, "at_most_m": at_most_m}
+    if curve is None:
+        return said
+    density = np.exp(curve.nats - curve.nats.max())
+    density /= density.sum()
+    if density[tried_m < _FLAT_M].sum() > 0.5:
+        return None
+    height_m = float(density @ tried_m)
+    sigma_m = max(float(np.sqrt(density @ (tried_m - height_m) ** 2)), _BEST_M)
+    if sigma_m > _OPEN_M:
+        return said if len(cells) * _CELL_M**2 >= _WIDE_M2 else None
+    return {**said, "height_m": height_m, "sigma_m": sigma_m}
+
+
+def _inner(cells: Cells) -> Cells:
+    """Returns the cells of a place with neighbours on all sides, or all if these are less than a quarter."""
+    first = cells.min(axis=0) - 1
+    held = np.zeros(np.ptp(cells, axis=0) + 3, dtype=np.uint8)
+    held[tuple((cells - first).T)] = 1
+    inner = cv2.erode(held, np.ones((3, 3), np.uint8))[tuple((cells - first).T)] > 0
+    return cells[inner] if 4 * np.count_nonzero(inner) >= len(cells) else cells
 
 
 def _rises(cells: Cells, shares: Floats, ground: tuple[float, Floats], centers: Floats) -> bool:

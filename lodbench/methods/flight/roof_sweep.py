@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.query import Query
-from lodbench.geometry import Pose
-from lodbench.methods.flight.roof_edges import EdgeEvidence, SweepPicture, edge_evidence, open_pictures
+from lodbench.methods.flight.roof_edges import EdgeEvidence, SweepPicture, edge_evidence
 
 Floats = NDArray[np.float64]
 
@@ -154,21 +152,16 @@ class RoofCurve(NamedTuple):
 _Shown: TypeAlias = tuple[SweepPicture, NDArray[np.bool_]]
 
 
-def sweep_roofs(
-    queries: Sequence[Query], poses: Sequence[Pose], lens: Floats, city_map: CityMap
-) -> dict[int, RoofCurve]:
+def sweep_roofs(pictures: Sequence[SweepPicture], city_map: CityMap) -> dict[int, RoofCurve]:
     """Returns how well heights explain the photos, by row of the building.
 
     Heights are against the map, as poses have it: what all are wrong about alike is in all of them. Buildings
     that fewer than three photos show are left out, and all where there are no photos.
 
     Args:
-        queries: The photos.
-        poses: Where they were found to be taken, scene frame.
-        lens: The focal length's change as a share, and the radial distortion k1.
+        pictures: The photos, where they were found to be taken; their exposures are made alike, in place.
         city_map: The map.
     """
-    pictures = open_pictures(queries, poses, lens)
     if len(pictures) < _FEWEST_PHOTOS:
         return {}
     near = _near(city_map.scene, pictures)
@@ -181,6 +174,25 @@ def sweep_roofs(
     return {
         row: curve for row in {**edges, **curves} if (curve := _together(curves.get(row), edges.get(row)))
     }
+
+
+def sweep_place(
+    points: Floats, heights_m: Floats, pictures: Sequence[SweepPicture], city_map: CityMap
+) -> RoofCurve | None:
+    """Returns how well heights of something flat explain the photos; None where too few show it.
+
+    Args:
+        points: (N, 3) of the ground below it, scene metres.
+        heights_m: (H,) ascending, above that.
+        pictures: As ``sweep_roofs`` leaves them.
+        city_map: Its buildings hide places.
+    """
+    rising = np.column_stack([points, np.ones(len(points))])
+    seen = [(picture, _sees(picture, points, city_map, heights_m)) for picture in pictures]
+    photos = [shown for shown in seen if shown[1].mean() >= _SHARE]
+    if len(photos) < _FEWEST_PHOTOS:
+        return None
+    return _curve(rising, photos if len(photos) <= _MOST_PHOTOS else _best(rising, photos), heights_m)
 
 
 def _together(curve: RoofCurve | None, edges: EdgeEvidence | None) -> RoofCurve | None:
@@ -272,11 +284,13 @@ def _best(points: Floats, photos: Sequence[_Shown]) -> list[_Shown]:
     return sorted(photos, key=lambda photo: -_pixels_of(points, [photo]))[:_MOST_PHOTOS]
 
 
-def _sees(picture: SweepPicture, points: Floats, city_map: CityMap) -> NDArray[np.bool_]:
+def _sees(
+    picture: SweepPicture, points: Floats, city_map: CityMap, heights_m: Floats = HEIGHTS_M
+) -> NDArray[np.bool_]:
     """Returns which of (N, 3) points of the map a photo shows, at every height they may have."""
     pixels, depths = picture.project(points)
     is_seen = picture.holds(pixels, depths) & (depths < _COARSEST_M * picture.camera.fx)
-    for end_m in (HEIGHTS_M[0], HEIGHTS_M[-1]):
+    for end_m in (heights_m[0], heights_m[-1]):
         is_seen &= picture.holds(*picture.project(points + np.array([0.0, 0.0, end_m])))
     turn, center = picture.pose.rotation[None], picture.pose.center[None]
     # The map is drawn through a pinhole.
@@ -301,7 +315,7 @@ def _take_exposures_away(roofs: Mapping[int, Floats], seen: Mapping[int, Sequenc
             picture.shift_colours(-np.median(together, axis=0))
 
 
-def _curve(points: Floats, photos: Sequence[_Shown]) -> RoofCurve | None:
+def _curve(points: Floats, photos: Sequence[_Shown], heights_m: Floats = HEIGHTS_M) -> RoofCurve | None:
     """Returns how well heights of a roof explain its photos; None where too little is seen often enough.
 
     Eq. (F21) of docs/methods/flight.md.
@@ -309,8 +323,9 @@ def _curve(points: Floats, photos: Sequence[_Shown]) -> RoofCurve | None:
     Args:
         points: (N, 4) of the roof, and which share of the building's height they have.
         photos: Those that show it.
+        heights_m: (H,) that are tried.
     """
-    colours, counts = _colours(points, photos, HEIGHTS_M)
+    colours, counts = _colours(points, photos, heights_m)
     if len(counts) < _FEWEST_POINTS:
         return None
     apart = np.abs(colours[..., :3] - _medians(colours[..., :3], counts)) @ _WEIGHTS

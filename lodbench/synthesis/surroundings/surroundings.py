@@ -37,6 +37,8 @@ Floats = NDArray[np.float64]
 _SPACING_M, _SHARE, _MOST = 32.0, 0.4, 1500
 # What is painted on the ground lies so far above it: two meshes of one slope differ by less.
 _ABOVE_M, _MESH_M = 0.12, 3.0
+# What rises by more stands, metres.
+_STANDS_M = 0.5
 _BOXES = palette("a43c2c 285280 3c6a4c c4b03c cececa 787a7c")
 _CANVAS = palette("f0f0ec e4e0d2 466ea0 58784c")
 _HEAPS = palette("ceb88c 968064 807e7a 604e3c")
@@ -74,6 +76,23 @@ def add_clutter(builder: MeshBuilder, land: Land, chances: np.random.Generator) 
         turn = float(chances.uniform(0.0, 2 * np.pi))
         if free_m[k] > radius_m:
             add(builder, Spot(places[k], np.array([np.cos(turn), np.sin(turn)]), land.ground), chances)
+
+
+def standing_clutter(props: SceneProps, land: Land) -> list[list[float]]:
+    """Returns west, south, east and north, the city's coordinates, of containers, tents and heaps of a city.
+
+    Nothing that is painted on the ground; trees and cars neither.
+    """
+    kinds = props.surface == SurfaceClass.CLUTTER
+    kinds |= (props.surface == SurfaceClass.GROUND) & props.tint.any(axis=1)
+    order = np.flatnonzero(kinds)[np.argsort(props.objects[kinds], kind="stable")]
+    starts = np.unique(props.objects[order], return_index=True)[1]
+    found = []
+    for own in np.split(order, starts[1:]) if len(order) else []:
+        points = props.vertices[props.triangles[own].ravel()].astype(np.float64)
+        if (points[:, 2] - land.ground.at(points[:, :2])).max() > _STANDS_M:
+            found.append((np.r_[points[:, :2].min(axis=0), points[:, :2].max(axis=0)]).tolist())
+    return [(np.array(each) + np.tile(props.origin[:2], 2)).tolist() for each in found]
 
 
 def _add_prism(builder: MeshBuilder, spot: Spot, local: Floats, ridge: Floats, tint: Floats) -> None:

@@ -14,8 +14,9 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.flight import FlightMethod, Params
-from lodbench.methods.flight.joint import photo_covariance, solve
+from lodbench.methods.flight.joint import photo_covariance, shared_covariance, solve
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
+from lodbench.methods.flight.reconstruction import placed
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.state import State
 from lodbench.methods.protocol import SupportsFlights
@@ -50,6 +51,27 @@ def localize(queries, city_map, params=None):
 def found(city_map):
     queries, poses = flight(city_map)
     return localize(queries, city_map), poses
+
+
+@pytest.mark.parametrize("is_tied", [True, False])
+@pytest.mark.parametrize("single", ["contour_alignment", "region"])
+def test_priors_that_scatter_against_a_block_leave_what_they_share_open(single, is_tied):
+    generator = np.random.default_rng(2)
+    poses = list(true_poses(8).values())
+    vectors = np.array([vector_from_pose(pose) for pose in poses])
+    priors = vectors + generator.normal(size=(8, 6)) * [6.0, 6.0, 17.0, 0.6, 0.6, 4.0]
+    params = Params(single=single)
+    block = placed(dict(enumerate(poses)), vectors, params.reconstruction_information()) if is_tied else None
+    state = State(vectors, priors, RoofParts(20.0, 0), np.zeros(0), np.ones(8), reconstruction=block)
+    known = FlightMethod(params)._params_of(state)
+    solution = solve(state, [None] * 8, known)
+    sigma_m = float(np.sqrt(shared_covariance(solution, np.array([2]))[0, 0]))
+    if not is_tied:
+        assert known == params
+        return
+    # The flight's error is the mean of independent ones.
+    assert 8.0 < known.own_sigmas()[2] < 34.0
+    assert sigma_m > 0.6 * 17.0 / np.sqrt(8)
 
 
 @pytest.mark.slow

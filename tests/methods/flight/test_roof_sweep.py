@@ -12,6 +12,8 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Query
 from lodbench.methods.flight.building_heights import _common
+from lodbench.methods.flight.map_views import views_of
+from lodbench.methods.flight.missing_buildings import missing_buildings
 from lodbench.methods.flight.roof_edges import open_pictures
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, roof_points, sweep_roofs
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
@@ -50,7 +52,7 @@ def best_m(curves):
 
 
 def test_a_right_map_s_roofs_are_where_it_has_them(world, photos):
-    found = best_m(sweep_roofs(*photos, LENS, CityMap(world, threads=1)))
+    found = best_m(sweep_roofs(open_pictures(*photos, LENS), CityMap(world, threads=1)))
     assert len(found) >= 5
     assert np.mean([abs(height) <= 0.5 for height in found.values()]) >= 0.9
 
@@ -58,7 +60,7 @@ def test_a_right_map_s_roofs_are_where_it_has_them(world, photos):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_roof_that_the_map_has_wrong_is_found_where_photos_show_it(world, photos, seed):
     wrong, changed = change_map(world, MapErrors(heights=0.3), np.random.default_rng(seed))
-    found = best_m(sweep_roofs(*photos, LENS, CityMap(wrong, threads=1)))
+    found = best_m(sweep_roofs(open_pictures(*photos, LENS), CityMap(wrong, threads=1)))
     ids = {world.building_ids[row]: height for row, height in found.items()}
     off = [abs(ids[name] + change) for name, change in changed["heights"].items() if name in ids]
     assert len(off) >= 2
@@ -69,7 +71,8 @@ def test_a_lens_that_is_longer_than_told_is_looked_through(world, photos):
     queries, poses = photos
     told = replace(CAMERA, fx=CAMERA.fx / 1.05, fy=CAMERA.fy / 1.05)
     queries = [replace(query, camera=told) for query in queries]
-    right = best_m(sweep_roofs(queries, poses, np.array([0.05, 0.0]), CityMap(world, threads=1)))
+    pictures = open_pictures(queries, poses, np.array([0.05, 0.0]))
+    right = best_m(sweep_roofs(pictures, CityMap(world, threads=1)))
     assert np.mean([abs(height) <= 0.5 for height in right.values()]) >= 0.9
 
 
@@ -82,7 +85,9 @@ def test_exposures_do_not_blur_what_heights_say(world, photos, tmp_path):
         picture = cv2.imread(str(query.image)).astype(np.float64) * gain
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.clip(picture, 0, 255).astype(np.uint8))
         brighter.append(replace(query, image=tmp_path / f"{k}.png"))
-    plain, exposed = (sweep_roofs(taken, poses, LENS, city_map) for taken in (queries, brighter))
+    plain, exposed = (
+        sweep_roofs(open_pictures(taken, poses, LENS), city_map) for taken in (queries, brighter)
+    )
     assert plain.keys() == exposed.keys()
     before, after = best_m(plain), best_m(exposed)
     assert np.mean([abs(after[row] - before[row]) <= 0.5 for row in before]) >= 0.8
@@ -103,10 +108,10 @@ def test_many_photos_are_narrower_than_few(photos, monkeypatch):
 def test_without_photos_or_with_two_of_them_nothing_is_told(world, photos):
     queries, poses = photos
     city_map = CityMap(world, threads=1)
-    assert sweep_roofs([replace(query, image=None) for query in queries], poses, LENS, city_map) == {}
-    assert sweep_roofs(queries[:2], poses[:2], LENS, city_map) == {}
+    blind = [replace(query, image=None) for query in queries]
     # All photos of a flight may be lost.
-    assert sweep_roofs([], [], LENS, city_map) == {}
+    for taken, places in ((blind, poses), (queries[:2], poses[:2]), ([], [])):
+        assert sweep_roofs(open_pictures(taken, places, LENS), city_map) == {}
 
 
 def test_points_of_a_roof_lie_on_its_upper_side_only():
@@ -138,11 +143,54 @@ def test_points_of_a_roof_are_the_same_however_many_triangles_are_looked_at_at_o
     assert np.array_equal(roof_points(triangles), whole)
 
 
+def test_what_the_map_lacks_has_a_height_with_a_sigma_or_none(world, photos):
+    queries, poses = photos
+    pictures = open_pictures(queries, poses, LENS)
+    heights = {}
+    for seed in range(3):
+        wrong, changed = change_map(world, MapErrors(missing=0.1), np.random.default_rng(seed))
+        truth = [_base_and_rise(world, world.building_ids.index(name)) for name in changed["missing"]]
+        there = CityMap(wrong, threads=1)
+        for place in missing_buildings(views_of(queries, poses, 0.0), there, pictures):
+            middle = np.array(place["outline"][0]).mean(axis=0) - world.origin[:2]
+            heights[seed, min(truth, key=lambda each: np.linalg.norm(each[0] - middle))[1]] = place
+    assert len(heights) >= 2
+    assert any(place["height_m"] is not None for place in heights.values())
+    for (_, rise_m), place in heights.items():
+        assert (place["height_m"] is None) == (place["sigma_m"] is None)
+        if place["height_m"] is not None:
+            assert abs(place["height_m"] - rise_m) < 2.5 * place["sigma_m"]
+        if place["at_most_m"] is not None:
+            assert rise_m < place["at_most_m"] + 1.0
+
+
+def _base_and_rise(world, row):
+    points = world.vertices[world.vertex_starts[row] : world.vertex_starts[row + 1]]
+    low, high = points.min(axis=0), points.max(axis=0)
+    return 0.5 * (low + high)[:2], float(high[2] - low[2])
+
+
+def test_what_is_painted_on_the_ground_is_nothing_that_the_map_lacks(world, photos, monkeypatch):
+    queries, poses = photos
+    wrong, _ = change_map(world, MapErrors(missing=0.1), np.random.default_rng(1))
+    shown, there = views_of(queries, poses, 0.0), CityMap(wrong, threads=1)
+    pictures, asked = open_pictures(queries, poses, LENS), []
+
+    def painted(points, heights_m, pictures, city_map):
+        asked.append(points)
+        return RoofCurve(np.where(heights_m < 0.6, 20.0, 0.0), len(pictures))
+
+    assert missing_buildings(shown, there, pictures)
+    monkeypatch.setattr("lodbench.methods.flight.missing_buildings.sweep_place", painted)
+    assert missing_buildings(shown, there, pictures) == []
+    assert asked
+
+
 def test_photos_that_cannot_be_read_are_as_none(world, photos, tmp_path):
     queries, poses = photos
     (tmp_path / "broken.jpg").write_bytes(b"no picture")
     broken = [replace(query, image=tmp_path / "broken.jpg") for query in queries]
-    assert sweep_roofs(broken, poses, LENS, CityMap(world, threads=1)) == {}
+    assert sweep_roofs(open_pictures(broken, poses, LENS), CityMap(world, threads=1)) == {}
 
 
 def test_what_all_roofs_are_wrong_about_alike_is_told_by_five_that_are_sharp():
