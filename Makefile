@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 # Where Python may not keep compiled files each process of the tests compiles all of them anew: half a minute.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo ablation table1 holdout budget thresholds test quick test-slow fuzz faults attacks determinism matrix weights docs lint audit clean
+.PHONY: demo ablation table1 holdout budget thresholds test quick test-slow nightly fuzz faults attacks determinism matrix weights docs lint audit clean
 
 # Builds the demo town and localises its 40 photos from pixels, with the sensor's tilt, by three methods.
 demo: $(VENV)/.base
@@ -65,15 +65,24 @@ thresholds: $(VENV)/.table1
 	$(RUN) dataset=demo_train paths.runs=$(THRESHOLDS) --multirun method=uavd4l method.matcher=sift_nn,xfeat,xfeat_lighterglue method.threshold_px=2,4,8,12,20
 	$(BIN)/lodbench compare $(THRESHOLDS)/demo_train/uavd4l/* --thresholds 0.1/0.1 0.25/0.25 1/1 5/5
 
-# Minutes on two cores, lint beside the quick tests; `test-slow` adds those that take three seconds and more each: kills, fault by fault, trainings, packages built and installed.
+# Minutes on two cores, lint beside the quick tests. `test-slow` adds those that take three seconds and more each (trainings, packages built and
+# installed), but for those that `nightly` runs (kills, fault by fault, workers that die), of which it runs the SLICE: one of every so many.
 test: $(VENV)/.test
 	$(MAKE) --no-print-directory --jobs=2 lint quick
 
 quick: $(VENV)/.test
-	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow"
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow and not nightly"
 
 test-slow: $(VENV)/.test
-	$(BIN)/python -m pytest -n auto --dist loadfile --durations=15 -m slow
+	$(BIN)/python -m pytest -n auto --dist loadfile --durations=15 -m "slow or nightly" --nightly $(SLICE)
+
+# What CI runs a slice of, by commit: all slow tests, every row of the matrix, the determinism of the demo, known holes of packages.
+SLICE ?= 0/4
+nightly: $(VENV)/.test
+	$(MAKE) --no-print-directory test-slow SLICE=0/1
+	$(BIN)/python -m tests.determinism
+	$(BIN)/python -m tests.matrix
+	$(BIN)/python -m tests.audit
 
 # 100,000 mutated files, half of them cities, over all cores: half an hour of two; `make test` tries a slice. SEED= tries those of a seed again.
 COUNT ?= 100000

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 from pathlib import Path
+from zlib import crc32
 
 import pytest
 from hypothesis import settings
@@ -21,6 +22,22 @@ def shared_data() -> Path:
     if not _SHARED_DATA.is_dir():
         pytest.skip("the sample data is not beside this checkout (../shared/data)")
     return _SHARED_DATA
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Adds the option that takes a slice of the nightly tests."""
+    parser.addoption("--nightly", metavar="PART/PARTS", default="0/1", help="one of so many slices")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leaves out the nightly tests of other slices; which one a test is in depends on its name alone."""
+    part, parts = (int(word) for word in config.getoption("--nightly").split("/"))
+    kept, left_out = [], []
+    for item in items:
+        is_mine = not item.get_closest_marker("nightly") or crc32(item.nodeid.encode()) % parts == part
+        (kept if is_mine else left_out).append(item)
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = kept
 
 
 def pytest_collection_finish() -> None:

@@ -7,6 +7,6 @@ import pytest
 from tests.determinism import compare
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_all_that_may_differ_at_once_changes_no_byte() -> None:
     assert compare(["all at once"], "lodlocv2,region") == 0

@@ -53,7 +53,7 @@ def city(tmp_path):
     return path
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_it_prints_its_figures(name, city, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path / "cache"))

@@ -30,7 +30,7 @@ def faults_survived(name: str, first: int, step: int) -> int:
     return int(done.stdout)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "first", "step", "least"),
     [("city convert over a scene", 2, 4, 12), ("dataset import", 12, 9, 9), ("export tum", 1, 1, 16)],
@@ -39,7 +39,7 @@ def test_nothing_is_lost(name: str, first: int, step: int, least: int) -> None:
     assert faults_survived(name, first, step) >= least
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "step"), [("run", 40), ("leaderboard build", 16), ("generate-training-data", 40), ("train", 16)]
 )

@@ -30,7 +30,7 @@ def test_trees_of_the_wrong_shape_are_read_or_refused():
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_whole_commands_over_trees_of_the_wrong_shape():
     assert fuzz(range(90), seed=5).total() == 90
 

@@ -52,7 +52,7 @@ def _run(package):
     return int(done.stdout)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_change_in_a_called_file_is_seen(package):
     assert _run(package) == 1
     (first,) = package.glob("__pycache__/kernels-*")
@@ -63,7 +63,7 @@ def test_a_change_in_a_called_file_is_seen(package):
     assert second != first
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_constant_of_a_file_that_numba_does_not_compile_is_seen(package):
     (package / "rule.py").write_text("LIMIT = 1\n")
     (package / "inner.py").write_text(
@@ -92,7 +92,7 @@ def _kept(package):
     return sorted(package.glob("__pycache__/kernels-*/**/*.nb[ic]"))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_every_damaged_file_is_compiled_again(package):
     assert _run(package) == 1
     assert len(_kept(package)) == 2
@@ -109,7 +109,7 @@ def test_every_damaged_file_is_compiled_again(package):
         assert _run(package) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_a_killed_process_left_is_compiled_again(package):
     assert _run(package) == 1
     (folder,) = package.glob("__pycache__/kernels-*")
@@ -119,7 +119,7 @@ def test_what_a_killed_process_left_is_compiled_again(package):
     assert _run(package) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sound_file_is_not_compiled_again(package):
     assert _run(package) == 1
     before = {file: file.stat().st_mtime_ns for file in _kept(package)}
@@ -127,7 +127,7 @@ def test_a_sound_file_is_not_compiled_again(package):
     assert {file: file.stat().st_mtime_ns for file in _kept(package)} == before
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_folder_that_others_can_write_to_is_emptied(package):
     assert _run(package) == 1
     (folder,) = package.glob("__pycache__/kernels-*")
@@ -145,7 +145,7 @@ def test_a_folder_of_another_user_is_not_used(package, monkeypatch):
     assert _own_folder(package) is None
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_folder_the_user_has_set_is_used_and_knows_called_files_too(package, monkeypatch, tmp_path):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "set"))
     for value in (1, 2):

@@ -7,12 +7,15 @@ import shlex
 import subprocess
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 import yaml
 
 from lodbench.cli import main
 from lodbench.methods.registry import configure_method
+from tests import conftest
 
 ROOT = Path(__file__).parents[1]
 
@@ -71,6 +74,26 @@ def test_all_attacks_are_run_again_after_the_others(target):
     first, last = re.findall(r"python -m ((?:tests|pytest)\b.*)", told)
     assert first.split()[0] == f"tests.{target}"
     assert last == "pytest -n auto --dist loadfile -m attack"
+
+
+def test_each_nightly_test_is_in_one_slice_of_those_that_ci_takes_and_all_are_in_make_nightly():
+    nightly = [f"tests/test_faults.py::test_nothing_is_lost[{number}]" for number in range(40)]
+    items = [SimpleNamespace(nodeid=name, get_closest_marker=lambda _: True) for name in nightly]
+    items.append(SimpleNamespace(nodeid="another", get_closest_marker=lambda _: None))
+
+    def taken(slice_):
+        config, left = Mock(getoption=lambda _: slice_), list(items)
+        conftest.pytest_collection_modifyitems(config, left)
+        assert len(config.hook.pytest_deselected.call_args.kwargs["items"]) == len(items) - len(left)
+        return [item.nodeid for item in left]
+
+    parts = int(re.search(r'SLICE="\$slice/(\d)"', (ROOT / ".ci" / "run").read_text())[1])
+    slices = [taken(f"{part}/{parts}") for part in range(parts)]
+    assert sorted(name for each in slices for name in each) == sorted([*nightly, *["another"] * parts])
+    assert taken("0/1") == [*nightly, "another"]
+    told = subprocess.run(["make", "-n", "nightly"], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "--nightly 0/1" in told.stdout
+    assert re.findall(r"-m tests\.(\w+)", told.stdout) == ["determinism", "matrix", "audit"]
 
 
 def test_every_attack_that_reliability_names_is_among_them():

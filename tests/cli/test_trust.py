@@ -110,14 +110,14 @@ def test_a_mask_replaced_after_it_was_read_is_noticed_at_the_end(lodbench, tmp_p
     assert len(list((tmp_path / "runs").glob("*/lodlocv2/*/poses.txt"))) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("which", "executor"),
     [
         ("masks", "serial"),
         ("masks", "process"),
         ("Query_image", "serial"),
-        pytest.param("Query_image", "process", marks=pytest.mark.slow),
+        pytest.param("Query_image", "process", marks=pytest.mark.nightly),
     ],
 )
 def test_a_file_that_is_replaced_during_a_run_and_put_back_leaves_no_answer(
@@ -194,7 +194,7 @@ def test_warnings_steer_no_terminal_either(capsys, monkeypatch):
     assert "\x1b" not in said
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_a_killed_make_demo_left_is_swept_up(tmp_path):
     command = [
         sys.executable,

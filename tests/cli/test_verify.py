@@ -67,7 +67,7 @@ def change(path: Path, pattern: str, new: str | Callable[[re.Match[str]], str]) 
     path.write_text(text)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_changed_digit_of_the_ledger_is_told(lodbench, run):
     change(run / "predictions.jsonl", r'("pose": \[-?\d\.)(\d)', lambda m: f"{m[1]}{(int(m[2]) + 1) % 10}")
     done = lodbench("verify", str(run))

@@ -42,20 +42,20 @@ def serial(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, by
     return folder, run(folder, "serial")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_two_processes(serial) -> None:
     folder, expected = serial
     assert run(folder, "process", "executor=process", "executor.workers=2") == expected
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_dask(serial) -> None:
     pytest.importorskip("distributed")
     folder, expected = serial
     assert run(folder, "dask", "executor=dask", "executor.workers=2") == expected
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["process", "dask"])
 def test_the_grid_of_one_query_of_a_wide_basin_shared_by_two_workers(
     serial, tmp_path, monkeypatch, name
@@ -84,7 +84,7 @@ def counted(function, numbers: list[int]):
     return call
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_training_data_over_dask(serial, tmp_path) -> None:
     pytest.importorskip("distributed")
     words = [f"city={serial[0] / 'town/city.obj'}", "pitch=[40]", "height=[90]", "size=[96,80]"]
@@ -99,7 +99,7 @@ def test_training_data_over_dask(serial, tmp_path) -> None:
     assert made["dask"] == made["serial"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_training_data_sends_names_over_dask_and_notices_another_world(serial, tmp_path, monkeypatch) -> None:
     sent = []
 
@@ -163,7 +163,7 @@ def square_or_die(item: int) -> int:
 # A single worker takes all it was given with it.
 @pytest.mark.parametrize(
     ("name", "workers"),
-    [("process", 3), *(pytest.param("dask", count, marks=pytest.mark.slow) for count in (3, 1))],
+    [("process", 3), *(pytest.param("dask", count, marks=pytest.mark.nightly) for count in (3, 1))],
 )
 def test_what_a_dead_worker_was_at_is_done_again(tmp_path: Path, name: str, workers: int) -> None:
     if name == "dask":
@@ -186,7 +186,7 @@ def test_workers_that_keep_dying_end_in_one_line(tmp_path: Path) -> None:
         list(spread(ExecutorParams("process", workers=2), die, range(4), prepare, (Deadly(tmp_path),)))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["process", "dask"])
 def test_workers_that_die_over_a_shared_grid_end_the_run_and_are_no_query_s_failure(
     serial, tmp_path, monkeypatch, capsys, name
@@ -211,7 +211,7 @@ def cannot(reason: str) -> None:
     raise DatasetError(reason, "Look elsewhere.")
 
 
-@pytest.mark.parametrize("name", ["process", pytest.param("dask", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["process", pytest.param("dask", marks=pytest.mark.nightly)])
 def test_workers_that_cannot_begin_say_why(name: str) -> None:
     with pytest.raises(WorkersGone, match="cannot begin: another city") as caught:
         list(spread(ExecutorParams(name, workers=2), square_or_die, range(4), cannot, ("another city",)))
@@ -226,7 +226,7 @@ def hang_once(item: int) -> int:
     return item * item
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["process", "dask"])
 def test_what_a_hung_worker_was_at_is_done_again(tmp_path: Path, name: str) -> None:
     if name == "dask":
@@ -238,7 +238,7 @@ def test_what_a_hung_worker_was_at_is_done_again(tmp_path: Path, name: str) -> N
     assert results == [item * item for item in range(8)]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_worker_that_dask_gives_up_is_replaced(tmp_path: Path, monkeypatch) -> None:
     """On a busy machine one that had died started too slowly; then nobody was left, and nobody told."""
     pytest.importorskip("distributed")
@@ -250,7 +250,7 @@ def test_a_worker_that_dask_gives_up_is_replaced(tmp_path: Path, monkeypatch) ->
     assert results == [item * item for item in range(8)]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
@@ -265,7 +265,7 @@ def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path) -> None:
         cluster.close()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_over_three_dask_workers_of_which_two_are_killed(tmp_path) -> None:
     psutil = pytest.importorskip("psutil")
     pytest.importorskip("distributed")
@@ -312,7 +312,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_ctrl_c_is_answered_by_the_parent_alone(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     (tmp_path / "work.py").write_text(_AT_WORK)

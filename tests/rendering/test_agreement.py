@@ -80,7 +80,7 @@ def test_engine_and_raster_to_the_bit(city):
         np.testing.assert_array_equal(engine.render(CAMERA, pose), raster.render(CAMERA, pose))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", sorted(MAX_MASK_SHARE))
 def test_masks(city, name):
     scene, target = city
@@ -91,7 +91,7 @@ def test_masks(city, name):
     assert (np.mean(shares) if name == "pyrender" else max(shares)) <= MAX_MASK_SHARE[name]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["open3d", "pyrender"])
 def test_depths(city, name):
     scene, target = city

@@ -28,7 +28,7 @@ from tests.synthesis.test_generate import files_in
 
 
 @pytest.mark.attack
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_killed_run_leaves_whole_pictures_and_goes_on(small_set, tmp_path):
     params, made = small_set
     out = tmp_path / "data"
@@ -54,7 +54,7 @@ def test_a_killed_run_leaves_whole_pictures_and_goes_on(small_set, tmp_path):
 
 
 @pytest.mark.attack
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tmp_path, monkeypatch):
     params, made = small_set
     params = replace(params, out=str(tmp_path / "data"))
@@ -77,7 +77,7 @@ def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tm
 
 
 @pytest.mark.attack
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_set_goes_on_neither_with_another_city_nor_with_other_code(small_set, monkeypatch):
     """Its poses are written anew each time: views that are there already would be of others."""
     params, made = small_set

@@ -20,7 +20,7 @@ from lodbench.synthesis.flights.errors import MapErrors, change_map
 from tests.methods.flight.test_method import flight, localize
 from tests.town import CAMERA
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 def errors_m(answer, poses):
@@ -140,7 +140,7 @@ def test_roofs_that_were_drawn_higher_are_measured_from_where_they_are_drawn(sce
     assert all(changed == told for changed, told in seen)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_flight_is_drawn_by_opengl(city_map):
     try:
         drawn = CityMap(city_map.scene, "pyrender")

@@ -16,7 +16,7 @@ from lodbench.synthesis.town import build
 from lodbench.synthesis.town.build import PRIORS, build_demo
 
 # Every one looks at a town that is built for them.
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 SPLITS = {"in_place": (0.88, 0.09), "out_of_place": (0.80, 0.15)}
 

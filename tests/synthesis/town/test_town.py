@@ -12,16 +12,16 @@ from lodbench.synthesis.town.shapes import area
 from lodbench.synthesis.town.town import grow_town
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "step"), [(0, 6), pytest.param(1, 2, marks=pytest.mark.slow)])
+@pytest.mark.nightly
+@pytest.mark.parametrize(("seed", "step"), [(0, 6), pytest.param(1, 2, marks=pytest.mark.nightly)])
 def test_every_solid_is_sound(town_of, seed, step):
     for building in town_of(seed).buildings[seed::step]:
         assert_sound(building.lod1)
         assert_sound(building.lod2)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "step"), [(0, 9), pytest.param(1, 3, marks=pytest.mark.slow)])
+@pytest.mark.nightly
+@pytest.mark.parametrize(("seed", "step"), [(0, 9), pytest.param(1, 3, marks=pytest.mark.nightly)])
 def test_every_fine_solid_is_closed_with_its_openings(town_of, seed, step):
     for building in town_of(seed).buildings[::step]:
         assert_sound(building.lod3)
@@ -98,7 +98,7 @@ def inside(piece: np.ndarray, points: np.ndarray) -> np.ndarray:
     return (edge[:, 0] * off[..., 1] - edge[:, 1] * off[..., 0] > 1e-6).all(axis=1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [0, 1])
 def test_footprints_do_not_overlap(town_of, seed):
     buildings = town_of(seed).buildings
@@ -126,7 +126,7 @@ def test_it_is_a_town_of_many_kinds(town):
     assert max(b.plan.roof.eave_m for b in town.buildings) > 30.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_courtyards_and_u_shapes_exist_somewhere(town_of):
     strips = [b.plan.strip for seed in (0, 1) for b in town_of(seed).buildings]
     assert any(strip.closed for strip in strips)
@@ -193,7 +193,7 @@ def test_another_seed_is_another_town(town, town_of):
     assert len(town_of(1).buildings) != len(town.buildings)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_two_looks_differ_in_more_than_chance(town):
     other = grow_town(0, "train")
     roofs = [Counter(b.plan.roof.name for b in some.buildings) for some in (town, other)]
