@@ -108,6 +108,9 @@ def mend_heights(polygons: Polygons, raw: RawCity, label: str | None) -> None:
     if len(polygons) == 0 or (is_mesh and label is None):
         return
     z = polygons.points[:, 2]
+    lowest_m, highest_m = z.min(), z.max()
+    if LOWEST_M < lowest_m and highest_m < HIGHEST_M and highest_m - lowest_m <= TALLEST_M:
+        return
     point_polygon = np.repeat(
         np.arange(len(polygons)), np.diff(polygons.ring_starts[polygons.polygon_starts])
     )

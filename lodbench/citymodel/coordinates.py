@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel import small_cities
 
-RING_SEPARATOR = ";"
+_SEPARATOR = b";"
 
 
 def parse_rings(
-    texts: list[str],
+    texts: list[bytes],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
     """Returns the numbers of many texts, how many each has, and which texts are not clean.
 
@@ -23,7 +23,7 @@ def parse_rings(
     could not be read. An empty text has no numbers and is clean.
 
     Args:
-        texts: Numbers separated by white space, one text per ring.
+        texts: Numbers separated by white space, one text per ring, in ASCII where they are clean.
 
     Returns:
         values: (V,) float64, all texts in a row.
@@ -31,21 +31,21 @@ def parse_rings(
         is_bad: (R,) bool.
 
     Example:
-        >>> parse_rings(["1 2.5", "3 nan"])[1:]
+        >>> parse_rings([b"1 2.5", b"3 nan"])[1:]
         (array([2, 2]), array([False,  True]))
     """
-    joined = RING_SEPARATOR.join(texts)
-    if not joined.isascii() or joined.count(RING_SEPARATOR) != len(texts) - 1:
-        foreign = [not text.isascii() or RING_SEPARATOR in text for text in texts]
-        clean = ["?" if is_foreign else text for text, is_foreign in zip(texts, foreign, strict=True)]
-        texts, joined = clean, RING_SEPARATOR.join(clean)
+    joined = _SEPARATOR.join(texts)
+    if not joined.isascii() or joined.count(_SEPARATOR) != len(texts) - 1:
+        foreign = [not text.isascii() or _SEPARATOR in text for text in texts]
+        clean = [b"?" if is_foreign else text for text, is_foreign in zip(texts, foreign, strict=True)]
+        texts, joined = clean, _SEPARATOR.join(clean)
     if small_cities.is_few(len(joined) // 8):  # a number has seven characters and a blank at least, mostly
         return small_cities.scan(texts)
     from lodbench.kernels.city import POWERS, scan
 
     if not texts:
         return np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.bool_)
-    data = np.frombuffer(joined.encode("ascii"), dtype=np.uint8)
+    data = np.frombuffer(joined, dtype=np.uint8)
     values = np.zeros(len(data) // 2 + 1)
     spans = np.zeros((0, 2), np.int64)
     while True:
@@ -61,7 +61,7 @@ def parse_rings(
 
 
 def _repair_long(
-    joined: str,
+    joined: bytes,
     values: NDArray[np.float64],
     counts: NDArray[np.int64],
     is_bad: NDArray[np.bool_],
@@ -80,7 +80,7 @@ def _repair_long(
         return
     ends = np.cumsum(counts)
     for index, offset in spans.tolist():
-        token = joined[offset : offset + 400].split(RING_SEPARATOR)[0].split(maxsplit=1)[0]
+        token = joined[offset : offset + 400].split(_SEPARATOR)[0].split(maxsplit=1)[0]
         values[index] = float(token)
         if not np.isfinite(values[index]):
             is_bad[np.searchsorted(ends, index, side="right")] = True

@@ -185,6 +185,11 @@ def _require_degrees(points: NDArray[np.float64], known: KnownCrs) -> None:
         CityModelError: It cannot.
     """
     if known.horizontal.is_geographic:
+        columns = (points[:, 0], points[:, 1])
+        if max(np.ptp(column) for column in columns) <= _WIDEST_DEG and max(
+            float(np.maximum(column.max(), -column.min())) for column in columns
+        ) <= 360.0:  # even with strays
+            return
         low, high = np.percentile(points[:, :2], _WITHOUT_STRAYS, axis=0)
         # What lies on both sides of 180 degrees is as wide as the Earth.
         is_too_wide = _WIDEST_DEG < (high - low).max() < 360.0 - _WIDEST_DEG

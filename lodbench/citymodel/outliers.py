@@ -17,13 +17,13 @@ def frame_origin(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Returns whole metres at the south-west corner of points, (P, 3), strays left out; its height is 0."""
     is_far = far_from_most(points)
     near = points[~is_far] if is_far.any() else points
-    return np.append(np.floor(near[:, :2].min(axis=0)), 0.0)
+    return np.array([np.floor(near[:, 0].min()), np.floor(near[:, 1].min()), 0.0])
 
 
 def far_from_most(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Tells which points, (P, 3), lie more than 500 km from the middle of all: a zero that was no place."""
     plane = points[:, :2]
-    if np.ptp(plane, axis=0).max() <= _FAR_M:
+    if max(np.ptp(plane[:, 0]), np.ptp(plane[:, 1])) <= _FAR_M:  # along rows it takes 20 times as long
         return np.zeros(len(points), np.bool_)
     middle = np.median(plane, axis=0)
     # Of two halves the middle may be nowhere: the point next to it is somewhere.

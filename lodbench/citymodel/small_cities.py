@@ -26,13 +26,12 @@ def is_few(num_numbers: int) -> bool:
     return _num_seen <= _FEW_NUMBERS and "numba" not in sys.modules
 
 
-def scan(texts: list[str]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
+def scan(texts: list[bytes]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
     """Returns what ``coordinates.parse_rings`` does of texts in ASCII."""
     values: list[float] = []
     counts = np.zeros(len(texts), np.int64)
     is_bad = np.zeros(len(texts), np.bool_)
-    for n, text in enumerate(texts):
-        data = text.encode("ascii")
+    for n, data in enumerate(texts):
         words = data.split()
         if _NUMBERS.fullmatch(data):
             found = [float(word) for word in words]

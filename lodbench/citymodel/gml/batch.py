@@ -1,19 +1,155 @@
-"""From a batch of ring texts to arrays: one parse for thousands of rings, and the dimension of each."""
+"""Polygons of many members as text, and from there to arrays: one parse for thousands of rings."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import BAD_COORDINATE, BAD_COUNT, RING_2D
 from lodbench.citymodel.coordinates import parse_rings
-from lodbench.citymodel.gml.walk import Placement, PolygonBatch
+from lodbench.citymodel.gml.folding import FoldedRings
+from lodbench.citymodel.gml.xml import Element, NotFolded, local_name
 from lodbench.citymodel.raw import starts_of, take_segments
 from lodbench.errors import CityModelError
 from lodbench.findings import FindingCode, Findings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """Where a shape is set down.
+
+    Attributes:
+        matrix: (3, 4) from the shape's frame to metres around the anchor.
+        anchor: (3,) in the coordinates of the file.
+    """
+
+    matrix: NDArray[np.float64]
+    anchor: NDArray[np.float64]
+
+    def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Returns points (N, 3) of the shape in the coordinates of the file."""
+        placed: NDArray[np.float64] = points @ self.matrix[:, :3].T + self.matrix[:, 3] + self.anchor
+        return placed
+
+
+def read_placement(geometry: Element) -> Placement | None:
+    """Returns the placement of an ``ImplicitGeometry``, or None where it is incomplete or malformed.
+
+    The matrix is 4x4, row by row, the identity where it is left out; the anchor must be there.
+    """
+    matrix, anchor = np.eye(4)[:3], None
+    for child in geometry:
+        name = local_name(child.tag)
+        if name == "transformationMatrix":
+            values = _numbers(child.text or "")
+            if len(values) != 16:
+                return None
+            matrix = values.reshape(4, 4)[:3]
+        elif name == "referencePoint":
+            text = " ".join(pos.text or "" for pos in child.iter("{*}pos", "{*}coordinates"))
+            anchor = _numbers(text.replace(",", " "))
+    if anchor is None or len(anchor) != 3 or not np.isfinite(matrix).all() or not np.isfinite(anchor).all():
+        return None
+    return Placement(matrix, anchor)
+
+
+def _numbers(text: str) -> NDArray[np.float64]:
+    return parse_rings([text.encode()])[0]
+
+
+# Japan has 19 plane zones, and a name that nobody knows costs PROJ half a second.
+_MAX_NAMES = 32
+
+
+class Reference(NamedTuple):
+    """An XLink met inside a geometry property: the id it names, and whose surface it stands for.
+
+    One to a whole boundary surface or part has the level -1: its surfaces keep their own levels and kinds.
+    """
+
+    href: str
+    building: int
+    lod: int
+    kind: int
+    is_flipped: bool
+    placement: Placement | None
+    part: int
+
+
+@dataclass(slots=True)
+class PolygonBatch:
+    """Polygons of many city objects as text, in document order.
+
+    Attributes:
+        texts: One text of numbers per ring, in UTF-8.
+        dimensions: Ring index to declared dimension, for the rings that declare one.
+        solid_rings: Rings that declare three dimensions themselves, which most files do, or none.
+        ring_counts: Rings of each polygon.
+        owners: (building, lod, kind, srs, part) of each polygon.
+        flipped: Polygons whose orientation is turned round.
+        copies: Polygons that repeat an earlier one: source polygon, building, lod, kind, flipped,
+            placement, part.
+        placed: Where the polygons of implicit geometries are set down.
+        num_characters: Total length of the texts, to know when to read the numbers.
+        is_folded: Whether any of the texts never went through a parser.
+    """
+
+    texts: list[bytes] = field(default_factory=list)
+    dimensions: dict[int, int] = field(default_factory=dict)
+    solid_rings: list[int] = field(default_factory=list)
+    ring_counts: list[int] = field(default_factory=list)
+    owners: list[tuple[int, int, int, int, int]] = field(default_factory=list)
+    flipped: list[int] = field(default_factory=list)
+    copies: list[tuple[int, int, int, int, bool, Placement | None, int]] = field(default_factory=list)
+    placed: dict[int, Placement] = field(default_factory=dict)
+    num_characters: int = 0
+    is_folded: bool = False
+
+    def add_rings(self, rings: FoldedRings, dimension: int) -> None:
+        """Adds polygons of one ring each, whose owners are there; ``dimension`` is declared around them, or 0."""
+        texts, is_solid = rings
+        first = len(self.texts)
+        self.is_folded = True
+        self.texts += texts
+        self.ring_counts += [1] * len(texts)
+        self.num_characters += sum(map(len, texts))
+        if is_solid:
+            self.solid_rings.extend(range(first, len(self.texts)))
+        elif dimension:
+            self.dimensions.update(dict.fromkeys(range(first, len(self.texts)), dimension))
+
+
+@dataclass(slots=True)
+class NameTable:
+    """Names in the order they are first met: levels of detail, reference systems."""
+
+    _numbers: dict[str | None, int] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str | None, ...]:
+        """All names, by number."""
+        return tuple(self._numbers)
+
+    def index(self, name: str | None) -> int:
+        """Returns the number of a name, a new one where it is new.
+
+        Raises:
+            CityModelError: There are more names than any city has.
+        """
+        known = self._numbers.get(name)
+        if known is not None:
+            return known
+        number = self._numbers[name] = len(self._numbers)
+        if number >= _MAX_NAMES:
+            raise CityModelError(
+                f"The file declares more than {_MAX_NAMES} reference systems.",
+                "A city has one: correct the file.",
+            )
+        return number
 
 
 @dataclass(slots=True)
@@ -53,8 +189,11 @@ def read_batch(
     Raises:
         CityModelError: ``is_strict`` and a coordinate is not a finite number, or a count does not
             fit the dimension; the message names the building.
+        NotFolded: A coordinate is bad, which may be an entity of XML.
     """
     values, counts, is_bad = parse_rings(batch.texts)
+    if batch.is_folded and is_bad.any():
+        raise NotFolded("A coordinate is bad.")
     dimensions = np.zeros(len(counts), np.int64)
     dimensions[batch.solid_rings] = 3
     for declared_ring, dimension in batch.dimensions.items():
@@ -134,12 +273,13 @@ def _report_faults(
 ) -> None:
     for ring in np.flatnonzero(is_faulty):
         building_id = building_ids[batch.owners[ring_polygon[ring]][0]]
-        excerpt = " ".join(batch.texts[ring].split()[:6])
+        words = batch.texts[ring].decode("utf-8", "replace").split()
+        excerpt = " ".join(words[:6])
         if is_strict:
             what = (
                 "a coordinate that is not a finite number"
                 if code is BAD_COORDINATE
-                else f"{len(batch.texts[ring].split())} numbers, which do not make points"
+                else f"{len(words)} numbers, which do not make points"
             )
             raise CityModelError(
                 f"Building {building_id} has a ring with {what} (it begins: {excerpt[:80]}).",

@@ -18,6 +18,7 @@ from lodbench.citymodel.gml.names import (
     is_extension,
 )
 from lodbench.citymodel.gml.xml import Element, local_name
+from lodbench.citymodel.lifespans import NAMES
 from lodbench.citymodel.model import SurfaceKind
 
 # Of the object itself, of its surfaces and parts, and of their surfaces: a look at all would cost too much,
@@ -26,6 +27,9 @@ _LINKED = [
     etree.XPath(f"{path}[@xlink:href]", namespaces={"xlink": "http://www.w3.org/1999/xlink"})
     for path in ("*", "*/*/*", "*/*/*/*/*")
 ]
+# Days, heights and roofs of objects; where their envelopes are.
+HEIGHTS = ("measuredHeight", "storeyHeightsAboveGround", "storeyHeightsBelowGround")
+_NOTED = frozenset({*NAMES, "height", *HEIGHTS, "roofType", "stringAttribute", "boundedBy"})
 # Plain integers: looking a member up in its class costs more than the rest of a step.
 _UNKNOWN, _ROOF, _INTERIOR = map(int, (SurfaceKind.UNKNOWN, SurfaceKind.ROOF, SurfaceKind.INTERIOR))
 
@@ -104,11 +108,11 @@ def is_another_s(node: Element, building: Element, left_out: set[Element]) -> bo
     What a property of another namespace holds is no boundary of the building: thermal zones, measured noise.
     Objects of other namespaces in properties of CityGML are, such as a roof of a kind of its own.
     """
-    for above in node.iterancestors():
-        if above is building:
-            return False
+    above = node.getparent()
+    while above is not None and above is not building:
         if above in left_out or is_extension(above.tag):
             return True
+        above = above.getparent()
     return False
 
 
@@ -131,6 +135,28 @@ def linked_objects(element: Element) -> list[Element]:
     """Returns the properties of an object and of its parts that refer to a surface or part elsewhere."""
     linked = chain.from_iterable(cast("list[Element]", find(element)) for find in _LINKED)
     return [prop for prop in linked if len(prop) == 0 and local_name(prop.tag) in OBJECT_PROPERTIES]
+
+
+class _NotedNames(dict[str, str]):
+    """Full tag to local name, "" for what is not noted; filled as tags are met."""
+
+    def __missing__(self, tag: str) -> str:
+        name = local_name(tag)
+        self[tag] = name = name if name in _NOTED else ""
+        return name
+
+
+_noted_names = _NotedNames()
+
+
+def noted_children(element: Element) -> dict[str, list[Element]]:
+    """Returns the children of an object that say what it is, not of what, by their local names."""
+    noted: dict[str, list[Element]] = {}
+    for child in element:
+        name = _noted_names[child.tag]
+        if name:
+            noted.setdefault(name, []).append(child)
+    return noted
 
 
 def gml_id(element: Element) -> str | None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
-from lodbench.citymodel.gml.context import is_another_s, owner_of
+from lodbench.citymodel.gml.context import HEIGHTS, is_another_s, owner_of
 from lodbench.citymodel.gml.names import (
     GEOMETRY_PROPERTIES,
     GML_IDS,
@@ -18,7 +19,7 @@ from lodbench.citymodel.gml.names import (
     property_lod,
 )
 from lodbench.citymodel.gml.walk import GeometryWalk
-from lodbench.citymodel.gml.xml import Element, local_name
+from lodbench.citymodel.gml.xml import Element, NotFolded, local_name
 from lodbench.citymodel.objects import ObjectTable
 
 
@@ -31,7 +32,13 @@ class MemberIndex:
 
 
 def index_member(member: Element, walk: GeometryWalk | None) -> MemberIndex:
-    """Returns what can be referred to; polygons by number where ``walk`` has just collected them."""
+    """Returns what can be referred to; polygons by number where ``walk`` has just collected them.
+
+    Raises:
+        NotFolded: Some of it has no elements.
+    """
+    if walk is not None and walk.folding is not None and walk.folding.has_folded:
+        raise NotFolded("A reference may be to something that is folded.")
     elements: dict[str, Element] = {}
     for element in member.iter():
         for name in GML_IDS:
@@ -52,7 +59,6 @@ _NO_ATTRIBUTES = OBJECT_PROPERTIES | {
 }  # fmt: skip
 _GENERIC = ("attribute", "attributeset")
 _GENERIC_KINDS = {"doubleAttribute": float, "intAttribute": int, "measureAttribute": float}
-_HEIGHTS = ("measuredHeight", "storeyHeightsAboveGround", "storeyHeightsBelowGround")
 # By their names, in UCUM and in EPSG; without a unit a length is in metres.
 _METRES_PER_UNIT = (
     dict.fromkeys(("", "m", "metre", "metres", "meter", "meters", "9001"), 1.0)
@@ -60,6 +66,7 @@ _METRES_PER_UNIT = (
     | dict.fromkeys(("ft", "foot", "feet", "[ft_i]", "ft_i", "9002"), 0.3048)
     | dict.fromkeys(("us-ft", "ftus", "[ft_us]", "ft_us", "9003"), 1200.0 / 3937.0)
 )
+_DECIMALS = re.compile(r"\s*(?:[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?(?:\s+|\Z))*")
 _DAYS = ("creationDate", "terminationDate")
 _MAX_DEPTH = 8
 # Lines, points and terrain intersections: geometry too, which no scene has.
@@ -96,7 +103,7 @@ def read_attributes(element: Element) -> dict[str, Any]:
                 value = str(value).removesuffix("T00:00:00")  # a day, which CityGML 3 writes as a moment
             elif name.startswith("storey"):
                 value = _storeys(name, str(child.text or ""), _metres(child) or 1.0)
-            if name in _HEIGHTS and _metres(child) is None:
+            if name in HEIGHTS and _metres(child) is None:
                 name = f"{name}_{child.get('uom')}"  # not to be taken for metres
             if value not in (None, "", {}):
                 _put(values, name, value)
@@ -121,15 +128,22 @@ def _take_measured_height(values: dict[str, Any]) -> None:
             del values["height"]
 
 
-def measured_height(element: Element) -> float | None:
-    """Returns the height of an object above the ground in metres: the stated one, or that of its storeys."""
+def measured_height(noted: Mapping[str, list[Element]]) -> float | None:
+    """Returns the height of an object above the ground in metres: the stated one, or that of its storeys.
+
+    Args:
+        noted: Its ``noted_children``.
+    """
     found: dict[str, Any] = {}
-    for child in element.iterchildren(*("{*}" + name for name in ("height", *_HEIGHTS))):
-        metres = _metres(child)
-        if local_name(child.tag) == "height":
-            found["height"] = _value(child, 0)
-        elif metres is not None:
-            found[local_name(child.tag)] = [float(word) * metres for word in _numbers(child)]
+    for name in HEIGHTS:
+        for child in noted.get(name, ()):
+            metres = _metres(child)
+            if metres is not None:
+                found[name] = [float(word) * metres for word in _numbers(child)]
+    if "height" in noted:
+        found["height"] = _value(noted["height"][-1], 0)
+    if not found:
+        return None
     if "measuredHeight" not in found:
         _take_measured_height(found)
     return overall_height(found)
@@ -145,8 +159,8 @@ def overall_height(attributes: Mapping[str, Any]) -> float | None:
 
 
 def _numbers(element: Element) -> list[str]:
-    words = (element.text or "").split()
-    return words if all(re.fullmatch(r"[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?", word) for word in words) else []
+    text = element.text or ""
+    return text.split() if _DECIMALS.fullmatch(text) else []
 
 
 def _is_overall(height: dict[str, Any]) -> bool:
@@ -158,7 +172,12 @@ def _is_overall(height: dict[str, Any]) -> bool:
 
 def _metres(element: Element) -> float | None:
     """Returns the metres per unit that a measure declares, None where its unit is no known length."""
-    unit = element.get("uom", "m").strip().lower()
+    return _metres_per(element.get("uom", "m"))
+
+
+@lru_cache(maxsize=256)
+def _metres_per(uom: str) -> float | None:
+    unit = uom.strip().lower()
     # What divides is no length; names of authorities are URNs and addresses.
     name = unit if "/" in unit and "://" not in unit else re.split("[:#/]", unit)[-1]
     return _METRES_PER_UNIT.get(name)

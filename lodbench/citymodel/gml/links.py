@@ -12,10 +12,17 @@ from lodbench.citymodel.codes import (
     XLINK_REMOTE,
     XLINK_UNRESOLVED,
 )
-from lodbench.citymodel.gml.context import declared_around, is_another_s, linked_objects, surface_kind
+from lodbench.citymodel.gml.batch import Reference
+from lodbench.citymodel.gml.context import (
+    declared_around,
+    is_another_s,
+    linked_objects,
+    noted_children,
+    surface_kind,
+)
 from lodbench.citymodel.gml.details import MemberIndex, index_member
 from lodbench.citymodel.gml.names import GEOMETRY_PROPERTIES, POLYGONS, XLINK_HREF, property_lod
-from lodbench.citymodel.gml.walk import GeometryWalk, Reference
+from lodbench.citymodel.gml.walk import GeometryWalk
 from lodbench.citymodel.gml.xml import Element, local_name
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.findings import Findings
@@ -164,7 +171,8 @@ class LinkResolver:
             if name in visited:
                 continue
             visited.add(name)
-            if index.elements[name] in self._walk.left_out or not self._walk.stands(index.elements[name]):
+            element = index.elements[name]
+            if element in self._walk.left_out or not self._walk.stands(element, noted_children(element)):
                 has_geometry = True  # which ended with it
                 continue
             has_geometry |= self._copy_object(index, index.elements[name], reference, building_ids)

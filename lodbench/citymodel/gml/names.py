@@ -78,6 +78,18 @@ WALKED = (
     *("{*}" + name for name in (RELIEF_SURFACE, *_MULTI_SOLIDS, *_SURFACES)),
 )
 
+BOUNDARY = "boundedBy"
+_WALKED_NAMES = frozenset(name.removeprefix("{*}") for name in WALKED)
+
+
+class WalkedTags(dict[str, bool]):
+    """Full tag to whether it is among ``WALKED``, filled as tags are met."""
+
+    def __missing__(self, tag: str) -> bool:
+        self[tag] = is_walked = local_name(tag) in _WALKED_NAMES
+        return is_walked
+
+
 _KINDS = {
     "WallSurface": SurfaceKind.WALL,
     "RoofSurface": SurfaceKind.ROOF,

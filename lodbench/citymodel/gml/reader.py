@@ -14,12 +14,20 @@ from numpy.typing import NDArray
 from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
 from lodbench.citymodel.gml.appearance import SurfacePictures
 from lodbench.citymodel.gml.batch import read_batch
-from lodbench.citymodel.gml.context import envelope_srs, gml_id, is_inside, owner_of
+from lodbench.citymodel.gml.context import (
+    buildings_inside,
+    envelope_srs,
+    gml_id,
+    is_inside,
+    noted_children,
+    owner_of,
+)
 from lodbench.citymodel.gml.details import SolidReader, measured_height, read_attributes
+from lodbench.citymodel.gml.folding import Folding
 from lodbench.citymodel.gml.links import LinkResolver
 from lodbench.citymodel.gml.names import MEMBERS, NESTED_TYPES, is_citygml
 from lodbench.citymodel.gml.walk import GeometryWalk
-from lodbench.citymodel.gml.xml import Element, XmlMembers, local_name, namespace_of
+from lodbench.citymodel.gml.xml import Element, NotFolded, XmlMembers, local_name, namespace_of
 from lodbench.citymodel.growing import GrowingArray
 from lodbench.citymodel.json_documents import paused_collector
 from lodbench.citymodel.layers import types_of
@@ -70,8 +78,14 @@ def read_citygml(
         CityModelError: The XML is not well-formed or not CityGML, or a coordinate is bad.
     """
     reader = _Reader(source, is_strict, has_details, layers, pictures, day)
-    with paused_collector(), open_stream() as stream:
-        reader.read(stream)
+    with paused_collector():
+        try:
+            with open_stream() as stream:  # details and pictures hang on elements that are folded
+                reader.read(stream, is_folded=not has_details)
+        except NotFolded:
+            reader = _Reader(source, is_strict, has_details, layers, pictures, day)
+            with open_stream() as stream:
+                reader.read(stream)
     if reader.links.unresolved:
         with open_stream() as stream:
             reader.read_links(stream)
@@ -122,8 +136,9 @@ class _Reader:
         self._root_srs: str | None = None
         self._around: Element | None = None  # what the members of now stand in
 
-    def read(self, stream: BinaryIO) -> None:
-        members = XmlMembers(stream, self._source, MEMBERS, self.findings)
+    def read(self, stream: BinaryIO, *, is_folded: bool = False) -> None:
+        self.walk.folding = Folding() if is_folded else None
+        members = XmlMembers(stream, self._source, MEMBERS, self.findings, folding=self.walk.folding)
         for member in members:
             if self._version is None and members.root is not None:
                 self._read_root(members.root)
@@ -134,6 +149,7 @@ class _Reader:
         self._flush()
         if members.root is not None and self._version is None:
             self._read_root(members.root)
+        self.walk.folding = None
 
     def read_links(self, stream: BinaryIO) -> None:
         """Looks in every member for the targets of references that point out of their own."""
@@ -174,11 +190,13 @@ class _Reader:
         self._begin_member(member)
         met: list[tuple[Element, dict[Element, int], int]] = []
         num_over = 0
-        for element in member.iter(*self._wanted):
+        elements = list(member.iter(*self._wanted))
+        for element in elements:
             type_ = local_name(element.tag)
             if not is_citygml(element.tag) or (type_ != "Building" and is_inside(element, met)):
                 continue
-            if not self.walk.stands(element):
+            noted = noted_children(element)
+            if not self.walk.stands(element, noted):
                 num_over += 1
                 continue
             number = len(self._building_ids)
@@ -186,10 +204,12 @@ class _Reader:
             self._building_ids.append(building_id)
             attributes = read_attributes(element) if self._objects.has_details else None
             own = self._objects.add(
-                building_id, _JSON_TYPES.get(type_, type_), -1, number, attributes, _roof_type(element),
-                measured_height(element),
+                building_id, _JSON_TYPES.get(type_, type_), -1, number, attributes, _roof_type(noted),
+                measured_height(noted),
             )  # fmt: skip
-            srs_name = envelope_srs(element) or self._srs_name
+            srs_name = (envelope_srs(element) if "boundedBy" in noted else None) or self._srs_name
+            if len(elements) > 1:
+                self.walk.left_out |= buildings_inside(element)
             before = len(self.walk.batch.owners), len(self.walk.references)
             part_of = self.walk.walk_building(
                 element, number, building_id, srs_name, own, partial(self._add_nested, element, own)
@@ -224,8 +244,9 @@ class _Reader:
         parent = owner_of(nested, building, part_of, own)
         object_id = gml_id(nested) or f"{table.ids[own]}-{name}-{len(part_of) + 1}"
         attributes = read_attributes(nested) if table.has_details else None
-        type_, roof_type = NESTED_TYPES[name], _roof_type(nested)
-        height_m = measured_height(nested) if type_ == "BuildingPart" else None
+        noted = noted_children(nested)
+        type_, roof_type = NESTED_TYPES[name], _roof_type(noted)
+        height_m = measured_height(noted) if type_ == "BuildingPart" else None
         return table.add(object_id, type_, parent, table.building[own], attributes, roof_type, height_m)
 
     def _flush(self) -> None:
@@ -308,8 +329,10 @@ class _Reader:
         )
 
 
-def _roof_type(element: Element) -> str:
+def _roof_type(noted: dict[str, list[Element]]) -> str:
     """Returns the word or code under which an object tells of its roof, as CityJSON converted may, or ""."""
-    generic = element.iterchildren("{*}stringAttribute")
+    generic = noted.get("stringAttribute", ())
     told = {name: each.findtext("{*}value") for each in generic if (name := each.get("name")) in ATTRIBUTES}
-    return roof_type_of({**told, "roofType": element.findtext("{*}roofType")})
+    if "roofType" in noted:
+        told["roofType"] = noted["roofType"][0].text
+    return roof_type_of(told) if told else ""

@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 from lodbench.citymodel.codes import GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
-from lodbench.citymodel.coordinates import parse_rings
 from lodbench.citymodel.crs import is_in_degrees
+from lodbench.citymodel.gml.batch import NameTable, PolygonBatch, Reference, read_placement
 from lodbench.citymodel.gml.context import (
-    buildings_inside,
     extension_above,
     gml_id,
     is_another_s,
     is_in_ring,
     linked_objects,
+    noted_children,
     owner_of,
     plain_numbers,
     relief_lod,
     surface_kind,
 )
+from lodbench.citymodel.gml.folding import FOLDED, FoldedSurface, Folding
 from lodbench.citymodel.gml.names import (
+    BOUNDARY,
     CURVE,
     GML_IDS,
     NESTED_TYPES,
@@ -38,143 +36,24 @@ from lodbench.citymodel.gml.names import (
     RELIEF_SURFACE,
     RING,
     STOREYS,
+    SURFACE_KINDS,
     TUPLES,
     WALKED,
     WALKED_IN_BUILDINGS,
     XLINK_HREF,
     NodeTable,
+    WalkedTags,
     is_building_tag,
+    is_citygml,
     is_extension,
     property_lod,
 )
-from lodbench.citymodel.gml.xml import Element, local_name
+from lodbench.citymodel.gml.xml import Element, NotFolded, local_name
 from lodbench.citymodel.lifespans import NAMES, Lifespans
 from lodbench.citymodel.model import SurfaceKind
-from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Placement:
-    """Where a shape is set down.
-
-    Attributes:
-        matrix: (3, 4) from the shape's frame to metres around the anchor.
-        anchor: (3,) in the coordinates of the file.
-    """
-
-    matrix: NDArray[np.float64]
-    anchor: NDArray[np.float64]
-
-    def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Returns points (N, 3) of the shape in the coordinates of the file."""
-        placed: NDArray[np.float64] = points @ self.matrix[:, :3].T + self.matrix[:, 3] + self.anchor
-        return placed
-
-
-def read_placement(geometry: Element) -> Placement | None:
-    """Returns the placement of an ``ImplicitGeometry``, or None where it is incomplete or malformed.
-
-    The matrix is 4x4, row by row, the identity where it is left out; the anchor must be there.
-    """
-    matrix, anchor = np.eye(4)[:3], None
-    for child in geometry:
-        name = local_name(child.tag)
-        if name == "transformationMatrix":
-            values = _numbers(child.text or "")
-            if len(values) != 16:
-                return None
-            matrix = values.reshape(4, 4)[:3]
-        elif name == "referencePoint":
-            text = " ".join(pos.text or "" for pos in child.iter("{*}pos", "{*}coordinates"))
-            anchor = _numbers(text.replace(",", " "))
-    if anchor is None or len(anchor) != 3 or not np.isfinite(matrix).all() or not np.isfinite(anchor).all():
-        return None
-    return Placement(matrix, anchor)
-
-
-def _numbers(text: str) -> NDArray[np.float64]:
-    return parse_rings([text])[0]
-
-
-# Japan has 19 plane zones, and a name that nobody knows costs PROJ half a second.
-_MAX_NAMES = 32
-
-
-class Reference(NamedTuple):
-    """An XLink met inside a geometry property: the id it names, and whose surface it stands for.
-
-    One to a whole boundary surface or part has the level -1: its surfaces keep their own levels and kinds.
-    """
-
-    href: str
-    building: int
-    lod: int
-    kind: int
-    is_flipped: bool
-    placement: Placement | None
-    part: int
-
-
-@dataclass(slots=True)
-class PolygonBatch:
-    """Polygons of many city objects as text, in document order.
-
-    Attributes:
-        texts: One text of numbers per ring.
-        dimensions: Ring index to declared dimension, for the rings that declare one.
-        solid_rings: Rings that declare three dimensions themselves, which most files do, or none.
-        ring_counts: Rings of each polygon.
-        owners: (building, lod, kind, srs, part) of each polygon.
-        flipped: Polygons whose orientation is turned round.
-        copies: Polygons that repeat an earlier one: source polygon, building, lod, kind, flipped,
-            placement, part.
-        placed: Where the polygons of implicit geometries are set down.
-        num_characters: Total length of the texts, to know when to read the numbers.
-    """
-
-    texts: list[str] = field(default_factory=list)
-    dimensions: dict[int, int] = field(default_factory=dict)
-    solid_rings: list[int] = field(default_factory=list)
-    ring_counts: list[int] = field(default_factory=list)
-    owners: list[tuple[int, int, int, int, int]] = field(default_factory=list)
-    flipped: list[int] = field(default_factory=list)
-    copies: list[tuple[int, int, int, int, bool, Placement | None, int]] = field(default_factory=list)
-    placed: dict[int, Placement] = field(default_factory=dict)
-    num_characters: int = 0
-
-
-@dataclass(slots=True)
-class NameTable:
-    """Names in the order they are first met: levels of detail, reference systems."""
-
-    _numbers: dict[str | None, int] = field(default_factory=dict)
-
-    @property
-    def names(self) -> tuple[str | None, ...]:
-        """All names, by number."""
-        return tuple(self._numbers)
-
-    def index(self, name: str | None) -> int:
-        """Returns the number of a name, a new one where it is new.
-
-        Raises:
-            CityModelError: There are more names than any city has.
-        """
-        known = self._numbers.get(name)
-        if known is not None:
-            return known
-        number = self._numbers[name] = len(self._numbers)
-        if number >= _MAX_NAMES:
-            raise CityModelError(
-                f"The file declares more than {_MAX_NAMES} reference systems.",
-                "A city has one: correct the file.",
-            )
-        return number
-
-
 _INTERIOR = int(SurfaceKind.INTERIOR)
-_DAYS = tuple("{*}" + name for name in NAMES)
 
 
 class GeometryWalk:
@@ -193,6 +72,7 @@ class GeometryWalk:
         part: City object that the polygons met next belong to.
         left_out: Elements of the current member that are no part of the building around them.
         extensions: Objects that extensions (ADE) hang on buildings, by name.
+        folding: What is folded of the current member; None for nothing.
     """
 
     def __init__(self, findings: Findings, lifespans: Lifespans) -> None:
@@ -208,8 +88,9 @@ class GeometryWalk:
         self.part = 0
         self.left_out: set[Element] = set()
         self.extensions: Counter[str] = Counter()
+        self.folding: Folding | None = None
         self._findings, self._lifespans = findings, lifespans
-        self._nodes = NodeTable()
+        self._nodes, self._is_walked = NodeTable(), WalkedTags()
         self._turned: set[Element] = set()
         self._systems: dict[Element, int] = {}
 
@@ -254,16 +135,24 @@ class GeometryWalk:
         """
         srs = self.default_srs = self.srs_names.index(srs_name)
         part_of: dict[Element, int] = {}
-        left_out = buildings_inside(element)
-        self.left_out |= left_out
         first, first_reference = len(self.batch.owners), len(self.references)
         # One pass for objects and geometry: an object comes before what is in it.
-        for prop in element.iter(*(WALKED_IN_BUILDINGS if is_building_tag(element.tag) else WALKED)):
+        for prop in self._places(element):
+            tag = prop.tag
+            surfaces = None
+            if local_name(tag) == BOUNDARY:
+                surfaces = self._folded_surfaces(prop)
+                if surfaces is None:
+                    continue
             if self._is_another_s(prop, element):
                 continue
-            lod_name = property_lod(prop.tag)
+            self.part = owner_of(prop, element, part_of, own) if part_of else own
+            if surfaces is not None:
+                self._add_surfaces(surfaces, building, srs)
+                continue
+            name = local_name(tag)
+            lod_name = property_lod(tag)
             if lod_name is None:
-                name = local_name(prop.tag)
                 if name in NESTED_TYPES and self._stands_or_is_left_out(prop):
                     part_of[prop] = add_nested(prop, part_of)
                 if name != RELIEF_SURFACE:
@@ -271,13 +160,12 @@ class GeometryWalk:
                 lod_name = relief_lod(prop)
             lod = self.lods.index(lod_name)
             kind = surface_kind(prop, element)
-            self.part = owner_of(prop, element, part_of, own) if part_of else own
-            name = local_name(prop.tag)
             if name.endswith("ImplicitRepresentation"):
                 self._walk_implicit(prop, building, building_id, lod, kind, srs)
             elif not self._walk_property(prop, building, lod, kind, srs):
                 self._findings.add(GEOMETRY_EMPTY, building_id, name)
-        for prop in linked_objects(element):
+        has_links = self.folding is None or self.folding.has_links
+        for prop in linked_objects(element) if has_links else ():
             if is_extension(prop.tag) or is_another_s(prop, element, self.left_out):
                 continue
             part = owner_of(prop, element, part_of, own)
@@ -286,6 +174,50 @@ class GeometryWalk:
             self.references.append(Reference(prop.get(XLINK_HREF, ""), building, -1, kind, False, None, part))
         self._leave_out_storeys(element, part_of, first, first_reference)
         return part_of
+
+    def _places(self, element: Element) -> Iterable[Element]:
+        """Returns where geometry and objects may be in an object, in document order."""
+        if not is_building_tag(element.tag):
+            return element.iter(*WALKED)
+        folding, walked = self.folding, self._is_walked
+        if folding is not None and folding.surfaces:
+            return element.iter(*WALKED_IN_BUILDINGS, "{*}" + BOUNDARY)
+        # Setting a filter up costs more than to look at the children that most buildings of one level have.
+        properties = []
+        for child in element:
+            tag = child.tag
+            if walked[tag]:
+                properties.append(child)
+            if (walked[tag] and property_lod(tag) is None) or (
+                not walked[tag] and len(child) and any(walked[inner.tag] for inner in child.iter())
+            ):
+                return element.iter(*WALKED_IN_BUILDINGS)
+        return properties
+
+    def _folded_surfaces(self, boundary: Element) -> list[FoldedSurface] | None:
+        """Returns what is folded into a boundary, None where nothing is.
+
+        Raises:
+            NotFolded: Its names are not of CityGML and GML, which the bytes alone do not tell.
+        """
+        for name, value in boundary.items():
+            surfaces = self.folding.surfaces.get(value) if self.folding is not None else None
+            if surfaces is not None:
+                has_ids = name.removesuffix(FOLDED) + "id" in GML_IDS
+                if not is_citygml(boundary.tag) or not (has_ids or name == FOLDED):
+                    raise NotFolded("Names are not those of CityGML.")
+                return surfaces
+        return None
+
+    def _add_surfaces(self, surfaces: list[FoldedSurface], building: int, srs: int) -> None:
+        """Adds the polygons of what bounds a building."""
+        batch, part = self.batch, self.part
+        for name, lod_name, polygon_id, rings in surfaces:
+            if polygon_id:
+                self._note_id(polygon_id)
+            owner = (building, self.lods.index(lod_name), SURFACE_KINDS[name], srs, part)
+            batch.owners += [owner] * len(rings.texts)
+            batch.add_rings(rings, 0)
 
     def _is_another_s(self, node: Element, building: Element) -> bool:
         """Tells whether something is no part of a building; objects of extensions are counted, once each."""
@@ -297,13 +229,18 @@ class GeometryWalk:
         return is_other
 
     def _stands_or_is_left_out(self, element: Element) -> bool:
-        if not self.stands(element):
+        if not self.stands(element, noted_children(element)):
             self.left_out.add(element)
         return element not in self.left_out
 
-    def stands(self, element: Element) -> bool:
-        """Tells whether a city object stands at the date that counts; one that does not is a finding."""
-        dates = {local_name(child.tag): child.text or "" for child in element.iterchildren(*_DAYS)}
+    def stands(self, element: Element, noted: dict[str, list[Element]]) -> bool:
+        """Tells whether a city object stands at the date that counts; one that does not is a finding.
+
+        Args:
+            element: The object.
+            noted: Its ``noted_children``.
+        """
+        dates = {name: noted[name][-1].text or "" for name in NAMES if name in noted} if noted else {}
         return not dates or self._lifespans.stands(gml_id(element) or local_name(element.tag), dates)
 
     def _leave_out_storeys(
@@ -402,19 +339,20 @@ class GeometryWalk:
         texts, ring_counts = batch.texts, batch.ring_counts
         is_new_ring, is_in_polygon = True, False
         ring_dimension = dimension
+        folded = {} if self.folding is None else self.folding.rings
         # Without a tag filter: setting one up costs more than passing by the few other elements.
         for element in root.iter():
             node = nodes[element.tag]
             if node == NUMBERS or node == TUPLES:
                 if not is_in_polygon:
                     continue
-                text = (element.text or "") if node == NUMBERS else plain_numbers(element)
+                text = ((element.text or "") if node == NUMBERS else plain_numbers(element)).encode()
                 if is_new_ring:
                     texts.append(text)
                     ring_counts[-1] += 1
                     is_new_ring = False
                 else:
-                    texts[-1] += " " + text
+                    texts[-1] += b" " + text
                 batch.num_characters += len(text)
                 if element.get("srsName"):
                     self._note_system(element)
@@ -438,11 +376,16 @@ class GeometryWalk:
                 attributes = element.items()
                 if attributes:
                     polygon_srs, ring_dimension = self._read_attributes(attributes, polygon_srs, dimension)
+                rings = folded.get(element.text or "") if folded else None
+                count = 1 if rings is None else len(rings.texts)
                 if self._turned and element in self._turned:
-                    batch.flipped.append(len(ring_counts))
-                ring_counts.append(0)
-                batch.owners.append((building, lod, kind, polygon_srs, part))
-                is_new_ring, is_in_polygon = True, True
+                    batch.flipped.extend(range(len(ring_counts), len(ring_counts) + count))
+                batch.owners += [(building, lod, kind, polygon_srs, part)] * count
+                is_new_ring, is_in_polygon = rings is None, True
+                if rings is None:
+                    ring_counts.append(0)
+                else:
+                    batch.add_rings(rings, ring_dimension)
             elif node == ORIENTABLE:
                 self._note_orientation(element)
             elif node == CURVE:
@@ -466,15 +409,19 @@ class GeometryWalk:
         """Notes the id of the polygon that comes next; returns its reference system and dimension."""
         for name, value in attributes:
             if name in GML_IDS:
-                if value in self.polygon_ids:
-                    self.duplicate_ids.add(value)
-                else:
-                    self.polygon_ids[value] = len(self.batch.ring_counts)
+                self._note_id(value)
             elif name == "srsName":
                 srs = self.srs_names.index(value.strip())
             elif name == "srsDimension" and value.strip() in ("2", "3"):
                 dimension = int(value)
         return srs, dimension
+
+    def _note_id(self, polygon_id: str) -> None:
+        """Notes the id of the polygon that comes next."""
+        if polygon_id in self.polygon_ids:
+            self.duplicate_ids.add(polygon_id)
+        else:
+            self.polygon_ids[polygon_id] = len(self.batch.ring_counts)
 
     def _note_dimension(self, ring: int, declared: str | None, inherited: int) -> None:
         text = (declared or "").strip()

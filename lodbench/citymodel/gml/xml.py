@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import BinaryIO, Protocol, cast
 
 from lxml import etree
 
@@ -56,6 +56,22 @@ def namespace_of(tag: str) -> str:
     return tag[1:].partition("}")[0] if tag.startswith("{") else ""
 
 
+class NotFolded(CityModelError):
+    """A document has to be read as it stands."""
+
+
+class Folder(Protocol):
+    """Writes a document shorter before it is parsed; under ``count`` keys it holds what it took out."""
+
+    count: int
+
+    def feed(self, chunk: bytes) -> bytes:
+        """Returns what of the document is to be parsed next; an empty chunk ends it."""
+
+    def forget(self, last: int) -> None:
+        """Drops what is held under the first keys."""
+
+
 class XmlMembers:
     """Iterates over the members of a document, each as a tree that is freed when the next is asked for.
 
@@ -68,14 +84,23 @@ class XmlMembers:
         member_names: Local names of member elements.
         findings: Receives ``UNDECLARED_PREFIX`` where a prefix is not declared; every other fault
             of the XML is an error.
+        folding: What to send the bytes through; None for nothing. It holds what it took out of a member
+            until the next one is asked for.
 
     Attributes:
         root: The root element, known once the first member is out or the iteration has ended.
     """
 
     def __init__(
-        self, stream: BinaryIO, source: str, member_names: tuple[str, ...], findings: Findings
+        self,
+        stream: BinaryIO,
+        source: str,
+        member_names: tuple[str, ...],
+        findings: Findings,
+        *,
+        folding: Folder | None = None,
     ) -> None:
+        self._folding = folding
         self.root: Element | None = None
         self._stream = stream
         self._source = source
@@ -104,6 +129,7 @@ class XmlMembers:
 
         Raises:
             CityModelError: The XML is malformed, cut off, holds a DOCTYPE, or a member is too large.
+            NotFolded: The same, with a ``folding``.
         """
         pending = 0
         while chunk := self._stream.read(_CHUNK_BYTES):
@@ -113,10 +139,9 @@ class XmlMembers:
                 self._is_mislabelled = _WIDE_LABEL.match(chunk) is not None
             self._offset += len(chunk)
             pending += len(chunk)
-            self._feed(chunk)
-            for _, element in self._parser.read_events():
+            for element in self._elements(chunk):
                 pending = 0
-                if isinstance(element, Element) and self._is_member(element):
+                if self._is_member(element):
                     yield element
                     _release(element)
             if pending > _MAX_MEMBER_BYTES:
@@ -125,7 +150,28 @@ class XmlMembers:
                     f"(near byte {self._offset}).",
                     "Is it a city model? Its members are single buildings.",
                 )
+        if self._folding is not None:
+            for element in self._elements(b""):
+                if self._is_member(element):
+                    yield element
+                    _release(element)
         self._close()
+
+    def _elements(self, chunk: bytes) -> Iterator[Element]:
+        """Yields the elements with a name of members that end in a chunk."""
+        folding, num_before = self._folding, 0
+        if folding is not None:
+            num_before = folding.count
+            chunk = folding.feed(chunk)
+        if chunk:
+            self._feed(chunk)
+        has_ended = False
+        for _, element in self._parser.read_events():
+            has_ended = True
+            if isinstance(element, Element):
+                yield element
+        if folding is not None and has_ended:  # what is still open began in this chunk
+            folding.forget(num_before)
 
     def _is_member(self, element: Element) -> bool:
         if self.root is None:
@@ -159,7 +205,7 @@ class XmlMembers:
             root = self._parser.close()
         except etree.XMLSyntaxError as error:
             slips, faults = self._sort_log()
-            if faults or self.root is None:
+            if faults or self.root is None or self._folding is not None:
                 raise self._syntax_error(error) from None
             for line, message in slips:
                 self._findings.add(UNDECLARED_PREFIX, "", f"line {line}: {message}")
@@ -190,6 +236,8 @@ class XmlMembers:
         return self._fault(line, message)
 
     def _fault(self, line: int, message: str) -> CityModelError:
+        if self._folding is not None:
+            return NotFolded(f"{self._source} is not well-formed XML: {message.strip()}.")
         where = f"line {line}, before byte {self._offset}"
         hint = "The file is damaged or cut off: download or export it again."
         if self._is_mislabelled or "encoding" in message.lower():

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import ELEMENT_IGNORED
-from lodbench.citymodel.coordinates import RING_SEPARATOR, parse_rings
+from lodbench.citymodel.coordinates import parse_rings
 from lodbench.citymodel.identity import connected_components, number_rows, point_bits
 from lodbench.citymodel.mesh.frames import frame_of_comments
 from lodbench.citymodel.mesh.reader import turned_up
@@ -98,7 +98,7 @@ def _report_ignored(lines: list[str], source: str, findings: Findings) -> None:
 
 def _read_points(lines: list[str], positions: list[int], source: str) -> NDArray[np.float64]:
     """Returns (V, 3) positions; what follows x, y, z on a line (a weight, a colour) is left."""
-    values, counts, is_bad = parse_rings([lines[i][2:] for i in positions])
+    values, counts, is_bad = parse_rings([lines[i][2:].encode() for i in positions])
     is_bad |= (counts < 3) | (counts > 7)
     if is_bad.any():
         line = positions[int(np.argmax(is_bad))]
@@ -114,9 +114,9 @@ def _read_faces(
     texts = [lines[i][2:] for i in faces]
     if any("/" in text for text in texts):
         # A separator in the text would shift the lines; as "?" it is a fault of its own line.
-        joined = RING_SEPARATOR.join(text.replace(RING_SEPARATOR, "?") for text in texts)
-        texts = _TEXTURE_PART.sub("", joined).split(RING_SEPARATOR)
-    values, counts, is_bad = parse_rings(texts)
+        joined = ";".join(text.replace(";", "?") for text in texts)
+        texts = _TEXTURE_PART.sub("", joined).split(";")
+    values, counts, is_bad = parse_rings([text.encode() for text in texts])
     face = np.repeat(np.arange(len(counts)), counts)
     # Larger than any index, smaller than an overflow: such a number fails the range check below.
     indices = np.clip(np.nan_to_num(values), -1e15, 1e15).astype(np.int64)
