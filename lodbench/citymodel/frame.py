@@ -186,9 +186,10 @@ def _require_degrees(points: NDArray[np.float64], known: KnownCrs) -> None:
     """
     if known.horizontal.is_geographic:
         columns = (points[:, 0], points[:, 1])
-        if max(np.ptp(column) for column in columns) <= _WIDEST_DEG and max(
-            float(np.maximum(column.max(), -column.min())) for column in columns
-        ) <= 360.0:  # even with strays
+        if (
+            max(np.ptp(column) for column in columns) <= _WIDEST_DEG
+            and max(float(np.maximum(column.max(), -column.min())) for column in columns) <= 360.0
+        ):  # even with strays
             return
         low, high = np.percentile(points[:, :2], _WITHOUT_STRAYS, axis=0)
         # What lies on both sides of 180 degrees is as wide as the Earth.

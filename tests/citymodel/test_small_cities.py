@@ -42,7 +42,7 @@ def both(texts: list[str], monkeypatch: pytest.MonkeyPatch) -> list[tuple[bytes,
     found = []
     for is_few in (True, False):
         monkeypatch.setattr(small_cities, "is_few", lambda _, is_few=is_few: is_few)
-        found.append(tuple(part.tobytes() for part in parse_rings(texts)))
+        found.append(tuple(part.tobytes() for part in parse_rings([text.encode() for text in texts])))
     return found
 
 
@@ -100,8 +100,8 @@ def test_corners_are_hashed_as_by_the_compiled_pass():
 def test_numba_is_left_out_for_a_small_city_and_loaded_for_a_large_one():
     code = (
         "import sys\nfrom lodbench.citymodel.coordinates import parse_rings\n"
-        "parse_rings(['1.25 2.50 3.75 ' * 1000]); print('numba' in sys.modules)\n"
-        "parse_rings(['1.25 2.50 3.75 ' * 900000]); print('numba' in sys.modules)"
+        "parse_rings([b'1.25 2.50 3.75 ' * 1000]); print('numba' in sys.modules)\n"
+        "parse_rings([b'1.25 2.50 3.75 ' * 900000]); print('numba' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "True"]

@@ -13,6 +13,7 @@ from lodbench.citymodel.codes import BAD_COORDINATE, BAD_COUNT, RING_2D
 from lodbench.citymodel.coordinates import parse_rings
 from lodbench.citymodel.gml.folding import FoldedRings
 from lodbench.citymodel.gml.xml import Element, NotFolded, local_name
+from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.raw import starts_of, take_segments
 from lodbench.errors import CityModelError
 from lodbench.findings import FindingCode, Findings
@@ -61,6 +62,7 @@ def _numbers(text: str) -> NDArray[np.float64]:
     return parse_rings([text.encode()])[0]
 
 
+_INTERIOR = int(SurfaceKind.INTERIOR)
 # Japan has 19 plane zones, and a name that nobody knows costs PROJ half a second.
 _MAX_NAMES = 32
 
@@ -78,6 +80,38 @@ class Reference(NamedTuple):
     is_flipped: bool
     placement: Placement | None
     part: int
+
+
+Owner = tuple[int, int, int, int, int]
+
+
+def leave_out(
+    storeys: set[int], owners: list[Owner], first: int, references: list[Reference], first_reference: int
+) -> None:
+    """Makes surfaces of storeys and units interior ones at the levels at which their building has others.
+
+    Args:
+        storeys: Numbers of the storeys.
+        owners: Those of ``PolygonBatch``.
+        first: The building's first polygon.
+        references: Those of all polygons.
+        first_reference: The building's first.
+    """
+    outside = {lod for _, lod, kind, _, part in owners[first:] if part not in storeys and kind != _INTERIOR}
+    outside |= {
+        each.lod
+        for each in references[first_reference:]
+        if each.part not in storeys and each.kind != _INTERIOR
+    }
+    for n in range(first, len(owners)):
+        number, lod, _, srs, part = owners[n]
+        if part in storeys and lod in outside:
+            owners[n] = (number, lod, _INTERIOR, srs, part)
+    for n in range(first_reference, len(references)):
+        if references[n].part in storeys and (
+            references[n].lod in outside or (outside and references[n].lod < 0)
+        ):
+            references[n] = references[n]._replace(kind=_INTERIOR)
 
 
 @dataclass(slots=True)
@@ -102,7 +136,7 @@ class PolygonBatch:
     dimensions: dict[int, int] = field(default_factory=dict)
     solid_rings: list[int] = field(default_factory=list)
     ring_counts: list[int] = field(default_factory=list)
-    owners: list[tuple[int, int, int, int, int]] = field(default_factory=list)
+    owners: list[Owner] = field(default_factory=list)
     flipped: list[int] = field(default_factory=list)
     copies: list[tuple[int, int, int, int, bool, Placement | None, int]] = field(default_factory=list)
     placed: dict[int, Placement] = field(default_factory=dict)
@@ -110,7 +144,7 @@ class PolygonBatch:
     is_folded: bool = False
 
     def add_rings(self, rings: FoldedRings, dimension: int) -> None:
-        """Adds polygons of one ring each, whose owners are there; ``dimension`` is declared around them, or 0."""
+        """Adds polygons of one ring each, whose owners are there; ``dimension`` is that around them, or 0."""
         texts, is_solid = rings
         first = len(self.texts)
         self.is_folded = True

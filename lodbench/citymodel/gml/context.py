@@ -13,6 +13,7 @@ from lodbench.citymodel.gml.names import (
     OBJECT_PROPERTIES,
     OUTER_NAMES,
     ROOF_EDGE,
+    STOREYS,
     SURFACE_KINDS,
     is_building_tag,
     is_extension,
@@ -88,6 +89,15 @@ def owner_of(prop: Element, building: Element, part_of: dict[Element, int], own:
             return part_of[node]
         node = node.getparent()
     return own
+
+
+def storeys_among(building: Element, part_of: dict[Element, int]) -> set[int]:
+    """Returns the numbers of the storeys and units of a building, and of what is in them."""
+    storeys: set[int] = set()
+    for element, number in part_of.items():  # what is around an object comes before it
+        if local_name(element.tag) in STOREYS or owner_of(element, building, part_of, -1) in storeys:
+            storeys.add(number)
+    return storeys
 
 
 def relief_lod(surface: Element) -> str:

@@ -37,7 +37,7 @@ def index_member(member: Element, walk: GeometryWalk | None) -> MemberIndex:
     Raises:
         NotFolded: Some of it has no elements.
     """
-    if walk is not None and walk.folding is not None and walk.folding.has_folded:
+    if walk is not None and walk.folding.has_folded:
         raise NotFolded("A reference may be to something that is folded.")
     elements: dict[str, Element] = {}
     for element in member.iter():

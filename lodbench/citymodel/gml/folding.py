@@ -1,4 +1,4 @@
-"""Plain surfaces taken out of the bytes of CityGML before a parser meets them: most of what a file is made of.
+"""Plain surfaces taken out of the bytes of CityGML before a parser meets them: most of what a file has.
 
 What is folded is written as nearly all writers do, tag by tag; everything else goes to the parser as it
 stands, and so does the whole document where something folded turns out to be at fault (``NotFolded``).
@@ -12,6 +12,8 @@ from secrets import token_hex
 from typing import NamedTuple
 
 from lodbench.citymodel.gml.names import OUTER_NAMES
+from lodbench.citymodel.gml.xml import NotFolded
+
 
 class FoldedRings(NamedTuple):
     """Rings that are a polygon each, as text; either all declare three dimensions or none declares any."""
@@ -39,11 +41,12 @@ _NAMES = "|".join(sorted(OUTER_NAMES)).encode()
 _FIRST_BOUNDARY = re.compile(rb"<((?:\w++:)?)boundedBy>\s*+<\1(?:%b)\b" % _NAMES)
 # Comments and the like, and white space that is none in XML.
 _NOT_AMONG = (b"<!", b"<?", b"\v", b"\f")
+_OF_NUMBERS = b"+-.0123456789eE \t\r\n"
 _MAX_HELD_BYTES = 1 << 20
 
 
 def _id_of(gml: bytes) -> bytes:
-    """Returns the pattern of an attribute ``gml:id`` that may be there; without a prefix there is no such one."""
+    """Returns the pattern of an attribute ``gml:id`` that may be there; without a prefix there is none."""
     return rb"(?:\s++%bid=\"[-\w.:]++\")?" % gml if gml else b""
 
 
@@ -51,7 +54,11 @@ def _plain_member(gml: bytes) -> bytes:
     """Returns the pattern of a polygon of one ring; groups: its id, whether its ring is 3D, its numbers."""
     tags = (b"surfaceMember", b"Polygon", b"exterior", b"LinearRing", b"posList")
     own_id = _id_of(gml)
-    inside = {b"Polygon": b"(%b)" % own_id, b"LinearRing": own_id, b"posList": rb"((?:\s++srsDimension=\"3\")?)"}
+    inside = {
+        b"Polygon": b"(%b)" % own_id,
+        b"LinearRing": own_id,
+        b"posList": rb"((?:\s++srsDimension=\"3\")?)",
+    }
     begin = rb"\s*+".join(b"<%b%b%b>" % (gml, tag, inside.get(tag, b"")) for tag in tags)
     end = rb"\s*+".join(b"</%b%b>" % (gml, tag) for tag in reversed(tags))
     return begin + b"([^<]*+)" + end
@@ -94,21 +101,27 @@ class Folding:
     ``<Polygon gml:id="a">KEY</Polygon>``; one element stands for a row of members without ids. If nothing
     but such a polygon is in a wall or roof, a row of these becomes ``<boundedBy gml:folded="KEY"/>``.
 
+    Args:
+        is_on: Whether it does; else it lets all pass.
+
     Attributes:
         rings: For each key of a polygon, which no document holds, what it stands for.
         surfaces: The same for each key of a boundary.
-        has_folded: Whether anything was folded.
+        has_folded, has_boundaries: Whether anything was folded, and among it boundaries.
         has_links: Whether XLinks may have passed by besides those of members of surfaces.
         count: Keys given so far.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, is_on: bool = True) -> None:
         self.rings: dict[str, FoldedRings] = {}
         self.surfaces: dict[str, list[FoldedSurface]] = {}
-        self.has_folded = self.has_links = False
+        self.has_folded, self.has_boundaries, self.has_links = False, False, not is_on
         self.count = 0
         self._mark = token_hex(8)
-        self._is_on: bool | None = None
+        self._is_on: bool | None = None if is_on else False
+        self._unread: set[str] = (
+            set()
+        )  # keys that nobody has asked for, who would find fault with the numbers
         self._gml: bytes | None = None
         self._city: bytes | None = None
         self._held = self._tail = b""
@@ -175,13 +188,14 @@ class Folding:
             if n + 7 == len(parts) or (rest and not rest.isspace()):
                 key = self._next_key()
                 self.surfaces[key], row = row, []
-                pieces += (b"<%bboundedBy %b%b=\"%b\"/>" % (city, gml, FOLDED.encode(), key.encode()), rest)
+                self.has_boundaries = True
+                pieces += (b'<%bboundedBy %b%b="%b"/>' % (city, gml, FOLDED.encode(), key.encode()), rest)
         return b"".join(pieces)
 
     def _fold_members(self, parts: list[bytes], gml: bytes) -> bytes:
         """Returns a piece of the document; ``parts`` are what stands around members, and their groups."""
         ids, dimensions, numbers, rests = (parts[n::4] for n in range(1, 5))
-        ends = range(1, len(rests) + 1)
+        ends = list(range(1, len(rests) + 1))
         if not any(ids) and len(set(dimensions)) == 1:  # then a row of them is one element
             ends = [n for n in ends if n == len(rests) or b"<" in rests[n - 1]]
         pieces, first = [parts[0]], 0
@@ -196,10 +210,44 @@ class Folding:
     def _next_key(self) -> str:
         self.count += 1
         self.has_folded = True
-        return f"{self._mark}{self.count}"
+        key = f"{self._mark}{self.count}"
+        self._unread.add(key)
+        return key
+
+    def rings_at(self, text: str | None) -> FoldedRings | None:
+        """Returns what a polygon of some text stands for, None where it is what it is.
+
+        Raises:
+            NotFolded: It is forgotten.
+        """
+        text = text or ""
+        rings = self.rings.get(text)
+        self._look_up(text, rings is not None)
+        return rings
+
+    def surfaces_at(self, value: str) -> list[FoldedSurface] | None:
+        """Returns what a boundary with an attribute of some value stands for; else as ``rings_at``."""
+        surfaces = self.surfaces.get(value)
+        self._look_up(value, surfaces is not None)
+        return surfaces
+
+    def _look_up(self, key: str, is_there: bool) -> None:
+        if is_there:
+            self._unread.discard(key)
+        elif key.startswith(self._mark):
+            raise NotFolded("A member goes on behind others that it holds.")
 
     def forget(self, last: int) -> None:
-        """Drops the keys up to a number."""
+        """Drops the keys up to a number.
+
+        Raises:
+            NotFolded: Nobody has looked at what stood there, and it is more than numbers.
+        """
         for kept in (self.rings, self.surfaces):
             for key in [key for key in kept if int(key[len(self._mark) :]) <= last]:
-                del kept[key]
+                folded = kept.pop(key)
+                if key in self._unread:
+                    self._unread.remove(key)
+                    rows = [folded] if isinstance(folded, FoldedRings) else [each.rings for each in folded]
+                    if b"".join(text for rings in rows for text in rings.texts).translate(None, _OF_NUMBERS):
+                        raise NotFolded("What no building has is no list of numbers.")

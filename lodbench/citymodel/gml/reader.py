@@ -25,7 +25,7 @@ from lodbench.citymodel.gml.context import (
 from lodbench.citymodel.gml.details import SolidReader, measured_height, read_attributes
 from lodbench.citymodel.gml.folding import Folding
 from lodbench.citymodel.gml.links import LinkResolver
-from lodbench.citymodel.gml.names import MEMBERS, NESTED_TYPES, is_citygml
+from lodbench.citymodel.gml.names import MEMBERS, NESTED_TYPES, is_building_tag, is_citygml
 from lodbench.citymodel.gml.walk import GeometryWalk
 from lodbench.citymodel.gml.xml import Element, NotFolded, XmlMembers, local_name, namespace_of
 from lodbench.citymodel.growing import GrowingArray
@@ -137,8 +137,10 @@ class _Reader:
         self._around: Element | None = None  # what the members of now stand in
 
     def read(self, stream: BinaryIO, *, is_folded: bool = False) -> None:
-        self.walk.folding = Folding() if is_folded else None
-        members = XmlMembers(stream, self._source, MEMBERS, self.findings, folding=self.walk.folding)
+        folding = self.walk.folding = Folding(is_on=is_folded)
+        members = XmlMembers(
+            stream, self._source, MEMBERS, self.findings, folding=folding if is_folded else None
+        )
         for member in members:
             if self._version is None and members.root is not None:
                 self._read_root(members.root)
@@ -149,7 +151,7 @@ class _Reader:
         self._flush()
         if members.root is not None and self._version is None:
             self._read_root(members.root)
-        self.walk.folding = None
+        self.walk.folding = Folding(is_on=False)
 
     def read_links(self, stream: BinaryIO) -> None:
         """Looks in every member for the targets of references that point out of their own."""
@@ -192,31 +194,15 @@ class _Reader:
         num_over = 0
         elements = list(member.iter(*self._wanted))
         for element in elements:
-            type_ = local_name(element.tag)
-            if not is_citygml(element.tag) or (type_ != "Building" and is_inside(element, met)):
+            if not is_citygml(element.tag) or (not is_building_tag(element.tag) and is_inside(element, met)):
                 continue
             noted = noted_children(element)
             if not self.walk.stands(element, noted):
                 num_over += 1
                 continue
-            number = len(self._building_ids)
-            building_id = gml_id(element) or f"{type_.lower()}-{number + 1}"
-            self._building_ids.append(building_id)
-            attributes = read_attributes(element) if self._objects.has_details else None
-            own = self._objects.add(
-                building_id, _JSON_TYPES.get(type_, type_), -1, number, attributes, _roof_type(noted),
-                measured_height(noted),
-            )  # fmt: skip
-            srs_name = (envelope_srs(element) if "boundedBy" in noted else None) or self._srs_name
             if len(elements) > 1:
                 self.walk.left_out |= buildings_inside(element)
-            before = len(self.walk.batch.owners), len(self.walk.references)
-            part_of = self.walk.walk_building(
-                element, number, building_id, srs_name, own, partial(self._add_nested, element, own)
-            )
-            met.append((element, part_of, own))
-            if before == (len(self.walk.batch.owners), len(self.walk.references)):
-                self.findings.add(BUILDING_EMPTY, building_id, "" if type_ == "Building" else f"a {type_}")
+            met.append((element, *self._read_object(element, noted)))
         if not met:
             names = [] if num_over else [local_name(child.tag) for child in member]
             self._others.update(name for name in names if name != "CityModel")  # its members were read before
@@ -232,6 +218,27 @@ class _Reader:
             self._read_pictures(member, solids.polygons)
         if self.walk.references or self.walk.duplicate_ids:
             self.links.resolve_member(member, self._building_ids)
+
+    def _read_object(
+        self, element: Element, noted: dict[str, list[Element]]
+    ) -> tuple[dict[Element, int], int]:
+        """Adds a building or another object; returns the numbers of objects in it, and its own."""
+        type_, number = local_name(element.tag), len(self._building_ids)
+        building_id = gml_id(element) or f"{type_.lower()}-{number + 1}"
+        self._building_ids.append(building_id)
+        attributes = read_attributes(element) if self._objects.has_details else None
+        own = self._objects.add(
+            building_id, _JSON_TYPES.get(type_, type_), -1, number, attributes, _roof_type(noted),
+            measured_height(noted),
+        )  # fmt: skip
+        srs_name = (envelope_srs(element) if "boundedBy" in noted else None) or self._srs_name
+        before = len(self.walk.batch.owners), len(self.walk.references)
+        part_of = self.walk.walk_building(
+            element, number, building_id, srs_name, own, partial(self._add_nested, element, own)
+        )
+        if before == (len(self.walk.batch.owners), len(self.walk.references)):
+            self.findings.add(BUILDING_EMPTY, building_id, "" if type_ == "Building" else f"a {type_}")
+        return part_of, own
 
     def _read_pictures(self, member: Element, polygons: dict[Element, int]) -> None:
         if self._painted is not None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from lodbench.citymodel.codes import GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
 from lodbench.citymodel.crs import is_in_degrees
-from lodbench.citymodel.gml.batch import NameTable, PolygonBatch, Reference, read_placement
+from lodbench.citymodel.gml.batch import NameTable, PolygonBatch, Reference, leave_out, read_placement
 from lodbench.citymodel.gml.context import (
     extension_above,
     gml_id,
@@ -19,6 +19,7 @@ from lodbench.citymodel.gml.context import (
     owner_of,
     plain_numbers,
     relief_lod,
+    storeys_among,
     surface_kind,
 )
 from lodbench.citymodel.gml.folding import FOLDED, FoldedSurface, Folding
@@ -35,7 +36,6 @@ from lodbench.citymodel.gml.names import (
     REFERENCE,
     RELIEF_SURFACE,
     RING,
-    STOREYS,
     SURFACE_KINDS,
     TUPLES,
     WALKED,
@@ -50,10 +50,7 @@ from lodbench.citymodel.gml.names import (
 )
 from lodbench.citymodel.gml.xml import Element, NotFolded, local_name
 from lodbench.citymodel.lifespans import NAMES, Lifespans
-from lodbench.citymodel.model import SurfaceKind
 from lodbench.findings import Findings
-
-_INTERIOR = int(SurfaceKind.INTERIOR)
 
 
 class GeometryWalk:
@@ -72,7 +69,7 @@ class GeometryWalk:
         part: City object that the polygons met next belong to.
         left_out: Elements of the current member that are no part of the building around them.
         extensions: Objects that extensions (ADE) hang on buildings, by name.
-        folding: What is folded of the current member; None for nothing.
+        folding: What is folded of the current member.
     """
 
     def __init__(self, findings: Findings, lifespans: Lifespans) -> None:
@@ -88,7 +85,7 @@ class GeometryWalk:
         self.part = 0
         self.left_out: set[Element] = set()
         self.extensions: Counter[str] = Counter()
-        self.folding: Folding | None = None
+        self.folding = Folding(is_on=False)
         self._findings, self._lifespans = findings, lifespans
         self._nodes, self._is_walked = NodeTable(), WalkedTags()
         self._turned: set[Element] = set()
@@ -138,50 +135,44 @@ class GeometryWalk:
         first, first_reference = len(self.batch.owners), len(self.references)
         # One pass for objects and geometry: an object comes before what is in it.
         for prop in self._places(element):
-            tag = prop.tag
-            surfaces = None
-            if local_name(tag) == BOUNDARY:
-                surfaces = self._folded_surfaces(prop)
-                if surfaces is None:
-                    continue
-            if self._is_another_s(prop, element):
+            surfaces = self._folded_surfaces(prop) if local_name(prop.tag) == BOUNDARY else []
+            if surfaces is None or self._is_another_s(prop, element):
                 continue
             self.part = owner_of(prop, element, part_of, own) if part_of else own
-            if surfaces is not None:
-                self._add_surfaces(surfaces, building, srs)
-                continue
-            name = local_name(tag)
-            lod_name = property_lod(tag)
-            if lod_name is None:
-                if name in NESTED_TYPES and self._stands_or_is_left_out(prop):
-                    part_of[prop] = add_nested(prop, part_of)
-                if name != RELIEF_SURFACE:
-                    continue
+            self._add_surfaces(surfaces, building, srs)
+            lod_name = property_lod(prop.tag)
+            if lod_name is None and local_name(prop.tag) == RELIEF_SURFACE:
                 lod_name = relief_lod(prop)
-            lod = self.lods.index(lod_name)
-            kind = surface_kind(prop, element)
-            if name.endswith("ImplicitRepresentation"):
-                self._walk_implicit(prop, building, building_id, lod, kind, srs)
-            elif not self._walk_property(prop, building, lod, kind, srs):
-                self._findings.add(GEOMETRY_EMPTY, building_id, name)
-        has_links = self.folding is None or self.folding.has_links
-        for prop in linked_objects(element) if has_links else ():
+            if lod_name is not None:
+                self._walk_place(prop, building, building_id, lod_name, surface_kind(prop, element))
+            elif local_name(prop.tag) in NESTED_TYPES and self._stands_or_is_left_out(prop):
+                part_of[prop] = add_nested(prop, part_of)
+        for prop in linked_objects(element) if self.folding.has_links else ():
             if is_extension(prop.tag) or is_another_s(prop, element, self.left_out):
                 continue
             part = owner_of(prop, element, part_of, own)
             # A door that two rooms share is inside from both.
             kind = surface_kind(prop, element)
             self.references.append(Reference(prop.get(XLINK_HREF, ""), building, -1, kind, False, None, part))
-        self._leave_out_storeys(element, part_of, first, first_reference)
+        storeys = storeys_among(element, part_of)
+        if storeys:
+            leave_out(storeys, self.batch.owners, first, self.references, first_reference)
         return part_of
+
+    def _walk_place(self, prop: Element, building: int, building_id: str, lod_name: str, kind: int) -> None:
+        lod, srs, name = self.lods.index(lod_name), self.default_srs, local_name(prop.tag)
+        if name.endswith("ImplicitRepresentation"):
+            self._walk_implicit(prop, building, building_id, lod, kind, srs)
+        elif not self._walk_property(prop, building, lod, kind, srs):
+            self._findings.add(GEOMETRY_EMPTY, building_id, name)
 
     def _places(self, element: Element) -> Iterable[Element]:
         """Returns where geometry and objects may be in an object, in document order."""
         if not is_building_tag(element.tag):
             return element.iter(*WALKED)
-        folding, walked = self.folding, self._is_walked
-        if folding is not None and folding.surfaces:
+        if self.folding.has_boundaries:
             return element.iter(*WALKED_IN_BUILDINGS, "{*}" + BOUNDARY)
+        walked = self._is_walked
         # Setting a filter up costs more than to look at the children that most buildings of one level have.
         properties = []
         for child in element:
@@ -201,8 +192,9 @@ class GeometryWalk:
             NotFolded: Its names are not of CityGML and GML, which the bytes alone do not tell.
         """
         for name, value in boundary.items():
-            surfaces = self.folding.surfaces.get(value) if self.folding is not None else None
+            surfaces = self.folding.surfaces_at(str(value))
             if surfaces is not None:
+                name = str(name)
                 has_ids = name.removesuffix(FOLDED) + "id" in GML_IDS
                 if not is_citygml(boundary.tag) or not (has_ids or name == FOLDED):
                     raise NotFolded("Names are not those of CityGML.")
@@ -225,7 +217,10 @@ class GeometryWalk:
         prop = extension_above(node, building) if is_other else None
         if prop is not None and prop not in self.left_out:
             self.left_out.add(prop)
-            self.extensions.update(local_name(child.tag) for child in prop.iterchildren("*"))
+            names = [local_name(child.tag) for child in prop.iterchildren("*")]
+            if self.folding.has_folded and not {BOUNDARY, "Polygon"}.isdisjoint(names):
+                raise NotFolded("One element may stand for several.")
+            self.extensions.update(names)
         return is_other
 
     def _stands_or_is_left_out(self, element: Element) -> bool:
@@ -242,42 +237,6 @@ class GeometryWalk:
         """
         dates = {name: noted[name][-1].text or "" for name in NAMES if name in noted} if noted else {}
         return not dates or self._lifespans.stands(gml_id(element) or local_name(element.tag), dates)
-
-    def _leave_out_storeys(
-        self, building: Element, part_of: dict[Element, int], first: int, first_reference: int
-    ) -> None:
-        """Makes surfaces of storeys and units interior ones at the levels at which their building has others.
-
-        Args:
-            building: Their building.
-            part_of: Numbers of the objects in it.
-            first: Its first polygon.
-            first_reference: And its first reference.
-        """
-        storeys: set[int] = set()
-        for element, number in part_of.items():  # what is around an object comes before it
-            if local_name(element.tag) in STOREYS or owner_of(element, building, part_of, -1) in storeys:
-                storeys.add(number)
-        if not storeys:
-            return
-        owners, references = self.batch.owners, self.references
-        outside = {
-            lod for _, lod, kind, _, part in owners[first:] if part not in storeys and kind != _INTERIOR
-        }
-        outside |= {
-            each.lod
-            for each in references[first_reference:]
-            if each.part not in storeys and each.kind != _INTERIOR
-        }
-        for n in range(first, len(owners)):
-            number, lod, _, srs, part = owners[n]
-            if part in storeys and lod in outside:
-                owners[n] = (number, lod, _INTERIOR, srs, part)
-        for n in range(first_reference, len(references)):
-            if references[n].part in storeys and (
-                references[n].lod in outside or (outside and references[n].lod < 0)
-            ):
-                references[n] = references[n]._replace(kind=_INTERIOR)
 
     def _walk_property(self, prop: Element, building: int, lod: int, kind: int, srs: int) -> bool:
         """Adds the polygons and references of one geometry property; tells whether there were any."""
@@ -339,7 +298,7 @@ class GeometryWalk:
         texts, ring_counts = batch.texts, batch.ring_counts
         is_new_ring, is_in_polygon = True, False
         ring_dimension = dimension
-        folded = {} if self.folding is None else self.folding.rings
+        folding = self.folding
         # Without a tag filter: setting one up costs more than passing by the few other elements.
         for element in root.iter():
             node = nodes[element.tag]
@@ -376,7 +335,7 @@ class GeometryWalk:
                 attributes = element.items()
                 if attributes:
                     polygon_srs, ring_dimension = self._read_attributes(attributes, polygon_srs, dimension)
-                rings = folded.get(element.text or "") if folded else None
+                rings = folding.rings_at(element.text) if folding.has_folded else None
                 count = 1 if rings is None else len(rings.texts)
                 if self._turned and element in self._turned:
                     batch.flipped.extend(range(len(ring_counts), len(ring_counts) + count))

@@ -69,7 +69,11 @@ class Folder(Protocol):
         """Returns what of the document is to be parsed next; an empty chunk ends it."""
 
     def forget(self, last: int) -> None:
-        """Drops what is held under the first keys."""
+        """Drops what is held under the first keys.
+
+        Raises:
+            NotFolded: It may hold faults of XML.
+        """
 
 
 class XmlMembers:
@@ -106,7 +110,7 @@ class XmlMembers:
         self._source = source
         self._findings = findings
         self._offset = 0
-        self._logged = 0
+        self._logged = self._num_ended = 0
         self._is_mislabelled = False
         self._parser = etree.XMLPullParser(
             events=("end",),
@@ -131,19 +135,16 @@ class XmlMembers:
             CityModelError: The XML is malformed, cut off, holds a DOCTYPE, or a member is too large.
             NotFolded: The same, with a ``folding``.
         """
-        pending = 0
+        pending = 0  # bytes since a member has ended
         while chunk := self._stream.read(_CHUNK_BYTES):
             if self._offset == 0 and _PROLOG_DOCTYPE.match(chunk.replace(b"\0", b"")):
                 raise self._doctype_error()
             if self._offset == 0:
                 self._is_mislabelled = _WIDE_LABEL.match(chunk) is not None
             self._offset += len(chunk)
-            pending += len(chunk)
-            for element in self._elements(chunk):
-                pending = 0
-                if self._is_member(element):
-                    yield element
-                    _release(element)
+            before = self._num_ended
+            yield from self._members(chunk)
+            pending = 0 if self._num_ended > before else pending + len(chunk)
             if pending > _MAX_MEMBER_BYTES:
                 raise CityModelError(
                     f"{self._source}: one element of the XML is larger than {_MAX_MEMBER_BYTES >> 20} MiB "
@@ -151,14 +152,13 @@ class XmlMembers:
                     "Is it a city model? Its members are single buildings.",
                 )
         if self._folding is not None:
-            for element in self._elements(b""):
-                if self._is_member(element):
-                    yield element
-                    _release(element)
+            yield from self._members(b"")
         self._close()
+        if self._folding is not None:
+            self._folding.forget(self._folding.count)
 
-    def _elements(self, chunk: bytes) -> Iterator[Element]:
-        """Yields the elements with a name of members that end in a chunk."""
+    def _members(self, chunk: bytes) -> Iterator[Element]:
+        """Yields the members that end in a chunk."""
         folding, num_before = self._folding, 0
         if folding is not None:
             num_before = folding.count
@@ -167,9 +167,11 @@ class XmlMembers:
             self._feed(chunk)
         has_ended = False
         for _, element in self._parser.read_events():
-            has_ended = True
-            if isinstance(element, Element):
+            self._num_ended += 1
+            if isinstance(element, Element) and self._is_member(element):
+                has_ended = True
                 yield element
+                _release(element)
         if folding is not None and has_ended:  # what is still open began in this chunk
             folding.forget(num_before)
 
