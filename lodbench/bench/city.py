@@ -8,6 +8,7 @@ above what is resident after a small file, when everything is loaded and compile
 from __future__ import annotations
 
 import json
+import os
 import re
 import resource
 import subprocess
@@ -39,6 +40,7 @@ _NAIVE_WAYS = {
     "naive DOM, earcut per polygon": project_plainly,
     "naive with scalar projection": project_tuned,
 }
+_PASSES_IN_TURN = 12
 _CLEAR_REFS = Path("/proc/self/clear_refs")
 # What the allocator kept from the small file is given back first, or the large one could hide in it.
 _MEMORY_SCRIPT = """
@@ -59,6 +61,18 @@ peak = resident("VmHWM")
 arrays = sum(a.nbytes for a in (scene.vertices, scene.triangles, scene.vertex_starts, scene.triangle_starts))
 print(json.dumps({"before": before, "peak": peak, "arrays": arrays, "buildings": scene.num_buildings}))
 """
+# CPU seconds of reading and meshing, the least of many passes, the digest of what came out.
+_TURN_SCRIPT = """
+import json, sys, time
+from lodbench.citymodel import open_scene
+city, lod, passes = sys.argv[1], sys.argv[2] or None, int(sys.argv[3])
+digest, times = open_scene(city, lod=lod).digest(), []
+for _ in range(passes):
+    start = time.process_time()
+    open_scene(city, lod=lod)
+    times.append(time.process_time() - start)
+print(json.dumps([min(times), digest]))
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +83,16 @@ class CityOptions:
     repeats: int = option(5, "passes, the fastest counts")
     tiles: int = option(0, "instead: make one scene of so many tiles of its buildings; 0 for none")
     workers: int | None = option(None, "processes for the tiles (one per core)", parse=int)
+    beside_path: str | None = option(
+        None, "folder that holds the package lodbench to read in turns with this one"
+    )
     large_mb: int = option(137, "size of the city repeated, for the memory figure; 0 for none")
 
     def __post_init__(self) -> None:
         if self.repeats < 1 or self.large_mb < 0 or self.tiles < 0:
             raise ConfigError("repeats is at least 1, large_mb and tiles at least 0.")
+        if self.beside_path is not None and not (Path(self.beside_path) / "lodbench").is_dir():
+            raise ConfigError(f"There is no lodbench in {self.beside_path}.", "Name the folder above it.")
 
 
 def measure_city(city: Path, options: CityOptions | None = None, progress: Progress = no_progress) -> Report:
@@ -99,6 +118,8 @@ def measure_city(city: Path, options: CityOptions | None = None, progress: Progr
     progress(1, 4)
     rows = _beside_naive(city, model, lod, seconds, options.repeats)
     rows.append(Figure("read and mesh, data rate", size_mb / seconds, "MB/s"))
+    if options.beside_path is not None:
+        rows.append(_beside_build(city, options))
     rows.append(Figure("triangles", len(mesh.scene.triangles), ""))
     rows.append(Figure("area lost", round(mesh.lost_m2, 3), "m2"))
     progress(2, 4)
@@ -109,6 +130,28 @@ def measure_city(city: Path, options: CityOptions | None = None, progress: Progr
         rows += _memory(city, lod, options.large_mb)
     progress(4, 4)
     return plain_report(city.name, rows)
+
+
+def _beside_build(city: Path, options: CityOptions) -> Figure:
+    """Returns what this build and another take for the city, processes in turns.
+
+    Raises:
+        CityModelError: One of them fails, or they make different scenes of it.
+    """
+    builds: dict[str, list[tuple[float, str]]] = {"": [], str(Path(options.beside_path or "").resolve()): []}
+    for _ in range(options.repeats):
+        for path, told in builds.items():
+            environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+            environment |= {"PYTHONPATH": path} if path else {}
+            done = _json_of(
+                _TURN_SCRIPT, [str(city.resolve()), options.lod or "", str(_PASSES_IN_TURN)], environment
+            )
+            told.append((float(done[0]), str(done[1])))
+    if len({digest for told in builds.values() for _, digest in told}) > 1:
+        raise CityModelError("The two builds make different scenes of this city.")
+    own, other = (min(cpu_s for cpu_s, _ in told) for told in builds.values())
+    name = "read and mesh, CPU time"
+    return Figure(name, own * 1e3, "ms", "the other build, in turns", other * 1e3, other / own)
 
 
 def _best(job: Callable[[], object], repeats: int) -> float:
@@ -160,7 +203,7 @@ def _memory(city: Path, lod: str, large_mb: int) -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         large = Path(folder) / "large.gml"
         repeat_members(city, large, int(large_mb * _MEGABYTE))
-        result = _run_memory(city, large, lod)
+        result = _json_of(_MEMORY_SCRIPT, [str(city), str(large), lod])
         size_mb = large.stat().st_size / _MEGABYTE
     above = result["peak"] - result["before"] - result["arrays"]
     title = f"{size_mb:.0f} MB file, {result['buildings']:,} buildings: peak memory"
@@ -169,17 +212,22 @@ def _memory(city: Path, lod: str, large_mb: int) -> list[Figure]:
     ]
 
 
-def _run_memory(small: Path, large: Path, lod: str) -> dict[str, Any]:
+def _json_of(script: str, words: list[str], environment: dict[str, str] | None = None) -> Any:
+    """Returns what a script prints as JSON.
+
+    Raises:
+        CityModelError: It fails.
+    """
     done = subprocess.run(  # noqa: S603 - this interpreter, with a script of ours
-        [sys.executable, "-c", _MEMORY_SCRIPT, str(small), str(large), lod],
+        [sys.executable, "-P", "-c", script, *words],
         capture_output=True,
         text=True,
         check=False,
+        env=environment,
     )
     if done.returncode != 0:
-        raise CityModelError(f"The memory measurement failed: {done.stderr.strip()[-300:]}.")
-    result: dict[str, Any] = json.loads(done.stdout)
-    return result
+        raise CityModelError(f"The measurement failed: {done.stderr.strip()[-300:]}.")
+    return json.loads(done.stdout)
 
 
 def repeat_members(source: Path, target: Path, num_bytes: int) -> None:
