@@ -45,6 +45,7 @@ _CLEAR_REFS = Path("/proc/self/clear_refs")
 # What the allocator kept from the small file is given back first, or the large one could hide in it.
 _MEMORY_SCRIPT = """
 import ctypes, gc, json, re, sys
+import numba  # which a small file goes without
 from lodbench.citymodel import open_scene
 def resident(name):
     with open("/proc/self/status") as status:
