@@ -39,6 +39,9 @@ _GLOSSARY = (
     "the surest 0 to 100 % are answered, averaged."
 )
 
+# Answers that a user takes without a look, and those that are more likely right than wrong.
+_SURE, _LIKELY = 0.9, 0.5
+
 
 class Block(NamedTuple):
     """What one method made of all views under one tilt."""
@@ -72,7 +75,12 @@ def report_accuracy(queries: pd.DataFrame, protocol: str) -> Report:
     """Returns the report of a sweep over methods and tilts."""
     blocks = blocks_of(queries)
     calibrations = _calibrations(blocks)
-    lines = [_table(blocks), f"{protocol}; in brackets the 95 % interval.", *map(_missed, blocks)]
+    lines = [
+        _table(blocks),
+        f"{protocol}; in brackets the 95 % interval.",
+        *map(_missed, blocks),
+        *_trust(blocks),
+    ]
     figures = [figure for block in blocks for figure in _figures(block)]
     text = "\n".join([*lines, _GLOSSARY] if calibrations else lines)
     return Report(text, figures, queries, partial(_pictures, calibrations))
@@ -156,12 +164,31 @@ def _errors(summary: SplitSummary) -> list[str]:
     return [*recalls, f"{summary.median_translation_m:.2f}", f"{summary.median_rotation_deg:.2f}"]
 
 
+def _trust(blocks: Sequence[Block]) -> Iterator[str]:
+    """Yields, of each method that states probabilities, what it states and how far that can be trusted."""
+    for block in blocks:
+        if block.queries["probability"].isna().all():
+            continue
+        is_found, stated = _is_found(block.queries), block.queries["probability"].fillna(0.0).to_numpy()
+        is_sure = stated >= _SURE
+        wrong_m = block.queries[ERROR[0]].to_numpy()[is_sure & ~is_found]
+        most = f" (up to {wrong_m.max():.1f} m)" if len(wrong_m) else ""
+        yield (
+            f"{_whose(block)}: states {100 * stated.mean():.1f} % in the mean; of {is_sure.sum()} at {_SURE} "
+            f"or more {len(wrong_m)} are wrong{most}; {(is_found & (stated >= _LIKELY)).sum()} of "
+            f"{is_found.sum()} within (2 m, 2 deg) state {_LIKELY} or more."
+        )
+
+
+def _whose(block: Block) -> str:
+    return f"tilt={block.tilt}" if block.is_only else f"tilt={block.tilt} {block.method}"
+
+
 def _missed(block: Block) -> str:
     """Returns whether the search or the mask is to blame for what was not found."""
     missed = block.queries[~_is_found(block.queries)]
     unfound = int((missed["score"].fillna(0.0) < missed["mask_iou"]).sum())
-    whose = f"tilt={block.tilt}" if block.is_only else f"tilt={block.tilt} {block.method}"
     return (
-        f"{whose}: {len(missed)} not within (2 m, 2 deg); in {unfound} of them the truth fits better than "
-        f"the estimate, in {len(missed) - unfound} it does not."
+        f"{_whose(block)}: {len(missed)} not within (2 m, 2 deg); in {unfound} of them the truth fits better "
+        f"than the estimate, in {len(missed) - unfound} it does not."
     )

@@ -15,14 +15,15 @@ from lodbench.bench.options import SEED
 from lodbench.datasets.inputs import Input
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import ProgressCallback
+from lodbench.geometry.camera_sigmas import CALIBRATED
 from lodbench.methods import Method
 from lodbench.methods.registry import make_method
 from lodbench.synthesis.photo import look_ranges
-from lodbench.synthesis.views_dataset import AREAS, ViewsParams, World
+from lodbench.synthesis.views_dataset import AREAS, CAMERA_SOURCES, ViewsParams, World
 
 _WORLD = (
-    "how the views differ from the map: shared_roofs and hidden_feet in metres, focal as a share, "
-    "tilt as a factor on the stated one"
+    "how the views differ from the map and the stated camera: shared_roofs and hidden_feet in metres, focal "
+    "as a share, tilt as a factor on the stated one, center as a share of the width, k1"
 )
 # What settings of views are called here.
 _OPTIONS = {
@@ -73,6 +74,8 @@ def add_drawing(parser: argparse.ArgumentParser, num_views: int) -> None:
     add("--mask-lod", help=drawn)
     add("--map-lod", help="level of detail that is searched (the lowest)")
     add("--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave")
+    known = "how well the stated camera is known: calibration, maker or nominal (calibration)"
+    add("--camera-source", choices=tuple(CAMERA_SOURCES), default=CALIBRATED.source, help=known)
     add("--world", default="", metavar="NAME=VALUE,...", help=_WORLD)
 
 
@@ -176,6 +179,7 @@ def _params(given: argparse.Namespace) -> ViewsParams:
         mask_lod=given.mask_lod,
         roof_height=given.roof_height,
         world=_world(given.world),
+        camera_source=given.camera_source,
     )
 
 

@@ -11,7 +11,9 @@ from lodbench.errors import DatasetError
 from lodbench.extras import require
 from lodbench.geometry import Camera
 from lodbench.storage import make_folder, random_stream
+from lodbench.synthesis.lens_pictures import draw_through_lens
 from lodbench.synthesis.photo import CameraResponse, Look, PhotoRenderer, draw_look, look_ranges
+from lodbench.synthesis.photo.renderer import photo_file
 from lodbench.synthesis.queries import SyntheticQuery
 from lodbench.synthesis.surroundings.surroundings import make_surroundings
 
@@ -54,8 +56,10 @@ class Photographer:
     def _taken(
         self, query: SyntheticQuery, camera: Camera, look: Look, response: CameraResponse
     ) -> SyntheticQuery:
-        photo = self._renderer.jpeg(camera, query.truth, look, response)
-        return query._replace(name=f"{query.name}.jpg", photo=photo)
+        photo = draw_through_lens(
+            lambda pinhole: self._renderer.photo(pinhole, query.truth, look, response), camera
+        )
+        return query._replace(name=f"{query.name}.jpg", photo=photo_file(photo, ".jpg", response))
 
 
 def reconstruct(queries: Sequence[SyntheticQuery], camera: Camera, folder: Path) -> None:

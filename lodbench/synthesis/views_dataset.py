@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
@@ -22,13 +24,15 @@ from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError, require_numbers, require_within
-from lodbench.geometry import Camera
+from lodbench.geometry import Camera, Pose
+from lodbench.geometry.camera_sigmas import CALIBRATED, MAKER, UNKNOWN
 from lodbench.params import to_params
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import digest_of, random_stream, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.instance_degradation import degraded_instances
+from lodbench.synthesis.lens_pictures import draw_through_lens
 from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.queries import SyntheticQuery, write_queries, written_once
 from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer
@@ -43,6 +47,9 @@ _FACTS_FILE = "drawn.json"
 # What a building keeps of its height at least, metres.
 _LEAST_RISE_M = 0.5
 _WORLD_LIMITS = {"shared_roofs_m": (-50, 50), "hidden_feet_m": (0, 50), "focal": (-0.5, 0.5), "tilt": (0, 30)}
+_WORLD_LIMITS |= {"center": (-0.2, 0.2), "k1": (-0.3, 0.3)}
+# How well cameras are known, as a dataset states it by where their numbers come from.
+CAMERA_SOURCES = {sigmas.source: sigmas for sigmas in (CALIBRATED, MAKER, UNKNOWN)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +65,10 @@ class World:
     # The lens is longer than told by this share of its focal length, in every second view shorter.
     focal: float = 0.0
     tilt: float = 1.0  # pitch and roll of the priors err so many times as far as told
+    center: float = (
+        0.0  # the principal point is aside by this share of the width: right, down, left, up in turn
+    )
+    k1: float = 0.0  # radial distortion that the stated camera does not have
 
     def __post_init__(self) -> None:
         for name, bounds in _WORLD_LIMITS.items():
@@ -98,7 +109,16 @@ class World:
     def lens(self, camera: Camera, view: int) -> Camera:
         """Returns the camera that takes the view of a number, given the one that is told."""
         stretch = 1.0 + (self.focal if view % 2 == 0 else -self.focal)
-        return replace(camera, fx=stretch * camera.fx, fy=stretch * camera.fy)
+        right, down = ((1, 0), (0, 1), (-1, 0), (0, -1))[view % 4]
+        aside_px = self.center * camera.width
+        return replace(
+            camera,
+            fx=stretch * camera.fx,
+            fy=stretch * camera.fy,
+            cx=camera.cx + right * aside_px,
+            cy=camera.cy + down * aside_px,
+            distortion=(self.k1, 0.0, 0.0, 0.0) if self.k1 else camera.distortion,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,10 +143,14 @@ class ViewsParams:
     name: str = "views"
     layers: list[str] = field(default_factory=list)
     world: World = field(default_factory=World)
+    camera_source: str = CALIBRATED.source
 
     def __post_init__(self) -> None:
         if self.num_views < 1:
             raise ConfigError(f"dataset.num_views={self.num_views} is not a number of views.")
+        if self.camera_source not in CAMERA_SOURCES:
+            known = ", ".join(CAMERA_SOURCES)
+            raise ConfigError(f"dataset.camera_source is one of {known}, not {self.camera_source}.")
         require_within("dataset.mask_iou", self.mask_iou, 0, 1, "(]")
         require_within("dataset.tilt_deg", self.tilt_deg, 0, 30)
         require_numbers(self, "dataset", ("range_m", "height_m"), 0)
@@ -172,13 +196,21 @@ def draw_queries(scene: Scene, renderer: Renderer, params: ViewsParams) -> tuple
     for index, truth in enumerate(views.poses):
         name = f"view_{index:04d}"
         lens = world.lens(camera, index)
-        clean = photographed.render(lens, truth)
+        clean = draw_through_lens(partial(_silhouette, photographed, truth), lens)
         rough, iou = degrade_mask(clean, params.mask_iou, random_stream(seed, "accuracy", name, "mask"))
         start = prior.draw(truth, random_stream(seed, "accuracy", name, "prior"))
-        (buildings,) = raster.buildings(lens, truth.rotation[None], truth.center[None])
+        buildings = draw_through_lens(partial(_instances, raster, truth), lens)
         instances = degraded_instances(buildings, rough, random_stream(seed, "accuracy", name, "instances"))
         queries.append(SyntheticQuery(name, truth, start, rough, iou, instances=instances))
     return queries, views.rejections
+
+
+def _silhouette(renderer: Renderer, pose: Pose, camera: Camera) -> NDArray[Any]:
+    return renderer.render(camera, pose)
+
+
+def _instances(renderer: RasterRenderer, pose: Pose, camera: Camera) -> NDArray[Any]:
+    return np.asarray(renderer.buildings(camera, pose.rotation[None], pose.center[None])[0])
 
 
 def open_views(params: ViewsParams) -> Dataset:
@@ -195,6 +227,11 @@ def open_views(params: ViewsParams) -> Dataset:
     scene = open_cached_city(city, lod=lod, options=options, roof_height=params.roof_height).scene
     of_the_scene = ("city_model", "lod", "crs", "name", "layers")  # its digest says it
     drawn = {key: value for key, value in asdict(params).items() if key not in of_the_scene}
+    del drawn["camera_source"]  # stated, not drawn
+    # Errors that came later: views without them keep their place in the cache.
+    drawn["world"] = {
+        name: value for name, value in drawn["world"].items() if name not in ("center", "k1") or value
+    }
     world = params.world
     # Photos once showed the map's world, whatever was told.
     shown = ["shown"] if params.look is not None and world.describe() else []
@@ -215,6 +252,11 @@ def open_views(params: ViewsParams) -> Dataset:
     same = {key: getattr(params, key) for key in ("lod", "crs", "roof_height", "name", "layers")}
     folder = open_folder(FolderParams(str(root), str(city), **same))
     look = "" if params.look is None else f", look {params.look}"
+    sigmas = CAMERA_SOURCES[params.camera_source]
+    if not sigmas.are_zero:
+        folder = replace(
+            folder, entries=tuple(replace(entry, camera_sigmas=sigmas) for entry in folder.entries)
+        )
     return replace(folder, version=f"views {VIEWS_VERSION}{look}, seed {params.views_seed}")
 
 

@@ -8,7 +8,7 @@ from lodbench.cli import main
 @pytest.mark.parametrize(
     ("world", "told", "hint"),
     [
-        ("nix=3", "--world nix=3: nix is not a setting", "Known: focal, hidden_feet_m"),
+        ("nix=3", "--world nix=3: nix is not a setting", "Known: center, focal, hidden_feet_m"),
         ("focal=9", "--world focal=9: focal=9 is not within", ""),
         ("focal", "--world focal: focal is empty, not a number.", "Write focal=2.5, for instance."),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,7 +11,11 @@ import pytest
 
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError
+from lodbench.geometry import Camera
+from lodbench.geometry.camera_sigmas import MAKER
+from lodbench.geometry.lens import distort
 from lodbench.segmentation.masks import read_mask
+from lodbench.synthesis.lens_pictures import draw_through_lens
 from lodbench.synthesis.view_sampling import RGB_CAMERA
 from lodbench.synthesis.views_dataset import ViewsParams, World, open_views
 from tests.town import box_obj
@@ -79,3 +84,45 @@ def test_views_of_a_world_stand_where_those_of_the_map_do(city):
         assert (read_mask(before.mask) != read_mask(after.mask)).any()
         errors = [np.subtract(entry.prior.euler, truth.euler)[:2] for entry in (before, after)]
         np.testing.assert_allclose(errors[1], 5.0 * errors[0], atol=1e-6)
+
+
+def test_principal_points_are_aside_in_turn():
+    world = World(center=0.01)
+    aside = [
+        (lens.cx - RGB_CAMERA.cx, lens.cy - RGB_CAMERA.cy)
+        for lens in (world.lens(RGB_CAMERA, i) for i in range(4))
+    ]
+    px = 0.01 * RGB_CAMERA.width
+    assert aside == [pytest.approx(at) for at in ((px, 0), (0, px), (-px, 0), (0, -px))]
+
+
+@pytest.mark.parametrize("k1", [-0.15, -0.05, 0.05])
+def test_a_lens_shows_points_where_its_formula_puts_them(k1):
+    lens = replace(Camera(600, 400, 500, 500, 300, 200), distortion=(k1, 0, 0, 0))
+
+    def draw(pinhole):
+        columns, rows = np.meshgrid(np.arange(600) + 0.5, np.arange(400) + 0.5)
+        rays = ((columns - pinhole.cx) / pinhole.fx, (rows - pinhole.cy) / pinhole.fy)
+        return np.stack([*rays, np.zeros_like(columns)], axis=-1).astype(np.float32)
+
+    shown = draw_through_lens(draw, lens)[2:-2, 2:-2]
+    x, y = distort(lens.lens, lens.distortion, *np.moveaxis(shown[..., :2].astype(float), -1, 0))
+    columns, rows = np.meshgrid(np.arange(2, 598) + 0.5, np.arange(2, 398) + 0.5)
+    np.testing.assert_allclose(500 * x + 300, columns, atol=0.05)
+    np.testing.assert_allclose(500 * y + 200, rows, atol=0.05)
+
+
+def test_masks_through_a_lens_keep_their_values():
+    lens = replace(Camera(60, 40, 50, 50, 30, 20), distortion=(-0.1, 0, 0, 0))
+    labels = np.random.default_rng(0).integers(-1, 5, (40, 60), dtype=np.int32)
+    shown = draw_through_lens(lambda _: labels, lens)
+    assert shown.dtype == labels.dtype
+    assert shown.shape == (40, 60)
+    assert np.isin(shown, labels).all()
+
+
+def test_a_stated_camera_is_known_as_well_as_its_source_says(city):
+    entries = open_views(ViewsParams(str(city), num_views=2, camera_source="maker")).entries
+    assert {entry.camera_sigmas for entry in entries} == {MAKER}
+    with pytest.raises(ConfigError, match="camera_source is one of calibration, maker, nominal"):
+        ViewsParams(str(city), camera_source="guess")
