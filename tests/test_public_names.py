@@ -110,6 +110,7 @@ PLUG_INS = {
         "queries",
         "parquet",
         "rerun",
+        "submission",
     ],
     "lodbench.city_readers": ["citygml", "cityjson", "obj", "mesh", "footprints"],
     "lodbench.feature_extractors": ["sift", "xfeat"],

@@ -13,9 +13,10 @@ from lodbench.cli.parser import Parser
 from lodbench.cli.run_folders import run_folders
 from lodbench.cli.verify import add_path_options, read_config, reopen_dataset
 from lodbench.errors import ConfigError, LodbenchError
+from lodbench.evaluation.protocols import PROTOCOLS
 from lodbench.evaluation.queries import has_truth
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
-from lodbench.harness.results import summary_at
+from lodbench.harness.results import protocol_of, summary_at
 from lodbench.harness.runs.budget import budget_panels
 from lodbench.harness.runs.compare import (
     agreement,
@@ -72,7 +73,9 @@ def main(argv: Sequence[str]) -> int:
         replace(run, summary=with_settings(run.summary, config, run.provenance.get("city_model")))
         for run, config in zip(runs, configs, strict=True)
     ]
-    summaries = [summary_at(run, thresholds) for run in runs]
+    summaries = [summary_at(run, thresholds or None) for run in runs]
+    # Tests are at the bins of the first run, which others are compared with.
+    thresholds = thresholds or protocol_of(runs[0]).thresholds or DEFAULT_THRESHOLDS
     scored = [summary for run, summary in zip(runs, summaries, strict=True) if has_truth(run.queries).any()]
     _require_truth(options, len(runs) - len(scored), len(scored))
     tables = tables_of(scored, options.free, options.over_seeds)
@@ -195,13 +198,16 @@ def _answers(run: StoredRun, name: str) -> str:
 
 
 def parse_thresholds(words: Sequence[str]) -> tuple[Threshold, ...]:
-    """Returns thresholds written as ``metres/degrees``.
+    """Returns thresholds written as ``metres/degrees``, or by the name of a protocol that has them.
 
     Raises:
-        ConfigError: A word is not two positive numbers.
+        ConfigError: A word is not two positive numbers, and no such name.
     """
-    thresholds = []
+    thresholds: list[Threshold] = []
     for word in words:
+        if word in PROTOCOLS:
+            thresholds += PROTOCOLS[word].thresholds
+            continue
         try:
             metres, degrees = (float(part) for part in word.split("/"))
         except ValueError:
@@ -209,7 +215,7 @@ def parse_thresholds(words: Sequence[str]) -> tuple[Threshold, ...]:
         if not (0 < metres < float("inf") and 0 < degrees < float("inf")):
             raise ConfigError(f"The threshold {word!r} is not METRES/DEGREES.", "For example 2/2 or 0.5/1.")
         thresholds.append(Threshold(metres, degrees))
-    return tuple(thresholds) or DEFAULT_THRESHOLDS
+    return tuple(thresholds)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -229,7 +235,13 @@ def _parser() -> argparse.ArgumentParser:
         metavar="COLUMNS",
         help=f"what to show (paper): {', '.join(sorted(COLUMNS))}, or any number by its name in CSV",
     )
-    add("--thresholds", nargs="+", default=[], metavar="M/DEG", help="where to measure recall (2/2 3/3 5/5)")
+    add(
+        "--thresholds",
+        nargs="+",
+        default=[],
+        metavar="M/DEG",
+        help=f"where to measure recall, or a name: {', '.join(PROTOCOLS)} (the dataset's own)",
+    )
     add("--free", nargs="+", choices=FREE, default=[], help="what may differ within a table")
     add(
         "--over-seeds", action="store_true", help="one row for runs that differ in their seed: mean +- spread"

@@ -41,6 +41,7 @@ A folder that lodbench localize wrote is exported likewise: each photo is a quer
 
 Poses are written in the dataset's coordinates; queries without one are named, not written (in tables and maps
 they have no place). COLMAP, kapture and nerfstudio hold cameras, which come from the dataset.
+submission is what the dataset's own benchmark takes, where it takes something (docs/datasets.md).
 For the Rerun viewer the city, the priors, the truth, photos and masks are written too, in the city's local
 frame; `rerun FILE` opens it. Of files that are there only earlier exports in the format are replaced.
 """

@@ -14,8 +14,8 @@
         sequences.txt           name sequence: which photos belong to one flight (optional)
         lens_percent.txt        name percent: standard deviation of a focal length known badly (optional)
         reconstruction/         a COLMAP model of the photos, or a folder with one per flight (optional)
-        dataset.json            where it came from: city model, reference system; and whether it has a
-                                truth and priors (optional)
+        dataset.json            where it came from: city model, reference system; whether it has a truth and
+                                priors; the protocol of its results (optional)
 
 Truth and priors may be missing only where ``dataset.json`` says so: a misspelt file is an error.
 """
@@ -28,7 +28,7 @@ from pathlib import Path
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
-from lodbench.datasets.folder_about import ABOUT_FILE, read_about, stated_city, stated_crs
+from lodbench.datasets.folder_about import ABOUT_FILE, read_about, stated_city, stated_crs, stated_protocol
 from lodbench.datasets.instance_labels import INSTANCES_FOLDER
 from lodbench.datasets.pose_text import (
     format_camera,
@@ -113,6 +113,7 @@ def open_folder(params: FolderParams) -> Dataset:
         references=references,
         textured_map=textured,
         crs=stated_crs(folders),
+        protocol=stated_protocol(folders),
     )
 
 

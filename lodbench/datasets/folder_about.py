@@ -32,6 +32,18 @@ def stated_crs(folders: Sequence[Path]) -> str | None:
     return next(iter(named.values()), None)
 
 
+def stated_protocol(folders: Sequence[Path]) -> str:
+    """Returns the protocol that ``dataset.json`` of some splits names for results; LoD-Loc's if none does.
+
+    Raises:
+        DatasetError: Two of them name different ones.
+    """
+    stated = {folder: read_about(folder).get("protocol") for folder in folders}
+    named = {folder: str(protocol) for folder, protocol in stated.items() if protocol is not None}
+    _require_one(named, "protocols", "Open them one by one: dataset.root=FOLDER.")
+    return next(iter(named.values()), "lodloc")
+
+
 def stated_city(root: Path, folders: Sequence[Path]) -> tuple[Path | None, tuple[str, ...]]:
     """Returns the city model that ``dataset.json`` of some splits names, relative to it, and notes.
 

@@ -165,6 +165,8 @@ class Dataset:
         crs: Reference system of the poses as the data states it, or None.
         protocol: Name of the bins and metrics that its results are reported by, of
             ``lodbench.evaluation.protocols``.
+        submission: Returns the text of a submission in the benchmark's own format, from poses by
+            ``Entry.key``, None for no answer; None where there is no such format.
     """
 
     name: str
@@ -190,6 +192,7 @@ class Dataset:
     assumed: frozenset[str] = frozenset()
     crs: str | None = None
     protocol: str = "lodloc"
+    submission: Callable[[Mapping[str, Pose | None]], str] | None = None
 
     def __repr__(self) -> str:
         splits = ", ".join(self.splits)

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lodbench.evaluation.metrics import compute_metrics
-from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, SplitSummary, Threshold, summarize
+from lodbench.evaluation.protocols import EAST_NORTH, GROUND, LODLOC, PROTOCOLS, Protocol
+from lodbench.evaluation.recall import SplitSummary, Threshold, summarize
 from lodbench.storage import hide_formula
 
 if TYPE_CHECKING:
@@ -33,6 +34,10 @@ COLUMNS = (
 )  # fmt: skip
 
 
+# Those that only some protocols have written.
+MORE = (*EAST_NORTH, GROUND)
+
+
 def queries_frame(rows: pd.DataFrame | Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Returns rows as a table of ``COLUMNS``: texts, and float64 for everything else.
 
@@ -40,9 +45,10 @@ def queries_frame(rows: pd.DataFrame | Iterable[Mapping[str, Any]]) -> pd.DataFr
     """
     import pandas as pd
 
-    columns = list(COLUMNS)
-    frame = rows[columns] if isinstance(rows, pd.DataFrame) else pd.DataFrame(list(rows), columns=columns)
-    types: dict[str, Any] = {name: object if name in TEXTS else np.float64 for name in COLUMNS}
+    known = rows if isinstance(rows, pd.DataFrame) else pd.DataFrame(list(rows))
+    columns = [*COLUMNS, *(name for name in MORE if name in known)]
+    frame = known.reindex(columns=columns)
+    types: dict[str, Any] = {name: object if name in TEXTS else np.float64 for name in columns}
     frame = frame.astype(types)
     frame.index = pd.Index(frame["split"] + "/" + frame["query"], name="key", dtype=object)
     return frame
@@ -84,9 +90,20 @@ def own_failure(failure: str) -> str:
 
 
 def summarize_queries(
-    queries: pd.DataFrame, split: str, thresholds: Sequence[Threshold] = DEFAULT_THRESHOLDS
+    queries: pd.DataFrame,
+    split: str,
+    protocol: Protocol = PROTOCOLS[LODLOC],
+    thresholds: Sequence[Threshold] | None = None,
 ) -> tuple[SplitSummary, SplitSummary]:
-    """Returns the summaries of the estimates and of the priors of one split, over its truth list."""
+    """Returns the summaries of the estimates and of the priors of one split, over its truth list.
+
+    Args:
+        queries: The table.
+        split: Name of the split.
+        protocol: Bins and further numbers.
+        thresholds: Where to measure recall instead.
+    """
+    thresholds = protocol.thresholds if thresholds is None else thresholds
     scored = of_split(queries, split)
     is_mine, answered = queries["split"] == split, is_answered(queries)
     mine = queries[is_mine & answered]
@@ -94,7 +111,7 @@ def summarize_queries(
         scored[list(ERROR)].to_numpy(),
         mine["hypotheses"].dropna().to_numpy(),
         thresholds,
-        metrics=compute_metrics(scored),
+        metrics=compute_metrics(scored) | protocol.numbers(scored),
     )
     if scored.empty:
         # Nothing to score is no reason to call an unanswered query answered.
@@ -104,7 +121,8 @@ def summarize_queries(
 
 def fill_failures(queries: pd.DataFrame, known: pd.Series[bool]) -> pd.DataFrame:
     """Returns the table in which the empty errors of queries with a known truth are those of failures."""
-    failed = dict.fromkeys((ERROR[0], PRIOR_ERROR[0], *PARTS[:2]), math.inf)
+    more = [name for name in MORE if name in queries]
+    failed = dict.fromkeys((ERROR[0], PRIOR_ERROR[0], *PARTS[:2], *more), math.inf)
     failed |= dict.fromkeys((ERROR[1], PRIOR_ERROR[1], PARTS[2]), 180.0)
     columns = {
         name: queries[name].mask(queries[name].isna() & known, value) for name, value in failed.items()
@@ -115,7 +133,8 @@ def fill_failures(queries: pd.DataFrame, known: pd.Series[bool]) -> pd.DataFrame
 def queries_csv(queries: pd.DataFrame) -> str:
     """Returns the table as CSV: what is not finite is empty, and no text is a formula to a spreadsheet."""
     frame = queries.copy()
-    for group in (ERROR, PRIOR_ERROR, PARTS):
+    more = tuple(name for name in MORE if name in frame)
+    for group in (ERROR, PRIOR_ERROR, PARTS, *((name,) for name in more)):
         lost = np.isinf(frame[group[0]])
         frame.loc[lost, list(group)] = math.nan
     for name in ("query", "split", "failure"):

@@ -12,8 +12,9 @@ from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import ConfigError, nearest_names
+from lodbench.evaluation.protocols import LODLOC, Protocol, protocol_named
 from lodbench.evaluation.queries import has_truth, summarize_queries
-from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
+from lodbench.evaluation.recall import Threshold
 from lodbench.harness.runs.stored import StoredRun, read_whole_run
 from lodbench.methods import Method
 from lodbench.methods.registry import configure_method
@@ -126,7 +127,7 @@ def _settings(part: object) -> dict[str, Any]:
 
 def compare(
     runs: str | Path | StoredRun | Sequence[str | Path | StoredRun],
-    thresholds: Sequence[Threshold] = DEFAULT_THRESHOLDS,
+    thresholds: Sequence[Threshold] | None = None,
 ) -> pd.DataFrame:
     """Returns the numbers of runs, one row per method and split, and of their priors.
 
@@ -134,7 +135,7 @@ def compare(
 
     Args:
         runs: Run folders, or what ``load_run`` made of them; or one of these.
-        thresholds: Where to measure recall.
+        thresholds: Where to measure recall; None for the bins of each run's dataset.
 
     Raises:
         DatasetError: A folder holds no run.
@@ -164,14 +165,24 @@ def leaderboard(dataset: str, root: str | Path = "leaderboard") -> pd.DataFrame:
     return leaderboard_frame(blocks_of(entries[slug(dataset)])).infer_objects()
 
 
-def summary_at(run: StoredRun, thresholds: Sequence[Threshold]) -> dict[str, Any]:
-    """Returns a run's summary at some thresholds, computed from its queries, with its times.
+def protocol_of(run: StoredRun) -> Protocol:
+    """Returns the protocol that a run is reported by.
+
+    Raises:
+        ConfigError: This lodbench does not know it.
+    """
+    return protocol_named(str(run.summary["protocol"].get("bins", LODLOC)))
+
+
+def summary_at(run: StoredRun, thresholds: Sequence[Threshold] | None) -> dict[str, Any]:
+    """Returns a run's summary at its protocol's or some thresholds, from its queries, with its times.
 
     Its dataset has a digest of the queries' ``names``, too: what runs from other priors have in common.
     """
     splits, priors = {}, {}
+    protocol = protocol_of(run)
     for split in run.summary["splits"]:
-        estimates, prior = summarize_queries(run.queries, split, thresholds)
+        estimates, prior = summarize_queries(run.queries, split, protocol, thresholds)
         splits[split], priors[split] = estimates.to_json(), prior.to_json()
     seconds = run.provenance.get("seconds_per_query", {})
     names = digest_of([[str(key), bool(known)] for key, known in has_truth(run.queries).sort_index().items()])

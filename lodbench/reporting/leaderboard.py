@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 from lodbench.citymodel.lods import lod_in_words
 from lodbench.datasets.real_flights import BOARD_HEAD
 from lodbench.datasets.real_flights import NAME as REAL_FLIGHTS
+from lodbench.evaluation.protocols import LODLOC, protocol_named
+from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
 from lodbench.reporting.page import facts, markup, rendered
 from lodbench.reporting.run_names import settings_apart
@@ -43,7 +45,7 @@ INDEX = "index.html"
 _HEADS = {REAL_FLIGHTS: BOARD_HEAD}
 # What must agree for two rows to rank together. Renderer and seed may differ: they are the method's own.
 _SHARED = ("prior", "split", "queries", "scene", "masks", "lod", "tilt", "segmenter", "evaluator")
-LABELS = ("2m-2deg", "3m-3deg", "5m-5deg")
+LABELS = tuple(threshold.label for threshold in DEFAULT_THRESHOLDS)
 _PRINTED = (*LABELS, "T.e./R.e.", "IoU")
 
 
@@ -108,9 +110,9 @@ def best_of(blocks: Sequence[Block]) -> list[dict[str, Any]]:
     rows = []
     for block in blocks:
         best = min(block.entries, key=_standing)
-        label = LABELS[0]
+        label = _labels(block.entries)[0]
         recalls = {
-            split: finite_text(values["recall"].get(label), ".2f") for split, values in best["splits"].items()
+            split: finite_text(_recall(values, label), ".2f") for split, values in best["splits"].items()
         }
         # Tables that print no recall, as those of masks alone, name nobody best.
         if any(text != "-" for text in recalls.values()):
@@ -137,7 +139,8 @@ def blocks_of(entries: Sequence[Entry]) -> list[Block]:
 def protocol_digest(entry: Entry) -> str:
     """Returns a digest of all that two entries must share to be compared, the photos they looked at aside."""
     protocol = entry["protocol"]
-    return digest_of([entry["dataset"], *(protocol.get(name) for name in _SHARED)])
+    bins = [protocol["bins"]] if "bins" in protocol else []
+    return digest_of([entry["dataset"], *(protocol.get(name) for name in _SHARED), *bins])
 
 
 def leaderboard_frame(blocks: Sequence[Block]) -> pd.DataFrame:
@@ -154,6 +157,7 @@ def leaderboard_frame(blocks: Sequence[Block]) -> pd.DataFrame:
     ]
     # Recalls, medians and counts first; then whatever metrics there are; then where it comes from.
     known = set(_NUMBERS) | {*_PROTOCOL, *_ORIGIN}
+    # Bins of other protocols come with the metrics.
     metrics = dict.fromkeys(name for row in rows for name in row if name not in known)
     return pd.DataFrame(rows, columns=[*_NUMBERS, *metrics, *_PROTOCOL, *_ORIGIN], dtype=object)
 
@@ -184,6 +188,7 @@ def _row_of(entry: Entry, rank: int | None, name: str, split: dict[str, Any]) ->
         **{"source": entry["source"], "rank": rank, "condition": protocol["condition"], "split": name},
         **{"method": method["name"], "variant": method["variant"], "map": method["map"]},
         **{label: split["recall"].get(label) for label in LABELS},
+        **split["recall"],
         **{f"{label} {end}": bounds[label][i] for label in bounds for i, end in enumerate(("low", "high"))},
         **{key: split.get(key) for key in names},
         **{"queries": split["num_queries"], "failed": split["num_failed"]},
@@ -228,6 +233,18 @@ def _block(key: tuple[int, str, str], members: list[Entry], photos: str) -> Bloc
     return Block(f"Measured · {said}", tuple(members), ranks, photos)
 
 
+def _labels(entries: Sequence[Entry]) -> tuple[str, ...]:
+    """Returns what recalls of entries of one protocol are called, strictest first, or shares in plan."""
+    protocol = protocol_named(str(entries[0]["protocol"].get("bins", LODLOC)))
+    labels = tuple(threshold.label for threshold in protocol.thresholds)
+    return labels or tuple(f"horizontal_{most:g}m_percent" for most in protocol.horizontal_m)
+
+
+def _recall(split: dict[str, Any], label: str) -> float | None:
+    value: float | None = split["recall"].get(label, split.get("metrics", {}).get(label))
+    return value
+
+
 def _standing(entry: Entry) -> tuple[float | str, ...]:
     """Returns what entries are sorted by: mean recall over splits, strictest first; then mean medians.
 
@@ -240,7 +257,7 @@ def _standing(entry: Entry) -> tuple[float | str, ...]:
         return sign * sum(known) / len(known) if known and len(known) == len(values) else math.inf
 
     # What is not known is worse than all that is.
-    recalls = [mean([split["recall"].get(label) for split in splits], -1) for label in LABELS]
+    recalls = [mean([_recall(split, label) for split in splits], -1) for label in _labels([entry])]
     medians = [
         mean([split[key] for split in splits], 1) for key in ("median_translation_m", "median_rotation_deg")
     ]
@@ -273,7 +290,8 @@ def _page_table(block: Block) -> RecallTable:
     )
     if all(entry["source"] == "reported" for entry in block.entries):
         return RecallTable(table.title, lines, table.columns)
-    recalls, others = interval_columns(LABELS)[: len(LABELS)], paper_columns(LABELS)[len(LABELS) :]
+    labels = [label for label in _labels(block.entries) if "-" in label]
+    recalls, others = interval_columns(labels)[: len(labels)], paper_columns(labels)[len(labels) :]
     cost = (Column("IoU", ("mask_iou",), better=1), Column("s/query", ("seconds_per_query",), better=-1))
     return RecallTable(table.title, lines, (*recalls, *others, *cost, *_metrics(block)))
 
@@ -281,7 +299,8 @@ def _page_table(block: Block) -> RecallTable:
 def _columns(block: Block) -> tuple[Column, ...]:
     """Returns the paper's columns and plug-ins' metrics; of reported rows only those that were printed."""
     if any(entry["source"] != "reported" for entry in block.entries):
-        return *paper_columns(LABELS), *_metrics(block)
+        labels = [label for label in _labels(block.entries) if "-" in label]
+        return *paper_columns(labels), *_metrics(block)
     splits = [split for entry in block.entries for split in entry["splits"].values()]
     printed = {name for split in splits for name in split["printed"]}
     columns = {column.head: column for column in (*paper_columns(LABELS), *segmenter_columns(LABELS))}

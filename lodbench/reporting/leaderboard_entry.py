@@ -128,6 +128,7 @@ def measured_entry(
             "priors": protocol["prior"],
             "seeds": [protocol["seed"]] if isinstance(protocol["seed"], int) else [],
             "evaluator": EVALUATOR_VERSION,
+            **({"bins": protocol["bins"]} if "bins" in protocol else {}),
         },
         "splits": {
             name: {**split, "seconds_per_query": seconds.get(name)}

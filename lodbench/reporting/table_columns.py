@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -57,6 +58,7 @@ class Column(NamedTuple):
         return f"{text} ±{finite_text(spread, self.spec)}" if has_spread else text
 
 
+_SHARES = re.compile(r"(horizontal)_[\d.]+m_percent|beyond_[\d.]+m_[\d.]+deg_percent")
 # A count as it is, and a mean of counts to one digit: none of five runs' failures is rounded away.
 _COUNT = "count"
 
@@ -72,6 +74,15 @@ def paper_columns(labels: Sequence[str]) -> tuple[Column, ...]:
     """Returns recalls, both medians in one cell, and the number of failures."""
     medians = Column("T.e./R.e.", ("median_translation_m", "median_rotation_deg"), better=-1)
     return *_recalls(labels), medians, Column("failed", ("failed",), _COUNT, -1)
+
+
+def protocol_columns(numbers: Sequence[str]) -> tuple[Column, ...]:
+    """Returns the shares that only some protocols have: within a distance in plan, and beyond all bins."""
+    return tuple(
+        Column(name.removesuffix("_percent").replace("_", " "), (name,), better=1 if match[1] else -1)
+        for name in numbers
+        if (match := _SHARES.fullmatch(name))
+    )
 
 
 def segmenter_columns(labels: Sequence[str]) -> tuple[Column, ...]:

@@ -17,7 +17,7 @@ from lodbench.reporting.split_numbers import (
     require_one_run_a_seed,
     require_seeds_alone,
 )
-from lodbench.reporting.table_columns import Column, columns_named, paper_columns
+from lodbench.reporting.table_columns import Column, columns_named, paper_columns, protocol_columns
 from lodbench.storage import digest_of
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ class RecallTable:
 
     def shown(self) -> tuple[Column, ...]:
         """Returns the columns of each split."""
-        return self.columns or paper_columns(self.labels())
+        return self.columns or (*paper_columns(self.labels()), *protocol_columns(self.numbers()))
 
     def cells(self, line: Line) -> Iterator[tuple[Column, Mapping[str, Any] | None]]:
         """Yields the columns of a line with the numbers behind them, all columns of the first split first."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from lodbench.datasets.codes import NO_IMAGE, NO_PRIOR
@@ -17,6 +18,7 @@ from lodbench.datasets.published.own_layout import (
     as_dataset,
     choose_reading,
     find_parts,
+    pose_lines,
     pose_read_as,
     read_pose_rows,
     require_word,
@@ -59,6 +61,7 @@ SPEC = PublishedSpec(
     camera_height_m=(0.5, 4.0),
 )
 _PRIORS = ("android", "none")
+_HEAD = "# IMAGE_NAME qw qx qy qz UTMx UTMy alt"
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +103,7 @@ def open_egeniouss(params: EgenioussParams) -> Dataset:
         return {name: pose_read_as(row, reading, is_centre=True).shifted(up) for name, row in rows.items()}
 
     truth: dict[str, Pose] = {}
+    written: dict[str, str] = {}
     entries: list[Entry] = []
     for split, file in (("val", "val_android_poses.txt"), ("test", "test_android_poses.csv")):
         folder = queries / split
@@ -111,7 +115,7 @@ def open_egeniouss(params: EgenioussParams) -> Dataset:
             photo = find_photo(folder, name)
             entry = _entry(photo.name if photo else name, split, photo, priors, (camera, sigmas))
             if pose is not None:
-                truth[entry.key] = pose
+                truth[entry.key], written[entry.key] = pose, name
             entries.append(entry)
             for code, is_so in ((NO_IMAGE, photo is None), (NO_PRIOR, entry.prior is None)):
                 if is_so:
@@ -124,6 +128,14 @@ def open_egeniouss(params: EgenioussParams) -> Dataset:
         findings,
         lod=params.lod,
         textured_map=mesh if mesh.is_dir() else None,
+        submission=partial(
+            pose_lines,
+            names=written,
+            reading=reading,
+            offset_m=[-value for value in up],
+            head=_HEAD,
+            is_centre=True,
+        ),
     )
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.codes import READING_INFERRED
+from lodbench.datasets.pose_text import lines_to_text
 from lodbench.datasets.published.layout import not_all_of
 from lodbench.datasets.published.own_layout import (
     AUTO,
@@ -145,9 +147,35 @@ def open_ortholoc(params: OrthoLocParams) -> Dataset:
         )
         entries.append(entry)
         truth[entry.key] = sample.pose.shifted(cell_offset(index))
-    dataset = as_dataset(found, entries, truth, findings, city_model=city, textured_map=city, lod=params.lod)
+    dataset = as_dataset(
+        found,
+        entries,
+        truth,
+        findings,
+        city_model=city,
+        textured_map=city,
+        lod=params.lod,
+        submission=partial(_predictions, [entry.key for entry in entries]),
+    )
     note = "there are no priors; prior=uniform draws them around the truth"
     return replace(dataset, notes=(*dataset.notes, note))
+
+
+def _predictions(keys: Sequence[str], poses: Mapping[str, Pose | None]) -> str:
+    """Returns lines as the publishers' benchmark writes them: world to camera, quaternion x, y, z, w."""
+    lines = []
+    for index, key in enumerate(keys):
+        if key not in poses:
+            continue
+        pose, name = poses[key], Path(key).stem
+        if pose is None:
+            lines.append(f"{name} None")
+            continue
+        local = pose.shifted([-value for value in cell_offset(index)])
+        w, x, y, z = local.quat_wxyz
+        camera = "fx: None fy: None cx: None cy: None"  # methods state poses, no cameras
+        lines.append(f"{name} - 0 (best): q: {[x, y, z, w]} t: {local.translation.tolist()} {camera}")
+    return lines_to_text(lines)
 
 
 def _read(split: str, path: Path) -> _Sample:

@@ -200,6 +200,39 @@ def _level_of(poses: Sequence[Pose]) -> tuple[float, float]:
     return float(np.median(np.abs(axes[:, 0]))), float((axes[:, 1] + axes[:, 2] < 0).mean())
 
 
+def pose_lines(
+    poses: Mapping[str, Pose | None],
+    names: Mapping[str, str],
+    reading: str = "w2c_opencv",
+    offset_m: Sequence[float] = (0.0, 0.0, 0.0),
+    head: str = "",
+    *,
+    is_centre: bool = False,
+) -> str:
+    """Returns poses as lines ``name qw qx qy qz x y z``: the inverse of ``pose_read_as``.
+
+    Args:
+        poses: By ``Entry.key``, None for no answer.
+        names: As files have them, by ``Entry.key``.
+        reading: One of ``READINGS``.
+        offset_m: Added to the places, metres.
+        head: First line, "" for none.
+        is_centre: As for ``pose_read_as``.
+    """
+    is_to_world, is_opengl = READINGS[reading]
+    lines = [head] if head else []
+    for key, pose in poses.items():
+        if pose is None:
+            continue
+        placed = pose.shifted(offset_m)
+        seen = Pose(_FLIP @ placed.rotation, _FLIP @ placed.translation) if is_opengl else placed
+        written = Pose(seen.rotation.T, seen.center) if is_to_world else seen
+        place = seen.center if is_to_world or is_centre else seen.translation
+        numbers = [*written.quat_wxyz, *map(float, place)]
+        lines.append(" ".join([names.get(key, key.partition("/")[2]), *map(repr, numbers)]))
+    return lines_to_text(lines)
+
+
 def stated_camera(setting: str, words: str) -> tuple[Camera, CameraSigmas | None]:
     """Returns the camera of the words ``MODEL W H params...``.
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from lodbench.datasets.published.open import PublishedParams, open_published
-from lodbench.datasets.published.own_layout import AUTO, choose_reading
+from lodbench.datasets.published.own_layout import AUTO, choose_reading, pose_lines
 from lodbench.datasets.published.spec import Host, PublishedSpec, SplitSpec
 from lodbench.datasets.query import Dataset, notes_of
 from lodbench.findings import Findings
@@ -53,7 +54,8 @@ def open_tokyo(params: TokyoParams) -> Dataset:
     dataset, findings = open_published(SPEC, params), Findings()
     truth = list(dataset.truth.values())
     readings = {"opencv": truth, "opengl": [_flipped(pose) for pose in truth]}
-    if choose_reading("dataset.axes", params.axes, readings, findings) == "opengl":
+    axes = choose_reading("dataset.axes", params.axes, readings, findings)
+    if axes == "opengl":
         entries = tuple(
             replace(
                 entry,
@@ -66,7 +68,10 @@ def open_tokyo(params: TokyoParams) -> Dataset:
             dataset, entries=entries, truth={key: _flipped(pose) for key, pose in dataset.truth.items()}
         )
     return replace(
-        dataset, notes=(*dataset.notes, *notes_of(findings)), findings=(*dataset.findings, *findings.items)
+        dataset,
+        notes=(*dataset.notes, *notes_of(findings)),
+        findings=(*dataset.findings, *findings.items),
+        submission=partial(pose_lines, names={}, reading=f"w2c_{axes}"),
     )
 
 

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from lodbench.datasets.codes import NO_CAMERA, NO_IMAGE, NO_PRIOR
 from lodbench.datasets.pose_text import read_cameras, read_hypotheses, read_poses
-from lodbench.datasets.published.own_layout import OwnLayoutParams, as_dataset, find_parts, without_lens
+from lodbench.datasets.published.own_layout import (
+    OwnLayoutParams,
+    as_dataset,
+    find_parts,
+    pose_lines,
+    without_lens,
+)
 from lodbench.datasets.published.spec import Host, Part, PublishedSpec, SplitSpec
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError, require_within
@@ -99,6 +106,7 @@ def open_uavd4l(params: Uavd4lParams) -> Dataset:
             lod=params.lod,
             photo_crs=SPEC.photo_crs,
             photo_origin=None if params.map_origin is None else tuple(params.map_origin),
+            submission=partial(pose_lines, names={}, offset_m=[-value for value in shift]),
         ),
         city_model=city,
         textured_map=textured if textured.exists() else None,

@@ -159,6 +159,27 @@ class Queries:
         write_text(path, queries_csv(queries_with_poses(export.run)))
 
 
+class Submission:
+    """What the dataset's own benchmark takes, in its coordinates and names."""
+
+    file_name = "submission.txt"
+    requires = (DATASET,)
+
+    def write(self, export: Export, path: Path) -> None:
+        """Writes it, of all queries of the run.
+
+        Raises:
+            DatasetError: The dataset has no such format.
+        """
+        dataset, run = export.dataset, export.run
+        if dataset is None or dataset.submission is None:
+            name = run.summary["dataset"]["name"]
+            raise DatasetError(
+                f"{name} has no format of submissions that is known.", "--format csv holds the poses."
+            )
+        write_text(path, dataset.submission({str(key): run.poses.get(str(key)) for key in run.queries.index}))
+
+
 class Parquet:
     """The table of ``Queries``, typed and small."""
 

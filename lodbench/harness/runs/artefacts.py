@@ -15,6 +15,7 @@ from lodbench import __version__
 from lodbench.citymodel.options import PATH_OPTIONS
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.prior_sources import prior_text
+from lodbench.evaluation.protocols import LODLOC, protocol_named
 from lodbench.evaluation.queries import queries_csv, summarize_queries
 from lodbench.execution.code_version import LIBRARIES
 from lodbench.harness.runs.code_digest import words_in
@@ -137,8 +138,9 @@ def _crs(run: Result) -> str | None:
 def summary_of(run: Result) -> dict[str, Any]:
     """Returns the summary: protocol, recalls by split, the priors' own, failures by reason."""
     splits, priors = {}, {}
+    bins = run.dataset.protocol
     for split in run.splits:
-        estimates, prior = summarize_queries(run.queries, split)
+        estimates, prior = summarize_queries(run.queries, split, protocol_named(bins))
         splits[split], priors[split] = estimates.to_json(), prior.to_json()
     failures = run.queries["failure"][run.queries["failure"] != ""].value_counts()
     config = run.config
@@ -157,6 +159,7 @@ def summary_of(run: Result) -> dict[str, Any]:
             "renderer": config["renderer"],
             "lod": run.lod,
             "prior": _prior_in_words(config.get("prior", {"name": "file"})),
+            **({} if bins == LODLOC else {"bins": bins}),
         },
         "splits": splits,
         "prior": priors,

@@ -16,6 +16,7 @@ from lodbench.datasets.query import Dataset
 from lodbench.evaluation.evaluate import evaluate
 from lodbench.evaluation.pose_matching import match_poses, suspect_convention
 from lodbench.evaluation.predictions import Prediction, pose_numbers
+from lodbench.evaluation.protocols import protocol_named
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.runs.gallery import write_overlays
@@ -87,7 +88,14 @@ def evaluate_poses(dataset: Dataset, settings: EvaluateSettings) -> Result:
     remove_leftovers(folder)
     predictions = {entry.key: _prediction(matched.poses.get(entry.key)) for entry in entries}
     priors = {entry.key: prior_of(entry, dataset, settings.tilt) for entry in entries}
-    queries = evaluate(entries, predictions, dataset.truth, priors, tilt=settings.tilt)
+    queries = evaluate(
+        entries,
+        predictions,
+        dataset.truth,
+        priors,
+        tilt=settings.tilt,
+        columns=protocol_named(dataset.protocol).columns,
+    )
     told = replace(dataset, notes=dataset.notes + notes)
     return Result(folder, config, told, splits, predictions, queries, inputs, lod=None)
 

@@ -23,6 +23,7 @@ from lodbench.datasets.references import with_inputs
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.evaluate import evaluate
 from lodbench.evaluation.predictions import Prediction
+from lodbench.evaluation.protocols import protocol_named
 from lodbench.execution.code_version import own_digest
 from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams
 from lodbench.execution.fan_out import expect_workers
@@ -124,6 +125,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     """
     runs = settings.runs_root / path_name("dataset", dataset.name) / path_name("method", method.name)
     dataset, splits, entries, city_map, textured = _opened(method, dataset, segmenter, settings)
+    columns = protocol_named(dataset.protocol).columns
     needs = made_inputs(method) | ({Input.IMAGE} if looks_at_photos(method, segmenter) else set())
     preparation = Preparation(dataset, city_map.scene, segmenter, settings.tilt, needs, city_map)
     inputs = {
@@ -151,7 +153,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     predictions, resumed = _answered(method, work, preparation, city_map, entries, folder, settings)
     priors = {entry.key: preparation.prior(entry) for entry in entries}
     with blaming("renderers", settings.renderer, "draw what was found"):
-        queries = evaluate(entries, predictions, dataset.truth, priors, city_map, settings.tilt)
+        queries = evaluate(entries, predictions, dataset.truth, priors, city_map, settings.tilt, columns)
     return Run(
         folder=folder,
         config=settings.config,

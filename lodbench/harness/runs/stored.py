@@ -18,6 +18,7 @@ from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.queries import (
     COLUMNS,
     ERROR,
+    MORE,
     PRIOR_ERROR,
     TEXTS,
     fill_failures,
@@ -254,6 +255,7 @@ def _read_queries(path: Path) -> pd.DataFrame:
     if cells.isna().any(axis=None):
         raise DatasetError(f"{path} has rows of different lengths.", _FOLDER_HINT)
     columns = {name: cells[name] if name in cells else pd.Series("", cells.index) for name in COLUMNS}
+    columns |= {name: cells[name] for name in MORE if name in cells}
     columns |= {name: columns[name].map(show_formula) for name in ("query", "split", "failure")}
     numbers = {
         name: _numbers(list(column), path, *_BOUNDS.get(name, (-math.inf, math.inf)))

@@ -21,6 +21,7 @@ from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.evaluate import evaluate
+from lodbench.evaluation.protocols import LODLOC, protocol_named
 from lodbench.evaluation.queries import ERROR, NO_TRUTH, PARTS, PRIOR_ERROR, has_truth, is_without_truth
 from lodbench.geometry import wrap_deg
 from lodbench.harness.city import city_digests, open_city
@@ -218,7 +219,8 @@ def _changed_errors(
     lines += [f"queries.csv: {key} is not a query of the dataset" for key in rows.index.difference(keys)]
     there = [entry for entry in entries if entry.key in rows.index]
     priors = {entry.key: prior_of(entry, dataset, tilt) for entry in there}
-    expected = evaluate(there, stored.predictions, dataset.truth, priors, scorer, tilt)
+    columns = protocol_named(dataset.protocol).columns
+    expected = evaluate(there, stored.predictions, dataset.truth, priors, scorer, tilt, columns)
     found = rows.loc[expected.index]
     known = has_truth(expected)
     for key in expected.index[known == found["failure"].map(is_without_truth).astype(bool)]:
@@ -263,7 +265,8 @@ def _stand_in(stored: StoredRun) -> Dataset:
     """Returns a dataset that only tells what the summary says of it."""
     said = stored.summary["dataset"]
     notes = tuple(stored.summary.get("notes", ()))
-    return Dataset(said["name"], said["version"], stored.folder, None, None, (), (), {}, notes)
+    bins = stored.summary["protocol"].get("bins", LODLOC)
+    return Dataset(said["name"], said["version"], stored.folder, None, None, (), (), {}, notes, protocol=bins)
 
 
 def _with_words_of_the_map(told: Dataset, stored: StoredRun) -> Dataset:

@@ -530,3 +530,87 @@ class TestMaps:
         before = first.image.stat().st_mtime_ns
         assert first.camera.fx != layouts.DRONE.fx
         assert opened("anyvisloc", tmp_path).entries[0].image.stat().st_mtime_ns == before
+
+
+def submitted(dataset, poses):
+    """Returns lines of a submission as (rotation, place) by name: read without lodbench."""
+    from scipy.spatial.transform import Rotation
+
+    found = {}
+    for line in dataset.submission(poses).splitlines():
+        if not line.startswith("#"):
+            name, w, x, y, z, *place = line.split()
+            found[name] = (
+                Rotation.from_quat([float(v) for v in (x, y, z, w)]).as_matrix(),
+                np.array(place, float),
+            )
+    return found
+
+
+class TestSubmissions:
+    @pytest.mark.parametrize("reading", ["c2w_opencv", "c2w_opengl", "w2c_opencv", "w2c_opengl"])
+    def test_egenioussbench_gets_its_own_lines_back(self, tmp_path, reading):
+        layouts.write_egeniouss(tmp_path, reading)
+        dataset = opened("egeniouss", tmp_path, height_offset_m=-12.5)
+        answers = dict(dataset.truth) | {"test/IMG_20249000.jpg": None}
+        text = dataset.submission(answers)
+        assert text.splitlines()[0] == "# IMAGE_NAME qw qx qy qz UTMx UTMy alt"
+        given = [line.split() for line in (tmp_path / _GT).read_text().splitlines() if line[0] != "#"]
+        written = {line.split()[0]: np.array(line.split()[1:], float) for line in text.splitlines()[1:]}
+        assert list(written) == [words[0] for words in given]
+        for name, *numbers in given:
+            sign = np.sign(written[name][:4] @ np.array(numbers[:4], float))
+            np.testing.assert_allclose(sign * written[name][:4], np.array(numbers[:4], float), atol=1e-8)
+            np.testing.assert_allclose(written[name][4:], np.array(numbers[4:], float), atol=1e-6)
+
+    @pytest.mark.parametrize("axes", ["opencv", "opengl"])
+    def test_tokyo_s_lines_are_in_its_axes(self, tmp_path, axes):
+        truth = layouts.write_tokyo(tmp_path, axes)
+        found = submitted(opened("tokyo_lodv3", tmp_path), truth)
+        flip = layouts.FLIP if axes == "opengl" else np.eye(3)
+        for key, pose in truth.items():
+            rotation, translation = found[key.split("/")[1]]
+            np.testing.assert_allclose(rotation, flip @ pose.rotation, atol=1e-9)
+            np.testing.assert_allclose(translation, flip @ pose.translation, atol=1e-9)
+
+    def test_uavd4l_s_poses_go_back_to_where_they_were(self, tmp_path):
+        origin = (400_000.0, 3_130_000.0, 0.0)
+        truth = layouts.write_uavd4l(tmp_path, origin)
+        found = submitted(opened("uavd4l", tmp_path, map_origin=list(origin)), truth)
+        for key, pose in truth.items():
+            rotation, translation = found[key.split("/")[1]]
+            np.testing.assert_allclose(-rotation.T @ translation, pose.center + origin, atol=1e-6)
+
+    def test_ortholoc_s_predictions_are_in_each_sample_s_coordinates(self, tmp_path):
+        truth = layouts.write_ortholoc(tmp_path)
+        dataset = opened("ortholoc", tmp_path)
+        lost = next(iter(truth))
+        lines = dataset.submission(truth | {lost: None}).splitlines()
+        assert f"{Path(lost).stem} None" in lines
+        poses = list(layouts.true_poses(3).values())
+        for line in (line for line in lines if not line.endswith("None") or "q:" in line):
+            name, quaternion, translation = re.fullmatch(
+                r"(\S+) - 0 \(best\): q: \[(.*?)\] t: \[(.*?)\] fx: None fy: None cx: None cy: None", line
+            ).groups()
+            pose = poses[int(name[-4:])]
+            x, y, z, w = map(float, quaternion.split(","))
+            np.testing.assert_allclose(abs(np.dot([w, x, y, z], pose.quat_wxyz)), 1, atol=1e-12)
+            np.testing.assert_allclose(
+                [float(v) for v in translation.split(",")], pose.translation, atol=1e-9
+            )
+
+    def test_export_writes_it_and_says_where_there_is_none(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.chdir(tmp_path)
+        layouts.write_tokyo(tmp_path / "tokyo")
+        layouts.write_anyvisloc(tmp_path / "avl")
+        for name, words in (("tokyo_lodv3", [f"city={tmp_path}/tokyo/city.obj"]), ("anyvisloc", [])):
+            root = tmp_path / ("tokyo" if words else "avl")
+            words = [*words, f"dataset.root={root}", f"paths.runs={tmp_path / name}"]
+            assert main(["run", f"dataset={name}", "method=prior_only", "segmenter=none", *words]) == 0
+        (tokyo,), (avl,) = (list((tmp_path / name).glob("*/*/*")) for name in ("tokyo_lodv3", "anyvisloc"))
+        assert main(["export", str(tokyo), "--format", "submission"]) == 0
+        assert len((tokyo / "export" / "submission.txt").read_text().splitlines()) == 3
+        assert json.loads((tokyo / "summary.json").read_text())["protocol"]["bins"] == "lodlocv3"
+        capsys.readouterr()
+        assert main(["export", str(avl), "--format", "submission"]) == 2
+        assert "anyvisloc has no format of submissions" in capsys.readouterr().err
