@@ -70,6 +70,14 @@ def _add_actions(actions: Any) -> None:
     )
     init.add_argument("--city", type=Path, required=True, metavar="FILE", help="city model")
     init.add_argument("--colmap", type=Path, metavar="MODEL", help="folder of a COLMAP model: the truth")
+    init.add_argument(
+        "--no-common-view",
+        type=float,
+        nargs="?",
+        const=300.0,
+        metavar="METRES",
+        help="keep only photos whose views, up to so far (300), do not meet: no two see the same ground",
+    )
     add_city_options(init)
     _add_common_options(init)
     init.set_defaults(make=_init)
@@ -111,7 +119,8 @@ def _add_common_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _init(asked: argparse.Namespace) -> int:
-    return _make(asked, poses=asked.colmap, format="colmap")
+    require_within("--no-common-view", asked.no_common_view, 0, ends="(]")
+    return _make(asked, poses=asked.colmap, format="colmap", apart_m=asked.no_common_view)
 
 
 # Formats by the names that `lodbench export` has for them.

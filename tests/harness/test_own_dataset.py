@@ -13,13 +13,16 @@ import pytest
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.datasets.own import OwnImage
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.evaluation import pose_error
-from lodbench.geometry import CameraSigmas
+from lodbench.geometry import Camera, CameraSigmas, EulerAngles, Pose
+from lodbench.harness.photo.own_dataset import without_common_view
 from lodbench.photos.undistort import pinhole_of
 from tests.cli.photo_case import Case
 from tests.harness.own_case import LENS, init, make_own_case, run
 from tests.photos.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
+from tests.town import CAMERA, write_dataset
 
 
 @pytest.fixture(scope="module")
@@ -333,3 +336,48 @@ class TestFromColmap:
         )
         assert code == 2
         assert "--offset" in err
+
+
+class TestNoCommonView:
+    def test_the_first_of_two_that_see_the_same_ground_stays(self):
+        # Looking straight down from 100 m, a photo shows 100 x 100 m; lowest ground is at 20 m.
+        camera = Camera(200, 200, 200.0, 200.0, 100.0, 100.0)
+        down = EulerAngles(0.0, 0.0, 30.0)
+        places = {"a": (0, 0), "b": (60, 0), "c": (150, 0), "d": (150, 160), "e": (0, 141)}
+        images = [
+            OwnImage(name, camera, truth=Pose.from_euler(down, (*place, 120.0)))
+            for name, place in places.items()
+        ]
+        kept, left_out = without_common_view([*images, OwnImage("f", camera)], 20.0, 300.0)
+        # Turned by 30 degrees, squares of 100 m reach 68 m to each side: b meets a; e is 141 m from a.
+        assert [image.name for image in kept] == ["a", "c", "d", "e"]
+        assert left_out == [("b", "its view meets that of a"), ("f", "no pose to tell what it sees by")]
+
+    def test_a_view_to_the_horizon_ends_where_it_is_cut_off(self):
+        camera = Camera(200, 200, 200.0, 200.0, 100.0, 100.0)
+        east = [
+            Pose.from_euler(EulerAngles(90.0, 0.0, yaw), (x, 0.0, 22.0)) for x, yaw in ((0, -90), (400, 90))
+        ]
+        images = [OwnImage(name, camera, prior=pose) for name, pose in zip("ab", east, strict=True)]
+        assert len(without_common_view(images, 20.0, 190.0)[0]) == 2
+        assert len(without_common_view(images, 20.0, 210.0)[0]) == 1
+
+    def test_dataset_init_says_what_it_left_out(self, tmp_path, capsys):
+        root, city = write_dataset(tmp_path / "data", 3)
+        posed = [FoundPose(name, "", pose, CAMERA) for name, pose in read_poses(root / "GT_pose.txt").items()]
+        write_colmap(posed, tmp_path / "model")
+        (tmp_path / "photos").mkdir()
+        for name in (pose.name for pose in posed):
+            cv2.imwrite(
+                str(tmp_path / "photos" / name), np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
+            )
+        words = ["--images", tmp_path / "photos", "--city", city, "--colmap", tmp_path / "model"]
+        code, told, err = run(capsys, "dataset", "init", tmp_path / "all", *words)
+        assert (code, told.splitlines()[0].split(": ")[1][:8]) == (0, "3 images"), err
+        code, told, err = run(capsys, "dataset", "init", tmp_path / "apart", *words, "--no-common-view")
+        assert code == 0, err
+        assert "1 image," in told
+        assert told.count("its view meets that of view_00.png") == 2
+        code, told, err = run(capsys, "dataset", "init", tmp_path / "none", *words, "--no-common-view", "-3")
+        assert code == 2
+        assert "--no-common-view" in err

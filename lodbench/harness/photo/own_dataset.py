@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lodbench import __version__
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
@@ -26,7 +28,7 @@ from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_known_cameras
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
-from lodbench.geometry import Camera, CameraSigmas
+from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.harness.city import far_words, open_city
 from lodbench.photos.files import PHOTO_SUFFIXES
 from lodbench.photos.map_frame import MapFrame
@@ -54,6 +56,7 @@ class OwnRequest:
         lod: Level of detail, or None.
         options: How to read the city.
         heights: How the drone's heights become the city's.
+        apart_m: Keep only photos whose views, up to this far, do not meet; None keeps all.
     """
 
     folder: Path
@@ -69,6 +72,7 @@ class OwnRequest:
     lod: str | None = None
     options: ReadOptions = field(default_factory=ReadOptions)
     heights: HeightOptions = field(default_factory=HeightOptions)
+    apart_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +103,11 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
     if scene is not None:
         images, far = _near(images, scene)
         left_out += far
+    if request.apart_m is not None and scene is not None:
+        images, seeing = without_common_view(
+            images, float(scene.origin[2] + scene.extent_m[0][2]), request.apart_m
+        )
+        left_out += seeing
     about = {
         "made_by": f"lodbench {__version__}",
         "from": kind,
@@ -215,6 +224,50 @@ def _images(
 def _as_asked(image: FoundPose, request: OwnRequest) -> FoundPose:
     """Returns an image with the camera and the offset that were given."""
     return image._replace(camera=request.camera or image.camera, pose=image.pose.shifted(request.offset_m))
+
+
+def without_common_view(
+    images: Sequence[OwnImage], ground_m: float, reach_m: float
+) -> tuple[list[OwnImage], LeftOut]:
+    """Returns images of which no two see the same ground, the first of each such two, and the others.
+
+    Args:
+        images: In the order in which they are preferred; one without a pose is left out.
+        ground_m: Height of level ground, in the coordinates of the poses.
+        reach_m: How far a view goes, in plan.
+    """
+    kept: list[OwnImage] = []
+    views: list[Any] = []
+    left_out: LeftOut = []
+    for image in images:
+        pose = image.truth or image.prior
+        view = None if pose is None else _view_in_plan(image.camera, pose, ground_m, reach_m)
+        if view is None:
+            left_out.append((image.name, "no pose to tell what it sees by"))
+            continue
+        met = next((i for i, other in enumerate(views) if view.intersection(other).area > 0), None)
+        if met is None:
+            kept.append(image)
+            views.append(view)
+        else:
+            left_out.append((image.name, f"its view meets that of {kept[met].name}"))
+    return kept, left_out
+
+
+def _view_in_plan(camera: Camera, pose: Pose, ground_m: float, reach_m: float) -> Any:
+    """Returns the ground that a picture shows as a convex polygon in plan, cut off at a distance."""
+    from shapely import MultiPoint
+
+    across, down = np.meshgrid(np.linspace(0, camera.width, 5), np.linspace(0, camera.height, 5))
+    rays = np.stack(
+        [(across - camera.cx) / camera.fx, (down - camera.cy) / camera.fy, np.ones((5, 5))], axis=2
+    )
+    rays = rays.reshape(-1, 3) @ pose.rotation
+    level = np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-12)
+    with np.errstate(divide="ignore"):
+        to_ground = np.where(rays[:, 2] < 0, (ground_m - pose.center[2]) / rays[:, 2], np.inf)
+    scale = np.minimum(np.maximum(to_ground, 0.0), reach_m / level)
+    return MultiPoint(pose.center[:2] + scale[:, None] * rays[:, :2]).convex_hull
 
 
 def _near(images: Sequence[OwnImage], scene: Scene) -> tuple[list[OwnImage], LeftOut]:
