@@ -30,7 +30,7 @@ ROWS = (
     Row(("reporting",), "tables, figures, pages from plain data", "9", "6"),
     Row(("evaluation",), "errors, recall, intervals, metrics", "8"),
     Row(("methods",), "from a query to a pose; assessment", "6", "4"),
-    Row(("estimation",), "edges of photos, lines of the model", "6", "4"),
+    Row(("estimation",), "outlines, priors, searches, posteriors", "6", "4"),
     Row(("matching",), "features, matches, poses from them"),
     Row(("training",), "networks trained"),
     Row(("segmentation",), "masks from photos", "4", "2, 5"),

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lodbench.errors import ConfigError, require_choice
-from lodbench.methods.lodlocv2 import Params
+from lodbench.methods.lodlocv2 import LodLocV2Params
 
 WEIGHTS = ("box", "area", "equal")
 SELECTS = ("silhouette", "instances")
 
 
 @dataclass(frozen=True, slots=True)
-class LodLocV3Params(Params):
+class LodLocV3Params(LodLocV2Params):
     """Settings of ``method=lodlocv3``; those not named here are LoD-Loc v2's and mean the same.
 
     Attributes:

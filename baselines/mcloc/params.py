@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lodbench.errors import ConfigError, require_choice
-from lodbench.methods.lodlocv2 import Params
+from lodbench.methods.lodlocv2 import LodLocV2Params
 
 MAPS = ("model", "textured")
 FEATURES = ("hog", "xfeat", "dinov2", "roma")
 
 
 @dataclass(frozen=True, slots=True)
-class McLocParams(Params):
+class McLocParams(LodLocV2Params):
     """Settings of ``method=mcloc``; those not named here are LoD-Loc v2's and mean the same.
 
     Attributes:

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
+from lodbench.estimation.outline import OutlinePoints
+from lodbench.estimation.outline_alignment import Aligner, smooth_distance
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.geometry import Pose, wrap_deg
 from lodbench.geometry.pose_vector import turn_per_angle, vector_from_pose
 from lodbench.harness.city import open_city
 from lodbench.kernels.edges import measure_distances
-from lodbench.methods.contour_alignment.alignment import Aligner, signed_distance
 from lodbench.methods.contour_alignment.method import ContourAlignment
-from lodbench.methods.contour_alignment.outline import OutlinePoints
 from lodbench.storage import random_stream
 from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.view_sampling import FINE_SIZE
@@ -72,7 +72,7 @@ def _share_of_view(query: Query, city_map: CityMap, views: ViewsParams, draws: i
     clean = city_map.render(query.camera.scaled(*FINE_SIZE), truth)
     told = replace(query, building_probability=clean.astype(np.float32))
     vector = np.append(vector_from_pose(truth), 0.0)
-    aligner = Aligner(told, city_map, ContourAlignment().params)
+    aligner = Aligner(told, city_map, ContourAlignment().params.outline_model())
     points, _ = aligner.outline(vector, FINE_SIZE)
     if len(points) < 2 * _TOGETHER:
         return 0.0
@@ -83,7 +83,7 @@ def _share_of_view(query: Query, city_map: CityMap, views: ViewsParams, draws: i
         for k in range(draws)
     )
     distances = np.array([_distances(points, mask) for mask in masks])
-    slopes = -(points.moves[:, :6] * points.normals[:, None, :]).sum(axis=2)
+    slopes = -points.slopes(6)
     together, known = _averages(len(points)), int(_KNOWN * draws)
     generator = random_stream(views.views_seed, "outline limit", query.name, "priors")
     prior = views.prior()
@@ -137,7 +137,7 @@ def _distances(points: OutlinePoints, mask: NDArray[np.bool_]) -> Floats:
     distances, slopes, agreement = np.empty(len(points)), np.empty((len(points), 1)), np.empty(len(points))
     moves = np.ascontiguousarray(points.moves[:, :1])
     measure_distances(
-        points.pixels, points.normals, moves, signed_distance(mask), distances, slopes, agreement
+        points.pixels, points.normals, moves, smooth_distance(mask), distances, slopes, agreement
     )
     return np.clip(distances, -_FAR_PX, _FAR_PX)
 

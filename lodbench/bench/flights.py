@@ -30,8 +30,7 @@ from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.methods.flight import FlightMethod
-from lodbench.methods.flight.gone_buildings import shares_held
-from lodbench.methods.flight.map_views import views_of
+from lodbench.methods.flight.gone_buildings import shares_held, views_of
 from lodbench.methods.protocol import Estimate, FlightEstimate
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.masks import read_mask

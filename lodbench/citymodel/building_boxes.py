@@ -43,3 +43,11 @@ def building_boxes(scene: Scene) -> BuildingBoxes:
     # Empty buildings own no vertices, so the starts of the others still bound them.
     starts, points = scene.vertex_starts[filled], scene.vertices.astype(np.float64)
     return BuildingBoxes(np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts), filled)
+
+
+def floors_and_rises(scene: Scene) -> tuple[Floats, Floats]:
+    """Returns (B,) the lowest height of each building, and (B,) its height from there, metres; else 0."""
+    low, high, building = building_boxes(scene)
+    floors, rises = np.zeros((2, scene.num_buildings))
+    floors[building], rises[building] = low[:, 2], high[:, 2] - low[:, 2]
+    return floors, rises

@@ -16,7 +16,7 @@ from lodbench.cli.bench_views import city_file, seeds, whole_numbers
 from lodbench.cli.segmenters import require_frames_looked_at, segmenter_of
 from lodbench.errors import ConfigError, require_within
 from lodbench.execution import ProgressCallback
-from lodbench.methods.flight import FlightMethod, Params
+from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.flight.params import RELATIVE_POSES
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.flights.dataset import FlightsParams
@@ -88,7 +88,7 @@ def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
         missing=options.missing,
         extra=options.extra,
     )
-    method = FlightMethod(Params(relative_poses=options.relative_poses))
+    method = FlightMethod(FlightParams(relative_poses=options.relative_poses))
     if options.joint is None:
         segmenter = None if options.segmenter is None else segmenter_of(options.segmenter)
         return measure_flights(flights, options.seeds, method, steps, segmenter)

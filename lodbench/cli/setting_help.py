@@ -165,8 +165,11 @@ def _described_by(folder: str, name: str) -> Any:
     if folder not in _PLUGINS or name == "auto":
         return None
     plug_in = find_plugin(_PLUGINS[folder], name)
-    if plug_in.is_ours and hasattr(package := import_module(plug_in.point.module), "Params"):
-        return package.Params  # without the method itself, which takes a second to load
+    if plug_in.is_ours:
+        package = import_module(plug_in.point.module)
+        names = [name for name in getattr(package, "__all__", ()) if name.endswith("Params")]
+        if len(names) == 1:
+            return getattr(package, names[0])  # without the method itself, which takes a second to load
     part = plug_in.load()
     if inspect.isfunction(part):  # a dataset is opened from its parameters
         return next(iter(get_type_hints(part).values()), None)

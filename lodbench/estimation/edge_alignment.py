@@ -15,16 +15,12 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.pitched_blocks import pitched_blocks
-from lodbench.estimation.model_lines import (
-    CAMERA,
-    LensErrors,
-    ModelLines,
-    Projected,
-    lines_in_view,
-    project_lines,
-)
+from lodbench.estimation.lens import LensErrors
+from lodbench.estimation.model_lines import CAMERA, ModelLines, Projected, lines_in_view, project_lines
+from lodbench.estimation.normal_equations import Quadratic
 from lodbench.estimation.photo_edges import PhotoEdges
-from lodbench.geometry import Camera, wrap_deg
+from lodbench.estimation.state_vector import POSES, differences
+from lodbench.geometry import Camera
 from lodbench.geometry.pose_vector import pose_from_vector
 
 Floats = NDArray[np.float64]
@@ -38,8 +34,6 @@ _STEPS, _REACH, _FEWEST_POINTS = 2, 3.0, 12
 _SHOWN, _TOGETHER_PX = 0.7, 120.0
 # Maps and edges err together over more than that: squared errors of 29 answers are 1.8 times what is left.
 _SPREAD = 1.7
-# Numbers of a pose, which those of the lens follow.
-_POSE = 6
 # In a dense city not all points are compared: towards the horizon lines have tens of thousands.
 _MOST_POINTS = 3000
 # How far beside lines the background is measured, pixels.
@@ -80,12 +74,11 @@ class EdgeLikelihood:
     def __init__(
         self, photo: NDArray[Any], camera: Camera, city_map: CityMap, prior: Floats, sigmas: Floats
     ) -> None:
-        width = min(_WIDTH, camera.width)
-        self._camera = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
+        self._camera = camera.scaled_to_width(min(_WIDTH, camera.width))
         self._size = np.array([self._camera.width, self._camera.height])
         self._edges = PhotoEdges(photo, (self._camera.width, self._camera.height))
         self._map, self._is_flat = city_map, ~pitched_blocks(city_map.scene)
-        self._prior, self._free = np.append(prior, np.zeros(CAMERA - _POSE)), np.flatnonzero(sigmas > 0)
+        self._prior, self._free = np.append(prior, np.zeros(CAMERA - POSES)), np.flatnonzero(sigmas > 0)
         self._sigmas = sigmas[self._free]
         self._background = self._measured_background()
 
@@ -95,7 +88,7 @@ class EdgeLikelihood:
         Args:
             vector: (6,) where to begin, within some pixels of the edges.
         """
-        start = np.append(vector, np.zeros(CAMERA - _POSE))
+        start = np.append(vector, np.zeros(CAMERA - POSES))
         refined, information = start, np.diag(self._sigmas**-2.0)
         for sigma_px in _SIGMAS_PX:
             lines = self._lines(refined)
@@ -103,9 +96,9 @@ class EdgeLikelihood:
                 return None
             for _ in range(_STEPS):
                 refined, information = self._step(lines, refined, sigma_px)
-        covariance = np.asarray(_SPREAD * np.linalg.inv(information)[:_POSE, :_POSE])
+        covariance = np.asarray(_SPREAD * np.linalg.inv(information)[:POSES, :POSES])
         evidence = self.log_posterior(refined)
-        return EdgeAlignment(refined[:_POSE], covariance, evidence, evidence - self.log_posterior(start))
+        return EdgeAlignment(refined[:POSES], covariance, evidence, evidence - self.log_posterior(start))
 
     def log_posterior(self, vector: Floats) -> float:
         """Returns how much likelier the lines of a pose and lens, (10,), are than background; with priors.
@@ -128,10 +121,11 @@ class EdgeLikelihood:
         weighed = laid.by_camera * (shown * lines.lengths_px / (_TOGETHER_PX * sigma_px**2))[:, None]
         information = (weighed.T @ laid.by_camera)[np.ix_(self._free, self._free)]
         information += np.diag(self._sigmas**-2.0)
-        gradient = (weighed.T @ distances)[self._free] - self._away(vector) / self._sigmas**2
+        gradient = self._away(vector) / self._sigmas**2 - (weighed.T @ distances)[self._free]
+        posterior = Quadratic(information, gradient)
         stepped = vector.copy()
-        stepped[self._free] += np.linalg.solve(information, gradient)
-        return stepped, information
+        stepped[self._free] += posterior.step()
+        return stepped, posterior.information
 
     def _ratios(self, laid: Projected, sigma_px: float) -> tuple[Floats, Floats]:
         """Returns (N,) how much likelier an edge of the line is than background, and its (N,) distance.
@@ -157,7 +151,7 @@ class EdgeLikelihood:
 
     def _lines(self, vector: Floats) -> ModelLines:
         """Returns points on roof lines that (10,) shows inside the photo."""
-        lines = lines_in_view(self._map, self._camera, pose_from_vector(vector[:_POSE]), _SPACING_PX)
+        lines = lines_in_view(self._map, self._camera, pose_from_vector(vector[:POSES]), _SPACING_PX)
         lines = lines.of((lines.rises > _LOWEST_RISE) & self._is_flat[lines.buildings])
         pixels = self._laid(lines, vector).pixels
         is_inside = (pixels > _BORDER_PX) & (pixels < self._size - _BORDER_PX)
@@ -169,11 +163,9 @@ class EdgeLikelihood:
         return replace(lines, lengths_px=every * lines.lengths_px)
 
     def _laid(self, lines: ModelLines, vector: Floats) -> Projected:
-        lens = LensErrors(*(float(v) for v in vector[_POSE:]))
-        return project_lines(lines.points, lines.along, self._camera, vector[:_POSE], lens)
+        lens = LensErrors(*(float(v) for v in vector[POSES:]))
+        return project_lines(lines.points, lines.along, self._camera, vector[:POSES], lens)
 
     def _away(self, vector: Floats) -> Floats:
         """Returns how far the free ones of (10,) are from the priors."""
-        away = vector - self._prior
-        away[5] = wrap_deg(float(away[5]))
-        return np.asarray(away[self._free])
+        return np.asarray(differences(vector, self._prior)[self._free])

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
+from lodbench.citymodel.building_boxes import floors_and_rises
 from lodbench.citymodel.scene import Scene
+from lodbench.estimation.lens import LensErrors, project, projection_slopes
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler
 from lodbench.geometry.pose_vector import rotation_derivatives
@@ -86,31 +88,10 @@ def lines_in_view(city_map: CityMap, camera: Camera, pose: Pose, spacing_px: flo
 
 def rise_shares(scene: Scene, heights_m: Floats, buildings: NDArray[np.int64]) -> Floats:
     """Returns (N,) at which share of its building's height each height lies; 1 for what is flat."""
-    filled = np.flatnonzero(np.diff(scene.vertex_starts) > 0)
-    low, high = np.zeros(scene.num_buildings), np.zeros(scene.num_buildings)
-    z = scene.vertices[:, 2].astype(np.float64)
-    low[filled] = np.minimum.reduceat(z, scene.vertex_starts[filled])
-    high[filled] = np.maximum.reduceat(z, scene.vertex_starts[filled])
-    tall = (high - low)[buildings] > _FLAT_M
-    shares = (heights_m - low[buildings]) / np.where(tall, (high - low)[buildings], 1.0)
+    floors, rises = (each[buildings] for each in floors_and_rises(scene))
+    tall = rises > _FLAT_M
+    shares = (heights_m - floors) / np.where(tall, rises, 1.0)
     return np.asarray(np.where(tall, np.clip(shares, 0.0, 1.0), 1.0))
-
-
-@dataclass(frozen=True, slots=True)
-class LensErrors:
-    """What a camera may be wrong about beside its pose.
-
-    Attributes:
-        focal: By which share the focal length is longer than declared.
-        k1: Radial distortion, normalised coordinates.
-        right: How far right of the declared principal point the true one is, share of the width.
-        down: How far below, share of the width.
-    """
-
-    focal: float = 0.0
-    k1: float = 0.0
-    right: float = 0.0
-    down: float = 0.0
 
 
 # Columns of slopes: x, y, z (metres), pitch, roll, yaw (degrees), then ``LensErrors`` in its order.
@@ -148,9 +129,9 @@ def project_lines(
     """
     rotation = rotation_from_euler(EulerAngles(*(float(v) for v in vector[3:6])))
     away = points - vector[:3]
-    pixels, per_local = _through_lens(away @ rotation.T, camera, lens)
-    further, _ = _through_lens((away + _FURTHER * along) @ rotation.T, camera, lens)
-    line = further - pixels
+    local = away @ rotation.T
+    pixels, per_local = project(local, camera, lens), projection_slopes(local, camera, lens)
+    line = project((away + _FURTHER * along) @ rotation.T, camera, lens) - pixels
     line /= np.maximum(np.linalg.norm(line, axis=1), 1e-12)[:, None]
     normals = np.stack([-line[:, 1], line[:, 0]], axis=1)
     across = np.einsum("ni,nij->nj", normals, per_local[:, :, :3])
@@ -159,36 +140,3 @@ def project_lines(
     by_angles = np.einsum("ni,nki->nk", across, turns)
     by_lens = np.einsum("ni,nij->nj", normals, per_local[:, :, 3:])
     return Projected(pixels, normals, np.concatenate([-by_place, by_angles, by_lens], axis=1), by_place)
-
-
-def _through_lens(local: Floats, camera: Camera, lens: LensErrors) -> tuple[Floats, Floats]:
-    """Returns pixels (N, 2) of points in camera axes, and slopes (N, 2, 7) by those and the lens."""
-    depth = np.maximum(local[:, 2], 1e-6)
-    x, y = local[:, 0] / depth, local[:, 1] / depth
-    square = x * x + y * y
-    stretch = 1.0 + lens.k1 * square
-    declared = np.array([camera.fx, camera.fy])
-    focal = declared * (1.0 + lens.focal)
-    centre = np.array([camera.cx, camera.cy]) + camera.width * np.array([lens.right, lens.down])
-    away = np.stack([x, y], axis=1)
-    pixels = away * stretch[:, None] * focal + centre
-    by_away = stretch[:, None, None] * np.eye(2) + 2.0 * lens.k1 * away[:, :, None] * away[:, None, :]
-    slopes = np.zeros((len(local), 2, 7))
-    slopes[:, :, :2] = by_away / depth[:, None, None]
-    slopes[:, :, 2] = -(by_away @ away[..., None])[..., 0] / depth[:, None]
-    slopes[:, :, :3] *= focal[:, None]
-    slopes[:, :, 3] = away * stretch[:, None] * declared
-    slopes[:, :, 4] = away * square[:, None] * focal
-    slopes[:, 0, 5] = slopes[:, 1, 6] = camera.width
-    return pixels, slopes
-
-
-def lens_camera(camera: Camera, lens: LensErrors) -> Camera:
-    """Returns a pinhole as near to a lens as one can be, to draw with."""
-    return replace(
-        camera,
-        fx=camera.fx * (1.0 + lens.focal),
-        fy=camera.fy * (1.0 + lens.focal),
-        cx=camera.cx + lens.right * camera.width,
-        cy=camera.cy + lens.down * camera.width,
-    )

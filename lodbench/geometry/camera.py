@@ -133,6 +133,10 @@ class Camera:
             cy=self.cy * sy,
         )
 
+    def scaled_to_width(self, width: int) -> Camera:
+        """Returns the camera of the image resized to a width, and to the height that keeps its aspect."""
+        return self.scaled(width, max(1, round(width * self.height / self.width)))
+
     def with_margins(self, across_px: int, down_px: int) -> Camera:
         """Returns the camera of the image with so many pixels more left and right, and at top and bottom.
 

@@ -131,7 +131,7 @@ class Views:
         if truth is None or given is None or given.distortion:
             return None
         width = min(_WIDTH, given.width)
-        camera = given.scaled(width, max(1, round(width * given.height / given.width)))
+        camera = given.scaled_to_width(width)
         pose = truth.shifted(-self._scene.origin)
         silhouette = self._renderer.render(camera, pose)
         if not _LEAST < silhouette.mean() < _MOST:

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
-from lodbench.estimation.model_lines import LensErrors, ModelLines, Projected, lines_in_view, project_lines
+from lodbench.estimation.lens import LensErrors
+from lodbench.estimation.model_lines import ModelLines, Projected, lines_in_view, project_lines
 from lodbench.estimation.photo_edges import PhotoEdges
+from lodbench.estimation.probability import probability_within
 from lodbench.geometry import Camera
 from lodbench.geometry.camera_sigmas import UNKNOWN, CameraSigmas
 from lodbench.geometry.pose_vector import vector_from_pose
-from lodbench.methods.contour_alignment.uncertainty import probability_within
 from lodbench.methods.protocol import Estimate
 from lodbench.photos.pictures import read_picture
 
@@ -65,7 +66,7 @@ def assessed(
     if estimate.probability is None or estimate.is_assessed:
         return estimate
     vector = vector_from_pose(estimate.pose)
-    camera = _small(query.camera)
+    camera = query.camera.scaled_to_width(min(_WIDTH, query.camera.width))
     lines = lines_in_view(city_map, camera, estimate.pose, _SPACING_PX)
     lines = lines.of(lines.rises > _LOWEST_RISE)
     laid = project_lines(lines.points, lines.along, camera, vector, LensErrors())
@@ -136,11 +137,6 @@ def edge_excess(edges: PhotoEdges, laid: Projected) -> float | None:
         return float(near.mean())
 
     return share(0.0) - float(np.mean([share(aside) for aside in _ASIDE_PX]))
-
-
-def _small(camera: Camera) -> Camera:
-    width = min(_WIDTH, camera.width)
-    return camera.scaled(width, max(1, round(width * camera.height / camera.width)))
 
 
 def _edge_doubts(query: Query, laid: Projected, lines: ModelLines, camera: Camera) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The fits a method can be told to use, by name: made from a query's building probabilities or its photo.
+"""The fits that a method may use, by name, and poses scored by one: of a query's mask or its photo.
 
 iou: the paper's. soft_iou: with the probabilities as they are. confident_iou: the mask, each pixel weighted
 by how sure the network is. boundary: chamfer distance of outlines. region, of ``methods.region``: no mask,
@@ -7,14 +7,17 @@ what the photo looks like inside and outside.
 
 from __future__ import annotations
 
-from typing import Any, cast
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
+from lodbench.geometry import Camera, rotations_at_yaws
 from lodbench.photos.pictures import read_picture
 from lodbench.plugins import load_plugin
 from lodbench.rendering import BoundaryFit, Fit, IouFit, SoftIouFit
@@ -22,6 +25,7 @@ from lodbench.segmentation import BUILDING_THRESHOLD, resized
 
 Probability = NDArray[np.float32]
 Photo = NDArray[Any]
+Floats = NDArray[np.float64]
 
 
 class NothingFits(QueryFault):
@@ -116,3 +120,37 @@ def query_photo(query: Query) -> Photo:
     if all((part == photo[0, 0]).all() for part in (photo[::32, ::32], photo)):
         raise QueryFault(f"the photo {query.image.name} has one colour everywhere")
     return photo
+
+
+class Particles(NamedTuple):
+    """Poses of one tilt, and how well each fits.
+
+    Attributes:
+        centers: (N, 3) camera centres, scene metres.
+        yaws_deg: (N,) yaw, degrees.
+        scores: (N,) IoU, or another fit.
+    """
+
+    centers: Floats
+    yaws_deg: Floats
+    scores: Floats
+
+
+# From camera centres, (N, 3) scene metres, and yaws, (N,) degrees, to the poses with their scores.
+Scoring = Callable[[Floats, Floats], Particles]
+
+
+class PoseScorer:
+    """Scores poses of the prior's tilt against the query at one working size (paper equation 2: IoU)."""
+
+    def __init__(self, query: Query, city_map: CityMap, size: tuple[int, int], fit: str = "iou") -> None:
+        self.camera: Camera = query.camera.scaled(*size)
+        self.fit = make_fit(fit, query, size)
+        self.pitch_deg, self.roll_deg, _ = query.prior.euler
+        self._city_map = city_map
+
+    def __call__(self, centers: Floats, yaws_deg: Floats) -> Particles:
+        """Returns the poses with their scores."""
+        rotations = rotations_at_yaws(self.pitch_deg, self.roll_deg, yaws_deg)
+        scores = self._city_map.fit(self.camera, rotations, centers, self.fit)
+        return Particles(centers, yaws_deg, scores)

@@ -63,7 +63,7 @@ class Estimate:
 class Method(Protocol):
     """Finds the pose of a query on a map.
 
-    A method is made from its ``Params`` and holds no state but what ``prepare`` made. It is never shown
+    A method is made from its parameters and holds no state but what ``prepare`` made. It is never shown
     the truth, and draws random numbers only from the streams it is given.
 
     Attributes:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
-from typing import Any
+from dataclasses import replace
+from typing import Any, Self
 
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError
@@ -24,6 +26,36 @@ def set_sizes(params: object, names: Iterable[str], least_px: int = 1) -> None:
             sides = f"{least_px} to {GUARD_PX} px"
             raise ConfigError(f"method.{name} is a width and a height, {sides}, not {list(size)}.")
         object.__setattr__(params, name, size)
+
+
+class SearchRange:
+    """What parameters with full widths of the prior's error have in common; metres and degrees."""
+
+    __slots__ = ()
+    range_x_m: float
+    range_y_m: float
+    range_z_m: float
+    range_yaw_deg: float
+    range_tilt_deg: float
+
+    def for_prior(self, prior: UniformPrior) -> Self:
+        """Returns these parameters for a prior's error of other half widths."""
+        ranges: dict[str, Any] = ranges_of(prior) | {"range_tilt_deg": prior.pitch_deg + prior.roll_deg}
+        return replace(self, **ranges)  # type: ignore[type-var]
+
+    def half_widths(self) -> tuple[float, ...]:
+        """Returns the half widths of x, y, z, pitch, roll and yaw; at least 1 mm and 0.0001 degrees."""
+        place = (self.range_x_m, self.range_y_m, self.range_z_m)
+        turn = (self.range_tilt_deg, self.range_tilt_deg, self.range_yaw_deg)
+        return (*(max(0.5 * w, 1e-3) for w in place), *(max(0.5 * w, 1e-4) for w in turn))
+
+    def reach(self) -> tuple[float, float]:
+        """Returns how far from the prior the camera may be, metres, and how far turned, degrees.
+
+        Full widths, where half would do: steps may lead out of the range, though the prior calls back.
+        """
+        reach_m = math.hypot(self.range_x_m, self.range_y_m, self.range_z_m)
+        return reach_m, self.range_yaw_deg + 2.0 * self.range_tilt_deg
 
 
 def ranges_of(prior: UniformPrior) -> dict[str, Any]:

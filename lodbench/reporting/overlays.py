@@ -84,7 +84,7 @@ def draw_outline(canvas: Picture, mask: Mask, colour: tuple[int, ...], thickness
 def camera_of_pictures(camera: Camera) -> Camera:
     """Returns a photo's camera at the size that pictures are drawn in."""
     width = min(_WIDTH, camera.width)
-    return camera.scaled(width, max(1, round(width * camera.height / camera.width)))
+    return camera.scaled_to_width(width)
 
 
 def outline_layer(masks: Iterable[Mask], colour: tuple[int, int, int], thickness: int) -> bytes:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.geometry.signed_distance import signed_distance
 from lodbench.kernels.estimation import least_total
 from lodbench.rendering import appearance_bins
 
@@ -106,13 +107,6 @@ def _gradient(picture: Floats) -> tuple[Floats, Floats]:
     """Returns the change of a picture from left to right and from top to bottom."""
     beside, upright = (cv2.Sobel(picture, cv2.CV_32F, *axis) for axis in ((1, 0), (0, 1)))
     return np.asarray(beside, np.float32), np.asarray(upright, np.float32)
-
-
-def signed_distance(mask: Mask) -> Floats:
-    """Returns (H, W) the distance to a mask's outline, pixels: above 0 inside."""
-    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
-    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.where(mask, inside - 0.5, 0.5 - outside).astype(np.float32)
 
 
 def _outline_costs(photo: NDArray[np.uint8]) -> tuple[Floats, Floats]:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import LodbenchError
+from lodbench.geometry.signed_distance import signed_distance
 from lodbench.storage import random_stream
 
 Mask = NDArray[np.bool_]
@@ -36,23 +37,16 @@ _BLUR_M = 0.8
 _FAR_PX = 50.0
 
 
-def signed_distance(mask: Mask) -> tuple[Field, Labels]:
+def distances_to_buildings(mask: Mask) -> tuple[Field, Labels]:
     """Returns the signed distance to the outline, and which building each pixel is nearest to.
 
-    Of a (H, W) mask with a building pixel: distances of pixel centres, (H, W) float32 pixels, positive inside
-    (infinite where there is no background), and labels 1, 2, ... of the nearest connected building, (H, W)
-    int32.
+    Of a (H, W) mask with a building pixel: distances as of ``signed_distance``, and labels 1, 2, ... of the
+    nearest connected building, (H, W) int32.
     """
     outside, labels = cv2.distanceTransformWithLabels(
         (~mask).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_CCOMP
     )
-    nearest = np.asarray(labels, dtype=np.int32)
-    if mask.all():
-        return np.full(mask.shape, np.inf, dtype=np.float32), nearest
-    inside = cv2.distanceTransform(mask.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
-    # The outline runs between two pixel centres, half a pixel from each.
-    distance = inside - outside + np.where(mask, -0.5, 0.5)
-    return np.asarray(distance, dtype=np.float32), nearest
+    return np.where(mask, signed_distance(mask), 0.5 - outside), np.asarray(labels, dtype=np.int32)
 
 
 def smooth_noise(shape: tuple[int, ...], wavelength: float, generator: np.random.Generator) -> Field:
@@ -264,7 +258,7 @@ def _draw_errors(mask: Mask, generator: np.random.Generator, trees: bool, pixels
     """Draws every field once; each has a stream of its own, so leaving trees out changes no other."""
     seed = int(generator.integers(2**63))
     streams = [random_stream(seed, kind) for kind in ("outline", "dropped", "trees", "added")]
-    distance, labels = signed_distance(mask)
+    distance, labels = distances_to_buildings(mask)
     outline = moved_outline(distance, streams[0], pixels_per_m)
     hidden = dropped_areas(mask, labels, streams[1], pixels_per_m)
     if trees:

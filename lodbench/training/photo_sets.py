@@ -210,7 +210,7 @@ def posed_samples(folder: Path, out: Path, city: str | None = None) -> list[Samp
         for known in posed:
             mask = out / f"{known.entry.key}.png"
             size = min(_WIDTH, known.camera.width)
-            camera = known.camera.scaled(size, max(1, round(size * known.camera.height / known.camera.width)))
+            camera = known.camera.scaled_to_width(size)
             try:
                 silhouette = renderer.render(camera, known.pose.shifted(-scene.origin))
             except LodbenchError as fault:

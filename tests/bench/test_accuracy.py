@@ -11,8 +11,7 @@ from lodbench.evaluation import PoseError
 from lodbench.evaluation.errors import FAILED
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, queries_frame
 from lodbench.methods.contour_alignment import ContourAlignment
-from lodbench.methods.lodlocv2 import LodLocV2
-from lodbench.methods.lodlocv2 import Params as LodLocV2Params
+from lodbench.methods.lodlocv2 import LodLocV2, LodLocV2Params
 from lodbench.synthesis.views_dataset import SPLIT, ViewsParams
 
 

@@ -14,7 +14,7 @@ from lodbench.cli import main
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError
 from lodbench.geometry import EulerAngles
-from lodbench.methods.flight import FlightMethod, Params
+from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.protocol import FlightEstimate
 from lodbench.synthesis.flights.dataset import FlightsParams
 from lodbench.synthesis.view_sampling import view_of
@@ -80,7 +80,7 @@ def test_joint_solves_have_one_thread_for_linear_algebra_as_runs_have(city):
 
 def test_joint_solves_are_timed_by_their_number_of_photos(city):
     flights = FlightsParams(str(city), path="orbit", mask_iou=0.97)
-    method = FlightMethod(Params(steps=2, restarts=0))
+    method = FlightMethod(FlightParams(steps=2, restarts=0))
     report = measure_joint_solves(flights, [3, 6], method, traces_memory=True)
     values = {figure.figure: figure.value for figure in report.figures}
     assert values["joint solve of 6 photos"] > 0

@@ -385,13 +385,13 @@ def test_in_a_process_of_its_own(lodbench, tmp_path, plain_case):
 
 def test_a_method_is_given_what_it_requires_and_no_more(capsys, monkeypatch, tmp_path, shared_data):
     from lodbench.methods import Estimate, registry
-    from lodbench.methods.lodlocv2 import Params as MethodParams
+    from lodbench.methods.lodlocv2 import LodLocV2Params
 
     case = make_case(tmp_path, shared_data, "nrw", distorted=True)
     seen = []
 
     class Photographic:
-        name, params_type, requires = "photographic", MethodParams, frozenset({"image"})
+        name, params_type, requires = "photographic", LodLocV2Params, frozenset({"image"})
 
         def __init__(self, params):
             pass

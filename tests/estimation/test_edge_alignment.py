@@ -11,7 +11,7 @@ import pytest
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.estimation.edge_alignment import EdgeLikelihood
-from lodbench.estimation.model_lines import LensErrors, lens_camera
+from lodbench.estimation.lens import LensErrors
 from lodbench.geometry.pose_vector import vector_from_pose
 from tests.town import BOXES, CAMERA, box_obj, true_poses
 
@@ -59,7 +59,7 @@ def test_an_answer_metres_off_is_refined_to_the_edges(city_map, truth, seed):
 
 
 def test_a_focal_length_in_doubt_is_refined_along(city_map, truth):
-    photo = photo_of(city_map, truth, lens_camera(WIDE, LensErrors(focal=0.01)))
+    photo = photo_of(city_map, truth, LensErrors(focal=0.01).pinhole(WIDE))
     known = np.where(np.arange(10) < 6, 0.02, 0.0)
     start, doubted = vector_from_pose(truth), known + 0.02 * (np.arange(10) == 6)
     free = np.append(np.full(2, 5.8), np.append(known[2:6], doubted[6:]))

@@ -9,14 +9,8 @@ import pytest
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
-from lodbench.estimation.model_lines import (
-    CAMERA,
-    LensErrors,
-    lens_camera,
-    lines_in_view,
-    project_lines,
-    rise_shares,
-)
+from lodbench.estimation.lens import LensErrors
+from lodbench.estimation.model_lines import CAMERA, lines_in_view, project_lines, rise_shares
 from lodbench.geometry.pose_vector import vector_from_pose
 from tests.town import BOXES, box_obj, true_poses
 from tests.town import CAMERA as TOWN_CAMERA
@@ -76,7 +70,7 @@ def test_a_lens_without_distortion_is_the_camera_it_is_drawn_with(lines, pose):
     lens = LensErrors(focal=0.03, right=0.01, down=-0.02)
     laid = project_lines(lines.points, lines.along, TOWN_CAMERA, vector_from_pose(pose), lens)
     away = (lines.points - pose.center) @ pose.rotation.T
-    np.testing.assert_allclose(laid.pixels, lens_camera(TOWN_CAMERA, lens).project(away))
+    np.testing.assert_allclose(laid.pixels, lens.pinhole(TOWN_CAMERA).project(away))
 
 
 def test_points_lie_evenly_on_lines_that_the_view_shows(lines, city_map, scene, pose):

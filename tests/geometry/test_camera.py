@@ -38,6 +38,11 @@ class TestScaling:
             small.project(point) / [301, 224], RGB.project(point) / [5280, 3956], rtol=1e-12, atol=1e-12
         )
 
+    @pytest.mark.parametrize(("width", "height"), [(600, 450), (8, 6), (1, 1), (2400, 1800)])
+    def test_to_a_width_it_keeps_its_aspect(self, width, height):
+        camera = Camera(1200, 900, 900.0, 900.0, 600.0, 450.0)
+        assert camera.scaled_to_width(width) == camera.scaled(width, height)
+
 
 class TestProjection:
     def test_the_axis_meets_the_principal_point(self):

@@ -6,11 +6,11 @@ import pytest
 import lodbench
 from lodbench.errors import ConfigError, LodbenchError, QueryFault
 from lodbench.evaluation import pose_error
-from lodbench.methods.lodlocv2 import LodLocV2, Params
+from lodbench.methods.lodlocv2 import LodLocV2, LodLocV2Params
 from lodbench.photos.pictures import encoded
 from tests.town import CAMERA, prior_of
 
-QUICK = LodLocV2(Params(steps=12, coarse_size=(160, 120), fine_size=(320, 240)))
+QUICK = LodLocV2(LodLocV2Params(steps=12, coarse_size=(160, 120), fine_size=(320, 240)))
 
 
 class TestLocalize:

@@ -13,9 +13,9 @@ from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.methods import Estimate
+from lodbench.methods import auto as module
 from lodbench.methods.assessment import assessed
-from lodbench.methods.auto import Auto, Params
-from lodbench.methods.auto import method as module
+from lodbench.methods.auto import Auto, AutoParams
 from lodbench.methods.conformance.trial import make_trial
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.region import Region
@@ -108,9 +108,9 @@ def test_both_search_what_the_prior_leaves_open():
     for part in (method._by_pixels.params, method._by_mask.params):
         ranges = (part.range_x_m, part.range_y_m, part.range_z_m, part.range_yaw_deg, part.range_tilt_deg)
         assert ranges == (80.0, 100.0, 40.0, 180.0, 5.0)
-    assert isinstance(params, Params)
+    assert isinstance(params, AutoParams)
     assert Auto(params).params_for_true_tilt().range_tilt_deg == 0.0
-    assert Auto(Params(range_tilt_deg=0.0))._by_mask.params.range_tilt_deg == 0.0
+    assert Auto(AutoParams(range_tilt_deg=0.0))._by_mask.params.range_tilt_deg == 0.0
 
 
 def test_an_answer_is_assessed_once(tmp_path):

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lodbench.estimation.outline import OutlinePoints
+from lodbench.estimation.outline_alignment import Residuals
+from lodbench.estimation.probability import probability_within
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.pose_vector import (
     vector_from_pose,
 )
-from lodbench.methods.contour_alignment import Params
-from lodbench.methods.contour_alignment.alignment import Residuals
-from lodbench.methods.contour_alignment.likelihood import TRACKS, _weights, deal_out
-from lodbench.methods.contour_alignment.outline import OutlinePoints
-from lodbench.methods.contour_alignment.refinement import Mode, Refined
-from lodbench.methods.contour_alignment.uncertainty import among_rivals, answer_of, probability_within
+from lodbench.methods.contour_alignment import ContourAlignmentParams
+from lodbench.methods.contour_alignment.hypotheses import Hypothesis, Refined, among_rivals, answer_of
+from lodbench.methods.contour_alignment.likelihood import TRACKS, _weights, in_chunks
 
 
 class TestWeights:
@@ -31,20 +31,21 @@ class TestWeights:
         return _weights(here, slopes, distances, noise_px, TRACKS[0][0][0], params)
 
     def test_what_a_rough_mask_misses_counts_less_than_what_it_adds(self):
-        far_out, out, within, far_within = self.weights(4.0, Params())
+        far_out, out, within, far_within = self.weights(4.0, ContourAlignmentParams())
         assert far_out < out < within
         assert far_out < 0.5 * far_within
         np.testing.assert_array_equal(
-            self.weights(4.0, Params(hidden_sigmas=3.0)), [far_within, within, within, far_within]
+            self.weights(4.0, ContourAlignmentParams(hidden_sigmas=3.0)),
+            [far_within, within, within, far_within],
         )
 
     def test_a_fine_mask_misses_as_much_as_it_adds(self):
-        far_out, out, within, far_within = self.weights(1.7, Params())
+        far_out, out, within, far_within = self.weights(1.7, ContourAlignmentParams())
         assert (far_out, out) == (far_within, within)
 
     @given(st.floats(0.5, 5.9))
     def test_no_outline_changes_its_side_at_once(self, noise_px):
-        one, other = (self.weights(noise_px + more, Params()) for more in (0.0, 1e-6))
+        one, other = (self.weights(noise_px + more, ContourAlignmentParams()) for more in (0.0, 1e-6))
         np.testing.assert_allclose(one, other, rtol=1e-4)
 
 
@@ -59,7 +60,7 @@ class TestDealing:
             np.zeros((count, 9, 2)), building, np.zeros((count, 2)),
         )  # fmt: skip
         here = Residuals(outline, np.zeros(count), np.zeros((count, 9)), np.ones(count), 1.0, 1.0)
-        chunks = deal_out(here).chunks
+        chunks = in_chunks(here).chunks
         assert sorted(np.concatenate(chunks)) == list(range(count))
         assert max(len(chunk) for chunk in chunks) <= 128
         for number, size in enumerate(np.bincount(building)):
@@ -93,7 +94,9 @@ class TestAlternatives:
 
     def mixture(self, *places: tuple[float, float]) -> Refined:
         modes = tuple(
-            Mode(TRACKS[0][0][k], False, False, np.array([east, *[0.0] * 9]), 25.0 * np.eye(10), -float(k))
+            Hypothesis(
+                TRACKS[0][0][k], False, False, np.array([east, *[0.0] * 9]), 25.0 * np.eye(10), -float(k)
+            )
             for k, (east, _) in enumerate(places)
         )
         weights = np.array([weight for _, weight in places])
@@ -116,7 +119,7 @@ class TestRivals:
     @staticmethod
     def among(places_m, ious):
         start = vector_from_pose(Pose.from_euler(EulerAngles(40.0, 0.0, 20.0), (0.0, 0.0, 50.0)))
-        mode = Mode(TRACKS[0][0][0], False, False, np.zeros(10), np.eye(10) * 100.0, 0.0)
+        mode = Hypothesis(TRACKS[0][0][0], False, False, np.zeros(10), np.eye(10) * 100.0, 0.0)
         alone = answer_of(Refined(np.append(start, 0.0), (mode,), np.ones(1), 0.9))
         ends = np.tile(np.append(start, 0.0), (len(ious), 1))
         ends[:, 0] += places_m

@@ -14,7 +14,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymap.corrected_map import corrected_map
 from lodbench.datasets.query import Query
 from lodbench.evaluation import pose_error
-from lodbench.methods.contour_alignment import ContourAlignment, Params
+from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
 from lodbench.methods.contour_alignment.method import expected_map
 from lodbench.storage import random_stream
 from tests.town import CAMERA, prior_of
@@ -62,7 +62,7 @@ def test_told_roofs_bring_the_answer_nearer(told, truths):
         mask = town.render(CAMERA, truth).astype(np.float32)
         query = Query(f"q{number}", "all", CAMERA, prior_of(truth), mask)
         for lower_m, found in errors.items():
-            method = ContourAlignment(Params(pitched_lower_m=lower_m))
+            method = ContourAlignment(ContourAlignmentParams(pitched_lower_m=lower_m))
             estimate = method.localize(query, told, partial(random_stream, 0, "test"))
             found.append(pose_error(estimate.pose, truth).translation_m)
     assert np.mean(errors[2.0]) < 0.5 * np.mean(errors[0.0])

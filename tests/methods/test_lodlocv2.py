@@ -15,14 +15,15 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.harness.runs.requirements import made_inputs
 from lodbench.methods import Input, Method
-from lodbench.methods.lodlocv2 import LodLocV2, Params
-from lodbench.methods.lodlocv2.method import PoseScorer, select
+from lodbench.methods.fits import PoseScorer
+from lodbench.methods.lodlocv2 import LodLocV2, LodLocV2Params
+from lodbench.methods.lodlocv2.method import select
 from lodbench.methods.timed_localize import localize_query
 from lodbench.storage import random_stream
 
 SMALL = {"coarse_size": (160, 120), "fine_size": (320, 240)}
 # Fewer steps than the paper's 40: enough for a town of seven boxes.
-QUICK = Params(steps=12, **SMALL)
+QUICK = LodLocV2Params(steps=12, **SMALL)
 
 
 def streams_of(seed: int):
@@ -43,7 +44,7 @@ class TestFull:
     def test_finds_every_pose_with_true_tilt(self, queries, city_map, truths):
         for query, truth in zip(queries, truths, strict=True):
             before = pose_error(query.prior, truth)
-            estimate = LodLocV2(Params(**SMALL)).localize(query, city_map, streams_of(0))
+            estimate = LodLocV2(LodLocV2Params(**SMALL)).localize(query, city_map, streams_of(0))
             after = pose_error(estimate.pose, truth)
             assert before.translation_m > 8
             assert after.translation_m < 0.5
@@ -57,7 +58,7 @@ class TestFull:
         np.testing.assert_allclose(found[:2], (pitch, roll), atol=1e-9)
 
     def test_counts_its_hypotheses(self, queries, city_map):
-        estimate = localize_query(LodLocV2(Params(**SMALL)), queries[0], city_map, streams_of(0))
+        estimate = localize_query(LodLocV2(LodLocV2Params(**SMALL)), queries[0], city_map, streams_of(0))
         # The grid, its winner at the fine size, and 40 steps of 52 candidates less the 4 kept.
         assert estimate.hypotheses == 504 + 1 + 40 * 48
 
@@ -120,7 +121,7 @@ class TestDeterminism:
 
 class TestVariants:
     def test_no_refine_answers_with_a_pose_of_the_grid(self, queries, city_map):
-        params = Params(variant="no_refine", **SMALL)
+        params = LodLocV2Params(variant="no_refine", **SMALL)
         for query in queries:
             estimate = localize_query(LodLocV2(params), query, city_map, streams_of(0))
             centers, yaws = params.grid().around(query.prior)
@@ -132,12 +133,12 @@ class TestVariants:
             assert set(estimate.trace) == {"coarse"}
 
     def test_no_refine_does_not_depend_on_the_seed(self, queries, city_map):
-        params = Params(variant="no_refine", **SMALL)
+        params = LodLocV2Params(variant="no_refine", **SMALL)
         first, second = (LodLocV2(params).localize(queries[0], city_map, streams_of(s)) for s in (1, 2))
         assert as_numbers(first) == as_numbers(second)
 
     def test_no_select_stays_within_the_filters_reach(self, queries, city_map):
-        params = Params(variant="no_select", steps=12, sigma_m=0.05, spread_yaw_deg=0.1, **SMALL)
+        params = LodLocV2Params(variant="no_select", steps=12, sigma_m=0.05, spread_yaw_deg=0.1, **SMALL)
         query = queries[0]
         estimate = localize_query(LodLocV2(params), query, city_map, streams_of(0))
         assert estimate.hypotheses == 1 + 12 * 48
@@ -148,7 +149,7 @@ class TestVariants:
         assert 0 < turned < 12 * 0.1
 
     def test_a_filter_that_does_not_move_answers_with_the_prior(self, queries, city_map):
-        params = Params(variant="no_select", steps=2, sigma_m=0.0, spread_yaw_deg=0.0, **SMALL)
+        params = LodLocV2Params(variant="no_select", steps=2, sigma_m=0.0, spread_yaw_deg=0.0, **SMALL)
         estimate = LodLocV2(params).localize(queries[0], city_map, streams_of(0))
         np.testing.assert_allclose(estimate.pose.cam_from_world, queries[0].prior.cam_from_world, atol=1e-9)
 
@@ -160,14 +161,14 @@ class TestFits:
         query = queries[0]
         soft = cv2.GaussianBlur(query.building_probability.astype(np.float32), (0, 0), 1.0)
         query = replace(query, building_probability=np.clip(soft, 0, 1))
-        estimate = LodLocV2(Params(fit=fit, **SMALL)).localize(query, city_map, streams_of(0))
+        estimate = LodLocV2(LodLocV2Params(fit=fit, **SMALL)).localize(query, city_map, streams_of(0))
         after = pose_error(estimate.pose, truths[0])
         assert after.translation_m < 1.0
         assert after.rotation_deg < 0.5
         assert 0.7 < estimate.score <= 1.0
 
     def test_the_photos_own_statistics_need_no_mask(self, queries, city_map, truths, tmp_path):
-        method = LodLocV2(Params(fit="region", **SMALL))
+        method = LodLocV2(LodLocV2Params(fit="region", **SMALL))
         assert method.requires == {Input.IMAGE}
         assert LodLocV2().requires == {Input.MASK}
         truth = queries[0].mask >= 0.5
@@ -183,13 +184,13 @@ class TestFits:
 
     def test_an_unknown_one_names_the_nearest(self):
         with pytest.raises(ConfigError, match="bondary") as caught:
-            Params(fit="bondary")
+            LodLocV2Params(fit="bondary")
         assert "boundary" in caught.value.hint
 
     def test_a_mask_that_cannot_tell(self, queries, city_map):
         query = replace(queries[0], building_probability=np.full((240, 320), 0.5, dtype=np.float32))
         with pytest.raises(QueryFault, match="no information"):
-            LodLocV2(Params(fit="confident_iou", **SMALL)).localize(query, city_map, streams_of(0))
+            LodLocV2(LodLocV2Params(fit="confident_iou", **SMALL)).localize(query, city_map, streams_of(0))
 
 
 class TestTies:
@@ -211,10 +212,10 @@ class TestTies:
             def fit(self, camera, rotations, centers, fit):
                 return np.full(len(centers), 0.5)
 
-        params = Params(variant="no_select", steps=3, **SMALL)
+        params = LodLocV2Params(variant="no_select", steps=3, **SMALL)
         estimate = LodLocV2(params).localize(queries[0], Flat(), streams_of(0))
         np.testing.assert_allclose(estimate.pose.center, queries[0].prior.center, atol=1e-9)
-        params = Params(variant="no_refine", **SMALL)
+        params = LodLocV2Params(variant="no_refine", **SMALL)
         estimate = LodLocV2(params).localize(queries[0], Flat(), streams_of(0))
         first = params.grid().around(queries[0].prior)[0][0]
         np.testing.assert_allclose(estimate.pose.center, first, atol=1e-9)
@@ -225,18 +226,20 @@ class TestFaults:
     def test_an_empty_mask(self, queries, city_map, variant):
         query = replace(queries[0], building_probability=np.zeros((240, 320), dtype=np.float32))
         with pytest.raises(QueryFault, match="no building"):
-            LodLocV2(Params(variant=variant, **SMALL)).localize(query, city_map, streams_of(0))
+            LodLocV2(LodLocV2Params(variant=variant, **SMALL)).localize(query, city_map, streams_of(0))
 
     @pytest.mark.parametrize("variant", ["full", "no_refine", "no_select"])
     def test_a_camera_far_from_the_city(self, queries, city_map, variant):
         query = replace(queries[0], prior=queries[0].prior.shifted([50_000, 0, 0]))
         with pytest.raises(QueryFault, match="far from the city"):
-            LodLocV2(Params(variant=variant, steps=2, **SMALL)).localize(query, city_map, streams_of(0))
+            LodLocV2(LodLocV2Params(variant=variant, steps=2, **SMALL)).localize(
+                query, city_map, streams_of(0)
+            )
 
     def test_a_camera_that_looks_at_the_sky(self, queries, city_map):
         up = Pose.from_euler(EulerAngles(175.0, 0.0, 0.0), queries[0].prior.center)
         with pytest.raises(QueryFault):
-            LodLocV2(Params(steps=2, **SMALL)).localize(
+            LodLocV2(LodLocV2Params(steps=2, **SMALL)).localize(
                 replace(queries[0], prior=up), city_map, streams_of(0)
             )
 

@@ -14,15 +14,15 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.methods.region import Params, Region
-from lodbench.methods.region.evidence import Evidence, PhotoFit
+from lodbench.methods.region import Region, RegionParams
+from lodbench.methods.region.evidence import PhotoFit, PosePosterior
 from lodbench.methods.region.search import grid_starts
 from lodbench.methods.registry import make_method
 from lodbench.methods.timed_localize import localize_query
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 
-FAST = Params(fine_width=200, starts=4, modes=2)
+FAST = RegionParams(fine_width=200, starts=4, modes=2)
 
 
 def streams(seed=0):
@@ -129,16 +129,16 @@ class TestTheMethod:
             assert pose_error(estimate.pose, truth).translation_m < 1.0
 
     def test_the_grid_reaches_beyond_the_prior_but_not_in_height(self):
-        params = Params(range_x_m=20.0, range_y_m=6.0, range_z_m=0.0, range_yaw_deg=0.0, beyond_m=10.0)
+        params = RegionParams(range_x_m=20.0, range_y_m=6.0, range_z_m=0.0, range_yaw_deg=0.0, beyond_m=10.0)
         grid = params.grid()
         assert (grid.x.width, grid.y.width, grid.z.width, grid.yaw.width) == (40.0, 12.0, 0.0, 0.0)
 
     def test_a_grid_around_the_circle_has_no_heading_twice(self):
-        axis = Params(range_yaw_deg=360.0).grid().yaw
+        axis = RegionParams(range_yaw_deg=360.0).grid().yaw
         offsets = np.sort(axis.offsets() % 360.0)
         gaps = np.diff(offsets, append=offsets[0] + 360.0)
         np.testing.assert_allclose(gaps, 360.0 / axis.count)
-        assert gaps[0] <= Params().stride_yaw_deg
+        assert gaps[0] <= RegionParams().stride_yaw_deg
 
     def test_where_the_circle_closes_nothing_is_found_twice(self, city_map, photographed, truths):
         query, truth = photographed[0], truths[0]
@@ -160,9 +160,9 @@ class TestTheMethod:
         assert pose_error(estimate.pose, truths[1]).translation_m < 2.0
 
     def test_starts_are_tops_of_different_hills(self, city_map, photographed):
-        query, params = photographed[0], Params(starts=8)
+        query, params = photographed[0], RegionParams(starts=8)
         photo = cv2.imread(str(query.image))
-        evidence = Evidence(query, city_map, PhotoFit(photo, (151, 113), params, True), params)
+        evidence = PosePosterior(query, city_map, PhotoFit(photo, (151, 113), params, True), params)
         starts, best = grid_starts(query, evidence, params)
         fits = evidence.fits(starts)
         assert fits[0] == fits.max() == best
@@ -194,8 +194,8 @@ class TestTheMethod:
             60.0,
         )
         assert wide.range_tilt_deg == 4.0
-        assert len(wide.grid()) > len(Params().grid())
-        assert len(Region().params_for_prior(UniformPrior()).grid()) == len(Params().grid())
+        assert len(wide.grid()) > len(RegionParams().grid())
+        assert len(Region().params_for_prior(UniformPrior()).grid()) == len(RegionParams().grid())
         assert Region().params_for_true_tilt().range_tilt_deg == 0.0
 
 

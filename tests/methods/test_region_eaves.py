@@ -61,7 +61,7 @@ def test_what_no_wall_meets_stays():
 
 
 def test_roofs_are_drawn_wider_over_the_same_floors(scene, roofs):
-    wide = roofs.each_by_itself(np.zeros(scene.num_buildings), 0.0, 0.5).at(0).scene
+    wide = roofs.with_offsets(np.zeros(scene.num_buildings), 0.0, 0.5).at(0).scene
     owner = np.repeat(np.arange(scene.num_buildings), np.diff(scene.vertex_starts))
     floors = np.minimum.reduceat(scene.vertices[:, 2], scene.vertex_starts[:-1])[owner]
     is_floor = scene.vertices[:, 2] == floors
@@ -72,7 +72,7 @@ def test_roofs_are_drawn_wider_over_the_same_floors(scene, roofs):
 
 def test_lines_know_how_far_eaves_stand_out(scene, roofs, queries, truths):
     """Photos of a town whose eaves stand out 0.8 m: its lines fit best so wide, from either map."""
-    wide = roofs.each_by_itself(np.zeros(scene.num_buildings), 0.0, 0.8)
+    wide = roofs.with_offsets(np.zeros(scene.num_buildings), 0.0, 0.8)
     eaves = np.linspace(-0.4, 2.0, 13)
     for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
         photo, pose = photo_of(wide.at(0), truth, number), vector_from_pose(truth)
@@ -85,7 +85,7 @@ def test_lines_know_how_far_eaves_stand_out(scene, roofs, queries, truths):
 @pytest.mark.slow
 def test_eaves_that_the_map_lacks_lead_no_answer_astray(scene, city_map, roofs, tmp_path):
     """Photos of a town whose eaves stand out 1.2 m, over the map of its walls."""
-    wide = roofs.each_by_itself(np.zeros(scene.num_buildings), 0.0, 1.2).at(0)
+    wide = roofs.with_offsets(np.zeros(scene.num_buildings), 0.0, 1.2).at(0)
     told = [replace(FAST, eaves_m=eaves_m) for eaves_m in (0.0, 0.6)]
     trusting, doubting = mean_errors(city_map, wide, told, tmp_path)
     assert doubting < 0.8 * trusting

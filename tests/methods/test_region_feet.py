@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymap import CityMap
-from lodbench.methods.region.params import ALL, BASE_OFFSET
+from lodbench.estimation.state_vector import ALL, BASE_OFFSET
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs
 from lodbench.synthesis.views_dataset import World
 from tests.methods.test_region_lines import line_fit, shaded_photo, with_roofs
@@ -17,7 +17,7 @@ from tests.town import CAMERA
 
 
 def lifted(roofs, feet_m):
-    return roofs.each_by_itself(roofs.own_m, feet_m, 0.0)
+    return roofs.with_offsets(roofs.own_m, feet_m, 0.0)
 
 
 @pytest.mark.parametrize("feet_m", [0.5, 2.0])

@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 from lodbench.datasets.query import Query
+from lodbench.estimation.state_vector import views_of
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose_vector import vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment
-from lodbench.methods.region import Params, Region
-from lodbench.methods.region.evidence import Evidence, PhotoFit, views_of
+from lodbench.methods.region import Region, RegionParams
+from lodbench.methods.region.evidence import PhotoFit, PosePosterior
 from lodbench.rendering import IouFit
 from lodbench.storage import random_stream
 from tests.methods.test_region_lines import shaded_photo
 from tests.town import CAMERA, prior_of, true_poses
 
-FAST = Params(fine_width=200, starts=4, modes=2)
+FAST = RegionParams(fine_width=200, starts=4, modes=2)
 # Few pixels do not tell a longer lens from a lower flight.
 WIDE = CAMERA.scaled(960, 720)
 
@@ -38,8 +39,10 @@ def test_another_lens_is_drawn_by_the_told_one(city_map, truths, percent):
 
 
 def test_a_pose_is_a_camera_with_the_lens_as_told(city_map, queries, truths, shaded_photos):
-    params = Params()
-    evidence = Evidence(queries[0], city_map, PhotoFit(shaded_photos[0], (200, 150), params, False), params)
+    params = RegionParams()
+    evidence = PosePosterior(
+        queries[0], city_map, PhotoFit(shaded_photos[0], (200, 150), params, False), params
+    )
     poses = vector_from_pose(truths[0]) + random_stream(0, "poses").normal(0.0, 0.5, (5, 6))
     cameras = np.column_stack([poses, np.zeros(5)])
     np.testing.assert_array_equal(evidence.fits(poses), evidence.fits(cameras))

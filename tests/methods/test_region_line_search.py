@@ -13,13 +13,13 @@ import pytest
 from lodbench.datasets.priors import UniformPrior
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose_vector import pose_from_vector
-from lodbench.methods.region import Params, Region
-from lodbench.methods.region import lines as line_search
-from lodbench.methods.region.evidence import Evidence, Photo
+from lodbench.methods.region import Region, RegionParams
+from lodbench.methods.region import line_likelihood as line_search
+from lodbench.methods.region.evidence import Photo, PosePosterior
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 
-FAST = Params(fine_width=200, starts=4, modes=2)
+FAST = RegionParams(fine_width=200, starts=4, modes=2)
 STREAMS = partial(random_stream, 0, "test")
 
 
@@ -47,7 +47,7 @@ def drawn(city_map, queries, truths, tmp_path_factory):
 
 def starts_of(query, city_map, roofs, params):
     photo = Photo(cv2.imread(str(query.image)), query.camera, params, roofs.threads)
-    evidence = Evidence(query, city_map, photo.fit(params.fine_width, is_coarse=False), params)
+    evidence = PosePosterior(query, city_map, photo.fit(params.fine_width, is_coarse=False), params)
     return line_search.line_starts(photo, query, roofs, evidence, params, STREAMS)
 
 

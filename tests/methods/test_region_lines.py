@@ -11,15 +11,14 @@ import pytest
 
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
+from lodbench.estimation.outline import edges_in_reach
+from lodbench.estimation.state_vector import ALL, BASE_OFFSET, BESIDE_POSE
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
-from lodbench.methods.contour_alignment.outline import edges_in_reach
-from lodbench.methods.region import Params, Region
-from lodbench.methods.region.aligned import Alignment
-from lodbench.methods.region.evidence import Photo
-from lodbench.methods.region.lines import LineFit, points_on_lines
-from lodbench.methods.region.params import ALL, BASE_OFFSET, BESIDE_POSE
-from lodbench.methods.region.roofs import RoofEvidence
+from lodbench.methods.region import Region, RegionParams
+from lodbench.methods.region.evidence import Photo, StatePosterior
+from lodbench.methods.region.line_alignment import LineAligner
+from lodbench.methods.region.line_likelihood import LineLikelihood, points_on_lines
 from lodbench.methods.region.search import OutlineJacobian
 from lodbench.storage import random_stream
 from tests.town import BOXES, CAMERA, prior_of, true_poses
@@ -48,8 +47,8 @@ def with_roofs(truth):
 
 def line_fit(photo, query, roofs, vector):
     """Returns what lines seen from (10,) say of a photo in array form."""
-    params = Params()
-    return LineFit(Photo(photo, query.camera, params).levels(1.0), query, roofs, vector, params)
+    params = RegionParams()
+    return LineLikelihood(Photo(photo, query.camera, params).levels(1.0), query, roofs, vector, params)
 
 
 def fit_of(photo, query, roofs, truth):
@@ -93,10 +92,10 @@ def test_each_building_has_points_by_the_length_of_its_lines(roofs, truths, widt
 def test_an_exact_map_is_sharp_and_a_smeared_photo_is_not(roofs, queries, truths, shaded):
     photo, query, truth = shaded[0], queries[0], truths[0]
     vector = with_roofs(truth)
-    assert fit_of(photo, query, roofs, truth).sharpness(vector) > Params().least_sharpness
+    assert fit_of(photo, query, roofs, truth).sharpness(vector) > RegionParams().least_sharpness
     # Two outlines 8 pixels apart, as of walls and eaves where the map has one: no line is where edges are.
     smeared = cv2.GaussianBlur(photo, (0, 0), 5.0)
-    assert fit_of(smeared, query, roofs, truth).sharpness(vector) < Params().least_sharpness
+    assert fit_of(smeared, query, roofs, truth).sharpness(vector) < RegionParams().least_sharpness
 
 
 def test_a_photo_without_edges_is_not_sharp(roofs, queries, truths):
@@ -104,18 +103,18 @@ def test_a_photo_without_edges_is_not_sharp(roofs, queries, truths):
     for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
         noise = random_stream(0, "noise", number).integers(0, 256, (CAMERA.height, CAMERA.width))
         sharpness = fit_of(noise.astype(np.uint8), query, roofs, truth).sharpness(with_roofs(truth))
-        assert sharpness < Params().least_sharpness
+        assert sharpness < RegionParams().least_sharpness
 
 
 @pytest.mark.slow
 def test_the_method_ends_nearer_with_lines(city_map, tmp_path):
     """Best poses of six photos, over a map that is exact and told to be."""
-    errors = {0.0: [], Params().lines_weight: []}
+    errors = {0.0: [], RegionParams().lines_weight: []}
     for number, truth in enumerate(true_poses(6).values()):
         path = tmp_path / f"{number}.png"
         cv2.imwrite(str(path), shaded_photo(city_map, truth, number))
         for weight, found in errors.items():
-            told = Params(fine_width=200, starts=4, modes=2, roofs_m=0.0, place_sigma_m=0.0)
+            told = RegionParams(fine_width=200, starts=4, modes=2, roofs_m=0.0, place_sigma_m=0.0)
             query = Query(path.name, "all", CAMERA, prior_of(truth), None, path)
             method = Region(replace(told, lines_weight=weight))
             estimate = method.localize(query, city_map, partial(random_stream, 0, "test"))
@@ -126,16 +125,16 @@ def test_the_method_ends_nearer_with_lines(city_map, tmp_path):
 
 def test_lines_choose_among_the_search_s_tops(city_map, scene, roofs, queries, truths, shaded):
     """Of poses that a search may have met, regions left out: wherever the right one stands among them."""
-    params = replace(Params(), fine_width=200)
+    params = replace(RegionParams(), fine_width=200)
     moves = np.array([[14, 0, 0], [0, -12, 4], [0, 0, 40], [-20, 9, -8], [0, 0, 0]], dtype=np.float64)
     for number, (photo, query, truth) in enumerate(zip(shaded, queries, truths, strict=True)):
         reach = scene, query.camera, query.prior, 60.0, 20.0
         around = OutlineJacobian(edges_in_reach(*reach), city_map, params)
         seen = Photo(photo, query.camera, params)
-        regions_of = partial(RoofEvidence, query, fit=seen.fit(200, False), params=params)
+        regions_of = partial(StatePosterior, query, fit=seen.fit(200, False), params=params)
         streams = partial(random_stream, 0, "test", number)
         starts = with_roofs(truth) + np.roll(np.pad(moves, ((0, 0), (0, ALL - 3))), number, axis=0)
-        found = Alignment(seen.levels, query, regions_of, around, params, streams).from_best(starts, roofs)
+        found = LineAligner(seen.levels, query, regions_of, around, params, streams).from_best(starts, roofs)
         assert int(found.evidence.argmax()) == (len(moves) - 1 + number) % len(moves)
         assert np.linalg.norm(found.vector[:3] - truth.center) < 1.0
         # Hopeless ones are not followed.
@@ -148,7 +147,7 @@ def test_a_wider_prior_has_more_starts():
         UniformPrior(50.0, 50.0, 30.0, 30.0),
         UniformPrior(2.0, 2.0, 5.0, 2.0),
     )
-    counts = [Params(starts=8).for_prior(prior).num_starts() for prior in (usual, wide, narrow)]
+    counts = [RegionParams(starts=8).for_prior(prior).num_starts() for prior in (usual, wide, narrow)]
     assert counts[0] == counts[2] == 8
     assert 16 <= counts[1] <= 32
 

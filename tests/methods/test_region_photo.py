@@ -13,14 +13,14 @@ import pytest
 
 from lodbench.errors import QueryFault
 from lodbench.methods.fits import query_photo
-from lodbench.methods.region import Params
+from lodbench.methods.region import RegionParams
 from lodbench.methods.region import evidence as photo_module
 from lodbench.methods.region.evidence import Photo
 from lodbench.rendering.photo_bins import directed_edge_levels
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 
-PARAMS = Params(coarse_width=60, fine_width=100, lines_width=160)
+PARAMS = RegionParams(coarse_width=60, fine_width=100, lines_width=160)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.pitched_blocks import pitched_blocks
 from lodbench.citymodel.read import read_city_model
 from lodbench.errors import ConfigError
-from lodbench.methods.region import Params
+from lodbench.methods.region import RegionParams
 from lodbench.methods.region.roofs import RaisedRoofs
 from tests.methods.test_region_roofs import FAST, mean_errors
 
@@ -39,7 +39,7 @@ def test_they_are_drawn_lower_and_the_others_as_they_are(scene, city_map, told):
 def test_roofs_by_themselves_are_counted_from_there(city_map, told):
     own_m = np.linspace(-0.5, 0.5, told.num_buildings)
     roofs = RaisedRoofs(city_map, told, 0.8)
-    moved = modes_found(roofs.each_by_itself(own_m, 0.0, 0.0).at(0).scene) - modes_found(roofs.at(0).scene)
+    moved = modes_found(roofs.with_offsets(own_m, 0.0, 0.0).at(0).scene) - modes_found(roofs.at(0).scene)
     np.testing.assert_allclose(moved, own_m, atol=1e-4)
 
 
@@ -77,4 +77,4 @@ def test_told_roofs_bring_the_answer_nearer(told, tmp_path):
 
 def test_the_parameter_is_a_length():
     with pytest.raises(ConfigError, match="pitched_lower_m"):
-        Params(pitched_lower_m=-0.1)
+        RegionParams(pitched_lower_m=-0.1)

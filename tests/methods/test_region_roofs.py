@@ -12,18 +12,18 @@ import pytest
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
+from lodbench.estimation.state_vector import BESIDE_POSE
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose_vector import vector_from_pose
-from lodbench.methods.region import Params, Region
-from lodbench.methods.region.evidence import Evidence, PhotoFit
-from lodbench.methods.region.params import BESIDE_POSE
-from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, RoofEvidence, step_of
+from lodbench.methods.region import Region, RegionParams
+from lodbench.methods.region.evidence import PhotoFit, PosePosterior, StatePosterior
+from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, step_of
 from lodbench.storage import random_stream
 from lodbench.synthesis.views_dataset import World
 from tests.methods.test_region_lines import line_fit
 from tests.town import CAMERA, prior_of, true_poses
 
-FAST = Params(fine_width=200, starts=4, modes=2)
+FAST = RegionParams(fine_width=200, starts=4, modes=2)
 
 
 def photo_of(drawn, truth, number):
@@ -77,9 +77,9 @@ def test_points_move_by_their_share_of_the_height(scene, roofs):
 
 
 def test_evidence_is_that_of_the_map_with_those_roofs(scene, roofs, queries, truths):
-    params = Params()
+    params = RegionParams()
     fit = PhotoFit(photo_of(roofs.at(0), truths[0], 0), (200, 150), params, False)
-    evidence = RoofEvidence(queries[0], roofs, fit, params)
+    evidence = StatePosterior(queries[0], roofs, fit, params)
     poses = vector_from_pose(truths[0]) + random_stream(0, "poses").normal(0.0, 0.5, (6, 6))
     heights = np.array([-1.5, 0.0, 0.2, 0.9, 1.0, 7.0])
     log_likelihood = evidence.log_likelihood(
@@ -88,7 +88,8 @@ def test_evidence_is_that_of_the_map_with_those_roofs(scene, roofs, queries, tru
     for i, roofs_m in enumerate([-1.5, 0.0, 0.0, 1.0, 1.0, 3.0]):
         seen = CityMap(World(shared_roofs_m=roofs_m).seen(scene), threads=1)
         assert (
-            log_likelihood[i] == Evidence(queries[0], seen, fit, params).log_likelihood(poses[i : i + 1])[0]
+            log_likelihood[i]
+            == PosePosterior(queries[0], seen, fit, params).log_likelihood(poses[i : i + 1])[0]
         )
 
 
@@ -137,7 +138,7 @@ def test_a_map_whose_roofs_err_alike_leads_no_answer_astray(city_map, roofs, tmp
 def uneven(scene, roofs):
     """Returns the town with every other roof 1.5 m higher and the rest 1.5 m lower, and by how much."""
     own_m = np.where(np.arange(scene.num_buildings) % 2 == 0, 1.5, -1.5)
-    return roofs.each_by_itself(own_m, 0.0, 0.0), own_m
+    return roofs.with_offsets(own_m, 0.0, 0.0), own_m
 
 
 def test_each_roof_is_drawn_at_its_own_height(scene, roofs, uneven, truths):
@@ -168,7 +169,7 @@ def test_lines_tell_each_roof_s_height(roofs, uneven, queries, truths):
 @pytest.mark.slow
 def test_roofs_that_err_each_by_itself_lead_no_answer_astray(city_map, roofs, uneven, tmp_path):
     """Photos of a town more uneven still, over the map that does not know."""
-    town = roofs.each_by_itself(5.0 / 3.0 * uneven[1], 0.0, 0.0)
+    town = roofs.with_offsets(5.0 / 3.0 * uneven[1], 0.0, 0.0)
     told = [replace(FAST, own_roofs_m=own_roofs_m) for own_roofs_m in (0.0, 1.0)]
     trusting, doubting = mean_errors(city_map, town.at(0), told, tmp_path)
     assert doubting < 0.95 * trusting

@@ -10,7 +10,7 @@ import pytest
 from lodbench.errors import ConfigError
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.methods.tracking import Frame, Params, Tracker
+from lodbench.methods.tracking import Frame, Tracker, TrackingParams
 from tests.town import CAMERA
 
 STEP_S = 0.5
@@ -90,11 +90,11 @@ def test_a_lost_camera_says_so_and_is_found_again(city_map):
 
 def test_a_wrong_setting_is_named():
     with pytest.raises(ConfigError, match="fit=0 is not above 0"):
-        Params(fit=0.0)
+        TrackingParams(fit=0.0)
 
 
 def test_a_search_grows_to_its_widest_and_stays_there_however_long_the_camera_is_lost():
-    widths_m = [Params().search(lost).range_x_m for lost in (1, 2, 3, 10, 100_000)]
+    widths_m = [TrackingParams().search(lost).range_x_m for lost in (1, 2, 3, 10, 100_000)]
     assert widths_m == [20.0, 30.0, 45.0, 120.0, 120.0]
 
 

@@ -13,7 +13,7 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.segmentation import MapGuidedSegmenter, notes_of
 from lodbench.segmentation.map_guided import MapGuided, MapGuidedParams, guided_mask, margin_px, without_map
-from lodbench.segmentation.region_cut import cut, exactness, held_out_evidence, signed_distance
+from lodbench.segmentation.region_cut import cut, exactness, held_out_evidence
 from lodbench.segmentation.silhouette_alignment import aligned, moved
 from tests.town import box_obj
 
@@ -94,14 +94,6 @@ def test_evidence_is_judged_by_other_pixels(photo):
     assert held_out_evidence(bgr, houses()) > 0.2
     # Where the silhouette has nothing to do with the photo, histograms of one half tell nothing of the other.
     assert held_out_evidence(noise, houses()) < 0.0
-
-
-def test_distances_are_counted_from_the_outline():
-    mask = np.zeros((9, 9), bool)
-    mask[:, 4:] = True
-    assert signed_distance(mask)[4] == pytest.approx(
-        [-3.5, -2.5, -1.5, -0.5, 0.5, 1.5, 2.5, 3.5, 4.5], abs=0.1
-    )
 
 
 def test_a_guided_mask_is_better_than_its_guide_and_keeps_the_second(photo):

@@ -11,8 +11,8 @@ from lodbench.storage import random_stream
 from lodbench.synthesis.mask_degradation import (
     IOU_TOLERANCE,
     degrade_mask,
+    distances_to_buildings,
     mask_iou,
-    signed_distance,
     smooth_noise,
 )
 
@@ -164,7 +164,7 @@ def test_signed_distance_counts_from_the_outline():
     mask = np.zeros((20, 30), bool)
     mask[5:15, 10:20] = True
     mask[5:15, 25:] = True
-    distance, labels = signed_distance(mask)
+    distance, labels = distances_to_buildings(mask)
     assert distance[10, 10] == pytest.approx(0.5)
     assert distance[10, 9] == pytest.approx(-0.5)
     assert distance[10, 7] == pytest.approx(-2.5)

@@ -162,7 +162,7 @@ class Preparation:
         if entry.key not in self.dataset.truth:
             raise QueryFault(_NOT_ASKED)
         width = min(oracle.params.width, camera.width)
-        small = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
+        small = camera.scaled_to_width(width)
         return small, self.local(self.dataset.truth[entry.key])
 
     @cached_property

@@ -27,8 +27,7 @@ from lodbench.harness.city import open_city, require_near_city
 from lodbench.harness.last_write import last_write
 from lodbench.harness.requests import RoughRequest
 from lodbench.harness.track.frames import Footage, Mask, MaskMaker, Shot, with_masks
-from lodbench.methods.tracking import Frame, Params, Tracker
-from lodbench.methods.tracking.tracker import LOST
+from lodbench.methods.tracking import LOST, Frame, Tracker, TrackingParams
 from lodbench.photos.camera import PhotoCamera, camera_from_photo, camera_given, require_photo_size
 from lodbench.photos.files import in_pose_lines
 from lodbench.photos.map_frame import MapFrame
@@ -101,7 +100,7 @@ class TrackRequest(RoughRequest):
 
     footage: Footage
     masks: Path | None = None
-    params: Params = field(default_factory=Params)
+    params: TrackingParams = field(default_factory=TrackingParams)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

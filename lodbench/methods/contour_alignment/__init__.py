@@ -6,12 +6,12 @@ from lodbench.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from lodbench.methods.contour_alignment.method import ContourAlignment as ContourAlignment
-    from lodbench.methods.contour_alignment.params import Params as Params
+    from lodbench.methods.contour_alignment.params import ContourAlignmentParams as ContourAlignmentParams
 
 __all__, __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "ContourAlignment": "method",
-        "Params": "params",
+        "ContourAlignmentParams": "params",
     },
 )

@@ -1,7 +1,6 @@
-"""What an outline says under one hypothesis of the world: sums over its points, errors that go together.
+"""The likelihood of a mask's outline under hypotheses of how the map errs.
 
-A mask's outline leans over tens of pixels, so near points tell the same twice; how much it errs is found from
-the view itself. Roofs and bases err building by building. Points are dealt out to chunks of neighbouring
+How much the mask errs is estimated from the view itself. Points are split into chunks of neighbouring
 buildings: within one all errors are one covariance matrix, between two only what all points share.
 """
 
@@ -13,9 +12,18 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.kernels.estimation import error_covariance, whiten
-from lodbench.methods.contour_alignment.alignment import Residuals
-from lodbench.methods.contour_alignment.params import Params
+from lodbench.estimation.normal_equations import Quadratic
+from lodbench.estimation.outline_alignment import Residuals
+from lodbench.estimation.outline_errors import (
+    LEAST_WEIGHT,
+    add_outliers,
+    near_distances,
+    outline_covariance,
+    outline_noise,
+)
+from lodbench.estimation.state_vector import CAMERAS
+from lodbench.kernels.estimation import whiten
+from lodbench.methods.contour_alignment.params import ContourAlignmentParams
 
 Floats = NDArray[np.float64]
 
@@ -29,10 +37,10 @@ class WorldErrors:
 
     Attributes:
         name: In a word.
-        odds: How likely before the view is seen; relative to the other hypotheses.
+        odds: How likely before the photo; relative to the other hypotheses.
         roof_m: Standard deviation of each building's height.
         part_m: The same of parts of its roof.
-        base_m: The same of where its walls are seen to end.
+        base_m: The same of where its walls end in photos.
         roofs_m: Mean and standard deviation of what the heights of all buildings err by together.
         bases_m: The same of where all walls end.
     """
@@ -78,45 +86,19 @@ TRACKS: tuple[tuple[tuple[WorldErrors, ...], bool], ...] = (
 )
 
 
-# The numbers of a camera: three of place, three of direction, the lens.
-CAMERA = 7
 # Points in one matrix, which costs their number cubed.
 _MOST_POINTS = 128
 # Rows of chunks are as high as this, pixels of the fine size.
 _BAND_PX = 90.0
-# The outline's noise is looked for among points nearer than this, and is never less or more than that, px.
-_FAR_PX = 20.0
-_NOISE_PX = (0.5, 6.0)
 # An outline as good as traced by hand hides nothing; one as rough as a network's does.
 _FINE_PX, _ROUGH_PX = 1.75, 2.75
-# Points that agree less with the mask's direction say nothing about its noise.
-_AGREES = 0.3
-# Share of the outline's variance that each point has for itself.
-_OWN_SHARE = 0.3
 # An outline that could be anywhere lies within so many pixels of the mask's: standard deviation.
 _ANYWHERE_PX = 10.0
-# A point that weighs less than this has a variance that no factorisation feels.
-_LEAST_WEIGHT = 1e-8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sums:
-    """The logarithm of a likelihood to second order, in the camera's seven numbers and three shared errors.
-
-    Attributes:
-        information: (10, 10).
-        gradient: (10,) of its negative.
-        log_density: At the point of linearisation, up to a constant that all hypotheses share.
-    """
-
-    information: Floats
-    gradient: Floats
-    log_density: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Points:
-    """A measured outline, dealt out.
+class Outline:
+    """A measured outline, in chunks of neighbouring buildings.
 
     Attributes:
         here: The points.
@@ -130,8 +112,20 @@ class Points:
     slopes: Floats
     chunks: tuple[NDArray[np.int64], ...]
 
+    def covariance(
+        self,
+        chunk: NDArray[np.int64],
+        noise_px: float,
+        lengths_px: tuple[float, float],
+        errors_m2: tuple[float, float, float],
+    ) -> Floats:
+        """Returns half of the covariance of a chunk's distances; see ``outline_covariance``."""
+        by_map = self.slopes[chunk, CAMERAS], self.slopes[chunk, CAMERAS + 1]
+        buildings = self.here.points.buildings[chunk]
+        return outline_covariance(self.pixels[chunk], *by_map, buildings, noise_px, lengths_px, errors_m2)
 
-def deal_out(here: Residuals) -> Points:
+
+def in_chunks(here: Residuals) -> Outline:
     """Returns an outline in chunks: buildings stay whole, and neighbours in the picture together."""
     pixels = here.points.pixels / here.scale
     _, building, counts = np.unique(here.points.buildings, return_inverse=True, return_counts=True)
@@ -144,7 +138,7 @@ def deal_out(here: Residuals) -> Points:
     order = np.argsort(rank[building], kind="stable")
     cuts = [0, *_cuts(counts[ranked]), len(order)]
     slopes = np.column_stack([here.slopes, np.ones(len(order))])
-    return Points(here, pixels, slopes, tuple(order[a:b] for a, b in pairwise(cuts)))
+    return Outline(here, pixels, slopes, tuple(order[a:b] for a, b in pairwise(cuts)))
 
 
 def _cuts(counts: NDArray[np.int64]) -> list[int]:
@@ -161,113 +155,88 @@ def _cuts(counts: NDArray[np.int64]) -> list[int]:
     return cuts
 
 
-def outline_noise(here: Residuals, distances: Floats) -> float:
-    """Returns the standard deviation of the mask's outline in pixels, from the median distance.
+def log_likelihood(
+    outline: Outline, world: WorldErrors, shared: Floats, params: ContourAlignmentParams, anywhere: float
+) -> Quadratic:
+    """Returns the log-likelihood of an outline under a hypothesis to second order, of ten numbers.
 
-    Eq. (C8) of docs/methods/contour_alignment.md.
-
-    Args:
-        here: The points.
-        distances: (N,) pixels, less what is known to be shared.
-    """
-    near = np.abs(distances[(here.agreement > _AGREES) & (np.abs(distances) < _FAR_PX)])
-    low, high = _NOISE_PX
-    return float(np.clip(1.4826 * np.median(near), low, high)) if len(near) else high
-
-
-def sum_up(points: Points, world: WorldErrors, shared: Floats, params: Params, anywhere: float) -> Sums:
-    """Returns what an outline says under a hypothesis. Eqs. (C5), (C10) of docs/methods/contour_alignment.md.
+    Eqs. (C5), (C10) of docs/methods/contour_alignment.md.
 
     Args:
-        points: The outline.
+        outline: The measured outline.
         world: The hypothesis.
-        shared: (3,) what is thought of the shared errors so far.
-        params: The method's. Its ``heat`` divides all that is said: the model is not the whole truth, and
-            points that it takes for independent are not quite.
+        shared: (3,) the shared errors as estimated so far.
+        params: The method's. Its ``heat`` divides the whole: the model is not the whole truth, and points
+            that it takes for independent are not quite.
         anywhere: The logarithm of the outline's density by ``density_anywhere``.
     """
-    slopes = points.slopes
-    distances, noise_px, weights = _judged(points, world, shared, params)
+    slopes, lengths_px = outline.slopes, (params.outline_px, params.roof_part_px)
+    distances, noise_px, weights = _reweighted(outline, world, shared, params)
     information, gradient, log_density = np.zeros((10, 10)), np.zeros(10), -anywhere
-    roofs_and_bases = (world.roof_m**2, world.part_m**2, world.base_m**2)
-    for chunk in points.chunks:
-        matrix = _covariance(points, chunk, noise_px, roofs_and_bases, params)
-        # Outliers have an error of their own beside the shared one.
-        matrix[np.diag_indices(len(chunk))] += noise_px**2 * (1.0 / weights[chunk] - 1.0)
+    errors_m2 = (world.roof_m**2, world.part_m**2, world.base_m**2)
+    for chunk in outline.chunks:
         columns = np.ascontiguousarray(np.column_stack([slopes[chunk], distances[chunk]]))
+        matrix = outline.covariance(chunk, noise_px, lengths_px, errors_m2)
+        add_outliers(matrix, noise_px, weights[chunk])
         log_determinant = float(whiten(matrix, columns))
         jacobian, residuals = columns[:, :-1], columns[:, -1]
         information += jacobian.T @ jacobian
         gradient += jacobian.T @ residuals
         log_density -= 0.5 * (float(residuals @ residuals) + log_determinant)
-    return Sums(information / params.heat, gradient / params.heat, log_density / params.heat)
+    return Quadratic(information / params.heat, gradient / params.heat, log_density / params.heat)
 
 
-def density_anywhere(points: Points, world: WorldErrors, shared: Floats, params: Params) -> float:
+def density_anywhere(
+    outline: Outline, world: WorldErrors, shared: Floats, params: ContourAlignmentParams
+) -> float:
     """Returns the logarithm of an outline's density if it lay anywhere near the mask's.
 
     Evidence is measured against it. Cameras at two places see other points of the model, and the one that
     sees fewer, from further up, would have the higher density: each point's is below 1.
 
     Args:
-        points: The outline.
+        outline: The measured outline.
         world: The hypothesis that says which points are outliers, and by how much.
-        shared: (3,) what is thought of its shared errors.
+        shared: (3,) its shared errors as estimated so far.
         params: The method's.
     """
-    distances, noise_px, weights = _judged(points, world, shared, params)
-    log_density = 0.0
-    for chunk in points.chunks:
-        matrix = _covariance(points, chunk, _ANYWHERE_PX, (0.0, 0.0, 0.0), params)
-        matrix[np.diag_indices(len(chunk))] += noise_px**2 * (1.0 / weights[chunk] - 1.0)
+    distances, noise_px, weights = _reweighted(outline, world, shared, params)
+    log_density, lengths_px = 0.0, (params.outline_px, params.roof_part_px)
+    for chunk in outline.chunks:
+        matrix = outline.covariance(chunk, _ANYWHERE_PX, lengths_px, (0.0, 0.0, 0.0))
+        add_outliers(matrix, noise_px, weights[chunk])
         residuals = np.ascontiguousarray(distances[chunk][:, None])
         log_determinant = float(whiten(matrix, residuals))
         log_density -= 0.5 * (float((residuals**2).sum()) + log_determinant)
     return log_density
 
 
-def _covariance(
-    points: Points,
-    chunk: NDArray[np.int64],
-    noise_px: float,
-    roofs_and_bases: tuple[float, float, float],
-    params: Params,
-) -> Floats:
-    """Returns half of a chunk's covariance: Eqs. (C6), (C7) of docs/methods/contour_alignment.md."""
-    return np.asarray(
-        error_covariance(
-            points.pixels[chunk],
-            points.slopes[chunk, CAMERA],
-            points.slopes[chunk, CAMERA + 1],
-            points.here.points.buildings[chunk],
-            ((1.0 - _OWN_SHARE) * noise_px**2, _OWN_SHARE * noise_px**2),
-            (params.outline_px, params.roof_part_px),
-            roofs_and_bases,
-        )
-    )
-
-
-def _judged(
-    points: Points, world: WorldErrors, shared: Floats, params: Params
+def _reweighted(
+    outline: Outline, world: WorldErrors, shared: Floats, params: ContourAlignmentParams
 ) -> tuple[Floats, float, Floats]:
     """Returns distances less what is shared, (N,), the outline's noise in pixels and weights, (N,)."""
-    distances = points.here.distances + points.slopes[:, CAMERA:] @ shared
-    noise_px = outline_noise(points.here, distances)
-    weights = _weights(points.here, points.slopes, distances, noise_px, world, params)
+    distances = outline.here.distances + outline.slopes[:, CAMERAS:] @ shared
+    noise_px = outline_noise(near_distances(distances, outline.here.agreement))
+    weights = _weights(outline.here, outline.slopes, distances, noise_px, world, params)
     return distances, noise_px, weights
 
 
 def _weights(
-    here: Residuals, slopes: Floats, distances: Floats, noise_px: float, world: WorldErrors, params: Params
+    here: Residuals,
+    slopes: Floats,
+    distances: Floats,
+    noise_px: float,
+    world: WorldErrors,
+    params: ContourAlignmentParams,
 ) -> Floats:
     """Returns (N,) in (0, 1]: little for points far beyond what the hypothesis expects.
 
     Eq. (C9) of docs/methods/contour_alignment.md.
     """
-    expected = max(noise_px, 1.0) ** 2 + (slopes[:, CAMERA] ** 2) * (world.roof_m**2 + world.part_m**2)
-    expected += (slopes[:, CAMERA + 1] * world.base_m) ** 2
+    expected = max(noise_px, 1.0) ** 2 + (slopes[:, CAMERAS] ** 2) * (world.roof_m**2 + world.part_m**2)
+    expected += (slopes[:, CAMERAS + 1] * world.base_m) ** 2
     rough = float(np.clip((noise_px - _FINE_PX) / (_ROUGH_PX - _FINE_PX), 0.0, 1.0))
     hidden_sigmas = (1.0 - rough) * params.outlier_sigmas + rough * params.hidden_sigmas
     sigmas = np.where(distances < 0, hidden_sigmas, params.outlier_sigmas)
     kernel = 1.0 / (1.0 + distances**2 / (sigmas**2 * expected))
-    return np.asarray(np.maximum(kernel**2 * np.maximum(here.agreement, 1e-3), _LEAST_WEIGHT))
+    return np.asarray(np.maximum(kernel**2 * np.maximum(here.agreement, 1e-3), LEAST_WEIGHT))

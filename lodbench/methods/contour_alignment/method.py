@@ -16,14 +16,13 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
+from lodbench.estimation.outline_alignment import Aligner
+from lodbench.estimation.probability import beyond_range
 from lodbench.geometry import PoseGrid
 from lodbench.geometry.pose_vector import pose_from_vector
-from lodbench.methods.contour_alignment.alignment import Aligner
-from lodbench.methods.contour_alignment.params import Params
-from lodbench.methods.contour_alignment.refinement import refine
-from lodbench.methods.contour_alignment.uncertainty import among_rivals, answer_of, beyond_range
-from lodbench.methods.fits import nothing_fits
-from lodbench.methods.lodlocv2.method import PoseScorer
+from lodbench.methods.contour_alignment.hypotheses import among_rivals, answer_of, refine
+from lodbench.methods.contour_alignment.params import ContourAlignmentParams
+from lodbench.methods.fits import PoseScorer, nothing_fits
 from lodbench.methods.protocol import Estimate, Streams
 
 # Of every map once; None where it stays as it is, since a map that holds itself is never freed.
@@ -50,7 +49,9 @@ def expected_map(city_map: CityMap, pitched_lower_m: float) -> CityMap:
 Floats = NDArray[np.float64]
 
 
-def find_starts(query: Query, city_map: CityMap, aligner: Aligner, params: Params) -> tuple[Floats, float]:
+def find_starts(
+    query: Query, city_map: CityMap, aligner: Aligner, params: ContourAlignmentParams
+) -> tuple[Floats, float]:
     """Returns the poses to align, (N, 6) best first, and the best IoU.
 
     Raises:
@@ -84,7 +85,7 @@ def _best_samples(
     return np.column_stack([particles.centers[order], tilt, particles.yaws_deg[order], lens]), best
 
 
-def _apart(vectors: Floats, scores: Floats, params: Params) -> list[int]:
+def _apart(vectors: Floats, scores: Floats, params: ContourAlignmentParams) -> list[int]:
     """Returns the best few of some poses, best first, none within a few metres of a better one."""
     chosen: list[int] = []
     for i in np.argsort(-scores, kind="stable"):
@@ -99,18 +100,18 @@ def _apart(vectors: Floats, scores: Floats, params: Params) -> list[int]:
 class ContourAlignment:
     """Finds all six numbers of a pose, and says how sure it is. Draws no random numbers."""
 
-    params_type = Params
+    params_type = ContourAlignmentParams
     name = "contour_alignment"
     requires = frozenset({Input.MASK})
 
-    def __init__(self, params: Params | None = None) -> None:
-        self.params = params or Params()
+    def __init__(self, params: ContourAlignmentParams | None = None) -> None:
+        self.params = params or ContourAlignmentParams()
 
-    def params_for_prior(self, prior: UniformPrior) -> Params:
+    def params_for_prior(self, prior: UniformPrior) -> ContourAlignmentParams:
         """Returns the parameters that search all that such a prior leaves open, tilt included."""
         return self.params.for_prior(prior)
 
-    def params_for_true_tilt(self) -> Params:
+    def params_for_true_tilt(self) -> ContourAlignmentParams:
         """Returns the parameters for priors of the true pitch and roll: a range of 0 holds them."""
         return replace(self.params, range_tilt_deg=0.0)
 
@@ -122,8 +123,9 @@ class ContourAlignment:
         """
         started, params = time.perf_counter(), self.params.with_lens(query.lens_percent)
         city_map = expected_map(city_map, params.pitched_lower_m)
-        aligner = Aligner(query, city_map, params)
-        starts, best = find_starts(query, city_map, aligner, params.over(aligner.pixels_per_m()))
+        aligner = Aligner(query, city_map, params.outline_model())
+        scale = aligner.pixels_per_m(0.5 * params.range_z_m)
+        starts, best = find_starts(query, city_map, aligner, params.over(scale))
         selected = time.perf_counter()
         ends, trace = self._align(aligner, starts)
         refined = refine(aligner, ends[int(np.argmax(trace))], params)
@@ -141,7 +143,7 @@ class ContourAlignment:
             alternatives=answer.alternatives,
             alternative_probabilities=answer.alternative_probabilities,
             notes=beyond_range(
-                aligner.offset(np.append(answer.vector, 0.0))[:6],
+                aligner.prior.offsets(np.append(answer.vector, 0.0))[:6],
                 answer.covariance,
                 params.half_widths(),
             ),

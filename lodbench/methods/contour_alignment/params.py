@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import require_choice, require_numbers, require_within
+from lodbench.estimation.outline_alignment import OutlineModel
 from lodbench.geometry import AxisRange, PoseGrid
-from lodbench.methods.search_params import ranges_of, set_sizes
+from lodbench.methods.search_params import SearchRange, set_sizes
 
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
 SEARCHES = ("auto", "grid", "basins")
@@ -33,7 +33,7 @@ _POSITIVE = (
     "heat",
 )
 _PROBABILITIES = ("lens_doubt", "tilt_doubt")
-# Between a lens as told and one in doubt.
+# Between a lens as declared and one in doubt.
 _START_LENS_PERCENT = 0.5
 # Starts lie this close in the picture, pixels of the fine size, however near buildings are: little more than
 # alignment reaches. They are never closer than half of what they are over far ones.
@@ -43,8 +43,8 @@ _MOST_POSES = 2000
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
-    """Everything the method can be told.
+class ContourAlignmentParams(SearchRange):
+    """The settings of ``method=contour_alignment``.
 
     Attributes:
         name: Name to report.
@@ -82,12 +82,12 @@ class Params:
         roof_m: Standard deviation of each building's height in the map until the final steps, which find it
             from the view, metres; 0 trusts the map.
         pitched_lower_m: How much lower than in the map the roofs of blocks are beforehand where its source
-            tells that they are pitched, metres.
+            states that they are pitched, metres.
         roof_part_px: Distance over which a roof's error goes together, pixels of the fine size.
         lens_percent: Standard deviation of the focal length, percent.
         lens_doubt: Probability that the focal length is worse than that.
         lens_doubt_percent: Its standard deviation then, percent.
-        tilt_doubt: Probability that the prior's tilt is worse than told.
+        tilt_doubt: Probability that the prior's tilt is worse than declared.
         tilt_doubt_factor: How many times as wide it is then.
         heat: What the final steps' likelihood is divided by in its logarithm: 1 takes the model of errors for
             the whole truth.
@@ -167,25 +167,31 @@ class Params:
         tilt = max(0.5 * self.range_tilt_deg / math.sqrt(3.0), 1e-4)
         return (*place, tilt, tilt, max(0.5 * self.range_yaw_deg, 1e-4))
 
-    def half_widths(self) -> tuple[float, ...]:
-        """Returns how far x, y, z (metres), pitch, roll and yaw (degrees) may be off by what was told."""
-        place = [0.5 * width for width in (self.range_x_m, self.range_y_m, self.range_z_m)]
-        tilt = 0.5 * self.range_tilt_deg
-        return (*place, tilt, tilt, 0.5 * self.range_yaw_deg)
-
-    def start_sigmas(self) -> tuple[float, ...]:
-        """Returns the same and the lens's, percent, until hypotheses of it are weighed."""
-        return (*self.prior_sigmas(), _START_LENS_PERCENT)
+    def outline_model(self) -> OutlineModel:
+        """Returns how outlines are compared until hypotheses of tilt and lens are weighed."""
+        reach_m, turn_deg = self.reach()
+        return OutlineModel(
+            size=self.fine_size,
+            sigmas=(*self.prior_sigmas(), _START_LENS_PERCENT),
+            reach_m=reach_m,
+            turn_deg=turn_deg,
+            spacing_px=self.spacing_px,
+            noise_px=self.noise_px,
+            correlation_px=self.correlation_px,
+            roof_m=self.roof_m,
+            outline_px=self.outline_px,
+            roof_part_px=self.roof_part_px,
+        )
 
     def camera_sigmas(self, *, is_tilt_free: bool, is_lens_free: bool) -> tuple[float, ...]:
-        """Returns the same under a hypothesis of tilt and lens."""
+        """Returns the prior's standard deviations, and the lens's, under a hypothesis of tilt and lens."""
         *place, pitch, roll, yaw = self.prior_sigmas()
         wider = self.tilt_doubt_factor if is_tilt_free else 1.0
         lens = self.lens_doubt_percent if is_lens_free else self.lens_percent
         return (*place, wider * pitch, wider * roll, yaw, lens)
 
     def camera_odds(self, is_tilt_free: bool, is_lens_free: bool) -> float:
-        """Returns how likely such a hypothesis is before the view is seen."""
+        """Returns how likely such a hypothesis is before the photo."""
         tilt = self.tilt_doubt if is_tilt_free else 1.0 - self.tilt_doubt
         return tilt * (self.lens_doubt if is_lens_free else 1.0 - self.lens_doubt)
 
@@ -197,7 +203,7 @@ class Params:
         """Returns the same for the alignment from afar, which ends where the other begins."""
         return _falling(self.basin_reach_px, self.reach_px, self.basin_steps)
 
-    def over(self, pixels_per_m: float) -> Params:
+    def over(self, pixels_per_m: float) -> ContourAlignmentParams:
         """Returns these parameters for buildings of such a scale, pixels of the fine size per metre.
 
         Eq. (C16) of docs/methods/contour_alignment.md.
@@ -214,14 +220,9 @@ class Params:
             starts=round(self.starts / share),
         )
 
-    def with_lens(self, percent: float | None) -> Params:
-        """Returns these parameters for a lens that is known no better than so, percent, where told."""
+    def with_lens(self, percent: float | None) -> ContourAlignmentParams:
+        """Returns these parameters for a lens that is known no better than so, percent, where declared."""
         return self if percent is None else replace(self, lens_percent=max(self.lens_percent, percent))
-
-    def for_prior(self, prior: UniformPrior) -> Params:
-        """Returns these parameters for a prior's error of other half widths."""
-        tilt_deg = prior.pitch_deg + prior.roll_deg
-        return replace(self, **ranges_of(prior), range_tilt_deg=tilt_deg)
 
 
 def _falling(first: float, last: float, steps: int) -> tuple[float, ...]:

@@ -6,12 +6,12 @@ from lodbench.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from lodbench.methods.flight.method import FlightMethod as FlightMethod
-    from lodbench.methods.flight.params import Params as Params
+    from lodbench.methods.flight.params import FlightParams as FlightParams
 
 __all__, __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "FlightMethod": "method",
-        "Params": "params",
+        "FlightParams": "params",
     },
 )

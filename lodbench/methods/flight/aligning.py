@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.citymap.corrected_map import corrected_map
 from lodbench.datasets.query import Query
-from lodbench.methods.contour_alignment.alignment import Aligner
+from lodbench.estimation.outline_alignment import Aligner
+from lodbench.estimation.state_vector import differences
 from lodbench.methods.flight.edge_terms import EdgePhoto, edge_photo, edge_terms
 from lodbench.methods.flight.joint import solve
-from lodbench.methods.flight.params import Params
+from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.photo_terms import PhotoTerms, flight_terms
 from lodbench.methods.flight.roof_parts import RoofParts
-from lodbench.methods.flight.state import Solution, State, differences
+from lodbench.methods.flight.state import Solution, State
 
 # Scales of the robust kernel in the joint steps, first and last, pixels of the fine size.
 _REACHES_PX = (24.0, 4.0)
@@ -48,7 +49,7 @@ class Aligned:
     as_told: Solution
 
 
-def align(queries: Sequence[Query], state: State, city_map: CityMap, params: Params) -> Aligned:
+def align(queries: Sequence[Query], state: State, city_map: CityMap, params: FlightParams) -> Aligned:
     """Returns where a flight ends from a state, which steps move: robust kernels that narrow, then none."""
     evidence = _Evidence.of(queries, city_map, params)
     steps = params.steps
@@ -85,10 +86,10 @@ class _Evidence:
     photos: Sequence[EdgePhoto | None] = ()
 
     @classmethod
-    def of(cls, queries: Sequence[Query], city_map: CityMap, params: Params) -> _Evidence:
+    def of(cls, queries: Sequence[Query], city_map: CityMap, params: FlightParams) -> _Evidence:
         if params.single == "region":
             return cls(photos=[edge_photo(query, city_map) for query in queries])
-        return cls(masks=[Aligner(query, city_map, params.photo()) for query in queries])
+        return cls(masks=[Aligner(query, city_map, params.photo().outline_model()) for query in queries])
 
     def over(self, city_map: CityMap) -> _Evidence:
         """Returns the same over another map."""
@@ -96,16 +97,16 @@ class _Evidence:
         return _Evidence([aligner.over(city_map) for aligner in self.masks], photos)
 
     def terms(
-        self, state: State, reach_px: float | None, params: Params, threads: Executor | None
+        self, state: State, reach_px: float | None, params: FlightParams, threads: Executor | None
     ) -> list[PhotoTerms | None]:
         """Returns what photos say where a state has them; see ``flight_terms``."""
         here = state.vectors, state.lens, state.roofs, reach_px
         if self.photos:
             return edge_terms(self.photos, *here, params.trust(), threads)
-        return flight_terms(self.masks, *here, params.photo(), params.trust(), threads)
+        return flight_terms(self.masks, *here, params.trust(), threads)
 
 
-def _leave_out_lost(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> None:
+def _leave_out_lost(state: State, terms: Sequence[PhotoTerms | None], params: FlightParams) -> None:
     """Takes the weight from photos that are further from where the flight says than sensors err.
 
     Eq. (F15) of docs/methods/flight.md.

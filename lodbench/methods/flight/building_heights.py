@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.building_boxes import building_boxes
+from lodbench.citymodel.building_boxes import floors_and_rises
 from lodbench.citymodel.scene import Scene
 from lodbench.methods.flight.aligning import Aligned
 from lodbench.methods.flight.joint import covariance_of, precisions_of
-from lodbench.methods.flight.params import Params
+from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve
 from lodbench.methods.flight.state import CONSTANTS, ROOFS
 
@@ -68,7 +68,7 @@ class _Outlines(NamedTuple):
 
 
 def building_heights(
-    aligned: Aligned, curves: Mapping[int, RoofCurve], scene: Scene, params: Params
+    aligned: Aligned, curves: Mapping[int, RoofCurve], scene: Scene, params: FlightParams
 ) -> dict[int, BuildingHeight]:
     """Returns the heights of buildings whose outlines or pixels tell them, by row of the scene.
 
@@ -81,7 +81,7 @@ def building_heights(
         params: How far heights may be wrong.
     """
     by_outlines = dict(_by_outlines(aligned, params))
-    rises, common = _rises(scene), _common(curves)
+    (_, rises), common = floors_and_rises(scene), _common(curves)
     by_pixels = {} if common is None else curves
     found = {}
     for row in sorted({*by_outlines, *by_pixels}):
@@ -151,15 +151,7 @@ def _is_sharp(curve: RoofCurve) -> bool:
     return bool(curve.nats.max() - np.median(curve.nats) > _SHARP)
 
 
-def _rises(scene: Scene) -> Floats:
-    """Returns (B,) how high the map's buildings are, metres; 0 for one without geometry."""
-    low, high, building = building_boxes(scene)
-    rises = np.zeros(scene.num_buildings)
-    rises[building] = (high - low)[:, 2]
-    return rises
-
-
-def _by_outlines(aligned: Aligned, params: Params) -> Iterator[tuple[int, _Outlines]]:
+def _by_outlines(aligned: Aligned, params: FlightParams) -> Iterator[tuple[int, _Outlines]]:
     """Yields each building's row, and how much higher its parts are than all roofs."""
     state, solution = aligned.state, aligned.as_told
     first = CONSTANTS + len(solution.buildings)

@@ -15,9 +15,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lodbench.geometry import Pose
+from lodbench.estimation.lens import project, projection_slopes
+from lodbench.estimation.normal_equations import NormalEquations
+from lodbench.geometry import Camera, Pose
 from lodbench.geometry.pose_vector import pose_from_vector, rotation_derivatives
-from lodbench.methods.flight.normal_equations import NormalEquations
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -28,6 +29,8 @@ _REACHES_PX = (*np.geomspace(40.0, 2.0, 10), *([2.0] * 8))
 _LEAST_ANGLE_DEG = 1.0
 # Fewer observations of a photo do not place it. Observations further off than this are wrong, pixels.
 _FEWEST, _WRONG_PX = 20, 3.0
+# A camera whose pixels are rays at depth 1; nearer points have none, metres.
+_AT_DEPTH_1, _NEAREST_M = Camera(1, 1, 1.0, 1.0, 0.0, 0.0), 1e-6
 # Damping of points and poses, share of the diagonal (Levenberg and Marquardt).
 _DAMPING = 1e-6
 
@@ -233,12 +236,9 @@ def _linearized(seen: Observations, vectors: Floats, points: Floats) -> tuple[Fl
     away = points[seen.points] - np.array([pose.center for pose in poses])[seen.photos]
     derivatives = np.array([rotation_derivatives(vector) for vector in vectors])[seen.photos]
     local = np.einsum("nij,nj->ni", rotations, away)
-    depth = np.where(local[:, 2] > 1e-6, local[:, 2], np.nan)
-    shown = local[:, :2] / depth[:, None]
-    per_local = np.zeros((len(local), 2, 3))
-    per_local[:, 0, 0] = per_local[:, 1, 1] = 1.0 / depth
-    per_local[:, :, 2] = -shown / depth[:, None]
-    per_local = np.nan_to_num(per_local)
+    local[local[:, 2] <= _NEAREST_M] = np.nan
+    shown = project(local, _AT_DEPTH_1)
+    per_local = np.nan_to_num(projection_slopes(local, _AT_DEPTH_1)[:, :, :3])
     of_point = per_local @ rotations
     turned = np.einsum("nkij,nj->nki", derivatives, away)
     of_angles = np.einsum("nij,nkj->nik", per_local, turned)

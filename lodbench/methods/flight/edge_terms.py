@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
-from lodbench.estimation.model_lines import LensErrors, ModelLines, lens_camera, lines_in_view, project_lines
+from lodbench.estimation.lens import LensErrors
+from lodbench.estimation.model_lines import ModelLines, lines_in_view, project_lines
 from lodbench.estimation.photo_edges import PhotoEdges
 from lodbench.geometry import Camera
 from lodbench.geometry.pose_vector import pose_from_vector
@@ -61,8 +62,7 @@ def edge_photo(query: Query, city_map: CityMap) -> EdgePhoto | None:
     picture = None if query.image is None else read_picture(query.image)
     if picture is None:
         return None
-    width = min(_WIDTH, query.camera.width)
-    camera = query.camera.scaled(width, max(1, round(width * query.camera.height / query.camera.width)))
+    camera = query.camera.scaled_to_width(min(_WIDTH, query.camera.width))
     return EdgePhoto(PhotoEdges(picture, (camera.width, camera.height)), camera, city_map)
 
 
@@ -93,7 +93,7 @@ def edge_terms(
         photo = photos[k]
         if photo is None:
             return None
-        camera = lens_camera(photo.camera, errors)
+        camera = errors.pinhole(photo.camera)
         lines = lines_in_view(photo.city_map, camera, pose_from_vector(vectors[k]), _SPACING_PX)
         lines = lines.of(lines.rises > _LOWEST_RISE)
         few = -(-len(lines) // _MOST_POINTS)

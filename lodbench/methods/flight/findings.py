@@ -15,11 +15,10 @@ from lodbench.datasets.query import Query
 from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.methods.flight.aligning import Aligned
 from lodbench.methods.flight.building_heights import BuildingHeight, building_heights
-from lodbench.methods.flight.gone_buildings import gone_buildings
+from lodbench.methods.flight.gone_buildings import gone_buildings, views_of
 from lodbench.methods.flight.joint import shared_covariance
-from lodbench.methods.flight.map_views import views_of
 from lodbench.methods.flight.missing_buildings import missing_buildings
-from lodbench.methods.flight.params import Params
+from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.roof_edges import open_pictures
 from lodbench.methods.flight.roof_sweep import sweep_roofs
 from lodbench.methods.flight.state import CONSTANTS, FOCAL, Solution, State
@@ -58,7 +57,7 @@ def findings_of(
     aligned: Aligned,
     queries: Sequence[Query],
     city_map: CityMap,
-    params: Params,
+    params: FlightParams,
     of_ends: Floats,
 ) -> dict[str, Any]:
     """Returns what a flight says, beside the poses; ``of_ends`` is what constants err by besides, (13, 13).
@@ -99,7 +98,7 @@ def lost_of(state: State, queries: Sequence[Query]) -> dict[str, Any]:
     }
 
 
-def constants_of(aligned: Aligned, params: Params, of_ends: Floats) -> dict[str, dict[str, Any]]:
+def constants_of(aligned: Aligned, params: FlightParams, of_ends: Floats) -> dict[str, dict[str, Any]]:
     """Returns what photos share, by name: value, sigma, unit, whether photos told it; none that is held."""
     state = aligned.state
     spread = np.sqrt(np.diag(shared_covariance(aligned.solution, np.arange(CONSTANTS)) + of_ends))
@@ -158,7 +157,7 @@ def _sigmas_of_doubt(heights: Iterable[BuildingHeight]) -> float:
     return _DOUBT_SIGMAS * max(1.0, usual)
 
 
-def cannot_tell_focal(solution: Solution, params: Params) -> bool:
+def cannot_tell_focal(solution: Solution, params: FlightParams) -> bool:
     """Returns whether photos leave a longer lens and a higher flight alike: all look straight down."""
     if params.focal == 0.0:
         return False

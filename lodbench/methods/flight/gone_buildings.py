@@ -9,14 +9,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.methods.flight.map_views import View
+from lodbench.datasets.query import Query
+from lodbench.estimation.lens import LensErrors
+from lodbench.geometry import Camera, Pose
 from lodbench.methods.flight.witnesses import APART_DEG, apart_deg, roof_middles
+from lodbench.segmentation import binary_mask
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -30,6 +34,44 @@ _GONE, _HEAT, _SURE = 0.03, 2.0, 0.9
 _FEWEST_PHOTOS = 3
 # Buildings are as large as each other within a factor of two, told apart by steps of this, octaves of pixels.
 _SIZE_STEP = 0.25
+
+
+# Photos are compared at this width, pixels.
+_VIEW_WIDTH = 301
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A photo of a flight, where it was found to be taken.
+
+    Attributes:
+        name: Of the photo.
+        camera: The lens it was found to have, of the working size.
+        pose: Scene frame.
+        mask: (H, W) what it shows of buildings.
+    """
+
+    name: str
+    camera: Camera
+    pose: Pose
+    mask: NDArray[np.bool_]
+
+
+def views_of(queries: Sequence[Query], poses: Sequence[Pose], focal: float) -> list[View]:
+    """Returns photos to be compared with the map.
+
+    Args:
+        queries: The photos.
+        poses: Where they were found to be taken.
+        focal: By which share the focal length is longer than told.
+    """
+    views = []
+    for query, pose in zip(queries, poses, strict=True):
+        whole = query.camera
+        small = whole.scaled_to_width(_VIEW_WIDTH)
+        camera = LensErrors(focal).pinhole(small)
+        views.append(View(query.name, camera, pose, binary_mask(query.mask, small.width, small.height)))
+    return views
 
 
 def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, Any]]:

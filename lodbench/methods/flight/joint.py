@@ -16,23 +16,22 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.estimation.normal_equations import ErrorGroup, NormalEquations
+from lodbench.estimation.state_vector import differences, shortened
 from lodbench.geometry.pose_vector import rotation_derivatives
-from lodbench.methods.flight.normal_equations import ErrorGroup, NormalEquations
-from lodbench.methods.flight.params import Params
+from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
 from lodbench.methods.flight.reconstruction import MOUNT, UNKNOWNS
-from lodbench.methods.flight.state import BASE_OFFSET, CONSTANTS, FOCAL, ROOFS, Solution, State, differences
+from lodbench.methods.flight.state import BASE_OFFSET, CONSTANTS, FOCAL, ROOFS, Solution, State
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 # Degrees of freedom of what heights err by: most are right to a little, some wrong by much.
 _FREEDOM = 1.0
-# The longest step of a photo: a linearisation says little beyond it (metres, degrees).
-_LONGEST_STEP = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0])
 
 
-def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> Solution:
+def solve(state: State, terms: Sequence[PhotoTerms | None], params: FlightParams) -> Solution:
     """Returns one Gauss-Newton step of the joint problem. Eqs. (F1), (F2) of docs/methods/flight.md.
 
     Args:
@@ -74,12 +73,11 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> S
     _add_ties(of_ties, state, derivatives, shared + FOCAL)
     _add_reconstruction((of_centres, of_turns), state, derivatives, similarity, params)
     factorised, step = equations.solve(shared)
-    steps = step[:shared].reshape(-1, 6)
-    longest = np.maximum(1.0, np.max(np.abs(steps) / _LONGEST_STEP, axis=1, initial=0.0))
+    steps = shortened(step[:shared].reshape(-1, 6))
     # What one building errs by goes together; what photos err by in a reconstruction does not.
     walls = len(np.unique(state.roofs.building[state.roofs.building < 0]))
     members = len(buildings), len(buildings), walls, of_centres.count, of_turns.count, of_ties.count
-    return Solution(steps / longest[:, None], step[shared:], buildings, factorised, groups, members, pulls)
+    return Solution(steps, step[shared:], buildings, factorised, groups, members, pulls)
 
 
 def _add_ties(group: ErrorGroup, state: State, derivatives: Sequence[Floats], focal: int) -> None:
@@ -95,7 +93,7 @@ def _add_reconstruction(
     state: State,
     derivatives: Sequence[Floats],
     similarity: int,
-    params: Params,
+    params: FlightParams,
 ) -> None:
     """Adds where a reconstruction has photos; ``similarity`` is the first column of what places it."""
     if state.reconstruction is None:
@@ -111,14 +109,19 @@ def _add_reconstruction(
             group.add_residuals(unknowns, jacobian[part], residuals[part], information[part, part])
 
 
-def _add_map(equations: NormalEquations, state: State, shared: int, params: Params) -> None:
+def _add_map(equations: NormalEquations, state: State, shared: int, params: FlightParams) -> None:
     """Adds what is known beforehand of the constants, whose first column is ``shared``."""
     precision = params.constant_sigmas(state.scales) ** -2.0
     equations.add(shared + np.arange(CONSTANTS), np.diag(precision), precision * state.constants)
 
 
 def _add_roofs(
-    of_roofs: ErrorGroup, of_parts: ErrorGroup, state: State, shared: int, buildings: Rows, params: Params
+    of_roofs: ErrorGroup,
+    of_parts: ErrorGroup,
+    state: State,
+    shared: int,
+    buildings: Rows,
+    params: FlightParams,
 ) -> None:
     """Adds that buildings lie around all roofs, and parts around their building."""
     below = shared + CONSTANTS + np.arange(len(buildings))
@@ -130,7 +133,7 @@ def _add_roofs(
     _add_alike(of_parts, parts, below[above], state.roofs.heights_m[is_roof] - heights[above], params.part_m)
 
 
-def _add_feet(group: ErrorGroup, state: State, shared: int, first: int, params: Params) -> None:
+def _add_feet(group: ErrorGroup, state: State, shared: int, first: int, params: FlightParams) -> None:
     """Adds that feet of walls lie around all feet; the first column of parts is ``first``."""
     is_foot = state.roofs.building < 0
     gaps = state.roofs.heights_m[is_foot] - state.constants[BASE_OFFSET]

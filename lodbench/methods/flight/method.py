@@ -12,20 +12,21 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
+from lodbench.estimation.probability import probability_within
+from lodbench.estimation.state_vector import differences
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment
-from lodbench.methods.contour_alignment.uncertainty import probability_within
 from lodbench.methods.flight.aligning import Aligned, align, footprint_covariance, mean_iou, side_by_side
 from lodbench.methods.flight.bundle import block_of
 from lodbench.methods.flight.findings import MASKS, cannot_tell_focal, constants_of, findings_of, lost_of
 from lodbench.methods.flight.joint import photo_covariance, solve
-from lodbench.methods.flight.params import Params
+from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.photo_terms import LENS
 from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS, Reconstruction, placed
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.shared_looks import agreed_places, with_masks_by_looks
 from lodbench.methods.flight.starts import STARTS_M, Ends, ends_of, flight_error, restarted
-from lodbench.methods.flight.state import CONSTANTS, FOCAL, State, differences
+from lodbench.methods.flight.state import CONSTANTS, FOCAL, State
 from lodbench.methods.flight.tracks import relative_poses
 from lodbench.methods.flight.witnesses import without_contradicted
 from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
@@ -47,12 +48,12 @@ _EXPECTED_SIGMAS = 2.0
 class FlightMethod:
     """Finds the poses of a flight's photos jointly, and what drone and map are wrong about."""
 
-    params_type = Params
+    params_type = FlightParams
     name = "flight"
     requires: frozenset[Input] = frozenset({Input.MASK})
 
-    def __init__(self, params: Params | None = None) -> None:
-        self.params = params or Params()
+    def __init__(self, params: FlightParams | None = None) -> None:
+        self.params = params or FlightParams()
         if self.params.single == "region":
             self.requires = frozenset({Input.IMAGE})
 
@@ -205,7 +206,7 @@ class FlightMethod:
         params = self._params_of(start).for_edges()
         return align(queries, start, city_map, params), FlightMethod(params)
 
-    def _params_of(self, start: State) -> Params:
+    def _params_of(self, start: State) -> FlightParams:
         """Returns the parameters with priors that scatter as they do against a block of photos, if any."""
         if start.reconstruction is None:
             return self.params

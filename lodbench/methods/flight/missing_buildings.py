@@ -16,8 +16,9 @@ import scipy
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
+from lodbench.estimation.lens import project
 from lodbench.kernels.estimation import add_votes
-from lodbench.methods.flight.map_views import View
+from lodbench.methods.flight.gone_buildings import View
 from lodbench.methods.flight.roof_edges import SweepPicture
 from lodbench.methods.flight.roof_sweep import sweep_place
 from lodbench.methods.flight.witnesses import APART_DEG, apart_deg
@@ -177,8 +178,7 @@ def _pixels(view: View, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.i
     """Returns which of (N, 3) points a photo shows, and their pixels, (M, 2)."""
     local = (points - view.pose.center) @ view.pose.rotation.T
     ahead = np.flatnonzero(local[:, 2] > 1.0)
-    focal = np.array([view.camera.fx, view.camera.fy])
-    seen = local[ahead, :2] / local[ahead, 2:] * focal + [view.camera.cx, view.camera.cy]
+    seen = project(local[ahead], view.camera)
     inside = ((seen >= 0) & (seen < [view.camera.width, view.camera.height])).all(axis=1)
     return ahead[inside], np.floor(seen[inside]).astype(np.int64)
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError, nearest_names, require_numbers
 from lodbench.geometry.camera_sigmas import STATED, CameraSigmas
-from lodbench.methods.contour_alignment import Params as PhotoParams
-from lodbench.methods.region import Params as RegionParams
+from lodbench.methods.contour_alignment import ContourAlignmentParams
+from lodbench.methods.region import RegionParams
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ _MAD, _FEWEST_TO_SCATTER = 1.4826, 5
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
+class FlightParams:
     """Everything the method can be told.
 
     Errors are half widths of what is uniform, or standard deviations where that is said. An error of 0
@@ -71,7 +71,7 @@ class Params:
         restarts: Other starts around the answer, at most 4: how far apart they end is part of what poses
             err by.
         narrows: Whether the flight tells by how much less map and relative poses err than is told here
-            (``error_groups``); never where masks are made with the map, for these agree with it.
+            (variance components); never where masks are made with the map, for these agree with it.
         lost_sigmas: A photo this far from what the flight says of it is lost.
     """
 
@@ -131,7 +131,7 @@ class Params:
         widths = (self.own_m, self.own_m, self.own_m)
         return _sigmas(*widths, self.own_tilt_deg, self.own_tilt_deg, self.own_yaw_deg)
 
-    def with_scatter(self, gaps: Floats) -> Params:
+    def with_scatter(self, gaps: Floats) -> FlightParams:
         """Returns the parameters with photos' own errors as large as they are found to be, or as declared.
 
         Eq. (F13) of docs/methods/flight.md.
@@ -150,7 +150,7 @@ class Params:
             own_yaw_deg=max(self.own_yaw_deg, float(widths[5])),
         )
 
-    def with_cameras(self, cameras: Sequence[CameraSigmas | None]) -> Params:
+    def with_cameras(self, cameras: Sequence[CameraSigmas | None]) -> FlightParams:
         """Returns the parameters with the camera as well known as a flight's photos have it, if that is less.
 
         Deviations that a person states are taken as they are, smaller ones too; the principal point is held
@@ -192,7 +192,7 @@ class Params:
         """Returns ``view_roof_m`` and ``heat``: how far one view's outlines are believed."""
         return self.view_roof_m, self.heat
 
-    def for_edges(self) -> Params:
+    def for_edges(self) -> FlightParams:
         """Returns the parameters where edges of photos say the poses: they lie on roofs, no mask's stairs do.
 
         Heights of roofs err as ``region`` has it; single roofs may still be wrong by much (Student's t).
@@ -205,10 +205,10 @@ class Params:
             part_m=min(self.part_m, _EDGES_PART_M),
         )
 
-    def photo(self) -> PhotoParams:
+    def photo(self) -> ContourAlignmentParams:
         """Returns the parameters by which each photo is aligned alone, over all that is left open."""
         # What roofs leave open to one photo the others tell.
-        return replace(PhotoParams(), pitched_lower_m=0.0, **self._ranges())
+        return replace(ContourAlignmentParams(), pitched_lower_m=0.0, **self._ranges())
 
     def region(self) -> RegionParams:
         """Returns the same for photos that are found by their pixels."""

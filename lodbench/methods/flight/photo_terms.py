@@ -10,11 +10,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.estimation.lens import LensErrors, project, projection_slopes
+from lodbench.estimation.outline import OutlinePoints
+from lodbench.estimation.outline_alignment import Aligner, OutlineModel
+from lodbench.estimation.outline_errors import (
+    FAR_PX,
+    LEAST_WEIGHT,
+    NOISE_PX,
+    add_outliers,
+    near_distances,
+    outline_covariance,
+    outline_noise,
+)
 from lodbench.kernels.edges import measure_distances
-from lodbench.kernels.estimation import add_products, error_covariance, whiten
-from lodbench.methods.contour_alignment.alignment import Aligner
-from lodbench.methods.contour_alignment.outline import OutlinePoints
-from lodbench.methods.contour_alignment.params import Params as PhotoParams
+from lodbench.kernels.estimation import add_products, whiten
 from lodbench.methods.flight.roof_parts import RoofParts
 
 Floats = NDArray[np.float64]
@@ -23,11 +32,8 @@ Floats = NDArray[np.float64]
 # contour_alignment. One leads there.
 _MOST_POINTS, _MOST_SUBSETS = 250, 4
 _FEWEST_POINTS, _BORDER_PX = 12, 2.0
-# The outline's noise is never less or more, and is looked for among points nearer than this, pixels.
-_NOISE_PX, _FAR_PX, _AGREES = (0.5, 6.0), 20.0, 0.3
 # Steps of expectation maximisation.
 _MIXTURE_STEPS = 12
-_OWN_SHARE, _LEAST_WEIGHT = 0.3, 1e-8
 # Numbers of a camera: the focal length's change as a share, radial distortion, how far right and down the
 # principal point is, shares of the width, and by how much masks are too large, pixels.
 LENS = 5
@@ -94,7 +100,6 @@ def flight_terms(
     lens: Floats,
     roofs: RoofParts,
     reach_px: float | None,
-    params: PhotoParams,
     trust: tuple[float, float],
     threads: Executor | None,
 ) -> list[PhotoTerms | None]:
@@ -106,7 +111,6 @@ def flight_terms(
         lens: (5,) as of ``State.lens``.
         roofs: By how much parts of roofs are higher than in the map; parts that are met are added.
         reach_px: Scale of the robust kernel; None for what the outline's noise calls for.
-        params: Of the alignment of photos.
         trust: Standard deviation of a roof's height as one view sees it, metres; and by how much less
             outlines say than their covariance has it.
         threads: Photos are looked at side by side, None for one after the other; what they say does not
@@ -114,7 +118,7 @@ def flight_terms(
     """
     spread = map if threads is None else threads.map
     is_last = reach_px is None
-    seen = list(spread(lambda k: _look(aligners[k], vectors[k], lens, params, is_last), range(len(aligners))))
+    seen = list(spread(lambda k: _look(aligners[k], vectors[k], lens, is_last), range(len(aligners))))
     # Where walls end has heights of its own, numbered apart from roofs; in the order of photos.
     parts = [
         None if one is None else (roofs.numbers_of(rows, one.places), roofs.numbers_of(-1 - rows, one.places))
@@ -125,20 +129,20 @@ def flight_terms(
         (one, fit, rows), numbers = seen[k], parts[k]
         if one is None or numbers is None:
             return None
-        return _terms(one, fit, rows, numbers, roofs, reach_px, params, trust)
+        return _terms(one, fit, rows, numbers, roofs, reach_px, aligners[k].model, trust)
 
     return list(spread(terms, range(len(aligners))))
 
 
 def _look(
-    aligner: Aligner, vector: Floats, lens: Floats, params: PhotoParams, is_last: bool
+    aligner: Aligner, vector: Floats, lens: Floats, is_last: bool
 ) -> tuple[Residuals | None, Fit, NDArray[np.int64]]:
     """Returns a photo's outline points, how well it fits, and the scene's buildings they are of."""
     # The lens bends points afterwards: what is rendered has the focal length as told.
-    points, iou = aligner.outline(np.append(vector, 0.0), params.fine_size)
+    points, iou = aligner.outline(np.append(vector, 0.0), aligner.model.size)
     # Only what is answered is compared with mapped buildings alone.
     fit = Fit(iou, aligner.overlap(np.append(vector, 0.0)) if is_last else iou)
-    seen = _through_lens(aligner, points, lens, params.fine_size)
+    seen = _through_lens(aligner, points, lens, aligner.model.size)
     if len(seen.distances) < _FEWEST_POINTS:
         return None, fit, np.zeros(0, dtype=np.int64)
     return seen, fit, aligner.edges.rows[seen.buildings]
@@ -151,7 +155,7 @@ def _terms(
     numbers: tuple[NDArray[np.int64], NDArray[np.int64]],
     roofs: RoofParts,
     reach_px: float | None,
-    params: PhotoParams,
+    model: OutlineModel,
     trust: tuple[float, float],
 ) -> PhotoTerms:
     """Returns what outline points say, given the numbers of the parts of roofs and feet that they are of."""
@@ -161,7 +165,7 @@ def _terms(
     lifted = lifted + seen.slopes[:, FOOT] * roofs.heights_m[feet]
     seen = replace(seen, distances=seen.distances + lifted)
     noise_px, weights = _outline_noise(seen, reach_px)
-    lengths_px = params.outline_px, params.roof_part_px
+    lengths_px = model.outline_px, model.roof_part_px
     subsets = _MOST_SUBSETS if reach_px is None else 1
     return summed_up(seen, rows, numbers, fit, (noise_px, weights), lengths_px, subsets, trust)
 
@@ -234,22 +238,17 @@ def _covariance(
     view_roof_m: float,
     view_place_m: float,
 ) -> Floats:
-    """Returns the lower half of the covariance of some points' distances; see ``contour_alignment``."""
+    """Returns the lower half of the covariance of some points' distances; see ``outline_covariance``."""
     noise_px, weights = noise[0], noise[1][chosen]
-    matrix: Floats = error_covariance(
-        seen.pixels[chosen],
-        np.ascontiguousarray(seen.slopes[chosen, TOP]),
-        np.ascontiguousarray(seen.slopes[chosen, FOOT]),
-        seen.buildings[chosen],
-        ((1.0 - _OWN_SHARE) * noise_px**2, _OWN_SHARE * noise_px**2),
-        lengths_px,
-        (0.0, view_roof_m**2, 0.0),
+    by_map = seen.slopes[chosen, TOP], seen.slopes[chosen, FOOT]
+    errors_m2 = (0.0, view_roof_m**2, 0.0)
+    matrix = outline_covariance(
+        seen.pixels[chosen], *by_map, seen.buildings[chosen], noise_px, lengths_px, errors_m2
     )
     if view_place_m > 0.0:
         moves, building = view_place_m * seen.slopes[chosen, :2], seen.buildings[chosen]
         matrix += np.tril(moves @ moves.T) * (building[:, None] == building)
-    # Outliers have an error of their own beside the shared one.
-    matrix[np.diag_indices(len(matrix))] += noise_px**2 * (1.0 / weights - 1.0)
+    add_outliers(matrix, noise_px, weights)
     return matrix
 
 
@@ -260,16 +259,14 @@ def _through_lens(aligner: Aligner, points: OutlinePoints, lens: Floats, size: t
     """
     level = aligner.level(size)
     camera = level.camera
-    away = points.pixels - np.array([camera.cx, camera.cy])
-    square = ((away / np.array([camera.fx, camera.fy])) ** 2).sum(axis=1)[:, None]
-    stretch = (1.0 + lens[0]) * (1.0 + lens[1] * square)
-    pixels = np.array([camera.cx, camera.cy]) + camera.width * lens[2:4] + away * stretch
+    rays = (points.pixels - np.array([camera.cx, camera.cy])) / np.array([camera.fx, camera.fy])
+    stretch = (1.0 + lens[0]) * (1.0 + lens[1] * (rays**2).sum(axis=1))
+    rays, errors = np.column_stack([rays, np.ones(len(rays))]), LensErrors(*(float(v) for v in lens[:4]))
+    pixels, by_lens = project(rays, camera, errors), projection_slopes(rays, camera, errors)[:, :, 3:]
     limit = np.array([camera.width, camera.height]) - _BORDER_PX
     inside = ((pixels > _BORDER_PX) & (pixels < limit)).all(axis=1)
-    by_center = np.broadcast_to(camera.width * np.eye(2), (len(away), 2, 2))
-    by_lens = np.stack([away * (1.0 + lens[1] * square), away * (1.0 + lens[0]) * square], axis=1)
-    by_lens = np.concatenate([by_lens, by_center], axis=1)
-    moves = np.concatenate([points.moves * stretch[:, None], by_lens], axis=1)[inside]
+    stretched = points.moves * stretch[:, None, None]
+    moves = np.concatenate([stretched, by_lens.transpose(0, 2, 1)], axis=1)[inside]
     count = int(inside.sum())
     distances, slopes, agreement = np.empty(count), np.empty((count, 13)), np.empty(count)
     pixels = np.ascontiguousarray(pixels[inside])
@@ -289,26 +286,25 @@ def _outline_noise(seen: Residuals, reach_px: float | None) -> tuple[float, Floa
     How often they do either, and how far the rest is off, is found from the view itself (expectation
     maximisation of a Gaussian between two uniform densities).
     """
-    distances, low, high = seen.distances, *_NOISE_PX
-    near = distances[(seen.agreement > _AGREES) & (np.abs(distances) < _FAR_PX)]
-    noise_px = float(np.clip(1.4826 * np.median(np.abs(near)), low, high)) if len(near) else high
+    distances, near = seen.distances, near_distances(seen.distances, seen.agreement)
+    noise_px = outline_noise(near)
     agreement = np.maximum(seen.agreement, 1e-3)
     if reach_px is not None:
         kernel = 1.0 / (1.0 + (distances / reach_px) ** 2)
-        return noise_px, np.maximum(kernel**2 * agreement, _LEAST_WEIGHT)
+        return noise_px, np.maximum(kernel**2 * agreement, LEAST_WEIGHT)
     shares = np.array([0.8, 0.1, 0.1])
     for _ in range(_MIXTURE_STEPS if len(near) else 0):
         chances = _chances(near, noise_px, shares)
         inside = chances[:, 0] / chances.sum(axis=1)
-        noise_px = float(np.clip(np.sqrt(inside @ near**2 / max(inside.sum(), 1e-9)), low, high))
+        noise_px = float(np.clip(np.sqrt(inside @ near**2 / max(inside.sum(), 1e-9)), *NOISE_PX))
         shares = np.maximum((chances / chances.sum(axis=1)[:, None]).mean(axis=0), 0.02)
     chances = _chances(distances, noise_px, shares)
     weights = chances[:, 0] / chances.sum(axis=1) * agreement
-    return noise_px, np.maximum(weights, _LEAST_WEIGHT)
+    return noise_px, np.maximum(weights, LEAST_WEIGHT)
 
 
 def _chances(distances: Floats, noise_px: float, shares: Floats) -> Floats:
     """Returns (N, 3) densities of points on the outline, where a mask is cut, and where it is grown."""
     inlier = np.exp(-0.5 * (distances / noise_px) ** 2) / (noise_px * np.sqrt(2.0 * np.pi))
-    sides = np.stack([distances < 0.0, distances >= 0.0], axis=1) / _FAR_PX
+    sides = np.stack([distances < 0.0, distances >= 0.0], axis=1) / FAR_PX
     return np.column_stack([inlier, sides]) * shares

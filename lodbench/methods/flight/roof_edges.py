@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.query import Query
+from lodbench.estimation.lens import LensErrors, project
 from lodbench.geometry import Camera, Pose
 from lodbench.photos.pictures import read_picture
 from lodbench.segmentation import binary_mask
@@ -45,12 +46,8 @@ class SweepPicture:
     def project(self, points: Floats, distortion: float | None = None) -> tuple[Floats, Floats]:
         """Returns pixels (..., 2) of points (..., 3), the first pixel's centre at 0.5, and depths."""
         local = (points - self.pose.center) @ self.pose.rotation.T
-        depths = np.maximum(local[..., 2], 0.1)
-        away = local[..., :2] / depths[..., None]
-        bent = self.distortion if distortion is None else distortion
-        away = away * (1.0 + bent * (away**2).sum(axis=-1, keepdims=True))
-        camera = self.camera
-        return away * [camera.fx, camera.fy] + [camera.cx, camera.cy], local[..., 2]
+        lens = LensErrors(k1=self.distortion if distortion is None else distortion)
+        return project(local, self.camera, lens), local[..., 2]
 
     def holds(self, pixels: Floats, depths: Floats) -> NDArray[np.bool_]:
         """Returns which pixels it has, a pixel from its edge."""
@@ -84,12 +81,11 @@ def _picture(query: Query, pose: Pose, lens: Floats, widest: int) -> SweepPictur
     if pixels is None:
         return None
     width = min(widest, pixels.shape[1])
-    camera = query.camera.scaled(width, max(1, round(width * query.camera.height / query.camera.width)))
+    camera = query.camera.scaled_to_width(width)
     size = camera.width, camera.height
     small = cv2.GaussianBlur(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), (0, 0), _PICTURE_BLUR_PX)
     mask = 255 * binary_mask(query.mask, *size).astype(np.uint8)
-    longer = 1.0 + float(lens[0])
-    camera = replace(camera, fx=camera.fx * longer, fy=camera.fy * longer)
+    camera = LensErrors(float(lens[0])).pinhole(camera)
     return SweepPicture(
         camera, float(lens[1]), pose, np.dstack([cv2.cvtColor(small, cv2.COLOR_BGR2LAB), mask])
     )

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
+from lodbench.estimation.state_vector import differences
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
-from lodbench.methods.flight.params import Params
-from lodbench.methods.flight.state import differences
+from lodbench.geometry.signed_distance import signed_distance
+from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.protocol import Estimate
 from lodbench.photos.pictures import read_picture
-from lodbench.segmentation.region_cut import cross_fitted, cut, signed_distance
+from lodbench.segmentation.region_cut import cross_fitted, cut
 from lodbench.segmentation.working_size import working_size
 
 Floats = NDArray[np.float64]
@@ -92,7 +93,7 @@ def with_masks_by_looks(
 
 
 def agreed_places(
-    priors: Floats, found: Sequence[Estimate | QueryFault], params: Params
+    priors: Floats, found: Sequence[Estimate | QueryFault], params: FlightParams
 ) -> tuple[Floats, Floats]:
     """Returns (P, 6) about where photos were taken, and (P,) how far each place is believed.
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
+from lodbench.estimation.state_vector import differences
 from lodbench.geometry.pose_vector import pose_from_vector
-from lodbench.methods.flight.params import Params
-from lodbench.methods.flight.state import differences
+from lodbench.methods.flight.params import FlightParams
 from lodbench.segmentation import binary_mask
 
 Floats = NDArray[np.float64]
@@ -29,7 +29,7 @@ _WIDTH = 150
 
 
 def flight_error(
-    queries: Sequence[Query], priors: Floats, offsets: Floats, city_map: CityMap, params: Params
+    queries: Sequence[Query], priors: Floats, offsets: Floats, city_map: CityMap, params: FlightParams
 ) -> tuple[Floats, float]:
     """Returns (6,) what the sensors of a flight are wrong about alike, and the mean IoU with it.
 
@@ -63,7 +63,7 @@ def _mean_iou(
     total = 0.0
     for k in judges:
         camera = queries[k].camera
-        small = camera.scaled(_WIDTH, max(1, round(_WIDTH * camera.height / camera.width)))
+        small = camera.scaled_to_width(_WIDTH)
         mask = binary_mask(queries[k].mask, small.width, small.height)
         shown = city_map.render(small, pose_from_vector(priors[k] + offset))
         union = np.count_nonzero(shown | mask)

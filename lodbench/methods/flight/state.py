@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lodbench.methods.flight.normal_equations import ErrorGroup
+from lodbench.estimation.normal_equations import ErrorGroup
 from lodbench.methods.flight.photo_terms import LENS
 from lodbench.methods.flight.reconstruction import UNKNOWNS, Reconstruction
 from lodbench.methods.flight.relative_poses import RelativePose
@@ -139,10 +139,3 @@ class State:
         self.roofs.heights_m = self.roofs.heights_m + step[parts : parts + len(self.roofs)]
         if self.reconstruction is not None:
             self.reconstruction = self.reconstruction.moved(step[-UNKNOWNS:])
-
-
-def differences(vectors: Floats, priors: Floats) -> Floats:
-    """Returns (P, 6) poses less priors, angles within half a turn."""
-    gaps = vectors - priors
-    gaps[:, 3:] = (gaps[:, 3:] + 180.0) % 360.0 - 180.0
-    return np.asarray(gaps)

@@ -18,7 +18,8 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
-from lodbench.estimation.model_lines import LensErrors, ModelLines, lens_camera, lines_in_view, project_lines
+from lodbench.estimation.lens import LensErrors
+from lodbench.estimation.model_lines import ModelLines, lines_in_view, project_lines
 from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.methods.assessment import FEWEST_POINTS, edge_excess
 from lodbench.methods.flight.edge_terms import EdgePhoto, edge_photo
@@ -107,7 +108,7 @@ def _standing(
         if photo is None:
             continue
         has_edges = True
-        camera = lens_camera(photo.camera, errors)
+        camera = errors.pinhole(photo.camera)
         lines = lines_in_view(city_map, camera, pose_from_vector(vectors[k]), _SPACING_PX)
         lines = lines.of(lines.rises > _LOWEST_RISE)
         shows = _excess(photo, lines, vectors[k], errors, 0.0) is not None

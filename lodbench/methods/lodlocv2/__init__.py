@@ -6,20 +6,14 @@ from lodbench.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from lodbench.methods.lodlocv2.method import LodLocV2 as LodLocV2
-    from lodbench.methods.lodlocv2.method import Particles as Particles
-    from lodbench.methods.lodlocv2.method import PoseScorer as PoseScorer
-    from lodbench.methods.lodlocv2.method import Scoring as Scoring
     from lodbench.methods.lodlocv2.method import search as search
-    from lodbench.methods.lodlocv2.params import Params as Params
+    from lodbench.methods.lodlocv2.params import LodLocV2Params as LodLocV2Params
 
 __all__, __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "LodLocV2": "method",
-        "Params": "params",
-        "Particles": "method",
-        "PoseScorer": "method",
-        "Scoring": "method",
+        "LodLocV2Params": "params",
         "search": "method",
     },
 )

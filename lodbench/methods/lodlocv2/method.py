@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,60 +12,26 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
-from lodbench.geometry import Camera, Pose, rotations_at_yaws
-from lodbench.methods.fits import fit_input, make_fit, nothing_fits
-from lodbench.methods.lodlocv2.params import Params
+from lodbench.geometry import Pose, rotations_at_yaws
+from lodbench.methods.fits import Particles, PoseScorer, Scoring, fit_input, nothing_fits
+from lodbench.methods.lodlocv2.params import LodLocV2Params
 from lodbench.methods.protocol import Estimate, Streams
 
 Floats = NDArray[np.float64]
 
 
-class Particles(NamedTuple):
-    """Poses of one tilt, and how well each fits.
-
-    Attributes:
-        centers: (N, 3) camera centres, scene metres.
-        yaws_deg: (N,) yaw, degrees.
-        scores: (N,) IoU, or another fit.
-    """
-
-    centers: Floats
-    yaws_deg: Floats
-    scores: Floats
-
-
-# From camera centres, (N, 3) scene metres, and yaws, (N,) degrees, to the poses with their scores.
-Scoring = Callable[[Floats, Floats], Particles]
-
-
-class PoseScorer:
-    """Scores poses of the prior's tilt against the query at one working size (paper equation 2: IoU)."""
-
-    def __init__(self, query: Query, city_map: CityMap, size: tuple[int, int], fit: str = "iou") -> None:
-        self.camera: Camera = query.camera.scaled(*size)
-        self.fit = make_fit(fit, query, size)
-        self.pitch_deg, self.roll_deg, _ = query.prior.euler
-        self._city_map = city_map
-
-    def __call__(self, centers: Floats, yaws_deg: Floats) -> Particles:
-        """Returns the poses with their scores."""
-        rotations = rotations_at_yaws(self.pitch_deg, self.roll_deg, yaws_deg)
-        scores = self._city_map.fit(self.camera, rotations, centers, self.fit)
-        return Particles(centers, yaws_deg, scores)
-
-
 class LodLocV2:
     """The paper's method. Pitch and roll stay the prior's throughout."""
 
-    params_type = Params
+    params_type = LodLocV2Params
     name = "lodlocv2"
     requires = frozenset({Input.MASK})
 
-    def __init__(self, params: Params | None = None) -> None:
-        self.params = params or Params()
+    def __init__(self, params: LodLocV2Params | None = None) -> None:
+        self.params = params or LodLocV2Params()
         self.requires = frozenset({fit_input(self.params.fit)})
 
-    def params_for_prior(self, prior: UniformPrior) -> Params:
+    def params_for_prior(self, prior: UniformPrior) -> LodLocV2Params:
         """Returns the parameters whose grid covers such a prior's error."""
         return self.params.for_prior(prior)
 
@@ -87,7 +52,7 @@ class LodLocV2:
 
 
 def search(
-    scorer_at: Callable[[tuple[int, int]], Scoring], prior: Pose, params: Params, streams: Streams
+    scorer_at: Callable[[tuple[int, int]], Scoring], prior: Pose, params: LodLocV2Params, streams: Streams
 ) -> Estimate:
     """Returns the best pose by grid and filter, whatever poses are scored by.
 
@@ -124,7 +89,7 @@ def select(score: Scoring, centers: Floats, yaws_deg: Floats) -> Particles:
 
 
 def refine(
-    score: Scoring, start: Particles, params: Params, streams: Streams
+    score: Scoring, start: Particles, params: LodLocV2Params, streams: Streams
 ) -> tuple[Particles, dict[str, tuple[float, ...]]]:
     """Returns the best pose after the filter's last step, and the best score after each step.
 
@@ -152,7 +117,7 @@ def refine(
 
 
 def _moved(
-    beams: list[Particles], params: Params, scale: float, generator: np.random.Generator
+    beams: list[Particles], params: LodLocV2Params, scale: float, generator: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """Returns moved copies of every beam's kept poses: centres (N, 3) and yaws (N,), beam by beam.
 

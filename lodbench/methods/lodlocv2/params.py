@@ -15,7 +15,7 @@ VARIANTS = ("full", "no_refine", "no_select")
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
+class LodLocV2Params:
     """Everything LoD-Loc v2 can be told.
 
     Attributes:
@@ -94,7 +94,7 @@ class Params:
             AxisRange(self.range_yaw_deg, self.count_yaw),
         )
 
-    def for_prior(self, prior: UniformPrior) -> Params:
+    def for_prior(self, prior: UniformPrior) -> LodLocV2Params:
         """Returns these parameters with a grid that covers a prior's error at the same stride.
 
         Eq. (L2) of docs/methods/lodlocv2.md.

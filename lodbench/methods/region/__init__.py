@@ -6,12 +6,12 @@ from lodbench.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from lodbench.methods.region.method import Region as Region
-    from lodbench.methods.region.params import Params as Params
+    from lodbench.methods.region.params import RegionParams as RegionParams
 
 __all__, __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "Params": "params",
+        "RegionParams": "params",
         "Region": "method",
     },
 )

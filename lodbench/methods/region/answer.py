@@ -11,32 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.query import Query
+from lodbench.estimation.posterior import covariance_under_map_errors, curvature_around, posterior_mean
+from lodbench.estimation.state_vector import BESIDE_POSE, CAMERAS, LENS, POSE, POSES, RAISED, ROOFS, TILT
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.aligned import Aligned, Alignment
-from lodbench.methods.region.evidence import Photo
-from lodbench.methods.region.params import (
-    BESIDE_POSE,
-    CAMERAS,
-    LENS,
-    POSE,
-    POSES,
-    RAISED,
-    ROOFS,
-    TILT,
-    Params,
-)
-from lodbench.methods.region.posterior import covariance_under_map_errors, information_at, posterior_mean
-from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
+from lodbench.methods.region.evidence import Photo, StatePosterior
+from lodbench.methods.region.line_alignment import LineAligner, LineAlignment
+from lodbench.methods.region.params import RegionParams
+from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.search import Mode, OutlineJacobian
 from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES, LineFeatures
 
 Floats = NDArray[np.float64]
-# How far apart outlines of cameras lie that the mean is taken of, pixels of the fine size.
+# How far apart outlines of cameras lie that curvature and mean are of, pixels of the fine size: beyond the
+# stairs of single pixels, within the mode.
 _APART_PX = 1.5
 # How much of the range of tilts an answer has to take for the range to be doubted.
 _PULLED = 0.7
-# The deviation of a lens, percent, under which it was learnt how far a probability can be trusted.
-_TOLD_PERCENT = 0.2
+# The deviation of a lens, percent, at which the trust model was fitted.
+_FITTED_PERCENT = 0.2
 # Where roofs alone are less likely by so many nats, lines where walls end lead astray.
 _CONTRADICTED = 5.0
 # Of (N, 10) vectors, and of a share of the photo's nats.
@@ -44,7 +36,7 @@ LogLikelihood = Callable[[Floats, float], Floats]
 
 
 class Answer(NamedTuple):
-    """A pose, (6,), and what tells how far to trust it.
+    """A pose, (6,), and what the trust in it depends on.
 
     Attributes:
         vector: (6,) the mean of the poses around the best one, or by lines around theirs.
@@ -52,10 +44,10 @@ class Answer(NamedTuple):
         if_map_is_right: (6, 6) the same if the map had no errors.
         apart_m: How far the place by the model's lines is from the best by regions and outlines.
         lines: Nats by which edges along them are likelier than anywhere; 0 where there are none.
-        sharpness: Whether edges lie on them or beside them, as of ``LineFit``.
-        evidence: (M,) the logarithm of what speaks for each top of the search, up to a constant: lines, or
-            where there are none what the search says; -inf of hopeless ones. The vector comes from the best.
-        lens_percent: How much longer the lens is than told.
+        sharpness: Whether edges lie on them or beside them, as of ``LineLikelihood``.
+        evidence: (M,) the logarithm of what speaks for each mode of the search, up to a constant: lines, or
+            where there are none its posterior; -inf of those not followed. The vector comes from the best.
+        lens_percent: How much longer the lens is than declared.
     """
 
     vector: Floats
@@ -69,15 +61,15 @@ class Answer(NamedTuple):
 
 
 class PoseFinalizer:
-    """Ends the search for one photo.
+    """Makes an answer from the modes of the search for one photo.
 
-    Vectors of ten numbers are those of ``unknowns``.
+    Vectors of ten numbers are state vectors (``estimation.state_vector``).
 
     Args:
         photo: The query's.
         query: The query.
         roofs: The map around it.
-        around: How the outline moves.
+        jacobian: How the outline moves.
         params: The method's.
     """
 
@@ -86,25 +78,23 @@ class PoseFinalizer:
         photo: Photo,
         query: Query,
         roofs: RaisedRoofs,
-        around: OutlineJacobian,
-        params: Params,
+        jacobian: OutlineJacobian,
+        params: RegionParams,
     ) -> None:
         self._photo, self._query, self._roofs = photo, query, roofs
-        self._around, self._params = around, params
+        self._jacobian, self._params = jacobian, params
         self._fit = photo.fit(params.fine_width, is_coarse=False)
 
-    def answer(self, modes_found: list[Mode], streams: Streams) -> Answer:
-        """Returns the answer near the best of some tops, by lines where edges are sharp beside them.
+    def answer(self, modes: list[Mode], streams: Streams) -> Answer:
+        """Returns the answer near the best of some modes, by lines where edges are sharp beside them.
 
         Args:
-            modes_found: The best as the search sees them first; lines choose among them.
+            modes: Best first by regions and outlines; lines choose among them.
             streams: Of random numbers.
         """
-        params, starts = (
-            self._params,
-            np.array([np.append(top.cloud.mean, np.zeros(BESIDE_POSE)) for top in modes_found]),
-        )
-        searched = np.array([top.log_posterior for top in modes_found])
+        params = self._params
+        starts = np.array([np.append(mode.gaussian.mean, np.zeros(BESIDE_POSE)) for mode in modes])
+        searched = np.array([mode.log_posterior for mode in modes])
         if params.lines_weight <= 0:
             return self._by_regions(starts[0], TYPICAL_LINES, searched)
         aligned = self._best_aligned(starts, streams)
@@ -120,8 +110,8 @@ class PoseFinalizer:
         mean = self._mean(aligned.log_likelihood, aligned.vector, covariances[0], aligned.regions)
         return Answer(mean[POSE], *covariances, *features, aligned.evidence, float(mean[LENS]))
 
-    def _best_aligned(self, starts: Floats, streams: Streams) -> Aligned | None:
-        """Returns the lines on the edges as all is told, or with another tilt or lens where that is plain.
+    def _best_aligned(self, starts: Floats, streams: Streams) -> LineAlignment | None:
+        """Returns lines on edges, with tilt and lens as declared, or others where these are plainly likelier.
 
         Where walls end counts only as far as roofs, which nothing hides, do not contradict it
         (docs/adr/0068); another tilt only where the photo disagrees with the stated one (docs/adr/0064);
@@ -146,38 +136,38 @@ class PoseFinalizer:
                 found = other
         return found
 
-    def _pulls_at_tilt(self, found: Aligned) -> bool:
+    def _pulls_at_tilt(self, found: LineAlignment) -> bool:
         """Returns whether pitch or roll ends so near the end of its range that both may err more."""
         range_deg = self._params.range_tilt_deg
         if not 0.0 < range_deg < 2.0 * self._params.tilt_doubt_deg:
             return False
-        tilt_deg = found.regions.at(0.0).offsets(found.vector[None, POSE])[0, TILT]
+        tilt_deg = found.regions.at(0.0).prior.offsets(found.vector[POSE])[TILT]
         return bool(np.abs(tilt_deg).max() > _PULLED * 0.5 * range_deg)
 
-    def _is_plain(self, other: Aligned | None, found: Aligned) -> TypeGuard[Aligned]:
+    def _is_plain(self, other: LineAlignment | None, found: LineAlignment) -> TypeGuard[LineAlignment]:
         return other is not None and other.lead_over(found) >= self._params.doubt_nats
 
-    def _alignment(self, params: Params, streams: Streams, has_bases: bool = False) -> Alignment:
-        """Returns what lays the model's lines on the photo's edges, tilt and lens known so well."""
-        # Lines say what edges say, and more: the regions join them without.
-        regions_of = partial(RoofEvidence, self._query, fit=self._fit.with_edges(0.0), params=params)
-        return Alignment(
-            self._photo.levels, self._query, regions_of, self._around, params, streams, has_bases
+    def _alignment(self, params: RegionParams, streams: Streams, has_bases: bool = False) -> LineAligner:
+        """Returns what aligns the model's lines with the photo's edges, tilt and lens known so well."""
+        # Edges are in the lines' likelihood: that of regions is without.
+        regions_of = partial(StatePosterior, self._query, fit=self._fit.with_edges(0.0), params=params)
+        return LineAligner(
+            self._photo.levels, self._query, regions_of, self._jacobian, params, streams, has_bases
         )
 
     def _by_regions(self, vector: Floats, features: LineFeatures, evidence: Floats) -> Answer:
         """Returns the mean of what regions and outlines leave around (10,), of a wider photo."""
         params, of_map = self._params, (self._query, self._roofs)
-        fine = RoofEvidence(*of_map, self._fit, params)
+        fine = StatePosterior(*of_map, self._fit, params)
         covariances = self._certainty(_of_share(fine), vector, fine)
         if params.place_sigma_m <= 0:
             return Answer(vector[POSE], *covariances, *features, evidence)
-        wide = RoofEvidence(*of_map, self._photo.fit(params.mean_width, is_coarse=False), params)
+        wide = StatePosterior(*of_map, self._photo.fit(params.mean_width, is_coarse=False), params)
         mean = self._mean(_of_share(wide), vector, covariances[0], wide)
         return Answer(mean[POSE], *covariances, *features, evidence)
 
     def _certainty(
-        self, log_likelihood: LogLikelihood, vector: Floats, regions: RoofEvidence
+        self, log_likelihood: LogLikelihood, vector: Floats, regions: StatePosterior
     ) -> tuple[Floats, Floats]:
         """Returns the covariance (6, 6) of an answer's error, and the same if the map had none."""
         pose, evidence = vector[POSE], regions.at(float(vector[ROOFS]))
@@ -185,20 +175,21 @@ class PoseFinalizer:
         def of_poses(poses: Floats) -> Floats:
             return log_likelihood(np.column_stack([poses, np.tile(vector[POSES:], (len(poses), 1))]), 1.0)
 
-        information = information_at(of_poses, pose, evidence, self._around)
-        prior, outline = evidence.prior_information(), self._around.outline(pose, evidence)
+        spread = self._jacobian.spread(pose, evidence, _APART_PX)
+        information = np.zeros((6, 6)) if spread is None else curvature_around(of_poses, spread)
+        prior, outline = evidence.prior.information(), self._jacobian.outline(pose, evidence)
         lens_percent = self._params.lens_percent
         covariance = covariance_under_map_errors(information, prior, outline, lens_percent)
         if_right = np.linalg.inv(information + prior)
-        if lens_percent > _TOLD_PERCENT:
+        if lens_percent > _FITTED_PERCENT:
             _, ridge = self._lens_ridge(vector, regions)
-            if_right += (lens_percent**2 - _TOLD_PERCENT**2) * np.outer(ridge[POSE], ridge[POSE])
+            if_right += (lens_percent**2 - _FITTED_PERCENT**2) * np.outer(ridge[POSE], ridge[POSE])
         return covariance, np.asarray(if_right)
 
     def _mean(
-        self, log_likelihood: LogLikelihood, vector: Floats, covariance: Floats, regions: RoofEvidence
+        self, log_likelihood: LogLikelihood, vector: Floats, covariance: Floats, regions: StatePosterior
     ) -> Floats:
-        """Returns the posterior's mean around (10,), feet and eaves held; or, if so told, the point."""
+        """Returns the posterior's mean around (10,), bases and eaves held; or the point itself."""
         least_m = self._params.place_sigma_m
         if least_m <= 0:
             return vector
@@ -214,21 +205,21 @@ class PoseFinalizer:
             least_m,
         )
 
-    def _with_lens(self, vector: Floats, covariance: Floats, regions: RoofEvidence) -> Floats:
+    def _with_lens(self, vector: Floats, covariance: Floats, regions: StatePosterior) -> Floats:
         """Returns the covariance (7, 7) of cameras around (10,), given that of poses, (6, 6)."""
         variance, ridge = self._lens_ridge(vector, regions)
         whole = variance * np.outer(ridge, ridge)
         whole[POSE, POSE] += covariance
         return np.asarray(whole)
 
-    def _lens_ridge(self, vector: Floats, regions: RoofEvidence) -> tuple[float, Floats]:
+    def _lens_ridge(self, vector: Floats, regions: StatePosterior) -> tuple[float, Floats]:
         """Returns the variance of the lens around (10,), and (7,) how like cameras go with it."""
         evidence = regions.at(float(vector[ROOFS]))
         prior = regions.prior_information()[:CAMERAS, :CAMERAS]
-        cloud = self._around.cloud(vector[:CAMERAS], evidence, _APART_PX, prior)
+        cloud = self._jacobian.spread(vector[:CAMERAS], evidence, _APART_PX, prior)
         along = np.eye(CAMERAS)[LENS] / prior[LENS, LENS] if cloud is None else cloud.covariance[:, LENS]
         return float(along[LENS]), along / along[LENS]
 
 
-def _of_share(evidence: RoofEvidence) -> LogLikelihood:
+def _of_share(evidence: StatePosterior) -> LogLikelihood:
     return lambda vectors, share: share * evidence.log_likelihood(vectors)

@@ -1,10 +1,12 @@
-"""What a photo says of poses: code lengths of its regions and edges, under the prior."""
+"""The posterior of poses and state vectors by a photo's regions and outlines, and the photo in some sizes."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import copy
+from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,23 +14,26 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Query
-from lodbench.geometry import Camera, wrap_deg
-from lodbench.geometry.angles import rotations_from_euler
+from lodbench.estimation.prior import Prior
+from lodbench.estimation.state_vector import (
+    BASE_OFFSET,
+    CAMERAS,
+    EAVE_OFFSET,
+    LENS,
+    OUTLINES,
+    POSE,
+    ROOFS,
+    views_of,
+)
+from lodbench.geometry import Camera
 from lodbench.geometry.pose_vector import vector_from_pose
-from lodbench.methods.region.params import CAMERAS, LENS, Params, working_size
+from lodbench.methods.region.params import RegionParams
+from lodbench.methods.region.roofs import RaisedRoofs, step_of
 from lodbench.rendering import ContourFit, Fit, RegionFit, Scorer, appearance_bins, edge_bins
 from lodbench.rendering.bits import Words
 from lodbench.rendering.photo_bins import Levels, directed_edge_levels
 
 Floats = NDArray[np.float64]
-
-
-# How softly a prior's range ends, as a share of its half width: x, y, z, pitch, roll and yaw. Softly in what
-# is often told narrower than it is.
-_EDGE_SHARES = np.array([1.0, 1.0, 0.1, 0.1, 0.1, 0.5])
-# And where it ends for good, in half widths, and how softly there: evidence of pixels that are not
-# independent outweighs any softer end, and from far below nearly every photo is parted well by some roof.
-_WALLS, _WALL_SHARE = np.array([np.inf, np.inf, 1.3, 5.0, 5.0, 2.5]), 0.02
 
 
 class PhotoFit:
@@ -45,7 +50,9 @@ class PhotoFit:
         edge_weight: Of the contour fit.
     """
 
-    def __init__(self, photo: NDArray[Any], size: tuple[int, int], params: Params, is_coarse: bool) -> None:
+    def __init__(
+        self, photo: NDArray[Any], size: tuple[int, int], params: RegionParams, is_coarse: bool
+    ) -> None:
         self.size = size
         self._region = RegionFit(*appearance_bins(photo, size, has_texture=is_coarse))
         self.edge_weight = params.coarse_edge_weight if is_coarse else params.edge_weight
@@ -70,34 +77,34 @@ def region(photo: NDArray[Any], size: tuple[int, int]) -> Fit:
         photo: As of ``read_picture``.
         size: Width and height of the silhouettes to compare.
     """
-    return PhotoFit(photo, size, Params(), is_coarse=True)
+    return PhotoFit(photo, size, RegionParams(), is_coarse=True)
 
 
-# A fit is made of a probability where nothing is said.
+# A fit takes the building probability unless it declares another input.
 region.input = Input.IMAGE  # type: ignore[attr-defined]
 
 
-class Evidence:
-    """The logarithm of what a photo and a prior say together of poses, up to a constant.
+class PosePosterior:
+    """The posterior of poses by the silhouettes of a map.
 
-    The code lengths count neighbouring pixels as if each were seen for itself; ``effective_pixels`` says how
-    many independent ones a photo is worth.
+    The code lengths count neighbouring pixels as if they were independent; ``effective_pixels`` says how many
+    independent ones a photo is worth.
 
     Attributes:
         camera: Pinhole of the working size.
         fit: Of the photo.
+        prior: Of poses.
     """
 
-    def __init__(self, query: Query, scorer: Scorer, fit: PhotoFit, params: Params) -> None:
+    def __init__(self, query: Query, scorer: Scorer, fit: PhotoFit, params: RegionParams) -> None:
         self.camera = query.camera.scaled(*fit.size)
         self._scorer, self.fit = scorer, fit
-        self._prior = vector_from_pose(query.prior)
-        self._sigmas = np.array(params.prior_sigmas())
-        self._range = np.array(params.half_widths())
+        half_widths = np.array(params.half_widths())
+        self.prior = Prior(vector_from_pose(query.prior), np.array(params.prior_sigmas()), half_widths)
         self._samples = params.effective_pixels
 
-    def with_edges(self, weight: float) -> Evidence:
-        """Returns the same evidence with another weight of the photo's edges."""
+    def with_edges(self, weight: float) -> PosePosterior:
+        """Returns the same posterior with another weight of the photo's edges."""
         other = copy(self)
         other.fit = self.fit.with_edges(weight)
         return other
@@ -108,7 +115,7 @@ class Evidence:
 
     def log_posterior(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the posterior of poses (N, 6)."""
-        return self.log_likelihood(vectors) + self.log_prior(vectors)
+        return self.log_likelihood(vectors) + self.prior.log_density(vectors)
 
     def log_likelihood(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the likelihood of poses or cameras, up to a constant.
@@ -117,41 +124,65 @@ class Evidence:
         """
         return np.asarray(self._samples * self.fits(vectors))
 
-    def log_prior(self, vectors: Floats) -> Floats:
-        """Returns the (N,) logarithm of the prior of poses (N, 6), up to a constant.
 
-        Eq. (R7) of docs/methods/region.md.
-        """
-        offsets = self.offsets(vectors)
-        beyond = np.maximum(np.abs(offsets) - self._range, 0.0) / (_EDGE_SHARES * self._range)
-        through = np.maximum(np.abs(offsets) - _WALLS * self._range, 0.0) / (_WALL_SHARE * self._range)
-        return np.asarray(-0.5 * ((offsets / self._sigmas) ** 2 + beyond**2 + through**2).sum(axis=1))
-
-    def offsets(self, vectors: Floats) -> Floats:
-        """Returns (N, 6) how far poses (N, 6) are from the prior, metres and degrees."""
-        offsets = vectors - self._prior
-        offsets[:, 5] = wrap_deg(offsets[:, 5])
-        return np.asarray(offsets)
-
-    def prior_information(self) -> Floats:
-        """Returns (6, 6) the inverse of the prior's covariance."""
-        return np.diag(self._sigmas**-2.0)
+# The deviation of roofs that are declared exact: a matrix without a width has no inverse.
+_LEAST_SIGMA_M = 1e-3
+# Eaves of every other map are its outlines, to so many metres: a standard deviation.
+_EXACT_M = 0.03
 
 
-def views_of(vectors: Floats) -> tuple[Floats, Floats]:
-    """Returns the rotations (N, 3, 3) and centres (N, 3), metres, that show what some cameras see.
+class StatePosterior:
+    """The posterior of state vectors, (N, 10), up to a constant.
 
-    A longer lens stretches what a camera sees across and down, and so do the first two rows of a rotation
-    that are stretched: cameras of many lenses are drawn as if they had the one that is told.
-
-    Args:
-        vectors: (N, 6) poses, centre in metres and angles in degrees; or (N, 7 or more), then by how many
-            percent the lens is longer than told.
+    Silhouettes are drawn with the map's bases and eaves, whatever the last two numbers are.
     """
-    rotations = rotations_from_euler(vectors[:, 3:6])
-    # Of poses the slice is empty, and its sum 0.
-    rotations[:, :2] *= 1.0 + 0.01 * vectors[:, LENS:CAMERAS].sum(axis=1)[:, None, None]
-    return rotations, np.ascontiguousarray(vectors[:, :3])
+
+    def __init__(self, query: Query, roofs: RaisedRoofs, fit: PhotoFit, params: RegionParams) -> None:
+        self._at = lru_cache(None)(lambda step: PosePosterior(query, roofs.at(step), fit, params))
+        self._sigmas_m = np.maximum([params.roofs_m, params.feet_m, params.eaves_m], _LEAST_SIGMA_M)
+        self._lens_percent = params.lens_percent
+
+    def at(self, roofs_m: float) -> PosePosterior:
+        """Returns the posterior of poses alone, (N, 6), with roofs so much higher."""
+        return self._at(int(step_of(np.array(roofs_m))))
+
+    def log_likelihood(self, vectors: Floats) -> Floats:
+        """Returns the (N,) logarithm of the photo's likelihood, up to a constant."""
+        steps, log_likelihood = step_of(vectors[:, ROOFS]), np.zeros(len(vectors))
+        for step in np.unique(steps):
+            chosen = steps == step
+            log_likelihood[chosen] = self._at(int(step)).log_likelihood(vectors[chosen, :CAMERAS])
+        return log_likelihood
+
+    def log_prior(self, vectors: Floats) -> Floats:
+        """Returns the (N,) logarithm of the prior, up to a constant. Eq. (R12) of docs/methods/region.md."""
+        poses, eaves = self._at(0).prior.log_density(vectors[:, POSE]), vectors[:, EAVE_OFFSET]
+        roofs_sigma_m, bases_sigma_m, wide = self._sigmas_m
+        exact = np.minimum(_EXACT_M, wide)
+        of_eaves = np.logaddexp(*(-0.5 * (eaves / sigma) ** 2 - np.log(sigma) for sigma in (exact, wide)))
+        away = vectors[:, [LENS, ROOFS, BASE_OFFSET]] / (self._lens_percent, roofs_sigma_m, bases_sigma_m)
+        return np.asarray(poses - 0.5 * (away**2).sum(axis=1) + of_eaves)
+
+    def widened(self, covariance: Floats, most_m: float = math.inf) -> Floats:
+        """Returns the covariance (10, 10) of a vector's first numbers, and the prior's of the others.
+
+        Deviations of the latter are ``most_m`` at most.
+        """
+        known = len(covariance)
+        whole = np.diag(np.concatenate([np.zeros(CAMERAS), np.minimum(self._sigmas_m, most_m) ** 2]))
+        whole[:known, :known] = covariance
+        return whole
+
+    def prior_information(self, most_m: float = math.inf) -> Floats:
+        """Returns (9, 9) the inverse of the prior's covariance of all but eaves.
+
+        Deviations of roofs and bases are ``most_m`` at most.
+        """
+        sigmas = [self._lens_percent, *np.minimum(self._sigmas_m[:-1], most_m)]
+        information = np.zeros((OUTLINES, OUTLINES))
+        information[POSE, POSE] = self._at(0).prior.information()
+        information[LENS:, LENS:] = np.diag(np.array(sigmas) ** -2.0)
+        return information
 
 
 View = TypeVar("View")
@@ -174,7 +205,7 @@ class Photo:
         self,
         pixels: NDArray[np.uint8],
         camera: Camera,
-        params: Params,
+        params: RegionParams,
         threads: int = 1,
         blurs_px: tuple[float, ...] = (),
     ) -> None:
@@ -207,7 +238,12 @@ class Photo:
         return self._begun[key]
 
     def _make_fit(self, width: int, is_coarse: bool) -> PhotoFit:
-        return PhotoFit(self._pixels, working_size(self._camera, width), self._params, is_coarse)
+        return PhotoFit(self._pixels, self._size(width), self._params, is_coarse)
 
     def _make_levels(self, width: int, blur_px: float) -> Levels:
-        return directed_edge_levels(self._pixels, working_size(self._camera, width), blur_px)
+        return directed_edge_levels(self._pixels, self._size(width), blur_px)
+
+    def _size(self, width: int) -> tuple[int, int]:
+        """Returns a width and the height that keeps the photo's aspect; never more than the photo has."""
+        small = self._camera.scaled_to_width(min(width, self._camera.width))
+        return small.width, small.height

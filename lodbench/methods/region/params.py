@@ -1,10 +1,4 @@
-"""Parameters of region-based localisation; docs/methods/region.md says where the defaults come from.
-
-What a photo leaves open: where in a vector is what, in the order in which an outline tells how it moves.
-Pose (metres, degrees), by how many percent the lens is longer than told, then metres: how much higher than
-in the map all roofs are and the feet of all walls, and how much farther all eaves stand out. Shorter
-vectors begin alike.
-"""
+"""Parameters of region-based localisation; docs/methods/region.md says where the defaults come from."""
 
 from __future__ import annotations
 
@@ -13,9 +7,9 @@ from dataclasses import dataclass, replace
 
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, require_numbers
-from lodbench.geometry import AxisRange, Camera, PoseGrid
+from lodbench.geometry import AxisRange, PoseGrid
 from lodbench.kernels.raster_rule import GUARD_PX
-from lodbench.methods.search_params import ranges_of
+from lodbench.methods.search_params import SearchRange
 
 _CIRCLE_DEG = 360.0
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
@@ -40,8 +34,8 @@ _POSITIVE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
-    """Everything the method can be told.
+class RegionParams(SearchRange):
+    """The settings of ``method=region``.
 
     Attributes:
         name: Name to report.
@@ -53,17 +47,17 @@ class Params:
         range_yaw_deg: Full width in yaw, degrees.
         range_tilt_deg: Full width in pitch and in roll, degrees.
         beyond_m: How much farther than the prior's error the search looks to either side in x and in y,
-            metres, but never more than half the range: priors are often told narrower than they are.
+            metres, but never more than half the range: priors are often declared narrower than they are.
         beyond_yaw_deg: How much farther than the prior's error the search looks in yaw, degrees.
         stride_m: Largest distance between samples of the grid along x and y, metres.
         stride_z_m: Largest distance between samples of the grid in height, metres.
         stride_yaw_deg: Largest distance between samples of the grid in yaw, degrees.
-        starts: Distinct samples of the grid that are climbed from, for a grid of the published priors' range;
+        starts: Distinct samples of the grid to start from, for a grid of the published priors' range;
             more for wider ones.
-        modes: Distinct tops of those that are refined.
+        modes: Distinct modes of those that are refined.
         more_starts: How many times as many a second search begins from, where the first one's answer is not
             to be trusted; 1 for no second one.
-        coarse_generations: Generations of each climb in the search.
+        coarse_generations: Generations of each search.
         fine_generations: Generations of each refinement.
         population: Poses in a generation, even.
         coarse_spread_px: How far outlines lie apart in the first generation, pixels of the coarse size.
@@ -72,23 +66,23 @@ class Params:
         effective_pixels: How many independent pixels a photo is worth against the prior.
         edge_weight: Weight of the photo's edges along the outline beside its regions; 0 leaves them out.
         coarse_edge_weight: Weight of the photo's edges in the search.
-        judging_edge_weight: Weight of the photo's edges where one of the tops is chosen: one large silhouette
+        judging_edge_weight: Weight of the photo's edges where one mode is chosen: one large silhouette
             parts a photo well in many wrong places, but no edges lie along it.
         edge_blur_px: Blur of the photo before edges are looked for, pixels of the fine size.
         roofs_m: How far all roofs may be higher or lower than in the map, all alike: a standard deviation,
             metres; 0 for a map whose roofs do not err.
         pitched_lower_m: How much lower than in the map the roofs of blocks are beforehand where its source
-            tells that they are pitched, metres. The search for the best poses takes the map as it is.
+            states that they are pitched, metres. The search for the best poses takes the map as it is.
         own_roofs_m: How far each roof may be higher or lower by itself, as of ``roofs_m``.
         feet_m: How much higher or lower than in the map all walls may end, all alike, at slopes, hedges or
-            cars: a standard deviation, metres; 0 for a map whose walls end where they are seen to.
+            cars: a standard deviation, metres; 0 for a map whose walls end where photos show them to.
         eaves_m: How much farther or less far than in the map all eaves may stand out, all alike, if they do
             at all, which is as likely as not: a standard deviation, metres; 0 for a map of roof outlines.
         lens_percent: Standard deviation of the focal length, percent.
         lens_doubt_percent: Standard deviation of the focal length where the photo speaks against the one that
-            is told, percent; 0 believes that anyway.
+            is declared, percent; 0 believes that anyway.
         tilt_doubt_deg: How far pitch and roll may be off where the photo speaks against the range that is
-            told, degrees; 0 believes that anyway, and so does a range of 0.
+            declared, degrees; 0 believes that anyway, and so does a range of 0.
         doubt_nats: By how many nats lines must be likelier with another tilt or lens for it to be believed.
         mean_width: Width of silhouettes where the answer becomes the mean of the posterior, pixels.
         place_sigma_m: How wide the posterior leaves the place there at least, a standard deviation, metres:
@@ -166,16 +160,16 @@ class Params:
         )
 
     def num_starts(self) -> int:
-        """Returns how many samples of the grid are climbed from: more hills lie in a wider one.
+        """Returns how many samples of the grid searches start from: more modes lie in a wider one.
 
-        As many as told for the published priors' range and less, and by the cube root of its size more for
+        As many as set for the published priors' range and less, and by the cube root of its size more for
         a wider grid.
         """
         usual = self.for_prior(UniformPrior())
         wider = max(1.0, len(self.grid()) / len(usual.grid()))
         return math.ceil(self.starts * math.cbrt(wider))
 
-    def with_more_starts(self) -> Params:
+    def with_more_starts(self) -> RegionParams:
         """Returns the parameters of the second search."""
         return replace(self, starts=self.more_starts * self.starts, modes=self.more_starts * self.modes)
 
@@ -189,12 +183,6 @@ class Params:
         count = math.ceil(_CIRCLE_DEG / self.stride_yaw_deg)
         return AxisRange(_CIRCLE_DEG * (count - 1) / count, count)
 
-    def half_widths(self) -> tuple[float, ...]:
-        """Returns the half widths of x, y, z, pitch, roll and yaw; at least 1 mm and 0.0001 degrees."""
-        place = (self.range_x_m, self.range_y_m, self.range_z_m)
-        turn = (self.range_tilt_deg, self.range_tilt_deg, self.range_yaw_deg)
-        return (*(max(0.5 * w, 1e-3) for w in place), *(max(0.5 * w, 1e-4) for w in turn))
-
     def prior_sigmas(self) -> tuple[float, ...]:
         """Returns the standard deviations of the prior's x, y, z, pitch, roll and yaw.
 
@@ -204,20 +192,9 @@ class Params:
         x, y, z, pitch, roll, yaw = self.half_widths()
         return x, y, z, pitch / math.sqrt(3.0), roll / math.sqrt(3.0), yaw
 
-    def with_lens(self, percent: float | None) -> Params:
-        """Returns these parameters for a lens that is known no better than so, percent, where told."""
+    def with_lens(self, percent: float | None) -> RegionParams:
+        """Returns these parameters for a lens that is known no better than so, percent, where declared."""
         return self if percent is None else replace(self, lens_percent=max(self.lens_percent, percent))
-
-    def for_prior(self, prior: UniformPrior) -> Params:
-        """Returns these parameters for a prior's error of other half widths."""
-        tilt_deg = prior.pitch_deg + prior.roll_deg
-        return replace(self, **ranges_of(prior), range_tilt_deg=tilt_deg)
-
-
-def working_size(camera: Camera, width: int) -> tuple[int, int]:
-    """Returns a width and the height that keeps the photo's aspect; never more than the photo has."""
-    width = min(width, camera.width)
-    return width, max(1, round(width * camera.height / camera.width))
 
 
 def _axis(width: float, stride: float) -> AxisRange:
@@ -226,12 +203,3 @@ def _axis(width: float, stride: float) -> AxisRange:
 
 def _widened(width: float, beyond: float) -> float:
     return width + min(2.0 * beyond, width)
-
-
-POSE, LENS, ROOFS, BASE_OFFSET, EAVE_OFFSET = slice(0, 6), 6, 7, 8, 9
-# Of a pose: pitch and roll.
-TILT = slice(3, 5)
-# How many numbers a vector has: a pose, a camera, one with roofs, one with all that outlines tell, all.
-POSES, CAMERAS, RAISED, OUTLINES, ALL = range(6, 11)
-# What a pose alone leaves out.
-BESIDE_POSE = ALL - POSES

@@ -1,43 +1,27 @@
 """How much higher and wider than in the map all roofs are, and where walls end: three numbers, metres.
 
 Blocks end somewhere between eaves and ridge, and are as wide as walls or as roofs, as whoever made the map
-decided: its roofs err alike. The photo tells by how much, and a camera that has to make up for it ends too
+decided: its roofs err alike. The photo shows by how much, and a camera that has to make up for it ends too
 high or too low (docs/adr/0052, docs/adr/0054). So do walls that end higher than in the map, at a slope, a
 hedge or cars (docs/adr/0062).
-
-How the outlines of roofs move where eaves stand out farther than in the map. Blocks are as wide as walls in
-one city and as roofs in the next, as whoever made the map decided: their roofs err alike (docs/adr/0054).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.building_boxes import building_boxes
+from lodbench.citymodel.building_boxes import floors_and_rises
 from lodbench.citymodel.pitched_blocks import pitched_blocks
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.query import Query
 from lodbench.kernels.arguments import EdgeFaces
-from lodbench.methods.region.evidence import Evidence, PhotoFit
-from lodbench.methods.region.params import (
-    BASE_OFFSET,
-    CAMERAS,
-    EAVE_OFFSET,
-    LENS,
-    OUTLINES,
-    POSE,
-    ROOFS,
-    Params,
-)
 
 Floats = NDArray[np.float64]
 
@@ -89,10 +73,6 @@ Result = TypeVar("Result")
 STEP_M, _FARTHEST_M = 0.5, 3.0
 # How far roofs stay above where walls end at least, and what has no height that could err.
 _LOWEST_M, _FLAT_M = 2.0, 0.1
-# The deviation of roofs that are told not to err: a matrix without a width has no inverse.
-_LEAST_SIGMA_M = 1e-3
-# Eaves of every other map are its outlines, to so many metres: a standard deviation.
-_EXACT_M = 0.03
 
 
 class RaisedRoofs:
@@ -107,7 +87,7 @@ class RaisedRoofs:
 
     Attributes:
         own_m: (B,) how much higher than all the others each roof is, metres.
-        feet_m: How much higher than in the map all walls end, metres.
+        bases_m: How much higher than in the map all walls end, metres.
         eaves_m: How much farther than in the map all eaves stand out, metres.
         threads: Of the map.
         is_tall: (B,) whether a building has a height that could err.
@@ -117,28 +97,25 @@ class RaisedRoofs:
         self._part, self.threads = part, city_map.threads
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._map = cache(lambda: _map_of(part, city_map))
-        self.own_m, self.feet_m, self.eaves_m = np.zeros(part.num_buildings), 0.0, 0.0
+        self.own_m, self.bases_m, self.eaves_m = np.zeros(part.num_buildings), 0.0, 0.0
         self._drawn: dict[int, CityMap] = {}
-        boxes = building_boxes(part)
-        self._floors, self._rises = np.zeros((2, part.num_buildings))
-        self._floors[boxes.building] = boxes.low[:, 2]
-        self._rises[boxes.building] = boxes.high[:, 2] - boxes.low[:, 2]
+        self._floors, self._rises = floors_and_rises(part)
         self.is_tall = self._rises > _FLAT_M
-        self._told_m = -pitched_lower_m * pitched_blocks(part)
+        self._declared_m = -pitched_lower_m * pitched_blocks(part)
 
-    def each_by_itself(self, own_m: Floats, feet_m: float, eaves_m: float) -> RaisedRoofs:
+    def with_offsets(self, own_m: Floats, bases_m: float, eaves_m: float) -> RaisedRoofs:
         """Returns the same buildings with each roof so much higher than all the others, (B,) metres.
 
         Args:
             own_m: Of each building.
-            feet_m: How much higher than in the map all walls end, metres.
+            bases_m: How much higher than in the map all walls end, metres.
             eaves_m: How much farther than in the map all eaves stand out, metres.
         """
         other = copy(self)
-        other.own_m, other.feet_m, other.eaves_m, other._drawn = own_m, feet_m, eaves_m, {}
+        other.own_m, other.bases_m, other.eaves_m, other._drawn = own_m, bases_m, eaves_m, {}
         return other
 
-    def side_by_side(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+    def parallel_map(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
         """Begins a work on each item, on as many threads as the map has, and returns the results in order.
 
         With one thread each is worked on when its result is asked for. No work may wait for another.
@@ -208,12 +185,12 @@ class RaisedRoofs:
     def _raised(self, step: int) -> Floats:
         """Returns (B,) by how much each roof is higher at a step, metres; what is flat has none."""
         lowest = np.minimum(_LOWEST_M - self._rises, 0.0)
-        return np.where(self.is_tall, np.maximum(step * STEP_M + self._told_m + self.own_m, lowest), 0.0)
+        return np.where(self.is_tall, np.maximum(step * STEP_M + self._declared_m + self.own_m, lowest), 0.0)
 
     def _lifted(self, step: int) -> Floats:
         """Returns (B,) by how much each building's walls end higher at a step, metres."""
         most = np.maximum(self._rises + self._raised(step) - _LOWEST_M, 0.0)
-        return np.where(self.is_tall, np.minimum(self.feet_m, most), 0.0)
+        return np.where(self.is_tall, np.minimum(self.bases_m, most), 0.0)
 
 
 def _map_of(part: Scene, city_map: CityMap) -> CityMap:
@@ -226,58 +203,3 @@ def step_of(roofs_m: Floats) -> NDArray[np.int64]:
     """Returns the step nearest to roofs so much higher, metres."""
     nearest = np.rint(np.clip(roofs_m, -_FARTHEST_M, _FARTHEST_M) / STEP_M)
     return np.asarray(nearest, dtype=np.int64)
-
-
-class RoofEvidence:
-    """What photo and prior say of poses, and of how the map errs, up to a constant.
-
-    Of (N, 10) vectors as of ``unknowns``. Silhouettes are those of the map's feet and eaves, whatever the
-    last two numbers say.
-    """
-
-    def __init__(self, query: Query, roofs: RaisedRoofs, fit: PhotoFit, params: Params) -> None:
-        self._evidence = lru_cache(None)(lambda step: Evidence(query, roofs.at(step), fit, params))
-        self._sigmas_m = np.maximum([params.roofs_m, params.feet_m, params.eaves_m], _LEAST_SIGMA_M)
-        self._lens_percent = params.lens_percent
-
-    def at(self, roofs_m: float) -> Evidence:
-        """Returns the evidence on poses alone, (N, 6), of roofs so much higher."""
-        return self._evidence(int(step_of(np.array(roofs_m))))
-
-    def log_likelihood(self, vectors: Floats) -> Floats:
-        """Returns the (N,) logarithm of the photo's likelihood, up to a constant."""
-        steps, log_likelihood = step_of(vectors[:, ROOFS]), np.zeros(len(vectors))
-        for step in np.unique(steps):
-            chosen = steps == step
-            log_likelihood[chosen] = self._evidence(int(step)).log_likelihood(vectors[chosen, :CAMERAS])
-        return log_likelihood
-
-    def log_prior(self, vectors: Floats) -> Floats:
-        """Returns the (N,) logarithm of the prior, up to a constant. Eq. (R12) of docs/methods/region.md."""
-        poses, eaves = self._evidence(0).log_prior(vectors[:, POSE]), vectors[:, EAVE_OFFSET]
-        roofs_sigma_m, feet_sigma_m, wide = self._sigmas_m
-        exact = np.minimum(_EXACT_M, wide)
-        of_eaves = np.logaddexp(*(-0.5 * (eaves / sigma) ** 2 - np.log(sigma) for sigma in (exact, wide)))
-        away = vectors[:, [LENS, ROOFS, BASE_OFFSET]] / (self._lens_percent, roofs_sigma_m, feet_sigma_m)
-        return np.asarray(poses - 0.5 * (away**2).sum(axis=1) + of_eaves)
-
-    def widened(self, covariance: Floats, most_m: float = math.inf) -> Floats:
-        """Returns the covariance (10, 10) of one of a vector's first numbers and what is left beforehand.
-
-        Deviations of the latter are ``most_m`` at most.
-        """
-        known = len(covariance)
-        whole = np.diag(np.concatenate([np.zeros(CAMERAS), np.minimum(self._sigmas_m, most_m) ** 2]))
-        whole[:known, :known] = covariance
-        return whole
-
-    def prior_information(self, most_m: float = math.inf) -> Floats:
-        """Returns (9, 9) the inverse of the prior's covariance of all but eaves.
-
-        Deviations of roofs and feet are ``most_m`` at most.
-        """
-        sigmas = [self._lens_percent, *np.minimum(self._sigmas_m[:-1], most_m)]
-        information = np.zeros((OUTLINES, OUTLINES))
-        information[POSE, POSE] = self._evidence(0).prior_information()
-        information[LENS:, LENS:] = np.diag(np.array(sigmas) ** -2.0)
-        return information

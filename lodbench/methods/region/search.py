@@ -1,4 +1,4 @@
-"""From a wide prior to a few distinct poses: a grid, climbs from its best samples, refinement."""
+"""From a wide prior to a few distinct poses: a grid, searches from its best samples, refinement."""
 
 from __future__ import annotations
 
@@ -10,46 +10,48 @@ import scipy
 from numpy.typing import NDArray
 
 from lodbench.datasets.query import Query
-from lodbench.geometry import Pose, PoseGrid
-from lodbench.geometry.pose_vector import pose_from_vector, rotation_derivatives
+from lodbench.estimation.evolution import maximize_abreast
+from lodbench.estimation.outline import OutlinePoints, sample_outline
+from lodbench.estimation.probability import Gaussian
+from lodbench.estimation.state_vector import POSE
+from lodbench.geometry import Pose, PoseGrid, wrap_deg
+from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.kernels.arguments import EdgeArrays
-from lodbench.methods.contour_alignment.outline import OutlinePoints, sample_outline
 from lodbench.methods.fits import nothing_fits
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.evidence import Evidence
-from lodbench.methods.region.evolution import Cloud, maximize_abreast
-from lodbench.methods.region.params import POSE, Params
+from lodbench.methods.region.evidence import PosePosterior
+from lodbench.methods.region.params import RegionParams
 from lodbench.rendering import Scorer
 
 Floats = NDArray[np.float64]
 
-# Tops of climbs nearer to each other than this are the same one: metres, degrees.
+# Modes nearer to each other than this are the same one: metres, degrees.
 _SAME_M, _SAME_DEG = 3.0, 3.0
 # Distance between the points of an outline that say how it moves with the pose, pixels.
 _SPACING_PX = 4.0
 
 
 class Mode(NamedTuple):
-    """A top of the posterior.
+    """A mode of the posterior.
 
     Attributes:
-        cloud: Its pose and the shape of its surroundings.
+        gaussian: Its pose, and the shape of the posterior around it.
         log_posterior: At the pose, up to a constant.
     """
 
-    cloud: Cloud
+    gaussian: Gaussian
     log_posterior: float
 
 
-def grid_starts(query: Query, evidence: Evidence, params: Params) -> tuple[Floats, float]:
-    """Returns the tops of the grid, best first, none another's neighbour, (N, 6), and the best fit.
+def grid_starts(query: Query, posterior: PosePosterior, params: RegionParams) -> tuple[Floats, float]:
+    """Returns the local maxima of the grid, best first, (N, 6), and the best fit.
 
     Raises:
         QueryFault: The photo fits no sample at all.
     """
     grid = params.grid()
     vectors = samples(grid, query.prior)
-    fits = evidence.fits(vectors)
+    fits = posterior.fits(vectors)
     best = float(fits.max())
     if best <= 0:
         raise nothing_fits("the photo fits no view of the map")
@@ -64,9 +66,9 @@ def samples(grid: PoseGrid, prior: Pose) -> Floats:
 
 
 def local_maxima(fits: Floats, grid: PoseGrid, turns_around: bool, most: int) -> list[int]:
-    """Returns which samples of a grid to climb from, best first, none another's neighbour.
+    """Returns which samples of a grid to start from, best first, none another's neighbour.
 
-    Tops first, one of each hill: a broad false one shall not take every start. Then the best besides.
+    Local maxima come first, so that a broad wrong mode does not take every start; then the best besides.
 
     Args:
         fits: (N,) of the samples.
@@ -76,10 +78,10 @@ def local_maxima(fits: Floats, grid: PoseGrid, turns_around: bool, most: int) ->
     """
     values = fits.reshape([axis.count for axis in (grid.yaw, grid.x, grid.y, grid.z)])
     ends = ["wrap" if turns_around else "nearest", "nearest", "nearest", "nearest"]
-    is_top = (values >= scipy.ndimage.maximum_filter(values, size=3, mode=ends)).ravel()
+    is_maximum = (values >= scipy.ndimage.maximum_filter(values, size=3, mode=ends)).ravel()
     places = np.stack(np.unravel_index(np.arange(len(fits)), values.shape), axis=1)
     chosen: list[int] = []
-    for i in np.lexsort([-fits, ~is_top]):
+    for i in np.lexsort([-fits, ~is_maximum]):
         gaps = np.abs(places[chosen] - places[i])
         if turns_around:
             gaps[:, 0] = np.minimum(gaps[:, 0], grid.yaw.count - gaps[:, 0])
@@ -92,94 +94,91 @@ def local_maxima(fits: Floats, grid: PoseGrid, turns_around: bool, most: int) ->
 
 def refine_candidates(
     starts: Floats,
-    evidence: Evidence,
-    around: OutlineJacobian,
+    posterior: PosePosterior,
+    jacobian: OutlineJacobian,
     generations: int,
     spread_px: float,
     streams: Streams,
-    hopeless: float = math.inf,
+    prune_gap: float = math.inf,
 ) -> list[Mode]:
-    """Returns the distinct tops that climbs from some poses (N, 6) end on, best first.
+    """Returns the distinct modes that local searches from some poses (N, 6) end at, best first.
 
     Args:
         starts: The poses.
-        evidence: What they climb by.
-        around: How the outline moves.
-        generations: How many.
+        posterior: What is maximised.
+        jacobian: How the outline moves.
+        generations: Of each search.
         spread_px: How far outlines lie apart in the first, pixels.
         streams: Of random numbers.
-        hopeless: By how many nats a climb that is given up is behind the best after four generations.
+        prune_gap: Searches so many nats behind the best after four generations are given up.
     """
-    clouds = {k: around.cloud(start, evidence, spread_px) for k, start in enumerate(starts)}
-    shapes = {k: shape for k, shape in clouds.items() if shape is not None}
-    generators = [streams(f"climb {spread_px:g}", k) for k in shapes]
-    climbs = maximize_abreast(
-        evidence.log_posterior, list(shapes.values()), generations, around.population, generators, hopeless
+    spreads = {k: jacobian.spread(start, posterior, spread_px) for k, start in enumerate(starts)}
+    first = {k: spread for k, spread in spreads.items() if spread is not None}
+    generators = [streams(f"climb {spread_px:g}", k) for k in first]
+    ends = maximize_abreast(
+        posterior.log_posterior, list(first.values()), generations, jacobian.population, generators, prune_gap
     )
-    modes_found = modes_of(climbs, evidence)
-    modes_found.sort(key=lambda top: -top.log_posterior)
     distinct: list[Mode] = []
-    for top in modes_found:
-        if not any(_is_same(top.cloud.mean, other.cloud.mean) for other in distinct):
-            distinct.append(top)
+    for mode in modes_at(ends, posterior):
+        if not any(_is_same(mode.gaussian.mean, other.gaussian.mean) for other in distinct):
+            distinct.append(mode)
     return distinct
 
 
 def _is_same(one: Floats, other: Floats) -> bool:
     gap = one - other
-    turned = np.abs((gap[3:] + 180.0) % 360.0 - 180.0)
+    turned = np.abs(wrap_deg(gap[3:]))
     return bool(np.linalg.norm(gap[:3]) <= _SAME_M and turned.max() <= _SAME_DEG)
 
 
-def rescore(modes: list[Mode], evidence: Evidence) -> list[Mode]:
-    """Returns the same tops as another evidence sees them, best first."""
-    return sorted(modes_of([mode.cloud for mode in modes], evidence), key=lambda mode: -mode.log_posterior)
+def rescore(modes: list[Mode], posterior: PosePosterior) -> list[Mode]:
+    """Returns the same modes by another posterior, best first."""
+    return modes_at([mode.gaussian for mode in modes], posterior)
 
 
-def modes_of(clouds: list[Cloud], evidence: Evidence) -> list[Mode]:
-    """Returns what an evidence says of the means of some clouds."""
-    if not clouds:
+def modes_at(gaussians: list[Gaussian], posterior: PosePosterior) -> list[Mode]:
+    """Returns modes at the means of some Gaussians, best first."""
+    if not gaussians:
         return []
-    logs = evidence.log_posterior(np.array([cloud.mean for cloud in clouds]))
-    return [Mode(cloud, float(log)) for cloud, log in zip(clouds, logs, strict=True)]
+    logs = posterior.log_posterior(np.array([gaussian.mean for gaussian in gaussians]))
+    modes = [Mode(gaussian, float(log)) for gaussian, log in zip(gaussians, logs, strict=True)]
+    return sorted(modes, key=lambda mode: -mode.log_posterior)
 
 
 class OutlineJacobian:
-    """How the outline moves around a pose, which shapes the first generation of a climb."""
+    """How the outline moves with the state vector, which shapes the first generation of a search."""
 
-    def __init__(self, edges: EdgeArrays, scorer: Scorer, params: Params) -> None:
+    def __init__(self, edges: EdgeArrays, scorer: Scorer, params: RegionParams) -> None:
         self.population = params.population
         self._edges, self._scorer = edges, scorer
 
-    def outline(self, vector: Floats, evidence: Evidence) -> OutlinePoints:
-        """Returns points of the outline that a pose shows, at the evidence's size."""
-        camera, pose = evidence.camera, pose_from_vector(vector)
-        silhouette = self._scorer.render(camera, pose)
-        turns = rotation_derivatives(vector)
-        return sample_outline(self._edges, camera, pose, turns, silhouette, _SPACING_PX)
+    def outline(self, vector: Floats, posterior: PosePosterior) -> OutlinePoints:
+        """Returns points of the outline that a pose shows, at the posterior's working size."""
+        silhouette = self._scorer.render(posterior.camera, pose_from_vector(vector))
+        return sample_outline(self._edges, posterior.camera, vector, silhouette, _SPACING_PX)
 
-    def cloud(
-        self, vector: Floats, evidence: Evidence, spread_px: float, prior: Floats | None = None
-    ) -> Cloud | None:
-        """Returns poses whose outlines lie about ``spread_px`` apart, or the prior allows no more.
+    def spread(
+        self, vector: Floats, posterior: PosePosterior, spread_px: float, prior: Floats | None = None
+    ) -> Gaussian | None:
+        """Returns a Gaussian of poses whose outlines lie about ``spread_px`` apart, or as the prior allows.
 
         Eq. (R8) of docs/methods/region.md.
 
         None where no outline is in view.
 
         Args:
-            vector: (6,) the pose in the middle; or more of ``unknowns`` with it, as far as (9,): feet.
-            evidence: Knows the prior of poses and the working size.
+            vector: (6,) the pose in the middle; or more of the state vector, as far as (9,): bases of walls.
+            posterior: Knows the prior of poses and the working size.
             spread_px: How far apart.
-            prior: Information beforehand, of as many.
+            prior: Information of the prior, of as many.
         """
-        points = self.outline(vector[POSE], evidence)
+        points = self.outline(vector[POSE], posterior)
         if not len(points):
             return None
         if prior is None:
-            prior = evidence.prior_information()
-        slopes = (points.moves[:, : len(vector)] * points.normals[:, None, :]).sum(axis=2)
+            prior = posterior.prior.information()
+        slopes = points.slopes(len(vector))
         weights = points.lengths / points.lengths.sum()
         information = (slopes * weights[:, None]).T @ slopes / spread_px**2 + prior
         covariance = np.linalg.inv(information)
-        return Cloud(vector, np.asarray(0.5 * (covariance + covariance.T)))
+        return Gaussian(vector, np.asarray(0.5 * (covariance + covariance.T)))

@@ -16,7 +16,7 @@ _MOST_LINES = 300.0
 # Logistic regression on 684 answers, 531 of them within (2 m, 2 deg): drawn photos in the look `hard`, seeds
 # 103 and 104, over thirteen files; thermal query, labelled and traced real photos, 122 of these from priors
 # of +-50 m and +-30 deg. Labelled photos weigh three times as much. Each weight was held to one sign.
-# docs/adr/0060 says what it does on what it has not seen.
+# docs/adr/0060 says what it does on other answers.
 _CONSTANT = -18.62
 _OF_ODDS, _OF_AGREEMENT, _OF_LINES, _OF_SHARPNESS, _OF_BEYOND = 0.63, 0.19, 3.2, 7.06, 44.39
 
@@ -24,19 +24,17 @@ _OF_ODDS, _OF_AGREEMENT, _OF_LINES, _OF_SHARPNESS, _OF_BEYOND = 0.63, 0.19, 3.2,
 # What an answer's trace calls its signs; where lines say another place, few edges, or edges beside them.
 SIGNS_STAGE = "signs [as of trust_of]"
 _FAR_APART_M, _FEW_NATS, _BLUNT = 2.0, 50.0, 0.2
-# An answer less probable than this is more likely wrong.
-TRUSTED = 0.5
 
 
 class ConfidenceFeatures(NamedTuple):
-    """What tells right answers from wrong ones.
+    """The features of the trust model.
 
     Attributes:
         probability: Of (2 m, 2 deg) by the posterior's curvature: how well the photo says the pose, if it is
             the one and the map is right.
         apart_m: How far the place by the model's lines is from the best by regions and outlines.
         lines: Nats by which the photo's edges along the lines are likelier than anywhere.
-        sharpness: Whether edges lie on the lines or beside them, as of ``LineFit``: whether the map is exact.
+        sharpness: Whether edges lie on the lines or beside them (R14): whether the map is exact.
         beyond: How far the height is beyond the prior's range, in half widths of it; 0 within.
     """
 
@@ -48,7 +46,7 @@ class ConfidenceFeatures(NamedTuple):
 
 
 class LineFeatures(NamedTuple):
-    """What the model's lines tell of an answer: three of its signs."""
+    """Three of the features, which the model's lines give."""
 
     apart_m: float
     lines: float

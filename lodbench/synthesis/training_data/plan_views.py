@@ -118,7 +118,7 @@ class _ViewFilter:
         self._params, self._ground, self.boxes = params, ground, building_boxes(scene)
         camera = params.camera
         width = min(_PREVIEW_WIDTH, camera.width)
-        self._camera = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
+        self._camera = camera.scaled_to_width(width)
         self._raster = RasterRenderer(scene, threads=1)
         self._region = np.zeros(scene.num_buildings, dtype=np.int64)
         self._region[self.boxes.building] = regions_of(self.boxes.bases, params.val_share, params.test_share)

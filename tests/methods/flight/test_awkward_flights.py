@@ -14,7 +14,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import RenderingError
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
-from lodbench.methods.flight import Params, aligning
+from lodbench.methods.flight import FlightParams, aligning
 from lodbench.methods.flight.photo_terms import flight_terms
 from lodbench.synthesis.flights.errors import MapErrors, change_map
 from tests.methods.flight.test_method import flight, localize
@@ -103,7 +103,9 @@ def test_the_map_is_drawn_as_high_as_photos_say(city_map):
 
 def test_what_photos_share_may_be_held(city_map):
     queries, _ = flight(city_map, focal=1.0)
-    held = localize(queries, city_map, Params(focal=0.0, distortion=0.0, mask_px=0.0)).findings["constants"]
+    held = localize(queries, city_map, FlightParams(focal=0.0, distortion=0.0, mask_px=0.0)).findings[
+        "constants"
+    ]
     assert not {"focal length", "radial distortion k1", "masks too large by"} & set(held)
 
 
@@ -118,7 +120,7 @@ def test_one_thread_draws_where_it_is_asked_to(city_map, monkeypatch):
 
     monkeypatch.setattr(alone.scorer, "render", noting)
     queries, _ = flight(city_map, count=3, focal=1.0)
-    localize(queries, alone, Params(restarts=0))
+    localize(queries, alone, FlightParams(restarts=0))
     assert drawn_by == {threading.get_ident()}
 
 
@@ -134,7 +136,7 @@ def test_roofs_that_were_drawn_higher_are_measured_from_where_they_are_drawn(sce
         return flight_terms(aligners, vectors, lens, roofs, *rest)
 
     monkeypatch.setattr(aligning, "flight_terms", noting)
-    answer = localize(queries, CityMap(low), Params(restarts=0))
+    answer = localize(queries, CityMap(low), FlightParams(restarts=0))
     assert "cannot be separated" in answer.findings["notes"][0]
     assert (True, True) in seen
     assert all(changed == told for changed, told in seen)
@@ -148,7 +150,7 @@ def test_a_flight_is_drawn_by_opengl(city_map):
     except RenderingError as error:
         pytest.skip(f"no pyrender here: {error}")
     queries, poses = flight(city_map, count=3, focal=1.0)
-    answer = localize(queries, drawn, Params(restarts=0, steps=4))
+    answer = localize(queries, drawn, FlightParams(restarts=0, steps=4))
     assert max(errors_m(answer, poses)) < 1.5
 
 
@@ -156,7 +158,7 @@ def test_a_flight_over_few_buildings_is_as_unsure_as_their_footprints(city_map):
     queries, _ = flight(city_map, count=3, focal=1.0)
     sigmas = {}
     for footprint_m in (0.0, 1.0):
-        params = Params(restarts=0, steps=4, footprint_m=footprint_m)
+        params = FlightParams(restarts=0, steps=4, footprint_m=footprint_m)
         found = localize(queries, city_map, params)
         east = found.findings["constants"]["east"]["sigma"]
         sigmas[footprint_m] = np.sqrt(found.estimates[0].covariance[0, 0]), east
@@ -171,7 +173,9 @@ def test_a_flight_over_few_buildings_is_as_unsure_as_their_footprints(city_map):
 def test_threads_change_nothing(city_map):
     queries, _ = flight(city_map, count=4, focal=1.0)
     found = [
-        localize(queries, CityMap(city_map.scene, threads=threads), Params(restarts=1, steps=4)).estimates
+        localize(
+            queries, CityMap(city_map.scene, threads=threads), FlightParams(restarts=1, steps=4)
+        ).estimates
         for threads in (1, 3)
     ]
     for one, other in zip(*found, strict=True):

@@ -7,7 +7,7 @@ import pytest
 
 from lodbench.methods.flight import building_heights as module
 from lodbench.methods.flight.building_heights import BuildingHeight, _Outlines, building_heights
-from lodbench.methods.flight.params import Params
+from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve
 
 # Roofs of others, which pixels find as the map has them.
@@ -21,7 +21,7 @@ def told(monkeypatch, outlines=None, nats=None, rise_m=20.0) -> BuildingHeight |
     monkeypatch.setattr(module, "_by_outlines", lambda aligned, params: by_outlines)
     monkeypatch.setattr(module, "_rises", lambda scene: np.array([rise_m, *[20.0] * 5]))
     curves = OTHERS if nats is None else {**OTHERS, 0: RoofCurve(nats, 8)}
-    return building_heights(None, curves, None, Params()).get(0)
+    return building_heights(None, curves, None, FlightParams()).get(0)
 
 
 def peaks(*heights_m: float, nats: float = 8.0):

@@ -12,8 +12,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Query
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.methods.flight.gone_buildings import gone_buildings
-from lodbench.methods.flight.map_views import views_of
+from lodbench.methods.flight.gone_buildings import gone_buildings, views_of
 from lodbench.methods.flight.missing_buildings import _grid, _shares, missing_buildings
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.flights.errors import MapErrors, change_map

@@ -13,7 +13,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
-from lodbench.methods.flight import FlightMethod, Params
+from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.flight.joint import photo_covariance, shared_covariance, solve
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
 from lodbench.methods.flight.reconstruction import placed
@@ -60,7 +60,7 @@ def test_priors_that_scatter_against_a_block_leave_what_they_share_open(single, 
     poses = list(true_poses(8).values())
     vectors = np.array([vector_from_pose(pose) for pose in poses])
     priors = vectors + generator.normal(size=(8, 6)) * [6.0, 6.0, 17.0, 0.6, 0.6, 4.0]
-    params = Params(single=single)
+    params = FlightParams(single=single)
     block = placed(dict(enumerate(poses)), vectors, params.reconstruction_information()) if is_tied else None
     state = State(vectors, priors, RoofParts(20.0, 0), np.zeros(0), np.ones(8), reconstruction=block)
     known = FlightMethod(params)._params_of(state)
@@ -149,12 +149,12 @@ def test_a_flight_of_one_photo_and_one_without_any_building(city_map):
 @pytest.mark.parametrize("wrong", [{"own_m": -1.0}, {"focal": float("inf")}, {"steps": 0}, {"heat": 0.0}])
 def test_parameters_out_of_range_are_refused(wrong):
     with pytest.raises(ConfigError, match=next(iter(wrong))):
-        Params(**wrong)
+        FlightParams(**wrong)
 
 
 def random_problem(generator, photos=4):
     """Returns a state and terms with random curvatures over six parts of three buildings."""
-    params = Params()
+    params = FlightParams()
     roofs = RoofParts(10.0, 8)
     places = np.array([[5.0, 5.0], [15.0, 5.0]])
     for building in range(3):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lodbench.estimation.outline_alignment import Aligner
 from lodbench.geometry.pose_vector import vector_from_pose
-from lodbench.methods.contour_alignment.alignment import Aligner
-from lodbench.methods.flight import Params, photo_terms
+from lodbench.methods.flight import FlightParams, photo_terms
 from lodbench.methods.flight.photo_terms import LENS, flight_terms
 from lodbench.methods.flight.roof_parts import RoofParts
 from tests.methods.flight.test_method import flight
@@ -18,12 +18,12 @@ def test_points_speak_of_their_own_parts_as_the_dense_problem_has_it(city_map, m
     # Subsets that show some of the parts each.
     monkeypatch.setattr(photo_terms, "_MOST_POINTS", 40)
     (query,), (pose,) = flight(city_map, count=1, focal=1.0)
-    params, heat = Params().photo(), 1.5
+    params, heat = FlightParams().photo().outline_model(), 1.5
     vector, lens = vector_from_pose(pose), np.zeros(LENS)
     aligner, roofs = Aligner(query, city_map, params), RoofParts(20.0, city_map.scene.num_buildings)
-    asked = roofs, reach_px, params, (0.5, heat), None
+    asked = roofs, reach_px, (0.5, heat), None
     (term,) = flight_terms([aligner], vector[None], lens, *asked)
-    seen, _, rows = photo_terms._look(aligner, vector, lens, params, False)
+    seen, _, rows = photo_terms._look(aligner, vector, lens, False)
     numbers = roofs.numbers_of(rows, seen.places), roofs.numbers_of(-1 - rows, seen.places)
     _, weights = photo_terms._outline_noise(seen, reach_px)
     subsets = -(-len(rows) // 40)
@@ -53,8 +53,8 @@ def test_points_speak_of_their_own_parts_as_the_dense_problem_has_it(city_map, m
 
 def test_errors_of_a_building_s_place_go_together_in_one_view_and_not_with_others(city_map):
     (query,), (pose,) = flight(city_map, count=1, focal=1.0)
-    params, vector = Params().photo(), vector_from_pose(pose)
-    seen, _, _ = photo_terms._look(Aligner(query, city_map, params), vector, np.zeros(LENS), params, False)
+    params, vector = FlightParams().photo().outline_model(), vector_from_pose(pose)
+    seen, _, _ = photo_terms._look(Aligner(query, city_map, params), vector, np.zeros(LENS), False)
     noise, chosen = (1.0, np.ones(len(seen.distances))), slice(0, None, 7)
     lengths_px = params.outline_px, params.roof_part_px
     without, with_places = (

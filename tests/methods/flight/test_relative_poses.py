@@ -18,7 +18,7 @@ from lodbench.geometry.pose_vector import (
     pose_from_vector,
     rotation_derivatives,
 )
-from lodbench.methods.flight import FlightMethod, Params
+from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.flight.joint import solve
 from lodbench.methods.flight.reconstruction import placed
 from lodbench.methods.flight.relative_poses import RelativePose, rotation_vector, tangents
@@ -113,7 +113,7 @@ def test_photos_of_which_a_reconstruction_has_too_few_are_solved_without_it(know
     state.reconstruction = placed(poses, vectors, np.eye(6))
     part = state.begun(np.arange(3 - known, 6 - known), np.ones(6))
     assert part.reconstruction is None
-    assert np.isfinite(solve(part, [None] * 3, Params()).photo_steps).all()
+    assert np.isfinite(solve(part, [None] * 3, FlightParams()).photo_steps).all()
 
 
 def test_places_and_turns_of_a_reconstruction_have_shares_of_their_own():
@@ -127,7 +127,7 @@ def test_places_and_turns_of_a_reconstruction_have_shares_of_their_own():
         turn = Rotation.from_rotvec(np.radians(generator.normal(0, 0.05, 3))).as_matrix()
         poses[k] = Pose.from_center(turn @ pose.rotation, pose.center)
     # Sensors are right to centimetres: how far the reconstruction errs is there to be seen.
-    params = Params(own_m=0.02, own_tilt_deg=0.002, own_yaw_deg=0.002)
+    params = FlightParams(own_m=0.02, own_tilt_deg=0.002, own_yaw_deg=0.002)
     state = State(vectors, vectors, RoofParts(20.0, 0), np.zeros(0), np.ones(20))
     state.reconstruction = placed(poses, vectors, params.reconstruction_information())
     for _ in range(12):
@@ -233,7 +233,9 @@ def test_photos_tied_by_a_reconstruction_are_found_better_even_one_whose_mask_is
     streams = [partial(random_stream, 0, query.name) for query in tied]
     errors = {}
     for kind in ("none", "auto"):
-        found = FlightMethod(Params(relative_poses=kind)).localize_flight(tied, city_map, streams).estimates
+        found = (
+            FlightMethod(FlightParams(relative_poses=kind)).localize_flight(tied, city_map, streams).estimates
+        )
         errors[kind] = [pose_error(f.pose, p).translation_m for f, p in zip(found, poses, strict=True)]
     assert np.max(errors["auto"]) < 0.7
     assert np.median(errors["auto"]) < np.median(errors["none"])
@@ -252,7 +254,7 @@ def test_a_reconstruction_whose_cameras_all_lean_alike_places_photos_no_worse(ci
             leaning = Pose.from_center(tip @ there.rotation, there.center)
             tied.append(replace(query, reconstructed=leaning))
         streams = [partial(random_stream, 0, query.name) for query in tied]
-        method = FlightMethod(Params(reconstruction_mount_deg=mount_deg))
+        method = FlightMethod(FlightParams(reconstruction_mount_deg=mount_deg))
         found = method.localize_flight(tied, city_map, streams).estimates
         errors_deg[mount_deg] = np.median(
             [pose_error(f.pose, p).rotation_deg for f, p in zip(found, poses, strict=True)]
@@ -264,9 +266,9 @@ def test_a_reconstruction_whose_cameras_all_lean_alike_places_photos_no_worse(ci
 def test_a_reconstruction_that_is_asked_for_and_not_there_is_refused(city_map):
     queries, _ = flight(city_map, count=4)
     with pytest.raises(ConfigError, match="0 of 4 photos of the flight of q0 are in a reconstruction"):
-        FlightMethod(Params(relative_poses="reconstruction")).localize_flight(queries, city_map, [])
+        FlightMethod(FlightParams(relative_poses="reconstruction")).localize_flight(queries, city_map, [])
 
 
 def test_kinds_of_relative_poses_are_told():
     with pytest.raises(ConfigError, match="relative_poses=colmap"):
-        Params(relative_poses="colmap")
+        FlightParams(relative_poses="colmap")

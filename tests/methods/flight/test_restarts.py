@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lodbench.methods.flight import Params, method
+from lodbench.methods.flight import FlightParams, method
 from lodbench.methods.flight.aligning import align
 from lodbench.methods.flight.starts import ends_of, restarted
 from tests.methods.flight.test_method import flight, localize
@@ -41,7 +41,7 @@ def test_what_some_photos_of_a_long_flight_err_by_moves_not_all_of_it(city_map, 
         return found
 
     def places(restarts):
-        params = Params(restarts=restarts, steps=3)
+        params = FlightParams(restarts=restarts, steps=3)
         return np.array([found.pose.center for found in localize(queries, city_map, params).estimates])
 
     alone = places(0)

@@ -12,7 +12,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Query
 from lodbench.methods.flight.building_heights import _common
-from lodbench.methods.flight.map_views import views_of
+from lodbench.methods.flight.gone_buildings import views_of
 from lodbench.methods.flight.missing_buildings import missing_buildings
 from lodbench.methods.flight.roof_edges import open_pictures
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, roof_points, sweep_roofs

@@ -13,7 +13,7 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
-from lodbench.methods.flight import FlightMethod, Params
+from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.flight.shared_looks import agreed_places, exposures, look_of, with_masks_by_looks
 from lodbench.methods.protocol import Estimate
 from lodbench.segmentation import binary_mask
@@ -84,7 +84,7 @@ def test_a_flight_is_found_by_its_pixels(photographed, city_map, tmp_path):
     queries, poses, _ = photographed
     (tmp_path / "broken.png").write_bytes(b"no picture")
     broken = replace(queries[4], image=tmp_path / "broken.png")
-    answer = localize([*queries[:4], broken], city_map, Params(single="region", relative_poses="none"))
+    answer = localize([*queries[:4], broken], city_map, FlightParams(single="region", relative_poses="none"))
     errors = [
         pose_error(each.pose, pose).translation_m for each, pose in zip(answer.estimates, poses, strict=True)
     ]
@@ -100,7 +100,7 @@ def test_photos_that_disagree_are_put_where_the_others_say(city_map):
     found = [Estimate(pose, 1.0, probability=0.9) for pose in poses]
     found[1] = Estimate(poses[1].shifted([30.0, 0.0, 0.0]), 1.0, probability=0.9)
     found[3] = QueryFault("nothing in view")
-    vectors, trusts = agreed_places(priors, found, Params())
+    vectors, trusts = agreed_places(priors, found, FlightParams())
     assert trusts.tolist() == [0.9, 0.1, 0.9, 0.1, 0.9]
     for k, pose in enumerate(poses):
         assert np.linalg.norm(vectors[k, :3] - pose.center) < (1e-6 if trusts[k] > 0.5 else 4.0)
@@ -108,11 +108,11 @@ def test_photos_that_disagree_are_put_where_the_others_say(city_map):
 
 def test_what_is_not_known_is_refused_and_what_is_needed_is_said():
     assert FlightMethod().requires == {"mask"}
-    assert FlightMethod(Params(single="region")).requires == {"image"}
+    assert FlightMethod(FlightParams(single="region")).requires == {"image"}
     with pytest.raises(ConfigError, match=r"method\.single=regions is not known"):
-        Params(single="regions")
+        FlightParams(single="regions")
     faults = [QueryFault("there is no photo")] * 2
-    assert FlightMethod(Params(single="region"))._solve_by_edges([], faults, None).estimates == faults
+    assert FlightMethod(FlightParams(single="region"))._solve_by_edges([], faults, None).estimates == faults
 
 
 def textured(city_map, pose, camera, texture):
@@ -148,7 +148,7 @@ def test_photos_whose_priors_err_each_by_itself_are_placed_by_their_edges(city_m
         prior = pose_from_vector(vector_from_pose(pose) + off)
         queries.append(Query(f"q{k}", "all", camera, prior, image=tmp_path / f"q{k}.png", sequence="one"))
         truths.append(pose)
-    params = Params(single="region", shared_m=2.0, own_m=10.0, shared_height_m=30.0, restarts=0)
+    params = FlightParams(single="region", shared_m=2.0, own_m=10.0, shared_height_m=30.0, restarts=0)
     answer = localize(queries, city_map, params)
     errors = [pose_error(f.pose, t).translation_m for f, t in zip(answer.estimates, truths, strict=True)]
     before = [pose_error(q.prior, t).translation_m for q, t in zip(queries, truths, strict=True)]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lodbench.methods.contour_alignment.outline import OutlinePoints
-from lodbench.methods.region import posterior as map_errors
-from lodbench.methods.region.posterior import covariance_under_map_errors
+from lodbench.estimation import posterior as map_errors
+from lodbench.estimation.outline import OutlinePoints
+from lodbench.estimation.posterior import covariance_under_map_errors
 
 HEIGHT_M, FOCAL_PX = 150.0, 500.0
 # The prior leaves the place open and holds the tilt.
@@ -46,7 +46,7 @@ def outline_of(num_buildings, spread_m=50.0, points_each=40):
 
 
 def slopes_of(points):
-    return (points.moves * points.normals[:, None, :]).sum(axis=2)
+    return points.slopes()
 
 
 def information_of(points, worth):

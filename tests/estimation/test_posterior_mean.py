@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lodbench.methods.region.posterior import posterior_mean
+from lodbench.estimation.posterior import posterior_mean
 
 X = np.linspace(-8.0, 8.0, 4001)
 MODE, COVARIANCE = np.full(6, 0.3), np.diag([4.0, 1.0, 2.0, 0.5, 0.5, 1.0])

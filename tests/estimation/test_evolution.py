@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lodbench.methods.region.evolution import Cloud, maximize, maximize_abreast
+from lodbench.estimation.evolution import maximize, maximize_abreast
+from lodbench.estimation.probability import Gaussian
 
 
 @given(st.integers(0, 2**32))
@@ -17,7 +18,7 @@ def test_a_climb_ends_on_the_top_of_a_tilted_valley(seed):
     def value(points):
         return -0.5 * np.einsum("ni,ij,nj->n", points - top, curvature, points - top)
 
-    found = maximize(value, Cloud(np.zeros(6), np.eye(6)), 120, 24, rng)
+    found = maximize(value, Gaussian(np.zeros(6), np.eye(6)), 120, 24, rng)
     assert value(found.mean[None])[0] > -1e-3
     # The cloud takes the valley's shape: longest where the curvature is least.
     lengths, axes = np.linalg.eigh(found.covariance)
@@ -38,26 +39,26 @@ def generators():
     return [np.random.default_rng(seed) for seed in range(3)]
 
 
-STARTS = [Cloud(np.full(6, place), np.eye(6)) for place in (1.0, 99.0, -2.0)]
+STARTS = [Gaussian(np.full(6, place), np.eye(6)) for place in (1.0, 99.0, -2.0)]
 
 
-def test_climbs_abreast_end_where_each_does_by_itself():
+def test_searches_abreast_end_where_each_does_by_itself():
     value = two_hills(-30.0)
-    together = maximize_abreast(value, STARTS, 22, 24, generators(), hopeless=100.0)
+    together = maximize_abreast(value, STARTS, 22, 24, generators(), prune_gap=100.0)
     for found, start, generator in zip(together, STARTS, generators(), strict=True):
         alone = maximize(value, start, 22, 24, generator)
         np.testing.assert_allclose(found.mean, alone.mean, atol=1e-9)
         np.testing.assert_allclose(found.covariance, alone.covariance, atol=1e-9)
 
 
-def test_a_climb_that_is_hopelessly_low_is_given_up_and_the_others_go_on():
+def test_a_search_that_is_far_behind_is_given_up_and_the_others_go_on():
     asked = []
 
     def value(points):
         asked.append(len(points))
         return two_hills(-1000.0)(points)
 
-    found = maximize_abreast(value, STARTS, 22, 24, generators(), hopeless=100.0)
+    found = maximize_abreast(value, STARTS, 22, 24, generators(), prune_gap=100.0)
     assert asked == [3 * 24] * 4 + [2 * 24] * 18
     assert [round(float(np.abs(cloud.mean).max())) for cloud in found] == [0, 0]
     whole = maximize_abreast(value, STARTS, 22, 24, generators())

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.building_boxes import floors_and_rises
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
+from lodbench.geometry.pose_vector import pose_from_vector, rotation_derivatives
 from lodbench.kernels.arguments import EdgeArrays
 from lodbench.kernels.edges import sample_edges
 from lodbench.kernels.projection import visible_buildings
@@ -46,6 +48,10 @@ class OutlinePoints:
     def __len__(self) -> int:
         return len(self.lengths)
 
+    def slopes(self, count: int = 9) -> Floats:
+        """Returns (N, count) how far each point moves along its normal per unit of the first of ``moves``."""
+        return np.asarray((self.moves[:, :count] * self.normals[:, None, :]).sum(axis=2))
+
 
 def edges_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float) -> EdgeArrays:
     """Returns the edges of the buildings that may be seen from anywhere near a prior.
@@ -82,8 +88,7 @@ def _in_reach(
 def sample_outline(
     edges: EdgeArrays,
     camera: Camera,
-    pose: Pose,
-    derivatives: Floats,
+    vector: Floats,
     silhouette: NDArray[np.bool_],
     spacing_px: float,
 ) -> OutlinePoints:
@@ -94,11 +99,11 @@ def sample_outline(
     Args:
         edges: Of the buildings in reach.
         camera: Pinhole of the silhouette's size.
-        pose: Where the silhouette is seen from.
-        derivatives: (3, 3, 3) from ``rotation_derivatives``.
-        silhouette: (H, W) rendered from the pose.
+        vector: (6,) the pose that the silhouette is seen from; more is not looked at.
+        silhouette: (H, W) rendered from there.
         spacing_px: Distance between points.
     """
+    pose, derivatives = pose_from_vector(vector), rotation_derivatives(vector)
     rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
     visible = visible_buildings(edges.spheres, rotation, center, view_planes(camera, 0, camera.width))
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
@@ -150,11 +155,7 @@ def edges_of(scene: Scene) -> EdgeArrays:
     a, b, c = (vertices[scene.triangles[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     offsets = -(normals * a).sum(axis=1)
-    filled = np.flatnonzero(np.diff(scene.vertex_starts) > 0)
-    floors, tops = np.zeros(scene.num_buildings), np.zeros(scene.num_buildings)
-    if len(filled):
-        floors[filled] = np.minimum.reduceat(vertices[:, 2], scene.vertex_starts[filled])
-        tops[filled] = np.maximum.reduceat(vertices[:, 2], scene.vertex_starts[filled])
+    floors, rises = floors_and_rises(scene)
     return EdgeArrays(
         vertices=vertices,
         corners=table.corners,
@@ -164,6 +165,6 @@ def edges_of(scene: Scene) -> EdgeArrays:
         planes=np.concatenate([normals, offsets[:, None]], axis=1),
         spheres=bounding_spheres(scene),
         floors=floors,
-        rises=tops - floors,
+        rises=rises,
         rows=np.arange(scene.num_buildings),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lodbench.methods.flight.normal_equations import ErrorGroup, NormalEquations
+from lodbench.estimation.normal_equations import ErrorGroup, NormalEquations
 
 TOLD = 2.0
 

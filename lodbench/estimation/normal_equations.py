@@ -1,6 +1,6 @@
-"""Sparse normal equations, block by block, and groups of errors whose common scale the flight estimates.
+"""Least squares: a quadratic and its step, sparse normal equations, groups of errors of one scale.
 
-Errors that are told too large by one unknown factor, which the flight itself tells (variance components). A
+Errors may be declared too large by one unknown factor, which a flight itself shows (variance components). A
 flight says how far roofs of the map differ from each other, and how far photos lie from where a
 reconstruction has them. Where that is less than was told beforehand, expectation maximisation lowers what
 was told: squares of the residuals, and what is left open of them, are what their variance should be
@@ -10,6 +10,7 @@ was told: squares of the residuals, and what is left open of them, are what thei
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -17,6 +18,37 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
+
+
+class Quadratic(NamedTuple):
+    """The logarithm of a density of N numbers to second order.
+
+    Attributes:
+        information: (N, N) the curvature of its negative.
+        gradient: (N,) the slope of its negative.
+        log_density: At the point of linearisation, up to a constant.
+    """
+
+    information: Floats
+    gradient: Floats
+    log_density: float = 0.0
+
+    def times_prior(self, precision: Floats, away: Floats) -> Quadratic:
+        """Returns the product with a Gaussian prior of independent errors.
+
+        Args:
+            precision: (N,) of the prior.
+            away: (N,) how far the point is from its mean.
+        """
+        return Quadratic(
+            self.information + np.diag(precision),
+            self.gradient + precision * away,
+            self.log_density - 0.5 * float(precision @ away**2),
+        )
+
+    def step(self) -> Floats:
+        """Returns (N,) the Gauss-Newton step to its maximum."""
+        return np.asarray(-np.linalg.solve(self.information, self.gradient))
 
 
 class NormalEquations:

@@ -2,7 +2,7 @@
 
 The objective is a count of pixels: it has no derivatives, steps of its own below a pixel, and valleys where
 tilt and place make up for each other. A Gaussian cloud of poses that learns the valley's shape from its
-better half walks along it (Hansen, "The CMA Evolution Strategy: A Tutorial", 2016; the constants are his).
+better half moves along it (Hansen, "The CMA Evolution Strategy: A Tutorial", 2016; the constants are his).
 """
 
 from __future__ import annotations
@@ -10,37 +10,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from copy import copy
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.estimation.probability import Gaussian
+
 Floats = NDArray[np.float64]
 
-# Generations after which a climb is seen to be hopeless.
-_SEEN = 4
-
-
-class Cloud(NamedTuple):
-    """A Gaussian of poses.
-
-    Attributes:
-        mean: (N,) its middle.
-        covariance: (N, N).
-    """
-
-    mean: Floats
-    covariance: Floats
+# Generations after which searches that are far behind are given up.
+_PRUNE_AFTER = 4
 
 
 def maximize(
     value: Callable[[Floats], Floats],
-    start: Cloud,
+    start: Gaussian,
     generations: int,
     population: int,
     generator: np.random.Generator,
-) -> Cloud:
-    """Returns the cloud after some generations of walking uphill; its mean is the estimate.
+) -> Gaussian:
+    """Returns the Gaussian of the last of some generations; its mean is the estimate.
 
     Args:
         value: (M, N) points to (M,) values, higher is better.
@@ -49,19 +38,19 @@ def maximize(
         population: Points in each, even: every draw is used with both signs.
         generator: Of random numbers.
     """
-    (cloud,) = maximize_abreast(value, [start], generations, population, [generator])
-    return cloud
+    (found,) = maximize_abreast(value, [start], generations, population, [generator])
+    return found
 
 
 def maximize_abreast(
     value: Callable[[Floats], Floats],
-    starts: Sequence[Cloud],
+    starts: Sequence[Gaussian],
     generations: int,
     population: int,
     generators: Sequence[np.random.Generator],
-    hopeless: float = math.inf,
-) -> list[Cloud]:
-    """Returns what ``maximize`` does from some starts, asked about together: of those not given up, in order.
+    prune_gap: float = math.inf,
+) -> list[Gaussian]:
+    """Returns what ``maximize`` does from some starts, evaluated together: of those not given up, in order.
 
     Args:
         value: As of ``maximize``.
@@ -69,8 +58,8 @@ def maximize_abreast(
         generations: As of ``maximize``.
         population: As of ``maximize``.
         generators: Of random numbers, one for each start.
-        hopeless: Climbs whose best is lower than the highest by more after four generations are given up; in
-            units of the value.
+        prune_gap: Searches whose best is lower than the highest by more after four generations are given up;
+            in units of the value.
 
     Raises:
         ValueError: There are not as many generators as starts.
@@ -79,22 +68,22 @@ def maximize_abreast(
         raise ValueError(f"{len(starts)} starts need as many generators, not {len(generators)}.")
     if not starts:
         return []
-    walkers = _Walkers(starts, population)
+    searches = _Searches(starts, population)
     for generation in range(generations):
-        values = value(walkers.points(generators).reshape(-1, walkers.size)).reshape(len(generators), -1)
-        walkers.walk(values)
-        if generation + 1 == _SEEN and not math.isinf(hopeless):
+        values = value(searches.draw(generators).reshape(-1, searches.size)).reshape(len(generators), -1)
+        searches.update(values)
+        if generation + 1 == _PRUNE_AFTER and not math.isinf(prune_gap):
             best = values.max(axis=1)
             # This way round none is given up where a value is no number.
-            going_on = np.flatnonzero(~(best < best.max() - hopeless))
-            walkers, generators = walkers.some(going_on), [generators[int(k)] for k in going_on]
-    return walkers.clouds()
+            kept = np.flatnonzero(~(best < best.max() - prune_gap))
+            searches, generators = searches.selected(kept), [generators[int(k)] for k in kept]
+    return searches.gaussians()
 
 
-class _Walkers:
-    """Some climbs, W of them, a generation at a time."""
+class _Searches:
+    """Some searches, W of them, a generation at a time."""
 
-    def __init__(self, starts: Sequence[Cloud], population: int) -> None:
+    def __init__(self, starts: Sequence[Gaussian], population: int) -> None:
         self._means = np.stack([start.mean for start in starts])
         self._shapes = np.stack([start.covariance for start in starts])
         many, self.size = self._means.shape
@@ -116,7 +105,7 @@ class _Walkers:
         self._scales, self._paths, self._shape_paths = np.ones(many), *np.zeros((2, many, size))
         self._generation = 0
 
-    def points(self, generators: Sequence[np.random.Generator]) -> Floats:
+    def draw(self, generators: Sequence[np.random.Generator]) -> Floats:
         """Draws the next generation of each, (W, M, N)."""
         squares, self._axes = np.linalg.eigh(self._shapes)
         self._spreads = np.sqrt(np.maximum(squares, 1e-20))
@@ -125,7 +114,7 @@ class _Walkers:
         self._moves = np.concatenate([moves, -moves], axis=1)
         return np.asarray(self._means[:, None] + self._scales[:, None, None] * self._moves)
 
-    def walk(self, values: Floats) -> None:
+    def update(self, values: Floats) -> None:
         """Moves each towards the better half of its generation drawn last, and learns its shape.
 
         Eq. (R9) of docs/methods/region.md.
@@ -157,14 +146,14 @@ class _Walkers:
         )
         self._scales = self._scales * np.exp(path_rate / self._damping * (norms / self._length - 1.0))
 
-    def some(self, which: NDArray[np.int64]) -> _Walkers:
+    def selected(self, which: NDArray[np.int64]) -> _Searches:
         """Returns some of them, between generations."""
         others = copy(self)
         for name in ("_means", "_shapes", "_scales", "_paths", "_shape_paths"):
             setattr(others, name, getattr(self, name)[which])
         return others
 
-    def clouds(self) -> list[Cloud]:
+    def gaussians(self) -> list[Gaussian]:
         """Returns where each has come to."""
         shapes = self._scales[:, None, None] ** 2 * self._shapes
-        return [Cloud(mean, shape) for mean, shape in zip(self._means, shapes, strict=True)]
+        return [Gaussian(mean, shape) for mean, shape in zip(self._means, shapes, strict=True)]

@@ -1,6 +1,6 @@
 """The model's visible lines over the photo's edges: how well they fit, and starts from them.
 
-Where the map's lines fall on the photo's edges at all: starts where regions have no top. A street of roofs
+Where the map's lines fall on the photo's edges at all: starts where regions have no mode. A street of roofs
 as dark as its yards has its best silhouette elsewhere; edges along its roofs are where they are. Every
 sample of a fine grid is tried with a blurred photo (docs/adr/0057).
 """
@@ -15,15 +15,17 @@ import scipy
 from numpy.typing import NDArray
 
 from lodbench.datasets.query import Query
+from lodbench.estimation.evolution import maximize
+from lodbench.estimation.probability import Gaussian
+from lodbench.estimation.state_vector import ALL, BESIDE_POSE, POSE, ROOFS, views_of
 from lodbench.geometry import Camera
 from lodbench.geometry.angles import rotations_from_euler
 from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.kernels.arguments import LinePoints
 from lodbench.kernels.photo_edges import EDGE_LEVELS, count_along_lines, sum_along_lines
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.evidence import Evidence, Photo, views_of
-from lodbench.methods.region.evolution import Cloud, maximize
-from lodbench.methods.region.params import ALL, BESIDE_POSE, POSE, ROOFS, Params
+from lodbench.methods.region.evidence import Photo, PosePosterior
+from lodbench.methods.region.params import RegionParams
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, step_of
 from lodbench.methods.region.search import local_maxima, samples
 from lodbench.rendering.photo_bins import Levels
@@ -46,7 +48,7 @@ _OWN, _MOST_SIGMAS = np.arange(-3.0, 4.0), 4.0
 _LOWEST_SHARE = 0.2
 # Fewer poses are not worth handing over to threads.
 _FEW = 8
-# The deviation of roofs that are told not to err.
+# The deviation of roofs that are declared exact.
 _LEAST_SIGMA_M = 1e-9
 
 
@@ -70,8 +72,8 @@ def worth_of_levels() -> Floats:
     return np.asarray(_RATIOS[[len(_STRENGTHS) // 2] * 2])
 
 
-class LineFit:
-    """What the photo's edges say of poses near one: the lines visible from there, wherever they then fall.
+class LineLikelihood:
+    """The likelihood of the photo's edges given state vectors near one, by the lines visible from there.
 
     Each roof may be higher or lower by itself besides. The likelihood is the sum over how much, building by
     building: where a map's roofs err each in its own way, lines say less, but nothing wrong.
@@ -80,7 +82,7 @@ class LineFit:
         levels: How strongly the photo changes, as of ``Photo.levels``.
         query: The query.
         roofs: The map, which says what lines are seen.
-        vector: (10,) the pose that they are seen from, and what else of ``unknowns`` then is.
+        vector: (10,) the pose that they are seen from, and the rest of the state vector.
         params: The method's.
         has_bases: Whether lines where walls end count too.
 
@@ -94,7 +96,7 @@ class LineFit:
         query: Query,
         roofs: RaisedRoofs,
         vector: Floats,
-        params: Params,
+        params: RegionParams,
         has_bases: bool = False,
     ) -> None:
         camera = query.camera.scaled(levels.shape[1], levels.shape[0])
@@ -105,7 +107,7 @@ class LineFit:
         self.buildings, buildings = np.unique(points.buildings, return_inverse=True)
         self._points = points._replace(buildings=buildings)
         self._roofs = roofs
-        self._of_map_m = np.array([step * STEP_M, roofs.feet_m, roofs.eaves_m])
+        self._of_map_m = np.array([step * STEP_M, roofs.bases_m, roofs.eaves_m])
         self._weight = params.lines_weight * spacing_px
         self._sigma_m = max(params.own_roofs_m, _LEAST_SIGMA_M)
         self._own_m = params.own_roofs_m * (_OWN if params.own_roofs_m > 0 else _OWN[:1])
@@ -126,12 +128,12 @@ class LineFit:
         How strongly edges stand out along outlines and along creases is taken as fits the first pose best.
 
         Args:
-            vectors: As of ``unknowns``.
+            vectors: State vectors.
             share: Of the photo's nats that count.
         """
-        return self.begun(vectors, share)()
+        return self.submit(vectors, share)()
 
-    def begun(self, vectors: Floats, share: float = 1.0) -> Callable[[], Floats]:
+    def submit(self, vectors: Floats, share: float = 1.0) -> Callable[[], Floats]:
         """Begins a call on the roofs' threads, but for few poses; returns what waits for it, once."""
 
         def work(part: Floats) -> Floats:
@@ -141,7 +143,7 @@ class LineFit:
 
         if len(vectors) < _FEW:
             return lambda: work(vectors)
-        done = self._roofs.side_by_side(work, np.array_split(vectors, self._roofs.threads))
+        done = self._roofs.parallel_map(work, np.array_split(vectors, self._roofs.threads))
         return lambda: np.concatenate(list(done))
 
     def own_roofs_m(self, vector: Floats) -> Floats:
@@ -253,10 +255,10 @@ def line_starts(
     photo: Photo,
     query: Query,
     roofs: RaisedRoofs,
-    evidence: Evidence,
-    params: Params,
+    evidence: PosePosterior,
+    params: RegionParams,
     streams: Streams,
-) -> list[Cloud]:
+) -> list[Gaussian]:
     """Returns poses around which the map's lines lie along edges of the photo, best first.
 
     Args:
@@ -279,24 +281,24 @@ def line_starts(
     open_to_it = np.diag(np.square([half_m, half_m, half_z_m, *tilts_deg, 0.5 * coarse.stride_yaw_deg]))
     clouds = []
     for k, start in enumerate(found):
-        lines = LineFit(levels, query, roofs, np.append(start, np.zeros(BESIDE_POSE)), coarse)
+        lines = LineLikelihood(levels, query, roofs, np.append(start, np.zeros(BESIDE_POSE)), coarse)
         if len(lines):
-            value, cloud = _posterior(lines, evidence), Cloud(start, open_to_it)
+            value, cloud = _posterior(lines, evidence), Gaussian(start, open_to_it)
             clouds.append(maximize(value, cloud, _GENERATIONS, params.population, streams("line start", k)))
     return clouds
 
 
-def _posterior(lines: LineFit, evidence: Evidence) -> Callable[[Floats], Floats]:
+def _posterior(lines: LineLikelihood, evidence: PosePosterior) -> Callable[[Floats], Floats]:
     """Returns what edges and prior say of poses (N, 6), roofs as in the map."""
 
     def value(vectors: Floats) -> Floats:
         whole = np.column_stack([vectors, np.zeros((len(vectors), BESIDE_POSE))])
-        return lines(whole) + evidence.log_prior(vectors)
+        return lines(whole) + evidence.prior.log_density(vectors)
 
     return value
 
 
-def _with_strides(params: Params) -> Params:
+def _with_strides(params: RegionParams) -> RegionParams:
     """Returns the parameters with the strides of the fine grid, or longer ones that make no more samples."""
     fine = replace(params, stride_m=_STRIDE_M, stride_z_m=_STRIDE_Z_M, stride_yaw_deg=_STRIDE_YAW_DEG)
     longer = max(1.0, (len(fine.grid()) / _MOST_SAMPLES) ** 0.25)
@@ -322,7 +324,7 @@ def _sums_at(vectors: Floats, levels: Levels, photo_camera: Camera, roofs: Raise
         sum_along_lines(points, *view, levels, np.zeros(1), worth, sums)
         return np.asarray(each_px * sums[:, 0, 0])
 
-    return np.stack(list(roofs.side_by_side(at, range(vectors.shape[1]))), axis=1).ravel()
+    return np.stack(list(roofs.parallel_map(at, range(vectors.shape[1]))), axis=1).ravel()
 
 
 def _some_points(roofs: RaisedRoofs, camera: Camera, vector: Floats) -> tuple[LinePoints, float]:

@@ -1,9 +1,12 @@
-"""The tracker: outlines aligned from where the last motion leads; a lost camera is searched for."""
+"""Frames of a video one after the other: each starts from the last pose and motion (docs/adr/0032).
+
+Outlines are aligned from where the last motion leads; a lost camera is searched for.
+"""
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -11,19 +14,17 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
-from lodbench.errors import QueryFault
+from lodbench.errors import QueryFault, require_numbers
+from lodbench.estimation.outline_alignment import Aligner
+from lodbench.estimation.probability import probability_within
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
-from lodbench.methods.contour_alignment import ContourAlignment
-from lodbench.methods.contour_alignment.alignment import Aligner
-from lodbench.methods.contour_alignment.params import Params as PhotoParams
-from lodbench.methods.contour_alignment.uncertainty import probability_within
-from lodbench.methods.tracking.params import Params, half_size
+from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
 
-# Frames by which a frame's overlap is judged, and the share of the last motion in what is thought of it.
+# Frames that a frame's overlap is compared with, and the share of the last motion in the estimated one.
 _REMEMBERED, _NEWS = 10, 0.6
 # The kernel's last scale, pixels of the fine size.
 _NEAR_PX = 4.0
@@ -31,6 +32,71 @@ _NEAR_PX = 4.0
 _LONGEST_S = 2.0
 
 TRACKED, FOUND, LOST = "tracked", "found again", "lost"
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingParams:
+    """The settings of ``lodbench track``.
+
+    Attributes:
+        fine_size: Width and height of masks whose outlines are aligned last, pixels; half of it before.
+        steps: Alignment steps on masks of half the size.
+        final_steps: And at full size.
+        reach_px: How far outlines may lie apart in the first step, pixels of the fine size.
+        speed_m: How far a frame may be from where the motion leads, metres per second of time between.
+        turn_deg: The same of its angles, degrees per second.
+        still_m: The same however short the time is, metres.
+        still_deg: Likewise, degrees.
+        fit: A frame is lost whose silhouette and mask overlap by less than this share of what the last
+            frames did.
+        least_iou: And whose overlap is less than this in any case.
+        search_m: Full width of the search for a lost camera, metres; half more with each frame that is.
+        search_deg: The same of its heading, degrees.
+        most_m: The widest search.
+    """
+
+    fine_size: tuple[int, int] = (602, 448)
+    steps: int = 5
+    final_steps: int = 2
+    reach_px: float = 24.0
+    speed_m: float = 3.0
+    turn_deg: float = 15.0
+    still_m: float = 0.5
+    still_deg: float = 1.0
+    fit: float = 0.75
+    least_iou: float = 0.4
+    search_m: float = 20.0
+    search_deg: float = 20.0
+    most_m: float = 120.0
+
+    def __post_init__(self) -> None:
+        require_numbers(self, "track", self.__slots__[1:], 0, ends="(]")  # all but the size
+
+    def photo(self, seconds: float) -> ContourAlignmentParams:
+        """Returns the parameters by which a frame is aligned, so many seconds after the last."""
+        place = 2.0 * (self.still_m + self.speed_m * seconds)
+        turn = 2.0 * (self.still_deg + self.turn_deg * seconds)
+        return self._photo(place, turn, min(turn, 4.0))
+
+    def search(self, lost: int) -> ContourAlignmentParams:
+        """Returns the parameters by which a camera is searched that was lost for so many frames."""
+        # Beyond some 1750 frames the power is no number any more.
+        place = min(self.search_m * 1.5 ** min(max(0, lost - 1), 100), self.most_m)
+        return self._photo(place, self.search_deg, 4.0)
+
+    def _photo(self, place_m: float, turn_deg: float, tilt_deg: float) -> ContourAlignmentParams:
+        return replace(
+            ContourAlignmentParams(),
+            pitched_lower_m=0.0,
+            fine_size=self.fine_size,
+            range_x_m=place_m,
+            range_y_m=place_m,
+            range_z_m=place_m,
+            range_yaw_deg=turn_deg,
+            range_tilt_deg=tilt_deg,
+            reach_px=self.reach_px,
+            steps=self.steps,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +123,7 @@ class Tracked:
         state: ``tracked``, ``found again`` or ``lost``.
         score: IoU of silhouette and mask.
         covariance: (6, 6) of centre (metres) and angles (degrees); None for a camera that is lost.
-        probability: Of being within (2 m, 2 deg), as far as one frame tells; 0 for a camera that is lost.
+        probability: Of being within (2 m, 2 deg), by one frame alone; 0 for a camera that is lost.
     """
 
     pose: Pose
@@ -86,7 +152,7 @@ class Tracker:
         start: Rough pose of the first frame, scene frame, as wrong as a drone's sensors.
         params: How.
         lens_percent: Standard deviation of the camera's focal length, percent, as of ``Query``;
-            for frames that are searched for: those that follow another are aligned with the lens as told.
+            for frames that are searched for: those that follow another are aligned with the lens as declared.
     """
 
     def __init__(
@@ -94,10 +160,10 @@ class Tracker:
         city_map: CityMap,
         camera: Camera,
         start: Pose,
-        params: Params | None = None,
+        params: TrackingParams | None = None,
         lens_percent: float | None = None,
     ) -> None:
-        self._map, self._camera, self.params = city_map, camera, params or Params()
+        self._map, self._camera, self.params = city_map, camera, params or TrackingParams()
         self._lens_percent = lens_percent
         self._vector: Floats = vector_from_pose(start)
         self._motion: Floats = np.zeros(6)
@@ -110,7 +176,7 @@ class Tracker:
         if not (frame.mask >= 0.5).any():
             return self._keep(frame, _Place(self._predicted(frame), 0.0), LOST)
         if self._time_s is None:
-            found = self._searched(frame, self._vector, PhotoParams())
+            found = self._searched(frame, self._vector, ContourAlignmentParams())
             return self._keep(frame, found, TRACKED if found.iou >= self.params.least_iou else LOST)
         predicted = self._predicted(frame)
         if not self._lost:
@@ -137,7 +203,8 @@ class Tracker:
         Should they lead nowhere, they start again from the last pose: the motion may have ended.
         """
         seconds = max(frame.time_s - (self._time_s or 0.0), 0.0)
-        aligner = Aligner(self._query(frame, predicted), self._map, self.params.photo(seconds))
+        model = self.params.photo(seconds).outline_model()
+        aligner = Aligner(self._query(frame, predicted), self._map, model)
         best = self._steps(aligner, predicted)
         if best.iou < self._least() and np.abs(self._motion).max() > 0:
             again = self._steps(aligner, self._vector)
@@ -148,15 +215,16 @@ class Tracker:
     def _steps(self, aligner: Aligner, start: Floats) -> _Place:
         size, params = self.params.fine_size, self.params
         reaches = np.geomspace(params.reach_px, _NEAR_PX, params.steps)
-        vector = aligner.align(np.append(start, 0.0), tuple(map(float, reaches)), half_size(size))
+        half = max(8, size[0] // 2), max(8, size[1] // 2)
+        vector = aligner.align(np.append(start, 0.0), tuple(map(float, reaches)), half)
         vector = aligner.align(vector, (_NEAR_PX,) * params.final_steps, size)
         here = aligner.linearize(vector, _NEAR_PX, size)
         if here is None:
             return _Place(vector[:6], 0.0)
-        covariance = np.asarray(np.linalg.inv(here.information))[:6, :6]
+        covariance = np.asarray(np.linalg.inv(here.posterior.information))[:6, :6]
         return _Place(vector[:6], here.iou, covariance, probability_within(covariance, vector[:6]))
 
-    def _searched(self, frame: Frame, around: Floats, params: PhotoParams) -> _Place:
+    def _searched(self, frame: Frame, around: Floats, params: ContourAlignmentParams) -> _Place:
         """Returns the best place within a search; its IoU is 0 where none fits."""
         streams = partial(random_stream, 0, "track", frame.name)
         try:

@@ -1,11 +1,11 @@
 """The posterior of the pose: its mean, its covariance, and what errors of the map add.
 
 The mean of the poses that a photo leaves, instead of the one that fits it best. The fit has steps of its
-own below a pixel, and ridges along which tilt and place make up for each other: its top is one of many
-bumps, metres apart on a ridge. Their mean, weighed by the posterior, is nearer to the truth
+own below a pixel, and ridges along which tilt and place make up for each other: its maximum is one of many
+local ones, metres apart on a ridge. Their mean, weighed by the posterior, is nearer to the truth
 (docs/adr/0044).
 
-How much a photo's nats count is told by the photo (docs/adr/0056). Hundreds of lines seem to say a place to
+How much a photo's nats count follows from the photo (docs/adr/0056). Hundreds of lines seem to fix a place to
 a decimetre, but err together; a few say no more than they know.
 
 How far a map's own errors may have led an answer astray: its covariance. The curvature of a likelihood says
@@ -24,24 +24,19 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from lodbench.estimation.outline import OutlinePoints
+from lodbench.estimation.probability import Gaussian
 from lodbench.kernels.estimation import error_covariance
-from lodbench.methods.contour_alignment.outline import OutlinePoints
-from lodbench.methods.region.evidence import Evidence
-from lodbench.methods.region.search import OutlineJacobian
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
 
 # Poses that the curvature is read from: a quadratic of six numbers has 28 coefficients.
 _SAMPLES = 192
-# How far apart their outlines lie, pixels: beyond the stairs of single pixels, within the mode.
-_REACH_PX = 1.5
 _PAIRS = np.triu_indices(6)
 
 
-def information_at(
-    log_likelihood: Callable[[Floats], Floats], vector: Floats, evidence: Evidence, around: OutlineJacobian
-) -> Floats:
+def curvature_around(log_likelihood: Callable[[Floats], Floats], spread: Gaussian) -> Floats:
     """Returns the curvature (6, 6) of the likelihood at a mode: what the photo says if the map is right.
 
     Eq. (R18) of docs/methods/region.md.
@@ -50,38 +45,33 @@ def information_at(
 
     Args:
         log_likelihood: (N, 6) poses to the (N,) logarithm of their likelihood.
-        vector: (6,) the mode.
-        evidence: Knows the prior and the working size.
-        around: How the outline moves.
+        spread: Of the poses that it is fitted to, about the mode.
     """
-    shape = around.cloud(vector, evidence, _REACH_PX)
-    if shape is None:
-        return np.zeros((6, 6))
-    squares, axes = np.linalg.eigh(shape.covariance)
-    roots = axes * np.sqrt(np.maximum(squares, 0.0))
+    roots = spread.root()
     # The same draws for every query: the answer is a function of the mode alone.
     draws = random_stream(0, "curvature of the region fit").standard_normal((_SAMPLES // 2, 6))
     draws = np.concatenate([draws, -draws])
-    values = log_likelihood(vector + draws @ roots.T)
+    values = log_likelihood(spread.mean + draws @ roots.T)
     design = np.column_stack([np.ones(len(draws)), draws, draws[:, _PAIRS[0]] * draws[:, _PAIRS[1]]])
     coefficients = np.linalg.lstsq(design, values, rcond=None)[0]
     hessian = np.zeros((6, 6))
     hessian[_PAIRS] = coefficients[7:]
     curvature, directions = np.linalg.eigh(-(hessian + hessian.T))
     back = np.linalg.inv(roots)
-    seen = back.T @ (directions * np.maximum(curvature, 0.0)) @ directions.T @ back
-    return np.asarray(0.5 * (seen + seen.T))
+    information = back.T @ (directions * np.maximum(curvature, 0.0)) @ directions.T @ back
+    return np.asarray(0.5 * (information + information.T))
 
 
-def share_of_best(evidence: Floats) -> float:
-    """Returns the posterior share of the best of some modes, their widths taken to be alike.
+def shares_of(evidence: Floats) -> Floats:
+    """Returns (M,) the posterior shares of some modes or hypotheses.
 
-    Eq. (R13) of docs/methods/region.md.
+    Eq. (R13) of docs/methods/region.md, where the widths of modes are taken to be alike.
 
     Args:
         evidence: (M,) the logarithm of what speaks for each, up to a constant.
     """
-    return float(1.0 / np.exp(evidence - evidence.max()).sum())
+    weights = np.exp(evidence - evidence.max())
+    return np.asarray(weights / weights.sum())
 
 
 # Standard deviations, metres: where a building stands, how high its roof is as a whole and by parts, how high
@@ -94,7 +84,7 @@ _TOGETHER_PX, _OWN_PX, _NEAR_PX, _PART_PX = 1.0, 1.0, 12.0, 20.0
 _POSE, _EAST_NORTH, _LENS, _ROOF, _BASE = slice(0, 6), slice(0, 2), 6, 7, 8
 # More points say no more; fewer say nothing.
 _MOST_POINTS, _LEAST_POINTS = 600, 6
-# So that directions that no outline tells can be divided by, as a share of the others.
+# So that directions that no outline fixes can be divided by, as a share of the others.
 _UNSEEN = 1e-6
 
 
@@ -121,7 +111,7 @@ def covariance_under_map_errors(
     # Every so many-th point stands for those that are left out.
     stride = math.ceil(len(points) / _MOST_POINTS)
     lengths = points.lengths[::stride] * stride
-    slopes = (points.moves * points.normals[:, None, :]).sum(axis=2)[::stride]
+    slopes = points.slopes()[::stride]
     pulls = slopes[:, _POSE] * lengths[:, None]
     outline = pulls.T @ slopes[:, _POSE]
     outline += _UNSEEN * np.trace(outline) / len(outline) * np.eye(len(outline))
@@ -157,20 +147,6 @@ def _variance_of_pulls(pulls: Floats, slopes: Floats, pixels: Floats, buildings:
     return np.asarray(variance + _PLACE_M**2 * np.einsum("kai,kbi->ab", of_buildings, of_buildings))
 
 
-# As SciPy has them: the relative tolerance that double precision allows, and more steps than any root takes.
-_RELATIVE, _MOST_STEPS = 4.0 * 2.0**-52, 100
-
-
-def _interpolated(places: tuple[float, float, float], values: tuple[float, float, float]) -> float:
-    """Returns the step from the second place to where a line, or an inverse parabola, has its root."""
-    (before, now, other), (at_before, at_now, at_other) = places, values
-    if before == other:
-        return -at_now * (now - before) / (at_now - at_before)
-    slope, other_slope = (at_before - at_now) / (before - now), (at_other - at_now) / (other - now)
-    above = -at_now * (at_other * other_slope - at_before * slope)
-    return above / (other_slope * slope * (at_other - at_before))
-
-
 # Poses of a round, even, and how many rounds there are.
 _POSES, _ROUNDS = 128, 12
 # Draws lie a little wider than what they stand for, and part of each round's width stays from the one before:
@@ -183,8 +159,8 @@ _PLACE = slice(0, 3)
 _LEAST_SQUARE = 1e-18
 
 
-class _Gaussian(NamedTuple):
-    """What poses are drawn from.
+class _Proposal(NamedTuple):
+    """A Gaussian that poses are drawn from, by its axes.
 
     Attributes:
         mean: (D,).
@@ -197,7 +173,7 @@ class _Gaussian(NamedTuple):
     deviations: Floats
 
     @classmethod
-    def of(cls, mean: Floats, covariance: Floats) -> _Gaussian:
+    def of(cls, mean: Floats, covariance: Floats) -> _Proposal:
         squares, axes = np.linalg.eigh(covariance)
         return cls(mean, axes, np.sqrt(np.maximum(squares, _LEAST_SQUARE)))
 
@@ -240,15 +216,15 @@ def posterior_mean(
     # The same draws for every query: the answer is a function of photo, prior and map.
     generator = random_stream(0, "posterior mean of the region fit")
     mean, spread, share = vector, covariance, _FIRST_SHARE
-    gaussians: list[_Gaussian] = []
+    gaussians: list[_Proposal] = []
     poses, whole, priors = np.zeros((0, len(vector))), np.zeros(0), np.zeros(0)
     for _ in range(_ROUNDS):
-        gaussians.append(_Gaussian.of(mean, _WIDTH**2 * spread))
+        gaussians.append(_Proposal.of(mean, _WIDTH**2 * spread))
         drawn = gaussians[-1].drawn(generator)
         poses = np.concatenate([poses, drawn])
         # Against the best point at the same share: what a share alone adds is no pose's (docs/adr/0066).
-        *told, level = log_likelihood(np.concatenate([drawn, vector[None]]), share) / share
-        whole = np.append(whole, np.array(told) - level)
+        *logs, level = log_likelihood(np.concatenate([drawn, vector[None]]), share) / share
+        whole = np.append(whole, np.array(logs) - level)
         priors = np.append(priors, log_prior(drawn))
         rest = priors - scipy.special.logsumexp(
             [gaussian.log_density(poses) for gaussian in gaussians], axis=0

@@ -1,8 +1,12 @@
-"""The method: a pose from the photo's own pixels; where they leave it open, from a mask as well."""
+"""``method=auto``: a pose from the photo's own pixels; where they leave it open, from a mask as well.
+
+It is what ``lodbench localize`` does with a single photo.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -10,14 +14,14 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
-from lodbench.errors import QueryFault
+from lodbench.errors import QueryFault, require_numbers
+from lodbench.estimation.probability import TRUSTED
 from lodbench.geometry import Pose
 from lodbench.methods.assessment import assessed
-from lodbench.methods.auto.params import Params
-from lodbench.methods.contour_alignment import ContourAlignment
+from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
 from lodbench.methods.protocol import Estimate, Streams
-from lodbench.methods.region import Region
-from lodbench.methods.region.trust import TRUSTED
+from lodbench.methods.region import Region, RegionParams
+from lodbench.methods.search_params import SearchRange
 
 # Two answers within 2 m and 2 degrees of the truth are no farther from each other than this.
 _TOGETHER_M, _TOGETHER_DEG = 4.0, 4.0
@@ -25,23 +29,61 @@ _TOGETHER_M, _TOGETHER_DEG = 4.0, 4.0
 _ALONE = 0.5
 
 
+_RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
+
+
+@dataclass(frozen=True, slots=True)
+class AutoParams(SearchRange):
+    """What both methods search; all else is at the defaults of ``region`` and ``contour_alignment``.
+
+    Attributes:
+        name: Name to report.
+        range_x_m: Full width of the search east and west of the prior, metres.
+        range_y_m: The same north and south.
+        range_z_m: The same up and down.
+        range_yaw_deg: The same in heading, degrees.
+        range_tilt_deg: The same in pitch and roll; 0 holds them at the prior's.
+    """
+
+    name: str = "auto"
+    range_x_m: float = 20.0
+    range_y_m: float = 20.0
+    range_z_m: float = 60.0
+    range_yaw_deg: float = 15.0
+    range_tilt_deg: float = 2.0
+
+    def __post_init__(self) -> None:
+        require_numbers(self, "method", _RANGES, 0)
+
+    def by_pixels(self) -> RegionParams:
+        """Returns the parameters of ``region``."""
+        return replace(RegionParams(), **self._ranges())
+
+    def by_mask(self) -> ContourAlignmentParams:
+        """Returns the parameters of ``contour_alignment``."""
+        return replace(ContourAlignmentParams(), **self._ranges())
+
+    def _ranges(self) -> dict[str, Any]:
+        return {name: value for name, value in asdict(self).items() if name in _RANGES}
+
+
 class Auto:
     """Takes ``region``'s answer; where it is not to be trusted, the more probable of it and one by a mask."""
 
-    params_type = Params
+    params_type = AutoParams
     name = "auto"
     requires = frozenset({Input.IMAGE, Input.MASK_ON_DEMAND})
 
-    def __init__(self, params: Params | None = None) -> None:
-        self.params = params or Params()
+    def __init__(self, params: AutoParams | None = None) -> None:
+        self.params = params or AutoParams()
         self._by_pixels = Region(self.params.by_pixels())
         self._by_mask = ContourAlignment(self.params.by_mask())
 
-    def params_for_prior(self, prior: UniformPrior) -> Params:
+    def params_for_prior(self, prior: UniformPrior) -> AutoParams:
         """Returns the parameters that search all that such a prior leaves open, tilt included."""
         return self.params.for_prior(prior)
 
-    def params_for_true_tilt(self) -> Params:
+    def params_for_true_tilt(self) -> AutoParams:
         """Returns the parameters for priors of the true pitch and roll: a range of 0 holds them."""
         return replace(self.params, range_tilt_deg=0.0)
 
