@@ -16,6 +16,7 @@ from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.methods.region import Region, RegionParams
 from lodbench.methods.region import line_likelihood as line_search
 from lodbench.methods.region.evidence import Photo, PosePosterior
+from lodbench.methods.region.search import Problem
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 
@@ -47,8 +48,9 @@ def drawn(city_map, queries, truths, tmp_path_factory):
 
 def starts_of(query, city_map, roofs, params):
     photo = Photo(cv2.imread(str(query.image)), query.camera, params, roofs.threads)
-    evidence = PosePosterior(query, city_map, photo.fit(params.fine_width, is_coarse=False), params)
-    return line_search.line_starts(photo, query, roofs, evidence, params, STREAMS)
+    posterior = PosePosterior(query, city_map, photo.fit(params.fine_width, is_coarse=False), params)
+    problem = Problem(query, photo, city_map, roofs, None)
+    return line_search.line_starts(problem, posterior, params, STREAMS)
 
 
 @pytest.mark.slow

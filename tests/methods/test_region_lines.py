@@ -16,10 +16,10 @@ from lodbench.estimation.state_vector import ALL, BASE_OFFSET, BESIDE_POSE
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.region import Region, RegionParams
-from lodbench.methods.region.evidence import Photo, StatePosterior
+from lodbench.methods.region.evidence import Photo
 from lodbench.methods.region.line_alignment import LineAligner
 from lodbench.methods.region.line_likelihood import LineLikelihood, points_on_lines
-from lodbench.methods.region.search import OutlineJacobian
+from lodbench.methods.region.search import OutlineJacobian, Problem
 from lodbench.storage import random_stream
 from tests.town import BOXES, CAMERA, prior_of, true_poses
 
@@ -131,10 +131,10 @@ def test_lines_choose_among_the_search_s_tops(city_map, scene, roofs, queries, t
         reach = scene, query.camera, query.prior, 60.0, 20.0
         around = OutlineJacobian(edges_in_reach(*reach), city_map, params)
         seen = Photo(photo, query.camera, params)
-        regions_of = partial(StatePosterior, query, fit=seen.fit(200, False), params=params)
         streams = partial(random_stream, 0, "test", number)
         starts = with_roofs(truth) + np.roll(np.pad(moves, ((0, 0), (0, ALL - 3))), number, axis=0)
-        found = LineAligner(seen.levels, query, regions_of, around, params, streams).from_best(starts, roofs)
+        problem = Problem(query, seen, city_map, roofs, around)
+        found = LineAligner(problem, seen.fit(200, False), params, streams).from_best(starts, roofs)
         assert int(found.evidence.argmax()) == (len(moves) - 1 + number) % len(moves)
         assert np.linalg.norm(found.vector[:3] - truth.center) < 1.0
         # Hopeless ones are not followed.

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.query import Query
 from lodbench.estimation.posterior import covariance_under_map_errors, curvature_around, posterior_mean
 from lodbench.estimation.state_vector import BESIDE_POSE, CAMERAS, LENS, POSE, POSES, RAISED, ROOFS, TILT
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.evidence import Photo, StatePosterior
+from lodbench.methods.region.evidence import StatePosterior
 from lodbench.methods.region.line_alignment import LineAligner, LineAlignment
 from lodbench.methods.region.params import RegionParams
-from lodbench.methods.region.roofs import RaisedRoofs
-from lodbench.methods.region.search import Mode, OutlineJacobian
+from lodbench.methods.region.search import Mode, Problem
 from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES, LineFeatures
 
 Floats = NDArray[np.float64]
@@ -64,26 +61,12 @@ class PoseFinalizer:
     """Makes an answer from the modes of the search for one photo.
 
     Vectors of ten numbers are state vectors (``estimation.state_vector``).
-
-    Args:
-        photo: The query's.
-        query: The query.
-        roofs: The map around it.
-        jacobian: How the outline moves.
-        params: The method's.
     """
 
-    def __init__(
-        self,
-        photo: Photo,
-        query: Query,
-        roofs: RaisedRoofs,
-        jacobian: OutlineJacobian,
-        params: RegionParams,
-    ) -> None:
-        self._photo, self._query, self._roofs = photo, query, roofs
-        self._jacobian, self._params = jacobian, params
-        self._fit = photo.fit(params.fine_width, is_coarse=False)
+    def __init__(self, problem: Problem, params: RegionParams) -> None:
+        self._problem, self._params = problem, params
+        self._roofs, self._jacobian = problem.roofs, problem.jacobian
+        self._fit = problem.photo.fit(params.fine_width, is_coarse=False)
 
     def answer(self, modes: list[Mode], streams: Streams) -> Answer:
         """Returns the answer near the best of some modes, by lines where edges are sharp beside them.
@@ -150,19 +133,16 @@ class PoseFinalizer:
     def _alignment(self, params: RegionParams, streams: Streams, has_bases: bool = False) -> LineAligner:
         """Returns what aligns the model's lines with the photo's edges, tilt and lens known so well."""
         # Edges are in the lines' likelihood: that of regions is without.
-        regions_of = partial(StatePosterior, self._query, fit=self._fit.with_edges(0.0), params=params)
-        return LineAligner(
-            self._photo.levels, self._query, regions_of, self._jacobian, params, streams, has_bases
-        )
+        return LineAligner(self._problem, self._fit.with_edges(0.0), params, streams, has_bases)
 
     def _by_regions(self, vector: Floats, features: LineFeatures, evidence: Floats) -> Answer:
         """Returns the mean of what regions and outlines leave around (10,), of a wider photo."""
-        params, of_map = self._params, (self._query, self._roofs)
+        params, of_map = self._params, (self._problem.query, self._roofs)
         fine = StatePosterior(*of_map, self._fit, params)
         covariances = self._certainty(_of_share(fine), vector, fine)
         if params.place_sigma_m <= 0:
             return Answer(vector[POSE], *covariances, *features, evidence)
-        wide = StatePosterior(*of_map, self._photo.fit(params.mean_width, is_coarse=False), params)
+        wide = StatePosterior(*of_map, self._problem.photo.fit(params.mean_width, is_coarse=False), params)
         mean = self._mean(_of_share(wide), vector, covariances[0], wide)
         return Answer(mean[POSE], *covariances, *features, evidence)
 

@@ -6,24 +6,21 @@ edges lie along it (docs/adr/0055).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.query import Query
 from lodbench.estimation.evolution import maximize
 from lodbench.estimation.probability import Gaussian
 from lodbench.estimation.state_vector import BASE_OFFSET, EAVE_OFFSET, OUTLINES, ROOFS
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.evidence import StatePosterior
+from lodbench.methods.region.evidence import PhotoFit, StatePosterior
 from lodbench.methods.region.line_likelihood import LineLikelihood
 from lodbench.methods.region.params import RegionParams
 from lodbench.methods.region.roofs import RaisedRoofs
-from lodbench.methods.region.search import OutlineJacobian
-from lodbench.rendering.photo_bins import Levels
+from lodbench.methods.region.search import Problem
 
 Floats = NDArray[np.float64]
 
@@ -105,10 +102,8 @@ class LineAligner:
     """Aligns the model's lines with the edges of one photo.
 
     Args:
-        levels_at: How strongly the photo changes, as of ``Photo.levels``, after a blur, pixels.
-        query: The query.
-        regions_of: The posterior by regions, of a map's roofs.
-        jacobian: How the outline moves.
+        problem: The query, its photo and the map.
+        fit: Of the photo's regions.
         params: The method's.
         streams: Of random numbers.
         has_bases: Whether lines where walls end count too.
@@ -116,17 +111,14 @@ class LineAligner:
 
     def __init__(
         self,
-        levels_at: Callable[[float], Levels],
-        query: Query,
-        regions_of: Callable[[RaisedRoofs], StatePosterior],
-        jacobian: OutlineJacobian,
+        problem: Problem,
+        fit: PhotoFit,
         params: RegionParams,
         streams: Streams,
         has_bases: bool = False,
     ) -> None:
-        self._has_bases = has_bases
-        self._levels_at, self._query, self._regions_of = levels_at, query, regions_of
-        self._jacobian, self._params, self._streams = jacobian, params, streams
+        self._problem, self._fit, self._has_bases = problem, fit, has_bases
+        self._params, self._streams = params, streams
 
     def from_best(self, starts: Floats, roofs: RaisedRoofs) -> LineAlignment | None:
         """Returns the alignment from the best of some starts, (M, 10); None without lines in view.
@@ -174,12 +166,15 @@ class LineAligner:
     def _first_of(self, number: int, starts: Floats, roofs: RaisedRoofs) -> dict[int, _Round]:
         """Returns the beginning of a round from each of (M, 10), but for those without lines in view."""
         blur_px, spread_px = _ROUNDS[number]
-        levels, regions = self._levels_at(blur_px), self._regions_of(roofs)
+        levels, query = self._problem.photo.levels(blur_px), self._problem.query
+        regions = StatePosterior(query, roofs, self._fit, self._params)
 
         def begin(start: Floats) -> _Round | None:
-            lines = LineLikelihood(levels, self._query, roofs, start, self._params, self._has_bases)
+            lines = LineLikelihood(levels, query, roofs, start, self._params, self._has_bases)
             prior = regions.prior_information(_ROOFS_APART_M)
-            spread = self._jacobian.spread(start[:OUTLINES], regions.at(start[ROOFS]), spread_px, prior)
+            spread = self._problem.jacobian.spread(
+                start[:OUTLINES], regions.at(start[ROOFS]), spread_px, prior
+            )
             return _Round(start, lines, regions, spread) if len(lines) and spread is not None else None
 
         # The first makes what all share.

@@ -24,10 +24,10 @@ from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.kernels.arguments import LinePoints
 from lodbench.kernels.photo_edges import EDGE_LEVELS, count_along_lines, sum_along_lines
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.evidence import Photo, PosePosterior
+from lodbench.methods.region.evidence import PosePosterior
 from lodbench.methods.region.params import RegionParams
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, step_of
-from lodbench.methods.region.search import local_maxima, samples
+from lodbench.methods.region.search import Problem, local_maxima, samples
 from lodbench.rendering.photo_bins import Levels
 
 Floats = NDArray[np.float64]
@@ -252,25 +252,18 @@ _STARTS, _GENERATIONS = 20, 14
 
 
 def line_starts(
-    photo: Photo,
-    query: Query,
-    roofs: RaisedRoofs,
-    evidence: PosePosterior,
-    params: RegionParams,
-    streams: Streams,
+    problem: Problem, posterior: PosePosterior, params: RegionParams, streams: Streams
 ) -> list[Gaussian]:
     """Returns poses around which the map's lines lie along edges of the photo, best first.
 
     Args:
-        photo: The query's.
-        query: The query.
-        roofs: The map around it.
-        evidence: Knows the prior.
+        problem: The query, its photo and the map.
+        posterior: Whose prior counts.
         params: The method's.
         streams: Of random numbers.
     """
-    coarse = _with_strides(params)
-    levels = photo.levels(_BLUR_PX, _WIDTH)
+    coarse, query, roofs = _with_strides(params), problem.query, problem.roofs
+    levels = problem.photo.levels(_BLUR_PX, _WIDTH)
     grid = coarse.grid()
     vectors = samples(grid, query.prior)
     sums = _sums_at(vectors.reshape(-1, grid.z.count, 6), levels, query.camera, roofs)
@@ -279,21 +272,21 @@ def line_starts(
     half_m, half_z_m = 0.5 * coarse.stride_m, 0.5 * coarse.stride_z_m
     tilts_deg = params.prior_sigmas()[3:5]
     open_to_it = np.diag(np.square([half_m, half_m, half_z_m, *tilts_deg, 0.5 * coarse.stride_yaw_deg]))
-    clouds = []
+    ends = []
     for k, start in enumerate(found):
         lines = LineLikelihood(levels, query, roofs, np.append(start, np.zeros(BESIDE_POSE)), coarse)
         if len(lines):
-            value, cloud = _posterior(lines, evidence), Gaussian(start, open_to_it)
-            clouds.append(maximize(value, cloud, _GENERATIONS, params.population, streams("line start", k)))
-    return clouds
+            value, spread = _by_lines(lines, posterior), Gaussian(start, open_to_it)
+            ends.append(maximize(value, spread, _GENERATIONS, params.population, streams("line start", k)))
+    return ends
 
 
-def _posterior(lines: LineLikelihood, evidence: PosePosterior) -> Callable[[Floats], Floats]:
-    """Returns what edges and prior say of poses (N, 6), roofs as in the map."""
+def _by_lines(lines: LineLikelihood, posterior: PosePosterior) -> Callable[[Floats], Floats]:
+    """Returns the log-posterior of poses (N, 6) by lines, roofs as in the map."""
 
     def value(vectors: Floats) -> Floats:
         whole = np.column_stack([vectors, np.zeros((len(vectors), BESIDE_POSE))])
-        return lines(whole) + evidence.prior.log_density(vectors)
+        return lines(whole) + posterior.prior.log_density(vectors)
 
     return value
 

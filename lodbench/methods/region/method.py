@@ -28,7 +28,14 @@ from lodbench.methods.region.line_alignment import BLURS_PX
 from lodbench.methods.region.line_likelihood import line_starts
 from lodbench.methods.region.params import RegionParams
 from lodbench.methods.region.roofs import RaisedRoofs
-from lodbench.methods.region.search import OutlineJacobian, grid_starts, modes_at, refine_candidates, rescore
+from lodbench.methods.region.search import (
+    OutlineJacobian,
+    Problem,
+    grid_starts,
+    modes_at,
+    refine_candidates,
+    rescore,
+)
 from lodbench.methods.region.trust import SIGNS_STAGE, ConfidenceFeatures, success_probability
 
 Floats = NDArray[np.float64]
@@ -72,7 +79,7 @@ class Region:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
         """
         params = self.params.with_lens(query.lens_percent)
-        problem = _Problem.of(query, city_map, params)
+        problem = _problem(query, city_map, params)
         first = _searched(problem, params, streams)
         if first.probability >= TRUSTED or params.more_starts == 1:
             return _refined_by_edges(first, problem, params)
@@ -88,34 +95,12 @@ class Region:
         return _refined_by_edges(best, problem, params)
 
 
-class _Problem(NamedTuple):
-    """A query, and what is made of photo and map once.
-
-    Attributes:
-        query: The query.
-        photo: Its photo, in some sizes.
-        city_map: The map.
-        roofs: The part of it in reach.
-        jacobian: How its outline moves.
-    """
-
-    query: Query
-    photo: Photo
-    city_map: CityMap
-    roofs: RaisedRoofs
-    jacobian: OutlineJacobian
-
-    @classmethod
-    def of(cls, query: Query, city_map: CityMap, params: RegionParams) -> _Problem:
-        photo = Photo(query_photo(query), query.camera, params, city_map.threads, BLURS_PX)
-        # The rest of the city, however large, is looked at this once.
-        part = scene_in_reach(city_map.scene, query.camera, query.prior, *params.reach())
-        jacobian = OutlineJacobian(edges_of(part), city_map, params)
-        return cls(query, photo, city_map, RaisedRoofs(city_map, part, params.pitched_lower_m), jacobian)
-
-    def posterior(self, params: RegionParams, width: int, is_coarse: bool) -> PosePosterior:
-        """Returns the posterior of poses by silhouettes of a width, pixels."""
-        return PosePosterior(self.query, self.city_map, self.photo.fit(width, is_coarse), params)
+def _problem(query: Query, city_map: CityMap, params: RegionParams) -> Problem:
+    photo = Photo(query_photo(query), query.camera, params, city_map.threads, BLURS_PX)
+    # The rest of the city, however large, is looked at this once.
+    part = scene_in_reach(city_map.scene, query.camera, query.prior, *params.reach())
+    jacobian = OutlineJacobian(edges_of(part), city_map, params)
+    return Problem(query, photo, city_map, RaisedRoofs(city_map, part, params.pitched_lower_m), jacobian)
 
 
 class _Candidate(NamedTuple):
@@ -138,9 +123,7 @@ class _Candidate(NamedTuple):
         return self.estimate.probability or 0.0
 
 
-def _searched(
-    problem: _Problem, params: RegionParams, streams: Streams, by_lines: bool = False
-) -> _Candidate:
+def _searched(problem: Problem, params: RegionParams, streams: Streams, by_lines: bool = False) -> _Candidate:
     """Returns the answer that one search leads to; its starts come from regions, or from lines as well."""
     started, query, jacobian = time.perf_counter(), problem.query, problem.jacobian
     coarse = problem.posterior(params, params.coarse_width, is_coarse=True)
@@ -155,12 +138,12 @@ def _searched(
         means, fine, jacobian, params.fine_generations, params.fine_spread_px, streams, _PRUNE_BELOW_NATS
     )
     if by_lines and params.lines_weight > 0:
-        modes += modes_at(line_starts(problem.photo, query, problem.roofs, fine, params, streams), fine)
+        modes += modes_at(line_starts(problem, fine, params, streams), fine)
     if not modes:
         raise QueryFault("no outline of a building is in view of any pose that fits")
     by_edges = fine.with_edges(params.judging_edge_weight)
     modes = rescore(modes, by_edges)
-    answer = PoseFinalizer(problem.photo, query, problem.roofs, jacobian, params).answer(modes, streams)
+    answer = PoseFinalizer(problem, params).answer(modes, streams)
     ranked = [k for k in np.argsort(-answer.evidence, kind="stable") if np.isfinite(answer.evidence[k])]
     best, *others = (modes[k].gaussian.mean for k in ranked)
     features = _confidence_features(answer, by_edges, best, params)
@@ -211,7 +194,7 @@ def _is_overruled(percent: float, params: RegionParams) -> bool:
     return abs(percent) >= _NEWS * params.lens_percent
 
 
-def _refined_by_edges(found: _Candidate, problem: _Problem, params: RegionParams) -> Estimate:
+def _refined_by_edges(found: _Candidate, problem: Problem, params: RegionParams) -> Estimate:
     """Returns an answer refined by the edges of roofs where these are surer, as probable as that makes it.
 
     They are laid with the declared lens: an answer with another one stays.

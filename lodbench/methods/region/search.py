@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.estimation.evolution import maximize_abreast
 from lodbench.estimation.outline import OutlinePoints, sample_outline
@@ -19,8 +20,9 @@ from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.kernels.arguments import EdgeArrays
 from lodbench.methods.fits import nothing_fits
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.evidence import PosePosterior
+from lodbench.methods.region.evidence import Photo, PosePosterior
 from lodbench.methods.region.params import RegionParams
+from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.rendering import Scorer
 
 Floats = NDArray[np.float64]
@@ -182,3 +184,25 @@ class OutlineJacobian:
         information = (slopes * weights[:, None]).T @ slopes / spread_px**2 + prior
         covariance = np.linalg.inv(information)
         return Gaussian(vector, np.asarray(0.5 * (covariance + covariance.T)))
+
+
+class Problem(NamedTuple):
+    """A query, and what is made of photo and map once.
+
+    Attributes:
+        query: The query.
+        photo: Its photo, in some sizes.
+        city_map: The map.
+        roofs: The part of it in reach.
+        jacobian: How its outline moves.
+    """
+
+    query: Query
+    photo: Photo
+    city_map: CityMap
+    roofs: RaisedRoofs
+    jacobian: OutlineJacobian
+
+    def posterior(self, params: RegionParams, width: int, is_coarse: bool) -> PosePosterior:
+        """Returns the posterior of poses by silhouettes of a width, pixels."""
+        return PosePosterior(self.query, self.city_map, self.photo.fit(width, is_coarse), params)
