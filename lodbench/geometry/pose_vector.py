@@ -42,7 +42,7 @@ def rotation_derivatives(vector: Floats) -> Floats:
     level_y = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
     # Both flips of the cross product cancel, and a turn commutes with its own cross product.
     about_pitch = -_CROSS_X @ rotation
-    about_roll = -rotation @ _cross(level_y)
+    about_roll = -rotation @ cross_matrix(level_y)
     about_yaw = -rotation @ _CROSS_Z
     return np.ascontiguousarray(np.stack([about_pitch, about_roll, about_yaw]) * _DEG)
 
@@ -60,6 +60,7 @@ def turn_per_angle(vector: Floats) -> Floats:
     return np.array(columns).T
 
 
-def _cross(axis: Floats) -> Floats:
+def cross_matrix(axis: Floats) -> Floats:
+    """Returns (3, 3) the matrix whose product with a vector is the cross product of an axis, (3,), with it."""
     x, y, z = (float(v) for v in axis)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

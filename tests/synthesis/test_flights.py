@@ -24,7 +24,7 @@ from lodbench.geometry.pose_vector import (
     rotation_derivatives,
     vector_from_pose,
 )
-from lodbench.methods.flight.reconstruction import placed
+from lodbench.methods.flight.relative_poses import placed
 from lodbench.methods.flight.tracks import relative_poses
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation.masks import read_mask

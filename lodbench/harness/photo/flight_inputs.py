@@ -16,7 +16,7 @@ from lodbench.datasets.own import find_mask
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
 from lodbench.harness.photo.prepare import PreparedPhoto
-from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS
+from lodbench.methods.flight.relative_poses import FEWEST_PHOTOS
 from lodbench.photos.files import PHOTO_SUFFIXES, copies_among
 from lodbench.photos.pictures import encoded, read_picture
 from lodbench.photos.undistort import undistorted

@@ -21,7 +21,7 @@ from lodbench.estimation.state_vector import differences, shortened
 from lodbench.geometry.pose_vector import rotation_derivatives
 from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
-from lodbench.methods.flight.reconstruction import MOUNT, UNKNOWNS
+from lodbench.methods.flight.relative_poses import MOUNT, UNKNOWNS
 from lodbench.methods.flight.state import BASE_OFFSET, CONSTANTS, FOCAL, ROOFS, Solution, State
 
 Floats = NDArray[np.float64]

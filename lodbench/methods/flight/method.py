@@ -22,7 +22,7 @@ from lodbench.methods.flight.findings import MASKS, cannot_tell_focal, constants
 from lodbench.methods.flight.joint import photo_covariance, solve
 from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.photo_terms import LENS
-from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS, Reconstruction, placed
+from lodbench.methods.flight.relative_poses import FEWEST_PHOTOS, Reconstruction, placed
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.shared_looks import agreed_places, with_masks_by_looks
 from lodbench.methods.flight.starts import STARTS_M, Ends, ends_of, flight_error, restarted

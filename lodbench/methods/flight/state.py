@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from lodbench.estimation.normal_equations import ErrorGroup
 from lodbench.methods.flight.photo_terms import LENS
-from lodbench.methods.flight.reconstruction import UNKNOWNS, Reconstruction
-from lodbench.methods.flight.relative_poses import RelativePose
+from lodbench.methods.flight.relative_poses import UNKNOWNS, Reconstruction, RelativePose
 from lodbench.methods.flight.roof_parts import RoofParts
 
 Floats = NDArray[np.float64]

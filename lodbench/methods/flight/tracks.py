@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera
-from lodbench.geometry.pose_vector import pose_from_vector
+from lodbench.geometry.pose_vector import cross_matrix, pose_from_vector
 from lodbench.matching.mutual_nn import MutualNn, MutualNnParams
 from lodbench.matching.protocol import Features, Matches
 from lodbench.matching.sift import Sift, SiftParams
@@ -158,8 +158,7 @@ def _stepped(rotation: Floats, direction: Floats, across: Floats, step: Floats) 
 
 def _sampson(first: Floats, second: Floats, rotation: Floats, direction: Floats) -> Floats:
     """Returns (N,) signed distances of points to the epipolar constraint, to first order, at depth 1."""
-    x, y, z = direction
-    essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ rotation
+    essential = cross_matrix(direction) @ rotation
     one = np.column_stack([first, np.ones(len(first))])
     other = np.column_stack([second, np.ones(len(second))])
     line, back = one @ essential.T, other @ essential

@@ -16,7 +16,7 @@ from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.flight.joint import photo_covariance, shared_covariance, solve
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
-from lodbench.methods.flight.reconstruction import placed
+from lodbench.methods.flight.relative_poses import placed
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.state import State
 from lodbench.methods.protocol import SupportsFlights

@@ -20,8 +20,7 @@ from lodbench.geometry.pose_vector import (
 )
 from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.flight.joint import solve
-from lodbench.methods.flight.reconstruction import placed
-from lodbench.methods.flight.relative_poses import RelativePose, rotation_vector, tangents
+from lodbench.methods.flight.relative_poses import RelativePose, placed, rotation_vector, tangents
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.state import State
 from lodbench.methods.flight.tracks import relative_poses, two_view, width_looked_at
