@@ -61,6 +61,6 @@ def turn_per_angle(vector: Floats) -> Floats:
 
 
 def cross_matrix(axis: Floats) -> Floats:
-    """Returns (3, 3) the matrix whose product with a vector is the cross product of an axis, (3,), with it."""
+    """Returns (3, 3) the matrix by which an axis, (3,), is multiplied with vectors in the cross product."""
     x, y, z = (float(v) for v in axis)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
