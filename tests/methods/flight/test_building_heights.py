@@ -19,7 +19,8 @@ BEFOREHAND_M = 1.73
 def told(monkeypatch, outlines=None, nats=None, rise_m=20.0) -> BuildingHeight | None:
     by_outlines = {} if outlines is None else {0: _Outlines(*outlines, beforehand_m=BEFOREHAND_M)}
     monkeypatch.setattr(module, "_by_outlines", lambda aligned, params: by_outlines)
-    monkeypatch.setattr(module, "_rises", lambda scene: np.array([rise_m, *[20.0] * 5]))
+    rises = np.array([rise_m, *[20.0] * 5])
+    monkeypatch.setattr(module, "floors_and_rises", lambda scene: (np.zeros(6), rises))
     curves = OTHERS if nats is None else {**OTHERS, 0: RoofCurve(nats, 8)}
     return building_heights(None, curves, None, FlightParams()).get(0)
 
