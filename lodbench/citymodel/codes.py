@@ -134,6 +134,9 @@ SOLIDS_DISCONNECTED = FindingCode(
 )
 
 SURFACE_NO_DATA = FindingCode(701, _W, "Cells of a surface model have no height; nothing is drawn there.")
+SURFACE_NO_DATUM = FindingCode(
+    702, _I, "A surface model names no system of its heights; they are taken as they are."
+)
 SURFACE_GROUND_ESTIMATED = FindingCode(
     703, _I, "No terrain model is given; the ground is estimated from the surface model."
 )
@@ -142,6 +145,10 @@ SURFACE_OFFSET = FindingCode(
 )
 SURFACE_STEP = FindingCode(705, _W, "Heights of a surface model jump along a border between its tiles.")
 SURFACE_COARSE = FindingCode(706, _W, "Heights of a surface model are written in coarse steps.")
+SURFACE_PLANTS = FindingCode(
+    707, _I, "What rises above the ground and is no roof is taken as vegetation; it is left out."
+)
+SURFACE_SIMPLIFIED = FindingCode(708, _I, "A surface model is drawn in plane pieces, within a tolerance.")
 SURFACE_NO_ROOF = FindingCode(
     709, _W, "A surface model shows no roof over a footprint; attributes count instead."
 )

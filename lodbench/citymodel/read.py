@@ -17,7 +17,7 @@ from lodbench.citymodel.pictures import PictureTable
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import NotACity, RawCity, merge_cities
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.source import MESH_SUFFIXES, Source, count_bytes, open_sources
+from lodbench.citymodel.source import MESH_SUFFIXES, SURFACE_SUFFIXES, Source, count_bytes, open_sources
 from lodbench.citymodel.texture_pictures import TextureFolder
 from lodbench.findings import Findings
 from lodbench.plugins import blaming, load_plugin, of_kind
@@ -77,6 +77,17 @@ def footprints(source: Source, options: ReadOptions) -> RawCity:
     return read_footprints(source.vector_path or str(source.path), source.name, options)
 
 
+def surface(source: Source, options: ReadOptions) -> RawCity:
+    """Returns what rises above the ground of a surface model: a raster, laser points, a folder of tiles.
+
+    Raises:
+        CityModelError: It cannot be read, or the extra is not installed.
+    """
+    from lodbench.citymodel.surface.reader import read_surface
+
+    return read_surface(source.path, source.name, options)
+
+
 def reader_of(source: Source) -> str:
     """Returns the name of the reader for a file's content, or failing that its ending.
 
@@ -85,6 +96,8 @@ def reader_of(source: Source) -> str:
     """
     if source.vector_path is not None:
         return "footprints"
+    if source.path.is_dir() or suffix_of(source) in SURFACE_SUFFIXES:
+        return "surface"
     head = source.head()
     text = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n\t")
     if suffix_of(source) in MESH_SUFFIXES:
@@ -99,8 +112,8 @@ def reader_of(source: Source) -> str:
     raise NotACity(
         f"{source.name} is no city model that lodbench can read.",
         "Supported: CityGML (.gml, .xml, .citygml), CityJSON (.json, .jsonl), meshes (.obj, .ply, .stl, "
-        ".glb), these as .gz, footprints (.gpkg, .shp, .geojson, .fgb, .parquet), all of them in a .zip, "
-        "and folders of them.",
+        ".glb), these as .gz, footprints (.gpkg, .shp, .geojson, .fgb, .parquet, .osm.pbf), all of them in a "
+        ".zip, folders of them, and surface models (.tif, .laz).",
     )
 
 

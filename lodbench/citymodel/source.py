@@ -120,6 +120,8 @@ MESH_SUFFIXES = (".ply", ".stl", ".glb", ".gltf")
 _CITY_SUFFIXES = (".gml", ".xml", ".citygml", ".json", ".jsonl", ".obj", *MESH_SUFFIXES)
 # Read by GDAL from a path, never from a stream of ours.
 _VECTOR_SUFFIXES = (".gpkg", ".shp", ".geojson", ".fgb", ".gdb", ".parquet", ".geoparquet", ".pbf", ".osm")
+# Rasters and laser points, read from a path; in a folder where nothing else is a city.
+SURFACE_SUFFIXES = (".tif", ".tiff", ".asc", ".laz", ".las")
 _ARCHIVE_SUFFIXES = (".gz", ".zip")
 # Beside the tiles, PLATEAU and others deliver these; none holds a building.
 _OTHER_FOLDERS = frozenset({"codelists", "metadata", "schemas", "specification"})
@@ -247,12 +249,18 @@ def _folder_sources(folder: Path, layers: Sequence[str]) -> tuple[Source, ...]:
     ]
     chosen = _of_layers([(file.relative_to(folder), file) for file in files], layers)
     sources = tuple(source for file in chosen for source in _sources_among(file, layers))
+    if not sources and any(file.suffix.lower() in SURFACE_SUFFIXES for file in folder.rglob("*")):
+        return (Source(str(folder), lambda: _not_a_stream(folder), folder),)
     if not sources:
         raise CityModelError(
             f"The folder {folder} holds no city file.",
             f"Looked for {', '.join(suffixes)}, in all its folders.",
         )
     return sources
+
+
+def _not_a_stream(folder: Path) -> BinaryIO:
+    raise CityModelError(f"{folder} is a folder of tiles, which are read together.", "Name one of them.")
 
 
 def _sources_among(file: Path, layers: Sequence[str]) -> tuple[Source, ...]:

@@ -11,8 +11,9 @@ from lodbench.cli.parser import Parser
 from lodbench.cli.source_profiles import DATE_HELP
 
 _EXAMPLES = """\
-FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb, .parquet, .pbf, .osm) or
-a mesh (.obj, .ply, .stl, .glb); a .zip of these, a .gz of all but footprints, or a folder of tiles.
+FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb, .parquet, .pbf, .osm), a
+mesh (.obj, .ply, .stl, .glb) or a surface model (.tif, .asc, .laz); a .zip of all but the last, a .gz of all
+but footprints and surface models, or a folder of tiles.
 
 examples:
   lodbench city info 53394525_bldg_6697_op.gml

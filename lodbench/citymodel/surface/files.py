@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.crs import resolve_crs
-from lodbench.citymodel.surface.grid import Floats, Span, SurfaceGrid, plane_unit_m, require_size
+from lodbench.citymodel.source import SURFACE_SUFFIXES
+from lodbench.citymodel.surface.grid import Floats, Span, SurfaceGrid, epsg_label, plane_unit_m, require_size
 from lodbench.citymodel.surface.laser import rasterised_points
 from lodbench.citymodel.terrain import (
     HIGHEST_M,
@@ -25,8 +26,7 @@ from lodbench.citymodel.terrain import (
 from lodbench.citymodel.vector.gdal import opened_raster, raster_driver
 from lodbench.errors import CityModelError
 
-RASTER_SUFFIXES = (".tif", ".tiff", ".asc")
-LASER_SUFFIXES = (".laz", ".las")
+_LASER_SUFFIXES = (".laz", ".las")
 # Tiles may be off the common raster by so much of a cell, which is rounding.
 _OFF_CELLS = 0.02
 
@@ -44,8 +44,8 @@ def surface_files(path: Path) -> list[Path]:
     """Returns the files of a surface model: the path itself, or rasters and laser points in a folder."""
     if not path.is_dir():
         return [path]
-    known = RASTER_SUFFIXES + LASER_SUFFIXES
-    files = [file for file in sorted(path.rglob("*")) if file.suffix.lower() in known and file.is_file()]
+    found = (file for file in sorted(path.rglob("*")) if file.suffix.lower() in SURFACE_SUFFIXES)
+    files = [file for file in found if file.is_file()]
     return [file for file in files if not file.name.startswith("._")]
 
 
@@ -63,7 +63,7 @@ def open_surface(path: Path, crs: str | None = None) -> SurfaceGrid:
     files = surface_files(path)
     if not path.exists() or not files:
         raise CityModelError(f"There is no surface model at {path}.", "It is a .tif, .asc, .laz or a folder.")
-    kinds = {file.suffix.lower() in LASER_SUFFIXES for file in files}
+    kinds = {file.suffix.lower() in _LASER_SUFFIXES for file in files}
     if len(kinds) > 1:
         raise CityModelError(f"{path} holds rasters and laser points.", "Put them into folders of their own.")
     if kinds.pop():
@@ -80,7 +80,7 @@ def _tile(path: Path, crs: str | None) -> _Tile:
     with opened_raster(path, raster_driver(path)) as raster:
         if raster.dtypes[0].startswith("complex"):
             raise CityModelError(f"{path} holds complex numbers, no heights.", "Take the surface model.")
-        own = crs if crs is not None or raster.crs is None else raster.crs.to_wkt()
+        own = crs if crs is not None or raster.crs is None else epsg_label(raster.crs.to_wkt())
         return _Tile(path, empty_grid(raster.transform, path), raster.shape, own)
 
 

@@ -100,6 +100,15 @@ def require_size(grid: SurfaceGrid) -> None:
         )
 
 
+def epsg_label(wkt: str) -> str:
+    """Returns a reference system by its EPSG codes, ``EPSG:25832+7837``; as it is where a part has none."""
+    from pyproj import CRS
+
+    whole = CRS.from_wkt(wkt)
+    codes = [part.to_epsg() for part in whole.sub_crs_list or [whole]]
+    return wkt if None in codes else f"EPSG:{'+'.join(map(str, codes))}"
+
+
 def plane_unit_m(crs: str | None, name: str) -> float:
     """Returns metres per unit of a plane; 1 where its system is not known.
 

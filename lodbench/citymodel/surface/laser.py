@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.surface.grid import Floats, Span, SurfaceGrid, plane_unit_m, require_size
+from lodbench.citymodel.surface.grid import Floats, Span, SurfaceGrid, epsg_label, plane_unit_m, require_size
 from lodbench.citymodel.terrain import height_unit_m
 from lodbench.errors import CityModelError
 
@@ -74,7 +74,7 @@ def _head(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], str | N
         low, high = np.array(header.mins), np.array(header.maxs)
         if not (np.isfinite(low).all() and np.isfinite(high).all() and (high >= low).all()):
             raise CityModelError(f"{path} has a header without a place.", "Repair or download it again.")
-        return low, high, None if system is None else system.to_wkt(), int(header.point_count)
+        return low, high, None if system is None else epsg_label(system.to_wkt()), int(header.point_count)
     raise AssertionError("a file is opened or refused")
 
 
