@@ -54,7 +54,7 @@ class Imagery:
 
         size = np.maximum(1, np.round(_MAX_PX * (high - low) / (high - low).max())).astype(int)
         width, height = (int(side) for side in size)
-        with opened_raster(self.path, _driver(self.path)) as raster:
+        with opened_raster(self.path, orthophoto_driver(self.path)) as raster:
             is_palette = _is_palette(raster)
             seen = {
                 "crs": _own_crs(raster, self.crs),
@@ -87,7 +87,7 @@ def open_imagery(path: Path, scene: Scene) -> Imagery:
     """
     if not path.is_file():
         raise ConfigError(f"There is no imagery at {path}.", "Check the path.")
-    with opened_raster(path, _driver(path)) as raster:
+    with opened_raster(path, orthophoto_driver(path)) as raster:
         if raster.transform.is_identity:
             raise CityModelError(
                 f"The imagery {path} does not say where it lies; a world file beside it is not read.",
@@ -102,7 +102,7 @@ def open_imagery(path: Path, scene: Scene) -> Imagery:
     return Imagery(path.resolve(), scene.crs)
 
 
-def _driver(path: Path) -> str:
+def orthophoto_driver(path: Path) -> str:
     """Returns the one driver that may read an orthophoto.
 
     Raises:

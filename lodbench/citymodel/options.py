@@ -39,6 +39,7 @@ class ReadOptions:
         terrain: Raster terrain model to take ground heights from, in the unit that its band or system names.
         surface: Surface model (raster, laser points, a folder of tiles) to take the heights of footprints
             from; columns count where it shows no roof.
+        orthophoto: Of a surface model's place: what of it is green is no roof, and it is the texture.
         default_height_m: Height of footprints without one; None drops them with a finding.
         base: ``as_given``; ``ground`` sets models with a zero base on ``terrain`` or ``ground_m``;
             ``sunk`` raises what lies within ``sunk_m`` of a building's lowest point, for walls that
@@ -68,6 +69,7 @@ class ReadOptions:
     ground_m: float = 0.0
     terrain: str | None = None
     surface: str | None = None
+    orthophoto: str | None = None
     default_height_m: float | None = None
     base: Literal["as_given", "ground", "sunk"] = "as_given"
     sunk_m: float = 3.0
@@ -124,7 +126,7 @@ def _is_day(text: str) -> bool:
 
 
 # Options that name files, whose content counts and not where they lie.
-PATH_OPTIONS = ("terrain", "surface")
+PATH_OPTIONS = ("terrain", "surface", "orthophoto")
 _SHAPING = {field.name for field in fields(ReadOptions)} - {"crs", "is_strict", "has_details", "has_textures"}
 
 

@@ -225,6 +225,14 @@ def open_sources(path: Path, layers: Sequence[str] = ()) -> tuple[Source, ...]:
     return (file_source(path),)
 
 
+def is_surface(path: Path) -> bool:
+    """Returns whether a path is called as surface models are, or is a folder of nothing but such files."""
+    if path.is_dir():
+        kinds = {file.suffix.lower() for file in path.iterdir() if file.is_file()}
+        return bool(kinds) and kinds <= set(SURFACE_SUFFIXES)
+    return path.suffix.lower() in SURFACE_SUFFIXES
+
+
 def is_city_file(path: Path) -> bool:
     """Returns whether a file is called as city models are; archives may hold anything."""
     return path.suffix.lower() in _CITY_SUFFIXES + _VECTOR_SUFFIXES and path.is_file()

@@ -13,6 +13,7 @@ from typing import Any
 from lodbench.bench.city import CityOptions, measure_city
 from lodbench.bench.evaluation import EvaluationOptions, measure_evaluation
 from lodbench.bench.figures import Report
+from lodbench.bench.maps import MapsOptions, measure_maps
 from lodbench.bench.options import add_options, options_of
 from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
 from lodbench.bench.startup import StartupOptions, measure_startup
@@ -86,6 +87,7 @@ MEASURES: dict[str, Measure] = {
     "city": _of_city(measure_city, CityOptions),
     "evaluation": _plain(measure_evaluation, EvaluationOptions),
     "flights": bench_flights.measure,
+    "maps": _plain(measure_maps, MapsOptions),
     "real": bench_real.measure,
     "segmentation": bench_segmentation.measure_segmentation,
     "startup": _startup,
@@ -113,6 +115,8 @@ def _parser() -> argparse.ArgumentParser:
     cold = "localize over an empty kernel cache as well, which compiles"
     startup.add_argument("--cold", action="store_true", help=cold)
     bench_views.add_views(actions)
+    kinds = "methods over LoD1 to 3, a surface model and an orthophoto of one place: which map gives what"
+    add("maps", MapsOptions, kinds, "the picture")
     reading = "reading and meshing a city model, beside the naive way and cjio; memory on a large file"
     add_city(add("city", CityOptions, reading))
     add("evaluation", EvaluationOptions, "scoring many methods on many queries; a run's page")

@@ -28,6 +28,7 @@ PATH_KEYS = frozenset(
         "dataset.city_model",
         "source.options.terrain",
         "source.options.surface",
+        "source.options.orthophoto",
         "city",
         "poses",
         "intrinsics",

@@ -56,7 +56,10 @@ def with_source(dataset: Dataset, values: dict[str, Any]) -> Dataset:
     own = dataset.city_options
     layers = own.layers or source.options.layers
     options = replace(source.options, ecef_origin=own.ecef_origin, layers=layers)
-    return replace(dataset, lod=lod, city_options=options)
+    textured = dataset.textured_map
+    if textured is None and options.orthophoto is not None:
+        textured = dataset.city_model  # a surface model under its orthophoto
+    return replace(dataset, lod=lod, city_options=options, textured_map=textured)
 
 
 def with_masks(dataset: Dataset, segmenter: dict[str, Any]) -> Dataset:

@@ -20,6 +20,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.pictures import PictureTable, counted_lines
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.source import is_surface
 from lodbench.citymodel.texture_pictures import MAX_ALL_PIXELS, TextureFolder, check_picture, pixels_of
 from lodbench.errors import DatasetError
 from lodbench.findings import Severity
@@ -222,7 +223,8 @@ def read_textured(path: Path, up_axis: str = "auto", options: ReadOptions | None
     Files that it names lie beside or below it; others, and the network, are refused.
 
     Args:
-        path: OBJ, glTF, PLY or CityGML, or a folder of such tiles, all in the same coordinates.
+        path: OBJ, glTF, PLY or CityGML, or a folder of such tiles, all in the same coordinates; or a surface
+            model, with ``options.orthophoto``.
         up_axis: ``y``, ``z``, or ``auto``: y for glTF, z for the others.
         options: How to read CityGML: ``crs`` and ``axis_order``.
 
@@ -231,6 +233,10 @@ def read_textured(path: Path, up_axis: str = "auto", options: ReadOptions | None
             or lie outside; the message lists them.
         CityModelError: It is CityGML or a mesh that cannot be read, or has no triangles.
     """
+    if is_surface(path):
+        from lodbench.citymodel.surface.orthophoto import read_textured_surface
+
+        return read_textured_surface(path, options or ReadOptions())
     if path.is_dir():
         found = sorted(file for file in path.rglob("*") if file.suffix.lower() in _MESHES + _CITIES)
         # Beside each file macOS keeps one of its own, of the same ending.

@@ -14,6 +14,7 @@ from lodbench.citymodel.raw import NotACity, RawCity, starts_of
 from lodbench.citymodel.surface.files import open_surface
 from lodbench.citymodel.surface.grid import SurfaceGrid
 from lodbench.citymodel.surface.ground import find_ground
+from lodbench.citymodel.surface.orthophoto import green_of
 from lodbench.citymodel.surface.regions import LEAST_RISE_M, TOLERANCE_M, RegionCounts, windows_of
 from lodbench.citymodel.surface.solids import solids_of
 from lodbench.findings import Findings
@@ -28,7 +29,7 @@ def read_surface(path: Path, source: str, options: ReadOptions) -> RawCity:
     Args:
         path: GeoTIFF, ASCII grid, LAS, LAZ, or a folder of tiles.
         source: Name for messages.
-        options: ``crs`` and ``terrain``.
+        options: ``crs``, ``terrain``, ``orthophoto``.
 
     Raises:
         CityModelError: It cannot be read, or has no height.
@@ -45,7 +46,7 @@ def read_surface(path: Path, source: str, options: ReadOptions) -> RawCity:
         "kind": GrowingArray(np.uint8),
     }
     ids: list[str] = []
-    for window in windows_of(grid, ground, counts):
+    for window in windows_of(grid, ground, counts, green_of(grid, options)):
         solids = solids_of(window)
         if solids is None:
             continue

@@ -237,8 +237,8 @@ def grow_pieces(
 def _roofs(pieces: Pieces, green: NDArray[np.bool_] | None, cell_m: float) -> NDArray[np.bool_]:
     """Returns (N + 1,) which labels are roofs: pieces that are large, or less large and smooth.
 
-    By heights alone a hedge cut flat is a roof, and a dome none. Where colour tells, a piece half of which is
-    green is a roof only if it is large and smooth.
+    By heights alone a hedge cut flat is a roof, and a dome none. Where colour tells, what is not green is a
+    roof, and a piece half of which is green only if it is large and smooth.
     """
     area_m2 = pieces.counts * cell_m**2
     is_smooth = pieces.rms_m <= _SMOOTH_M
@@ -247,7 +247,7 @@ def _roofs(pieces: Pieces, green: NDArray[np.bool_] | None, cell_m: float) -> ND
         own = np.maximum(pieces.labels, 0).reshape(-1)
         cells = np.maximum(np.bincount(own, minlength=len(is_roof)), 1)
         share = np.bincount(own, green.reshape(-1), len(is_roof)) / cells
-        is_roof[1:] &= (share[1:] < 0.5) | ((area_m2 >= _ROOF_M2) & is_smooth)
+        is_roof[1:] = (share[1:] < 0.5) | ((area_m2 >= _ROOF_M2) & is_smooth)
     return is_roof
 
 

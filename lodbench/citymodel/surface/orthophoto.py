@@ -1,0 +1,180 @@
+"""The orthophoto of a surface model's place: what of it is green, and a textured mesh of both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.crs import require_crs
+from lodbench.citymodel.imagery import orthophoto_driver
+from lodbench.citymodel.mesh.textured import TexturedMesh, join_textured
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.surface.files import open_surface
+from lodbench.citymodel.surface.grid import Floats, Span, SurfaceGrid
+from lodbench.citymodel.texture_pictures import MAX_ALL_PIXELS
+from lodbench.citymodel.vector.gdal import opened_raster
+from lodbench.errors import CityModelError, DatasetError
+
+# Excess green (Woebbecke et al. 1995), 2g - r - b of colours that add up to 1, of leaves and grass at least.
+_GREEN = 0.06
+# The mesh follows the surface within this, metres; its squares have up to so many cells a side.
+_TOLERANCE_M, _WIDEST = 0.25, 32
+# Cells of a piece of the mesh, a side, each with a picture of its own; the least width of a pixel, metres.
+_PIECE, _PIXEL_M = 512, 0.2
+
+
+def read_colours(
+    path: Path, grid: SurfaceGrid, rows: Span, columns: Span, per_cell: int
+) -> NDArray[np.uint8]:
+    """Returns (rows, columns, 3) RGB of an orthophoto over a window of a surface model, black outside of it.
+
+    Args:
+        path: GeoTIFF or JPEG 2000 of three bands or more, of 8 bits.
+        grid: The surface model.
+        rows: Of the window.
+        columns: Likewise.
+        per_cell: Pixels a cell is wide.
+
+    Raises:
+        CityModelError: It cannot be read, has no place, or is no colour picture of 8 bits.
+    """
+    from rasterio.crs import CRS
+    from rasterio.enums import Resampling
+    from rasterio.transform import from_origin
+    from rasterio.vrt import WarpedVRT
+
+    if not path.is_file():
+        raise CityModelError(f"There is no orthophoto at {path}.", "Check the path.")
+    west, north = (float(value) for value in grid.places(np.array([columns[0]]), np.array([rows[0]]))[0])
+    with opened_raster(path, orthophoto_driver(path)) as raster:
+        if raster.count < 3 or raster.dtypes[0] != "uint8":
+            raise CityModelError(
+                f"The orthophoto {path} has {raster.count} bands of {raster.dtypes[0]}.",
+                "Three bands of 8 bits are read: gdal_translate -ot Byte -scale.",
+            )
+        own = raster.crs
+        if own is None and raster.transform.is_identity:
+            raise CityModelError(f"The orthophoto {path} does not say where it lies.", "Give it a place.")
+        plane = own if grid.crs is None else CRS.from_wkt(require_crs(grid.crs).horizontal.to_wkt())
+        seen = {
+            "crs": plane, "src_crs": plane if own is None else own,
+            "transform": from_origin(west, north, grid.cell[0] / per_cell, grid.cell[1] / per_cell),
+            "width": per_cell * (columns[1] - columns[0]), "height": per_cell * (rows[1] - rows[0]),
+            "resampling": Resampling.average,
+        }  # fmt: skip
+        with WarpedVRT(raster, **seen) as warped:
+            return np.ascontiguousarray(np.moveaxis(warped.read([1, 2, 3]), 0, 2))
+
+
+def green_of(grid: SurfaceGrid, options: ReadOptions) -> Callable[[Span, Span], NDArray[np.bool_]] | None:
+    """Returns what tells which cells of two spans are green in ``options.orthophoto``; None without one."""
+    if options.orthophoto is None:
+        return None
+    path = Path(options.orthophoto)
+
+    def is_green(rows: Span, columns: Span) -> NDArray[np.bool_]:
+        colours = read_colours(path, grid, rows, columns, 1).astype(np.float32)
+        total = np.maximum(colours.sum(axis=2), 1.0)
+        excess = (2.0 * colours[..., 1] - colours[..., 0] - colours[..., 2]) / total
+        return np.asarray(excess > _GREEN)
+
+    return is_green
+
+
+def read_textured_surface(path: Path, options: ReadOptions) -> TexturedMesh:
+    """Returns a surface model under its orthophoto as a mesh, ground and trees too, in its own coordinates.
+
+    Squares of one to 32 cells, each within 0.25 m of the surface, as large as that allows; where squares of
+    two sizes meet, gaps of less than that stay.
+
+    Args:
+        path: The surface model.
+        options: ``orthophoto``, ``crs``.
+
+    Raises:
+        DatasetError: No orthophoto is named, or it has too many pixels.
+        CityModelError: A file cannot be read.
+    """
+    if options.orthophoto is None:
+        raise DatasetError(f"{path} has heights alone, no colours.", "Add source.options.orthophoto=FILE.")
+    grid = open_surface(path, options.crs)
+    per_cell = max(1, round(grid.cell_m / _PIXEL_M))
+    pixels = grid.shape[0] * grid.shape[1] * per_cell**2
+    if pixels > MAX_ALL_PIXELS:
+        raise DatasetError(
+            f"The orthophoto over {path} has {pixels / 1e9:.1f} gigapixels; {MAX_ALL_PIXELS / 1e9:.1f} are "
+            "held at once.",
+            "Take the tiles round your queries only.",
+        )
+    parts = list(_parts(grid, Path(options.orthophoto), per_cell))
+    if not parts:
+        raise DatasetError(f"{path} has no heights.", "Is it the right tile?")
+    return join_textured(parts)
+
+
+def _parts(grid: SurfaceGrid, orthophoto: Path, per_cell: int) -> Iterator[TexturedMesh]:
+    for rows, columns in grid.blocks(_PIECE):
+        # Corners are middles of cells: a piece ends at the first of the next.
+        ends = min(rows[1] + 1, grid.shape[0]), min(columns[1] + 1, grid.shape[1])
+        heights = grid.read((rows[0], ends[0]), (columns[0], ends[1]))
+        corners = square_corners(heights, _TOLERANCE_M)
+        if not len(corners):
+            continue
+        picture = read_colours(orthophoto, grid, (rows[0], ends[0]), (columns[0], ends[1]), per_cell)
+        places = corners.reshape(-1, 2)
+        z = heights[places[:, 0], places[:, 1]] / grid.height_unit_m
+        middles = (places + (rows[0], columns[0]) + 0.5).astype(np.float64)
+        plane = grid.places(middles[:, 1], middles[:, 0])
+        uv = (places[:, ::-1] + 0.5) / np.array(heights.shape[::-1])
+        uv[:, 1] = 1.0 - uv[:, 1]
+        count = len(corners)
+        yield TexturedMesh(
+            np.column_stack([plane, z]).reshape(-1, 3, 3).astype(np.float64),
+            uv.reshape(-1, 3, 2),
+            np.zeros(count, np.int32),
+            np.zeros((count, 3, 3), np.uint8),
+            (picture,),
+        )
+
+
+def square_corners(heights: Floats, tolerance_m: float) -> NDArray[np.int64]:
+    """Returns (T, 3, 2) row and column of triangles' corners, two a square, counter-clockwise on the map.
+
+    Squares are the largest, of a power of two cells, whose triangles lie within the tolerance of the heights
+    below them; those that hold a gap are left out, down to single cells.
+    """
+    found: list[NDArray[np.int64]] = []
+    rows, columns = (each - 1 for each in heights.shape)
+    is_open = np.ones((rows, columns), np.bool_)
+    side = _WIDEST
+    while side >= 1:
+        starts = np.arange(0, rows - side + 1, side), np.arange(0, columns - side + 1, side)
+        row, column = (each.reshape(-1) for each in np.meshgrid(*starts, indexing="ij"))
+        is_free = is_open[row, column]
+        row, column = row[is_free], column[is_free]
+        fits = _off(heights, row, column, side) <= tolerance_m
+        row, column = row[fits], column[fits]
+        offsets = np.arange(side)
+        is_open[(row[:, None, None] + offsets[:, None]), (column[:, None, None] + offsets)] = False
+        a, b = np.stack([row, column], 1), np.stack([row + side, column], 1)
+        c, d = np.stack([row + side, column + side], 1), np.stack([row, column + side], 1)
+        found += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
+        side //= 2
+    return np.concatenate(found)
+
+
+def _off(heights: Floats, row: NDArray[Any], column: NDArray[Any], side: int) -> Floats:
+    """Returns how far the heights in squares lie from the two triangles over them at most; inf with a gap."""
+    offsets = np.arange(side + 1)
+    own = heights[row[:, None, None] + offsets[:, None], column[:, None, None] + offsets]
+    down, right = np.meshgrid(offsets / side, offsets / side, indexing="ij")
+    corner = own[:, [0, side, side, 0], [0, 0, side, side]][:, :, None, None]
+    a, b, c, d = corner[:, 0], corner[:, 1], corner[:, 2], corner[:, 3]
+    lower = a + (b - a) * down + (c - b) * right
+    upper = a + (d - a) * right + (c - d) * down
+    off = np.abs(own - np.where(down >= right, lower, upper)).reshape(len(own), -1)
+    return np.where(np.isnan(off).any(axis=1), np.inf, off.max(axis=1, initial=0.0))
