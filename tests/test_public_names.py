@@ -112,7 +112,7 @@ PLUG_INS = {
         "rerun",
         "submission",
     ],
-    "lodbench.city_readers": ["citygml", "cityjson", "obj", "mesh", "footprints"],
+    "lodbench.city_readers": ["citygml", "cityjson", "obj", "mesh", "footprints", "surface"],
     "lodbench.feature_extractors": ["sift", "xfeat"],
     "lodbench.matchers": [
         "mutual_nn",
