@@ -4,21 +4,91 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """An option of a command that a message names.
+
+    Attributes:
+        name: As settings have it: ``dataset.root``; ``prior_height`` of ``--prior-height``.
+        value: ``FILE``; "" where the message names none.
+        words: As the message has it: ``dataset.root=FILE``, ``--prior-height METRES``.
+    """
+
+    name: str
+    value: str
+    words: str
+
+    @property
+    def is_flag(self) -> bool:
+        """Whether it is written as a flag."""
+        return self.words.startswith("--")
+
+
+class Words(str):
+    """A text for the reader that knows which options it names: each command writes them in its own syntax.
+
+    Example:
+        >>> hint = Words("Set `city=FILE`, or give `--crs CODE`.")
+        >>> str(hint)
+        'Set city=FILE, or give --crs CODE.'
+        >>> hint.rewritten(lambda option: f"--{option.name} {option.value}")
+        'Set --city FILE, or give --crs CODE.'
+    """
+
+    _pieces: tuple[str | Option, ...]
+
+    def __new__(cls, text: str) -> Words:
+        """Returns a text whose options stand between backticks."""
+        if isinstance(text, Words):
+            return text
+        *parts, last = text.split("`")
+        pieces = [_option(part) if k % 2 else part for k, part in enumerate(parts)]
+        pieces.append(f"`{last}" if len(parts) % 2 else last)
+        return cls._of(pieces)
+
+    @classmethod
+    def _of(cls, pieces: Iterable[str | Option]) -> Words:
+        kept = tuple(pieces)
+        words = super().__new__(cls, "".join(p.words if isinstance(p, Option) else p for p in kept))
+        words._pieces = kept
+        return words
+
+    @property
+    def marked(self) -> str:
+        """The text with its options between backticks, to make another of."""
+        return "".join(f"`{p.words}`" if isinstance(p, Option) else p for p in self._pieces)
+
+    def rewritten(self, write: Callable[[Option], str]) -> Words:
+        """Returns the text with each option as a command writes it."""
+        return self._of(replace(p, words=write(p)) if isinstance(p, Option) else p for p in self._pieces)
+
+
+def _option(text: str) -> Option | str:
+    """Returns the option that stands between backticks, or the text as it was: it may be anybody's."""
+    flag = text.removeprefix("--")
+    is_spaced = flag != text and " " in flag.partition("=")[0]
+    name, _, value = flag.partition(" " if is_spaced else "=")
+    known = name.replace("-", "_") if flag != text else name
+    return Option(known, value, text) if known.replace(".", "").isidentifier() else f"`{text}`"
 
 
 class LodbenchError(Exception):
     """A fault the user can understand and mend: printed as one line and a hint, exit code 2.
 
     Args:
-        message: One sentence that names the file, line, building or key at fault.
+        message: One sentence that names the file, line, building or key at fault; options stand between
+            backticks, as of ``Words``.
         hint: One sentence that says what to do about it; empty when there is nothing to add.
     """
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
-        self.message = message
-        self.hint = hint
+        self.message = Words(message)
+        self.hint = Words(hint)
 
     def __str__(self) -> str:
         return self.message
@@ -73,7 +143,7 @@ def require_choice(name: str, value: str, known: Iterable[str]) -> None:
     """
     choices = list(known)
     if value not in choices:
-        raise ConfigError(f"{name}={value} is not known.", nearest_names(value, choices))
+        raise ConfigError(f"`{name}={value}` is not known.", nearest_names(value, choices))
 
 
 def require_within(
@@ -106,7 +176,7 @@ def require_within(
         else:
             is_closed = ends == "[]"
             bounds = f"within {low:g} to {high:g}" if is_closed else f"in {ends[0]}{low:g}, {high:g}{ends[1]}"
-        raise ConfigError(f"{name}={number:g} is not {bounds}.")
+        raise ConfigError(f"`{name}={number:g}` is not {bounds}.")
 
 
 def require_numbers(

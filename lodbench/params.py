@@ -38,14 +38,14 @@ def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T
     types = {f.name: f.type for f in fields(params_type)}  # type: ignore[arg-type]
     for name in values:
         if name not in types:
-            raise ConfigError(f"{_dotted(prefix, name)} is not a setting.", nearest_names(name, types))
+            raise ConfigError(f"`{_dotted(prefix, name)}` is not a setting.", nearest_names(name, types))
     given = _as_typed(values, params_type, prefix)
     try:
         merged = OmegaConf.merge(_writable(OmegaConf.structured(params_type)), _literal(given))
         return cast(T, OmegaConf.to_object(merged))
     except MissingMandatoryValue as error:
         name = _dotted(prefix, str(error.full_key))
-        raise ConfigError(f"{name} is not set.", f"Add {name}=VALUE.") from error
+        raise ConfigError(f"`{name}` is not set.", f"Add `{name}=VALUE`.") from error
     except OmegaConfBaseException as error:
         raise _not_of_its_kind(_dotted(prefix, str(error.full_key)), str(error).splitlines()[0]) from error
 
@@ -61,12 +61,12 @@ def _not_of_its_kind(name: str, reason: str) -> ConfigError:
     """Returns the fault of a setting whose value OmegaConf does not take for the reason that it gives."""
     found = _NOT_CONVERTED.fullmatch(reason)
     if found is None:
-        return ConfigError(f"{name}: {reason}")
+        return ConfigError(f"`{name}`: {reason}")
     kind, example = _KINDS[found["kind"]]
     base, index, _ = name.partition("[")
     written = f"[{example}]" if index else example
     value = found["value"] or "empty"
-    return ConfigError(f"{name} is {value}, not {kind}.", f"Write {base}={written}, for instance.")
+    return ConfigError(f"`{name}` is {value}, not {kind}.", f"Write `{base}={written}`, for instance.")
 
 
 def _as_typed(values: Mapping[str, Any], params_type: type, prefix: str) -> dict[str, Any]:
@@ -93,8 +93,8 @@ def _typed(value: Any, wanted: Any, name: str) -> Any:
         told = value if is_one else str(list(value)).replace(" ", "")
         example = ",".join(["VALUE"] * len(parts))
         raise ConfigError(
-            f"{name}={told} has {count} {'value' if count == 1 else 'values'}, not {len(parts)}.",
-            f"Give it as a list: {name}=[{example}]",
+            f"`{name}={told}` has {count} {'value' if count == 1 else 'values'}, not {len(parts)}.",
+            f"Give it as a list: `{name}=[{example}]`",
         )
     return value
 

@@ -56,6 +56,7 @@ KINDS = {
     "renderers": Kind("renderer", ("name", "render")),
     "fits": Kind("fit"),
     "metrics": Kind("metric"),
+    "commands": Kind("command"),
 }
 
 

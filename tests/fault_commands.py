@@ -263,7 +263,7 @@ COMMANDS = [
     Command(
         "georeference",
         _in("georeference", "{}/model", "--masks", "{}/three/data/masks", *PLACED, *START, "--out", "{}/geo"),
-        remembered=("lodbench.harness.georeference.georeference._solved",),
+        remembered=("lodbench.harness.georeference._solved",),
     ),
     Command("track", TRACK),
     Command("trace", TRACE, timed=("dataset.json",), is_once=True),

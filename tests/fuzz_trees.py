@@ -26,8 +26,7 @@ import yaml
 
 from lodbench.citymodel import ReadOptions, mesh_model, parse_city_model
 from lodbench.cli import main
-from lodbench.datasets.folder import FolderParams, open_folder
-from lodbench.datasets.folder_about import ABOUT_FILE
+from lodbench.datasets.folder import ABOUT_FILE, FolderParams, open_folder
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Pose

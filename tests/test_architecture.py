@@ -147,7 +147,7 @@ def test_no_modules_import_each_other_in_a_circle():
 
 
 # Who may import numba besides `kernels`: to try the compiler itself, and methods that bring all their code.
-COMPILERS = ("lodbench/harness/doctor/probes.py", "baselines/")
+COMPILERS = ("lodbench/harness/doctor_probes.py", "baselines/")
 
 
 def test_only_kernels_know_numba_and_they_know_nothing_else():

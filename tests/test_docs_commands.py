@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import re
 import shlex
+import sys
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from lodbench.cli import COMMANDS, main
+from lodbench.cli.commands import load_command
 from lodbench.cli.parser import Parser
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -64,7 +65,8 @@ def fault_in(words: list[str], is_whole: bool, monkeypatch: pytest.MonkeyPatch, 
         return "" if words[0].startswith("-") else f"no command {words[0]}"
     if "--help" in words or (len(words) == 1 and not is_whole):
         return ""
-    module = import_module(COMMANDS[words[0]][0])
+    run = load_command(COMMANDS[words[0]][0])
+    module = sys.modules[run.__module__]
 
     def understood(*_: Any) -> None:
         raise Left

@@ -137,6 +137,7 @@ def test_each_part_keeps_to_its_protocol(env):
         for kind, name, _ in (
             *PARTS,
             ("metric", "worst", "metric"),
+            ("command", "horizon", "command"),
             ("pose-solver", "plain", "solver"),
             ("retrieval", "thumbnail", "retrieval"),
         )
@@ -178,6 +179,7 @@ def test_each_part_is_used_by_the_commands(env):
         "card": ["dataset", "card", "alps"],
         "check": ["dataset", "check", "alps", "--root", str(env.root), "--city", str(env.city)],
         "help": ["run", "--help"],
+        "command": ["horizon", str(env.city)],
         "doctor": ["doctor"],
         "thorough doctor": ["doctor", "--thorough"],
     }  # fmt: skip
@@ -187,6 +189,7 @@ def test_each_part_is_used_by_the_commands(env):
     text = {what: words for what, (_, words) in told.items()}
     assert "halfway" in text["method"]
     assert "8 m north of the truth" in text["prior"]
+    assert text["command"].endswith(" m\n")
     assert len(list((env.folder / "drawn").glob("*.png"))) == 3
     assert "lodlocv2" in text["fit"]
     assert "buildings" in text["source"]

@@ -20,7 +20,7 @@ from lodbench.methods import Method
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.reporting.aligned_text import count_of, format_columns
-from lodbench.reporting.calibration_figures import BudgetPoint, draw_budget
+from lodbench.reporting.figures import BudgetPoint, draw_budget
 from lodbench.synthesis.views_dataset import ViewsParams
 
 if TYPE_CHECKING:

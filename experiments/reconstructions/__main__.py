@@ -24,8 +24,7 @@ from lodbench.errors import LodbenchError
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.geometry.similarity import Similarity
-from lodbench.harness.georeference.georeference import georeference
-from lodbench.harness.georeference.request import GeoreferenceRequest
+from lodbench.harness.georeference import GeoreferenceRequest, georeference
 from lodbench.methods.registry import make_method
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.storage import random_stream

@@ -20,12 +20,12 @@ from lodbench.bench.figures import Figure, Progress, Report, no_progress
 from lodbench.bench.views import TILTS, Job, of_seeds, protocol_of, sweep
 from lodbench.citymodel.lods import lod_in_words
 from lodbench.evaluation import DEFAULT_THRESHOLDS, SplitSummary
-from lodbench.evaluation.calibration import Calibration, calibrate
+from lodbench.evaluation.metrics import Calibration, calibrate
 from lodbench.evaluation.queries import ERROR, summarize_queries
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.methods import Method
 from lodbench.reporting.aligned_text import count_of, format_columns
-from lodbench.reporting.calibration_figures import draw_calibration
+from lodbench.reporting.figures import draw_calibration
 from lodbench.reporting.table_columns import finite_text
 from lodbench.synthesis.views_dataset import SPLIT, ViewsParams
 

@@ -12,8 +12,7 @@ from lodbench.bench.options import SEED, option
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError
-from lodbench.evaluation.evaluate import evaluate
-from lodbench.evaluation.predictions import Prediction
+from lodbench.evaluation.predictions import Prediction, evaluate
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.places import scene_of

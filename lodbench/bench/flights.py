@@ -23,9 +23,9 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Dataset, Query
 from lodbench.errors import QueryFault
 from lodbench.evaluation import pose_error
-from lodbench.evaluation.calibration import Calibration, calibrate
 from lodbench.evaluation.errors import FAILED, PoseError
 from lodbench.evaluation.flight_findings import MapScore, score_map
+from lodbench.evaluation.metrics import Calibration, calibrate
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city

@@ -16,8 +16,8 @@ from lodbench.citymodel.scene import Scene
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.looking import look_from_rotation
-from lodbench.harness.track.frames import Footage
-from lodbench.harness.track.track import Track, TrackRequest, track
+from lodbench.harness.track import Track, TrackRequest, track
+from lodbench.harness.track_frames import Footage
 from lodbench.photos.pose import RoughPlace
 from lodbench.segmentation import Segmenter
 from lodbench.storage import random_stream, write_bytes

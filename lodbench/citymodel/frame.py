@@ -147,7 +147,7 @@ def require_no_degrees(points: NDArray[np.float64]) -> None:
         if is_degrees and np.abs(low).max() > 5.0:
             raise CityModelError(
                 "The coordinates look like degrees, but the file names no reference system that is known.",
-                "Name it with crs=EPSG:4979, for example.",
+                "Name it with `crs=EPSG:4979`, for example.",
             )
 
 
@@ -197,7 +197,7 @@ def _require_degrees(points: NDArray[np.float64], known: KnownCrs) -> None:
         if max(high.max(), -low.min()) > 360.0 or is_too_wide:
             raise CityModelError(
                 f"The coordinates are no degrees, although {known.label} says so.",
-                "Name the right reference system with crs=EPSG:...",
+                "Name the right reference system with `crs=EPSG:...`",
             )
 
 
@@ -220,7 +220,7 @@ def _project(points: NDArray[np.float64], known: KnownCrs, order: Order, finding
     if not np.isfinite([order.longitude_deg, order.latitude_deg]).all():
         raise CityModelError(
             f"The coordinates lie nowhere in {known.label}.",
-            "Is the reference system right? crs= names another.",
+            "Is the reference system right? `crs=` names another.",
         )
     label = metric_crs(known, order.longitude_deg, order.latitude_deg)
     transformer = _transformer(known.label, label)
@@ -230,7 +230,7 @@ def _project(points: NDArray[np.float64], known: KnownCrs, order: Order, finding
     if not np.isfinite(points[:, :2]).all():
         raise CityModelError(
             f"Some coordinates cannot be projected from {known.label} to {label}.",
-            "Is the reference system right? crs= names another.",
+            "Is the reference system right? `crs=` names another.",
         )
     detail = f"from {known.label} to {label}"
     if known.vertical_code is None and known.height_unit_m != 1.0:

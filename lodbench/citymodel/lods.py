@@ -138,9 +138,9 @@ def choose_lod(
         return wanted
     candidates = _candidates(names, wanted)
     if not candidates:
-        hint = f"Ask for lod={names[-1]}."
+        hint = f"Ask for `lod={names[-1]}`."
         if wanted == "1" and (names[-1] >= "2" or has_heights):
-            hint = f"Ask for lod={names[-1]}, or derive it: roof_height=median (or max, p70, eave)."
+            hint = f"Ask for `lod={names[-1]}`, or derive it: `roof_height=median` (or max, p70, eave)."
         raise CityModelError(
             f"No building has a level of detail {wanted}; the file has: {', '.join(names)}.", hint
         )

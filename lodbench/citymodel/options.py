@@ -111,7 +111,7 @@ class ReadOptions:
                 f"storey_height_m={self.storey_height_m} is no height of a storey.", "Usual is 3."
             )
         if self.date is not None and not _is_day(self.date):
-            raise ConfigError(f"date={self.date} is not a date.", "It reads YYYY-MM-DD: date=2015-06-30")
+            raise ConfigError(f"date={self.date} is not a date.", "It reads YYYY-MM-DD: `date=2015-06-30`")
         object.__setattr__(self, "layers", require_layers(self.layers))
         require_within("sunk_m", self.sunk_m, 0)
         for name in ("origin", "ground_m", "default_height_m", "ecef_origin"):

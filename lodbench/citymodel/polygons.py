@@ -179,7 +179,7 @@ def _check_reach(points: NDArray[np.float64], source: str) -> None:
         )
     raise CityModelError(
         f"{source} has coordinates that lie nowhere on Earth, in metres (up to {worst.max():.4g}).",
-        "Is the reference system right? crs= names another.",
+        "Is the reference system right? `crs=` names another.",
     )
 
 

@@ -104,7 +104,7 @@ def open_scene_folder(
     if is_other:
         raise CityModelError(
             f"{folder} is in {own or 'no reference system that is known'}, not in {crs}.",
-            f"{again}, with crs={crs}.",
+            f"{again}, with `crs={crs}`.",
         )
     if own is not None and own.startswith(_WORLD) and not _is_true_to_scale(city.scene, own):
         raise CityModelError(f"{folder} is in {own}, whose metres are no metres there.", f"{again}.")

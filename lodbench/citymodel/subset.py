@@ -125,7 +125,7 @@ def require_same_heights(model: CityModel, crs: str) -> None:
         plane = target.horizontal.to_epsg()
         raise CityModelError(
             f"Heights stay as they are, and those of {model.crs} are not those of {crs}.",
-            f"Name the plane alone: --to-crs EPSG:{plane}." if plane else "Name the plane alone.",
+            f"Name the plane alone: `--to-crs EPSG:{plane}`." if plane else "Name the plane alone.",
         )
 
 
@@ -146,7 +146,7 @@ def reproject(model: CityModel, crs: str) -> CityModel:
 
     target = require_crs(crs)
     if model.crs is None:
-        raise CityModelError(f"{model.source} names no reference system.", "Name it: crs=EPSG:25832.")
+        raise CityModelError(f"{model.source} names no reference system.", "Name it: `crs=EPSG:25832`.")
     if not target.is_metric:
         raise CityModelError(
             f"{crs} is not in metres to the east and north.", "Name a projected system, such as EPSG:25832."

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
-from importlib import import_module
+from collections.abc import Callable, Sequence
+from typing import cast
 
-from lodbench.cli.commands import COMMANDS, HEADINGS, USAGE
+from lodbench.cli.commands import COMMANDS, HEADINGS, USAGE, load_command
 
 __all__ = ["COMMANDS", "main", "usage"]
 
@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except LodbenchError as error:
         from lodbench.cli.flags import in_syntax_of
 
-        error.hint = in_syntax_of(words, error.hint)
+        error.message, error.hint = in_syntax_of(words, error.message), in_syntax_of(words, error.hint)
         report_fault(error)
         return 2
     except BrokenPipeError:
@@ -73,7 +73,7 @@ def _help_of_settings(words: list[str]) -> int | None:
     Returns:
         The exit code; None where the command parses flags, and has help of its own.
     """
-    from lodbench.cli.setting_words import SETTINGS_COMMANDS, names_method
+    from lodbench.cli.setting_help import SETTINGS_COMMANDS, names_method
 
     command, *rest = words
     if command not in SETTINGS_COMMANDS:
@@ -100,19 +100,37 @@ def _run(words: list[str]) -> int:
     import contextlib
 
     from lodbench.cli.console import PlainStream
-    from lodbench.errors import LodbenchError, nearest_names
 
     if words[0] == "__complete":
         from lodbench.cli.completion import answer
 
         return answer(words[1:])
-    if words[0] not in COMMANDS:
-        raise LodbenchError(f"There is no command {words[0]!r}.", nearest_names(words[0], COMMANDS))
+    of_plugin = None if words[0] in COMMANDS else _plugin_command(words[0])
     # Names and texts of cities, photos and runs come from strangers.
     streams = PlainStream(sys.stdout), PlainStream(sys.stderr)
     with contextlib.redirect_stdout(streams[0]), contextlib.redirect_stderr(streams[1]):
         code = _help_of_settings(words) if {"-h", "--help"}.intersection(words) else None
-        if code is None:
-            code = int(import_module(COMMANDS[words[0]][0]).main(words[1:]))
+        if of_plugin is not None:
+            from lodbench.plugins import blaming
+
+            with blaming("commands", words[0], "run"):
+                code = int(of_plugin(words[1:]) or 0)
+        elif code is None:
+            code = load_command(COMMANDS[words[0]][0])(words[1:])
     sys.stdout.flush()
     return code
+
+
+def _plugin_command(name: str) -> Callable[[Sequence[str]], int | None]:
+    """Returns the function of a command that another package adds; lodbench's own are found without a scan.
+
+    Raises:
+        LodbenchError: No package has it, or it cannot be imported.
+    """
+    from lodbench.errors import LodbenchError, nearest_names
+    from lodbench.plugins import load_plugin, plugin_names
+
+    others = plugin_names("commands")
+    if name not in others:
+        raise LodbenchError(f"There is no command {name!r}.", nearest_names(name, [*COMMANDS, *others]))
+    return cast(Callable[[Sequence[str]], int | None], load_plugin("commands", name))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,16 +24,6 @@ _WORLD = (
     "how the views differ from the map and the stated camera: shared_roofs and hidden_feet in metres, focal "
     "as a share, tilt as a factor on the stated one, center as a share of the width, k1"
 )
-# What settings of views are called here.
-_OPTIONS = {
-    "num_views": "--views",
-    "mask_iou": "--mask-iou",
-    "tilt_deg": "--tilt-width",
-    "range_m": "--prior-range",
-    "height_m": "--prior-height",
-    "camera_height_m": "--camera-height",
-    "building_share": "--building-share",
-}
 
 
 def add_views(actions: Any) -> None:
@@ -88,8 +77,8 @@ def _world(text: str) -> World:
     try:
         return World.parse(text)
     except ConfigError as fault:
-        said, hint = (words.replace("world.", "") for words in (fault.message, fault.hint))
-        raise ConfigError(f"--world {text}: {said}", hint) from fault
+        message, hint = (words.marked.replace("world.", "") for words in (fault.message, fault.hint))
+        raise ConfigError(f"--world {text}: {message}", hint) from fault
 
 
 def add_city(parser: argparse.ArgumentParser) -> None:
@@ -156,12 +145,8 @@ def views_of(given: argparse.Namespace, city: Path | None) -> ViewsParams:
     Raises:
         LodbenchError: The city is not there, or an option is out of range.
     """
-    try:
-        asked = _params(given)  # before the demo town is made, which takes minutes
-    except ConfigError as fault:
-        said = re.sub(r"dataset\.(\w+)", lambda name: _OPTIONS.get(name[1], name[0]), fault.message)
-        raise ConfigError(said, fault.hint) from fault
-    return replace(asked, city_model=str(_or_demo(city)))
+    params = _params(given)  # before the demo town is made, which takes minutes
+    return replace(params, city_model=str(_or_demo(city)))
 
 
 def _params(given: argparse.Namespace) -> ViewsParams:

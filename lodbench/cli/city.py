@@ -11,17 +11,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lodbench.citymodel.layers import LAYERS
 from lodbench.citymodel.options import ReadOptions
-from lodbench.cli.city_files import from_and_to, require_other
-from lodbench.cli.city_parser import city_parser
-from lodbench.cli.source_profiles import load_profile
+from lodbench.cli.parser import Parser
+from lodbench.cli.source_profiles import DATE_HELP, load_profile
 from lodbench.errors import CityModelError, ConfigError, require_choice
 from lodbench.execution import ProgressCallback
 
 if TYPE_CHECKING:
     from lodbench.citymodel import CityModel
     from lodbench.citymodel.convert import Conversion
-
 
 _PACKED = (".gz", ".zip")
 
@@ -222,3 +221,171 @@ def _read(files: Sequence[Path], options: ReadOptions) -> CityModel:
 
     with ProgressCallback(f"reading {files[0].name}", "MB", 1_000_000) as progress:
         return read_city_model(files, options=options, progress=progress)
+
+
+def from_and_to(asked: argparse.Namespace) -> tuple[list[Path], Path]:
+    """Returns the files to convert and the one to write, whose folder is there then.
+
+    Raises:
+        CityModelError: There is nothing to convert, or the target is no format or may be one of the cities.
+    """
+    from lodbench.citymodel.convert import check_target
+
+    files, out = (asked.files, asked.out) if asked.out is not None else (asked.files[:-1], asked.files[-1])
+    if not files:
+        raise CityModelError(
+            f"There is nothing to convert {out} from.", "lodbench city convert FILE... -o OUT"
+        )
+    is_made = asked.tiles is not None and not out.parent.exists()  # the folder, with the first tile
+    check_target(out.parent.with_name(out.name) if is_made else out)
+    require_other(out, files)
+    if asked.out is None and _may_be_a_tile(out, files):
+        raise CityModelError(
+            f"{out} is there already, and may be one of the tiles: nothing is written over it.",
+            f"Name a new file, -o OUT, or say that it is meant: -o {out}.",
+        )
+    return _once(files), out
+
+
+def _once(files: Sequence[Path]) -> list[Path]:
+    """Returns files less those named twice, or lying in a folder named too; standard error says which."""
+    read: dict[Path, Path] = {}
+    for file in files:
+        place = file.resolve()
+        folder = next((each for each in files if each != file and each.resolve() in place.parents), None)
+        if place in read or folder is not None:
+            how = f"lies in {folder}" if folder is not None else "is named twice"
+            sys.stderr.write(f"lodbench: {file} {how}: it is read once.\n")
+        else:
+            read[place] = file
+    return list(read.values())
+
+
+def _may_be_a_tile(out: Path, files: Sequence[Path]) -> bool:
+    """Tells whether the last word is a city of which no -o says that it is written: ``*.gml`` ends so."""
+    from lodbench.citymodel.source import is_city_file
+
+    first = files[0]
+    is_neighbour = out.suffix == first.suffix and out.resolve().parent == first.resolve().parent
+    return is_city_file(out) and (len(files) > 1 or is_neighbour)
+
+
+def require_other(out: Path, files: Sequence[Path]) -> None:
+    """Raises CityModelError if a file to write is one of those to read, or would be from then on."""
+    place = out.resolve()
+    for file in files:
+        if place == file.resolve():
+            raise CityModelError(f"{out} is the city itself.", "Choose another name to write to.")
+        if file.is_dir() and place.is_relative_to(file.resolve()):
+            raise CityModelError(
+                f"{out} lies in the folder that is read, and would be one of its tiles.",
+                f"Write it outside of {file}.",
+            )
+
+
+_EXAMPLES = """\
+FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb, .parquet, .pbf, .osm), a
+mesh (.obj, .ply, .stl, .glb) or a surface model (.tif, .asc, .laz); a .zip of all but the last, a .gz of all
+but footprints and surface models, or a folder of tiles.
+
+examples:
+  lodbench city info 53394525_bldg_6697_op.gml
+  lodbench city check LoD2_32_280_5657_1_NW.gml --geojson findings.geojson
+  lodbench city info zurich.xml --crs EPSG:21781             the file says "CH1903", which is degrees
+  lodbench city info Massachusetts-25-000.zip --source open_city_model --option ground_m=12
+  lodbench city check houses.shp --option height_column=HOEHE --option ground_m=430
+  lodbench city make --footprints berlin.osm.pbf --dsm dsm/ --dtm dtm.tif berlin.city.json
+  lodbench city convert tile.city.json town.glb --lod 2.2
+  lodbench city convert lod2.gml blocks.obj --lod 1 --roof-height median
+  lodbench city convert tiles/ centre.city.jsonl --to-crs EPSG:25832 --bbox 691000 5335000 692000 5336000
+  lodbench city convert lod2.gml churches.json --where function=31001_3041
+  lodbench city convert a.gml b.gml -o both.gml --citygml 3.0
+  lodbench city convert textured.gml town.city.json --textures        CityJSON and CityGML keep pictures too
+  lodbench city convert big.gml tiles/town.city.json --tiles 500      tiles/town_691000_5335000.city.json ...
+  lodbench city convert tiles/ town.scene --lod 2 --workers 4         goes on where it was stopped
+
+how to read a file, each as --option KEY=VALUE (explained under lodbench.citymodel.ReadOptions):
+  axis_order=east_first|north_first  is_strict=false  origin=[E,N,UP]  up_axis=y|z  layer=NAME
+  height_column=NAME  storeys_column=NAME  storey_height_m=3  default_height_m=9
+  ground_column=NAME  ground_m=0  terrain=FILE  surface=FILE  base=as_given|ground|sunk  sunk_m=3
+  date=YYYY-MM-DD
+"""
+
+
+_ACTIONS = {
+    "info": "show format, reference system, place, levels of detail, numbers of buildings, areas, findings",
+    "check": "list every defect with its building, and how much area was lost; exit code 1 if data was lost",
+    "make": "write footprints as LoD1 buildings, as high as a surface model or attributes say, with a page",
+    "convert": "write it, or a part, as CityJSON (.json, .jsonl), CityGML (.gml), .glb, .ply, .obj or .scene",
+}
+
+
+def city_parser() -> argparse.ArgumentParser:
+    """Returns the parser of `lodbench city`."""
+    about_all = "Inspect, check, convert or make a city model."
+    parser = Parser("lodbench city", description=about_all, epilog=_EXAMPLES)
+    actions = parser.add_subparsers(dest="action", required=True, metavar="|".join(_ACTIONS))
+    for name, about in _ACTIONS.items():
+        action = actions.add_parser(name, help=about, description=about, epilog=_EXAMPLES)
+        if name == "convert":
+            _add_convert(action.add_argument)
+        elif name == "make":
+            _add_make(action.add_argument)
+        else:
+            what = "file, archive or folder of tiles" + ("; or a scene" if name == "info" else "")
+            action.add_argument("file", type=Path, metavar="FILE", help=what)
+        if name == "check":
+            points = "write the findings as points, for QGIS"
+            action.add_argument("--geojson", type=Path, metavar="OUT", help=points)
+        _add_reading(action.add_argument)
+        action.add_argument("--json", action="store_true", help="print JSON, for scripts")
+    return parser
+
+
+def _add_convert(add: Any) -> None:
+    """Adds what is written, and how."""
+    files = "city models, read as one; without -o the last name is OUT"
+    add("files", nargs="+", type=Path, metavar="FILE", help=files)
+    add("-o", "--out", type=Path, metavar="OUT", help="file to write; its ending chooses the format")
+    add("--tiles", type=float, metavar="M", help="write tiles of M metres, and an index of them")
+    where = "what reads the tiles of a .scene (default: process)"
+    add("--executor", choices=("serial", "process", "dask"), help=where)
+    pictures = "keep the textures of surfaces (.gml, .json, .jsonl, .glb, .obj)"
+    add("--textures", action="store_true", help=pictures)
+    add("--workers", type=int, help="how many processes (default: one per core)")
+    add("--address", help="of Dask's scheduler")
+    one = "level to write; finest: each building's best (default: all for CityJSON, the lowest for meshes)"
+    add("--lod", help=one)
+    add("--citygml", choices=("2.0", "3.0"), help="version of a .gml (default: 2.0)")
+    add("--to-crs", metavar="CRS", help="project to another reference system in metres")
+    add("--id", action="append", default=[], help="only the building of this id; may be repeated")
+    inside = "only buildings whose middle lies inside, in the reference system written"
+    add("--bbox", nargs=4, type=float, metavar=("W", "S", "E", "N"), help=inside)
+    having = "only buildings with this attribute, or with a part that has it; may be repeated"
+    add("--where", action="append", default=[], metavar="ATTRIBUTE=VALUE", help=having)
+    add("--roof-height", metavar="RULE", help="derive LoD1 where there is none: median, max, p70 or eave")
+
+
+def _add_make(add: Any) -> None:
+    """Adds what a city is made from."""
+    add(
+        "out",
+        type=Path,
+        metavar="OUT",
+        help="city to write: .city.json, .gml ...; the page beside it is OUT.html",
+    )
+    plans = "footprints: .osm.pbf, .osm, .gpkg, .geojson, .shp, .fgb, .parquet"
+    add("--footprints", type=Path, required=True, metavar="FILE", help=plans)
+    heights = "surface model: .tif, .asc, .laz, or a folder of tiles"
+    add("--dsm", type=Path, metavar="FILE", help=heights)
+    add("--dtm", type=Path, metavar="FILE", help="terrain model (default: estimated from the surface model)")
+
+
+def _add_reading(add: Any) -> None:
+    """Adds how the files are read."""
+    add("--crs", help="reference system of the coordinates, if the file names none or a wrong one")
+    add("--date", metavar="YYYY-MM-DD", help=DATE_HELP)
+    add("--source", default="folder", metavar="PROFILE", help="publisher's profile, as in run source=PROFILE")
+    add("--option", action="append", default=[], metavar="KEY=VALUE", help="see below; may be repeated")
+    also = f"objects besides buildings: {', '.join(LAYERS)}"
+    add("--layers", type=lambda text: tuple(text.split(",")), default=(), metavar="NAME,...", help=also)

@@ -1,6 +1,12 @@
 """What commands there are, and the help above them."""
 
-# Command -> (module with `main(argv) -> int`, one line of help).
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import cast
+
+# Command -> (module with `main(argv) -> int`, or module:function; one line of help).
 COMMANDS = {
     "localize": (
         "lodbench.cli.localize",
@@ -18,7 +24,7 @@ COMMANDS = {
     "mask": ("lodbench.cli.mask", "make or correct a photo's building mask by hand; LabelMe, COCO, QGIS"),
     "trace": ("lodbench.cli.trace", "trace a map of roofs in the photos of a COLMAP model; make a benchmark"),
     "run": ("lodbench.cli.run", "localise the photos of a dataset with one method, and score the poses"),
-    "basin": ("lodbench.cli.basin", "measure recall over the error of the prior"),
+    "basin": ("lodbench.cli.run:main_basin", "measure recall over the error of the prior"),
     "evaluate": ("lodbench.cli.evaluate", "score poses made by another program: COLMAP, TUM, ..."),
     "compare": ("lodbench.cli.compare", "put runs into one table, and test whether they differ"),
     "report": ("lodbench.cli.report", "write an HTML page of a run: tables, figures, every photo"),
@@ -40,7 +46,7 @@ COMMANDS = {
         "draw a city from given poses: silhouette, depth, label, colour, overlay",
     ),
     "generate-training-data": (
-        "lodbench.cli.generate_training_data",
+        "lodbench.cli.render:main_generate",
         "render images, masks and poses of a city",
     ),
     "train": ("lodbench.cli.train", "train a segmentation network, or a method, on such images"),
@@ -48,7 +54,7 @@ COMMANDS = {
         "lodbench.cli.doctor",
         "check this installation, and say what to install for optional features",
     ),
-    "check-method": ("lodbench.cli.check_method", "check that a method conforms to the protocol"),
+    "check-method": ("lodbench.cli.check_plugin:main_method", "check that a method conforms to the protocol"),
     "check-plugin": (
         "lodbench.cli.check_plugin",
         "check any other plug-in likewise: see docs/plugins.md",
@@ -77,4 +83,12 @@ Start here:
   lodbench localize PHOTO ... --city FILE          # where were your photos taken?
   lodbench run dataset=folder dataset.root=DIR city=FILE   # a method over a dataset of your own
 {commands}
+
+`lodbench doctor` lists plug-ins, their commands too.
 """
+
+
+def load_command(place: str) -> Callable[[Sequence[str]], int]:
+    """Returns the function of a command, as ``COMMANDS`` places it: from words to an exit code."""
+    module, _, name = place.partition(":")
+    return cast(Callable[[Sequence[str]], int], getattr(import_module(module), name or "main"))

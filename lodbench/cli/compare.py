@@ -10,28 +10,27 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.cli.parser import Parser
-from lodbench.cli.run_folders import run_folders
-from lodbench.cli.verify import add_path_options, read_config, reopen_dataset
+from lodbench.cli.verify import add_path_options, read_config, reopen_dataset, run_folders
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.evaluation.protocols import PROTOCOLS
 from lodbench.evaluation.queries import has_truth
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
 from lodbench.harness.results import protocol_of, summary_at
-from lodbench.harness.runs.budget import budget_panels
 from lodbench.harness.runs.compare import (
     agreement,
     answers_apart,
+    budget_panels,
+    comparison_page,
     paired_comparison,
     require_same_queries,
     why_other_photos,
 )
-from lodbench.harness.runs.comparison_page import comparison_page
 from lodbench.harness.runs.photo_pairs import DrawnRun, photo_pairs_of, read_tags, tags_file_of
 from lodbench.harness.runs.stored import StoredRun, read_whole_run, require_writable
 from lodbench.harness.runs.verify import changed_files
 from lodbench.reporting.answers import format_answers
-from lodbench.reporting.calibration_figures import draw_budget
 from lodbench.reporting.comparison import agreement_text, format_apart, format_comparison
+from lodbench.reporting.figures import draw_budget
 from lodbench.reporting.run_names import FREE, names_of
 from lodbench.reporting.summaries import with_settings
 from lodbench.reporting.table_columns import COLUMNS

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Sequence
-from importlib import import_module
 
-from lodbench.cli.commands import COMMANDS
+from lodbench.cli.commands import COMMANDS, load_command
 from lodbench.cli.configs import config_files
 from lodbench.cli.parser import Parser, seen
 from lodbench.cli.setting_help import config_text, groups_of, settings_in
@@ -119,8 +118,8 @@ def _flags(command: str, before: Sequence[str], typed: str) -> Iterable[str]:
     """
     if command not in COMMANDS:
         return []
-    module = import_module(COMMANDS[command][0])
-    actions = list(getattr(module, "ACTIONS", {}))
+    run = load_command(COMMANDS[command][0])
+    actions = list(getattr(sys.modules[run.__module__], "ACTIONS", {}))
     if actions and not before:
         return actions
     parsers: list[Parser] = []
@@ -132,7 +131,7 @@ def _flags(command: str, before: Sequence[str], typed: str) -> Iterable[str]:
 
     seen.append(keep)
     try:
-        module.main(list(before))
+        run(list(before))
     except (_Found, LodbenchError, SystemExit):
         pass
     finally:

@@ -1,13 +1,17 @@
-"""Files of configuration by group and name, lodbench's own and those of plug-ins, read without Hydra."""
+"""Files of configuration, lodbench's own and those of plug-ins: read without Hydra, or composed by it."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from lodbench.errors import ConfigError
 from lodbench.plugins import config_folders
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 # What OmegaConf makes more of than YAML does: references to other settings, and 1e-3, a text in YAML 1.1.
 _OF_OMEGACONF = re.compile(r"\$\{|\d[eE]")
@@ -54,3 +58,27 @@ def _values_of(file: Path, group: str) -> dict[str, Any]:
 
     config = OmegaConf.create({"paths": {"data_root": None, "runs": "runs"}, group: OmegaConf.load(file)})
     return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+
+
+def composed(config_name: str, words: Sequence[str], return_hydra_config: bool = False) -> DictConfig:
+    """Returns a command's configuration.
+
+    Args:
+        config_name: Of the command's file.
+        words: As Hydra reads them.
+        return_hydra_config: With what Hydra says of itself, under ``hydra``.
+
+    Raises:
+        HydraException: A word means nothing to Hydra, or names no setting.
+    """
+    from hydra import compose, initialize_config_module
+
+    with initialize_config_module("lodbench.conf", job_name=config_name, **hydra_version()):
+        return compose(config_name, list(words), return_hydra_config)
+
+
+def hydra_version() -> dict[str, str]:
+    """Returns what tells Hydra which of its versions to be like; from 1.4 on it knows one."""
+    import hydra
+
+    return {"version_base": "1.3"} if hydra.__version__ < "1.4" else {}

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TextIO
 
 from lodbench.errors import LodbenchError
-from lodbench.reporting.safe_text import plain_lines, plain_text
+from lodbench.reporting.aligned_text import plain_lines, plain_text
 
 if TYPE_CHECKING:
     from lodbench.checks import Check

@@ -4,20 +4,30 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 
+from lodbench.cli.commands import load_command
 from lodbench.errors import ConfigError, nearest_names
 
-# Action -> (module whose `main` takes the words from the action on, one line of help).
+_AT = "lodbench.cli"
+# Action -> (as of ``COMMANDS``; the words begin with the action; one line of help).
 ACTIONS = {
-    "list": ("lodbench.cli.dataset_list", "what is there, what is missing, where to get it"),
-    "check": ("lodbench.cli.dataset_check", "is it sound: files, counts, poses, priors, photos, city model"),
-    "download": ("lodbench.cli.dataset_download", "fetch what has a stable address; say how to get the rest"),
-    "card": ("lodbench.cli.dataset_card", "its card: licence, provenance, truth, splits, known issues"),
-    "prior": ("lodbench.cli.dataset_prior", "write a dataset's priors to a file: drawn, or the photos' own"),
-    "init": ("lodbench.cli.dataset_own", "a dataset from your photos and a city model"),
-    "import": ("lodbench.cli.dataset_own", "a dataset from another program's poses"),
-    "make-demo": ("lodbench.cli.dataset_demo", "write the demo town, its queries and masks to a folder"),
+    "list": (f"{_AT}.dataset_list", "what is there, what is missing, where to get it"),
+    "check": (f"{_AT}.dataset_check", "is it sound: files, counts, poses, priors, photos, city model"),
+    "download": (
+        f"{_AT}.dataset_list:main_download",
+        "fetch what has a stable address; say how to get the rest",
+    ),
+    "card": (f"{_AT}.dataset_card", "its card: licence, provenance, truth, splits, known issues"),
+    "prior": (
+        f"{_AT}.dataset_check:main_prior",
+        "write a dataset's priors to a file: drawn, or the photos' own",
+    ),
+    "init": (f"{_AT}.dataset_own", "a dataset from your photos and a city model"),
+    "import": (f"{_AT}.dataset_own", "a dataset from another program's poses"),
+    "make-demo": (
+        f"{_AT}.dataset_list:main_demo",
+        "write the demo town, its queries and masks to a folder",
+    ),
 }
 
 
@@ -40,5 +50,4 @@ def main(argv: Sequence[str]) -> int:
         return 0 if argv else 2
     if argv[0] not in ACTIONS:
         raise ConfigError(f"There is no `lodbench dataset {argv[0]}`.", nearest_names(argv[0], ACTIONS))
-    code: int = import_module(ACTIONS[argv[0]][0]).main(argv)
-    return code
+    return load_command(ACTIONS[argv[0]][0])(argv)

@@ -1,21 +1,28 @@
-"""`lodbench dataset check NAME|DIR`: what is there, and what is wrong with it."""
+"""`lodbench dataset check|prior NAME|DIR`: what is there, what is wrong with it; its priors as a file."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+from lodbench.cli.configs import read_config
 from lodbench.cli.dataset_card import config_card
-from lodbench.cli.flags import in_flags
-from lodbench.cli.named_dataset import add_dataset_options, open_named
+from lodbench.cli.flags import in_syntax_of
 from lodbench.cli.parser import Parser
+from lodbench.datasets.prior_sources import is_prior_text, prior_digest, prior_text
+from lodbench.datasets.query import Dataset
+from lodbench.datasets.registry import dataset_settings, draw_priors, make_priors, open_dataset
+from lodbench.errors import ConfigError, DatasetError, Words, nearest_names
 from lodbench.findings import Findings, Severity
-from lodbench.harness.dataset_check import DatasetReport, SplitReport, check_dataset
-from lodbench.reporting.aligned_text import count_of
-from lodbench.reporting.safe_text import plain_text
+from lodbench.harness.dataset_check import DatasetReport, SplitReport, check_dataset, prior_errors_in_words
+from lodbench.plugins import plugin_names
+from lodbench.reporting.aligned_text import count_of, plain_text
+from lodbench.storage import write_text
 
 _EPILOG = """\
 Exit code: 0 sound, 1 at least one error, 2 the data is missing (the message says what, and where to get it).
@@ -44,7 +51,7 @@ def main(argv: Sequence[str]) -> int:
     options = parser.parse_args(argv[1:])
     dataset, card = open_named(options, options.set), config_card(options.dataset)
     counts = card.counts if card else {}
-    dataset = replace(dataset, city_hint=in_flags(dataset.city_hint))
+    dataset = replace(dataset, city_hint=in_syntax_of(["dataset"], Words(dataset.city_hint)))
     report = check_dataset(dataset, with_pixels=not options.headers_only, counts=counts)
     text = json.dumps(_values(report), indent=2) + "\n" if options.json else _text(report)
     sys.stdout.write(text)
@@ -132,3 +139,123 @@ def _values(report: DatasetReport) -> dict[str, Any]:
         ],
         "errors": sum(item.code.severity is Severity.ERROR for item in report.findings.items),
     }
+
+
+def add_dataset_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the word that names a dataset, and where its parts lie."""
+    parser.add_argument("dataset", metavar="NAME|DIR", help="a dataset, or a folder in the text layout")
+    parser.add_argument("--root", metavar="DIR", help="where a published dataset was unpacked")
+    parser.add_argument("--city", metavar="FILE", help="its city model")
+    parser.add_argument("--lod", help="level of detail of the city model")
+
+
+def open_named(options: argparse.Namespace, settings: Sequence[str] = ()) -> Dataset:
+    """Returns the dataset that the options name.
+
+    Args:
+        options: Of the command.
+        settings: Words ``NAME=VALUE``, as ``--set`` has them.
+
+    Raises:
+        LodbenchError: It is no name and no folder, or its data is missing or malformed.
+    """
+    name = options.dataset
+    known = plugin_names("datasets")
+    if name not in known or name == "folder":
+        root = options.root if name == "folder" and options.root else name
+        if not Path(root).expanduser().is_dir():
+            raise ConfigError(
+                f"{root} is neither a dataset nor a folder.", nearest_names(root, set(known) - {root})
+            )
+        values = {"name": "folder", "root": root, "city_model": options.city, "lod": options.lod}
+        values = {key: value for key, value in values.items() if value is not None}
+        return open_dataset(values | _set(settings, "folder", dataset_settings("folder")))
+    takes = dataset_settings(name)
+    given: dict[str, Any] = {"root": options.root, "city_model": options.city, "lod": options.lod}
+    values = {key: value for key, value in given.items() if value is not None}
+    values |= _set(settings, name, takes)
+    refused = sorted(set(values) - takes)
+    if refused:
+        option = {"root": "--root", "city_model": "--city", "lod": "--lod"}[refused[0]]
+        raise ConfigError(f"Dataset {name} takes no {option}.")
+    return open_dataset({**(read_config("dataset", name) or {"name": name}), **values})
+
+
+def _set(words: Sequence[str], dataset: str, takes: Collection[str]) -> dict[str, Any]:
+    """Returns the settings of words ``NAME=VALUE``, values read as YAML.
+
+    Raises:
+        ConfigError: A word is none, or the dataset has no such setting.
+    """
+    import yaml
+
+    values: dict[str, Any] = {}
+    for word in words:
+        name, equals, text = word.removeprefix("dataset.").partition("=")
+        if not equals or name not in takes:
+            raise ConfigError(f"--set {word}: Dataset {dataset} takes no {name}.", nearest_names(name, takes))
+        try:
+            values[name] = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ConfigError(
+                f"--set {word} cannot be read as YAML.", "Quote it: --set \"NAME='TEXT'\""
+            ) from error
+    return values
+
+
+_EPILOG_OF_PRIORS = """\
+The file has lines `split/name qw qx qy qz tx ty tz`, world to camera. Run on it with
+  lodbench run prior=file prior.path=FILE ...
+Settings are those of `lodbench run prior=KIND prior.KEY=VALUE`:
+  uniform  x_m y_m z_m yaw_deg pitch_deg roll_deg   half widths
+  basin    range_m yaw_deg tilt_deg                 half widths
+  sensor   heights takeoff_m geoid_m offset_m       how the photos' heights become the city's
+"""
+
+
+def main_prior(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code.
+
+    Raises:
+        LodbenchError: The dataset or a setting is wrong, or the priors cannot be had.
+    """
+    parser = Parser("lodbench dataset prior", "Write a dataset's priors to a file.", _EPILOG_OF_PRIORS)
+    add_dataset_options(parser)
+    parser.add_argument(
+        "--kind",
+        default="uniform",
+        metavar="KIND",
+        help=f"where they come from: {', '.join(plugin_names('priors'))}",
+    )
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting")
+    parser.add_argument("--seed", type=int, default=0, help="random seed (default: 0)")
+    parser.add_argument("--out", type=Path, metavar="FILE", required=True, help="the file to write")
+    options = parser.parse_args(argv[1:])
+    if options.out.is_dir():
+        raise ConfigError(f"{options.out} is a folder.", "Name a file.")
+    if options.out.exists() and not is_prior_text(options.out):
+        raise ConfigError(
+            f"{options.out} is there already, and no file of this command.", "Name another file: --out FILE."
+        )
+    priors = make_priors(options.kind, dict(map(_pair, options.set)))
+    dataset = draw_priors(open_named(options), options.kind, priors, options.seed)
+    made = sum(entry.prior is not None for entry in dataset.entries)
+    if not made:
+        raise DatasetError(
+            f"No query of {options.dataset} has a prior of --kind {options.kind}: nothing is written.",
+            "Another kind draws them around the truth, or reads them from the photos; see --help.",
+        )
+    write_text(options.out, prior_text(dataset.entries, priors.describe(), options.seed))
+    lines = [f"{options.out}: {made} of {len(dataset.entries)} queries, {priors.describe()}"]
+    lines += [f"digest {prior_digest(dataset.entries)}"]
+    lines += [f"{split}: {words}" for split, words in prior_errors_in_words(dataset).items()]
+    lines += [f"note: {in_syntax_of(['dataset', 'prior'], Words(note))}" for note in dataset.notes]
+    sys.stdout.write("\n".join(lines) + "\n")
+    return 0
+
+
+def _pair(word: str) -> tuple[str, Any]:
+    key, equals, value = word.partition("=")
+    if not equals:
+        raise ConfigError(f"--set {word} has no value.", "Settings are KEY=VALUE.")
+    return key, value

@@ -26,7 +26,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--thorough", action="store_true", help=f"{thorough} (half a minute)")
     options = parser.parse_args(argv)
 
-    from lodbench.harness.doctor.doctor import examine, is_base_broken
+    from lodbench.harness.doctor import examine, is_base_broken
 
     checks = examine(options.thorough)
     if options.json:

@@ -17,7 +17,7 @@ from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.evaluate import EvaluateSettings, draw_scored, evaluate_poses
 from lodbench.harness.runs.result import Result
 from lodbench.params import to_params
-from lodbench.reporting.safe_text import plain_text
+from lodbench.reporting.aligned_text import plain_text
 from lodbench.reporting.table_formats import format_text
 from lodbench.reporting.tables import tables_of
 from lodbench.segmentation.registry import make_segmenter

@@ -11,12 +11,11 @@ from pathlib import Path
 from lodbench.citymodel.crs import is_same_plane, require_crs
 from lodbench.citymodel.scene import Scene
 from lodbench.cli.parser import Parser
-from lodbench.cli.run_folders import run_folders
-from lodbench.cli.verify import add_path_options, reopen_dataset
+from lodbench.cli.verify import add_path_options, reopen_dataset, run_folders
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.harness.city import open_city
-from lodbench.harness.export.export import (
+from lodbench.harness.export.formats import (
     CITY,
     CRS,
     Export,

@@ -14,11 +14,11 @@ from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import add_height_options, add_map_options, city_settings, height_flags
 from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.reporting.safe_text import plain_text
+from lodbench.reporting.aligned_text import plain_text
 from lodbench.segmentation.choice import FOR_PHOTOS
 
 if TYPE_CHECKING:
-    from lodbench.harness.georeference.request import Georeferenced
+    from lodbench.harness.georeference import Georeferenced
 
 _EPILOG = """\
 The model is a similarity away from the city. It starts where the photos say they were taken (--images, EXIF
@@ -42,9 +42,8 @@ def main(argv: Sequence[str]) -> int:
     asked = _parser().parse_args(argv)
     from lodbench.datasets.own import find_photo, shared_files
     from lodbench.harness.city import open_city
-    from lodbench.harness.georeference.georeference import georeference
-    from lodbench.harness.georeference.request import GeoreferenceRequest
-    from lodbench.harness.photo.sidecars import require_sidecars, write_sidecars
+    from lodbench.harness.georeference import GeoreferenceRequest, georeference
+    from lodbench.harness.photo.outputs import require_sidecars, write_sidecars
     from lodbench.methods.protocol import SupportsFlights
     from lodbench.methods.registry import make_method
 

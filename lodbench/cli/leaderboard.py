@@ -9,8 +9,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from lodbench.cli.parser import Parser
-from lodbench.cli.run_folders import run_folders
-from lodbench.cli.verify import add_path_options, describe, read_config, verify_folder
+from lodbench.cli.verify import add_path_options, describe, read_config, run_folders, verify_folder
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.errors import DatasetError
 from lodbench.evaluation.queries import has_truth
@@ -134,7 +133,9 @@ def _build(root: Path, check: bool) -> int:
     texts = build_leaderboard(root)
     if not texts:
         raise DatasetError(f"{root / 'entries'} holds no entries.", "lodbench leaderboard add RUN")
-    changed = [path for path, text in texts.items() if not _holds(path, text)]
+    changed = [
+        path for path, text in texts.items() if not (path.is_file() and path.read_bytes() == text.encode())
+    ]
     for path in changed:
         if not check:
             write_text(path, texts[path])
@@ -154,7 +155,3 @@ def _stale(root: Path, texts: Collection[Path]) -> list[Path]:
         root / f"{name}{ending}" for name in sorted(names) for ending in (".csv", ".html", ".md", ".tex")
     )
     return [path for path in files if path.is_file()]
-
-
-def _holds(path: Path, text: str) -> bool:
-    return path.is_file() and path.read_bytes() == text.encode()

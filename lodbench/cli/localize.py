@@ -108,7 +108,7 @@ def localized(asked: argparse.Namespace) -> LocalizedPhoto | Answers:
     from lodbench.datasets.own import require_some_mask
     from lodbench.harness.photo.localize import open_map
     from lodbench.harness.photo.many import photos_of
-    from lodbench.harness.photo.sidecars import require_sidecars
+    from lodbench.harness.photo.outputs import require_sidecars
 
     is_one = len(asked.photos) == 1 and asked.photos[0].is_file()
     _require_options(asked, is_one)
@@ -129,7 +129,7 @@ def localized(asked: argparse.Namespace) -> LocalizedPhoto | Answers:
 def _one(request: PhotoRequest, asked: argparse.Namespace) -> LocalizedPhoto:
     """Returns the answer to one photo, and writes it."""
     from lodbench.harness.photo.localize import STEPS, localize_photo
-    from lodbench.harness.photo.view import write_view
+    from lodbench.harness.photo.outputs import write_view
 
     with Progress(request.photo.name, STEPS, unit="steps") as progress:
         found = localize_photo(request, progress.advance)
@@ -150,16 +150,16 @@ def _several(
     from lodbench.harness.photo.flights import localize_flights
     from lodbench.harness.photo.localize import open_map
     from lodbench.harness.photo.many import localize_photos
-    from lodbench.harness.photo.view import write_view
+    from lodbench.harness.photo.outputs import write_view
     from lodbench.methods.protocol import SupportsFlights
 
     if isinstance(request.method, SupportsFlights) and not asked.each_alone:
         imagery = None if asked.imagery is None else open_imagery(asked.imagery, open_map(request).scene)
         answers = localize_flights(request, photos, masks, asked.reconstruction, imagery)
     elif asked.imagery is not None:
-        raise ConfigError("--imagery lies under the map of a flight's page.", _NO_FLIGHT)
+        raise ConfigError("`--imagery` lies under the map of a flight's page.", _NO_FLIGHT)
     elif asked.reconstruction is not None:
-        raise ConfigError("--reconstruction ties a flight's photos.", _NO_FLIGHT)
+        raise ConfigError("`--reconstruction` ties a flight's photos.", _NO_FLIGHT)
     else:
         answers = localize_photos(request, photos, masks)
     if answers.found:
@@ -171,7 +171,7 @@ def _several(
 
 def _tell_unused(photos: Sequence[Path], asked: argparse.Namespace) -> None:
     """Warns of what photos have and nobody uses."""
-    from lodbench.harness.photo.unused import heading_note, saved_masks_note
+    from lodbench.harness.photo.flight_inputs import heading_note, saved_masks_note
 
     has_choice = asked.mask is not None or asked.segmenter is not None or _masks_for(asked) is not None
     notes = (None if has_choice else saved_masks_note(photos), heading_note(photos, asked.heading))
@@ -181,7 +181,7 @@ def _tell_unused(photos: Sequence[Path], asked: argparse.Namespace) -> None:
 
 def _write_sidecars(found: Sequence[tuple[Path, LocalizedPhoto]], asked: argparse.Namespace) -> None:
     """Writes XMP beside the photos whose poses are to be trusted, if that was asked for."""
-    from lodbench.harness.photo.sidecars import write_sidecars
+    from lodbench.harness.photo.outputs import write_sidecars
 
     trusted = [(photo, answer.pose) for photo, answer in found if answer.is_trusted]
     if asked.sidecars and found:
@@ -220,7 +220,7 @@ def _method(asked: argparse.Namespace, is_one: bool, masks: Path | None) -> Meth
     takes_mask = "mask" in method.requires
     makes_mask = "mask_on_demand" in method.requires and not (asked.mask or asked.masks)
     if named and not takes_mask and not makes_mask:
-        hint = f"Leave {named[0]} out, or take --method {_BY_MASK}."
+        hint = f"Leave `{named[0]}` out, or take `--method {_BY_MASK}`."
         raise ConfigError(f"Method {method.name} looks at no mask.", hint)
     return method
 
@@ -244,8 +244,8 @@ def _with_start(request: PhotoRequest, photos: Sequence[Path], asked: argparse.N
     """
     if asked.start is None:
         return request
+    from lodbench.harness.photo.flight_inputs import read_rough_poses
     from lodbench.harness.photo.localize import open_map
-    from lodbench.harness.photo.rough_poses import read_rough_poses
 
     return replace(request, start=read_rough_poses(asked.start, photos, open_map(request).scene.crs))
 
@@ -262,7 +262,7 @@ def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
     require_one_mask_source(asked, "--mask", "--masks")
     cities = [photo for photo in asked.photos if is_city_file(photo)]
     if cities:
-        hint = "The photos come first, the city model after --city."
+        hint = "The photos come first, the city model after `--city`."
         raise ConfigError(f"{cities[0]} is a city model by its name, not a photo.", hint)
     absent = [photo for photo in asked.photos if not photo.exists()]
     if absent:
@@ -270,16 +270,18 @@ def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
     require_start_alone(asked)
     own = [f"--{name}" for name in ("mask", "lat", "lon", "center") if getattr(asked, name) is not None]
     if own and not is_one:
-        hint = "Use --masks DIR for several." if own[0] == "--mask" else f"For several: {START_OF_EACH}."
-        raise ConfigError(f"{own[0]} works with one photo.", hint)
+        hint = "Use `--masks DIR` for several." if own[0] == "--mask" else f"For several: {START_OF_EACH}."
+        raise ConfigError(f"`{own[0]}` works with one photo.", hint)
     if asked.masks is not None and is_one:
-        raise ConfigError("--masks is for several photos.", "Give --mask FILE.")
+        raise ConfigError("`--masks` is for several photos.", "Give `--mask FILE`.")
     if asked.reconstruction is not None and is_one:
-        raise ConfigError("--reconstruction ties a flight's photos.", "Give several, or a folder.")
+        raise ConfigError("`--reconstruction` ties a flight's photos.", "Give several, or a folder.")
     if asked.imagery is not None and is_one:
-        raise ConfigError("--imagery lies under the map of a flight's page.", "Give several, or a folder.")
+        raise ConfigError("`--imagery` lies under the map of a flight's page.", "Give several, or a folder.")
     if asked.masks is not None and not asked.masks.is_dir():
-        raise ConfigError(f"--masks {asked.masks} is not a folder.", "Name the folder of the photos' masks.")
+        raise ConfigError(
+            f"`--masks {asked.masks}` is not a folder.", "Name the folder of the photos' masks."
+        )
 
 
 def _tell_many(answers: Answers, asked: argparse.Namespace) -> int:

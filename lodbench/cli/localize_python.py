@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Mapping, Sequence
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, cast
 
 from lodbench.cli.localize import localized, parser
-from lodbench.errors import ConfigError, LodbenchError, nearest_names
+from lodbench.errors import ConfigError, LodbenchError, Option, Words, nearest_names
 from lodbench.harness.photo.many import Answers
 from lodbench.harness.photo.request import LocalizedPhoto
 
 AnyPath = str | PathLike[str]
-# A flag, and its value: quoted, words in capitals (or numbers), or one word of small letters.
-_FLAG = re.compile(
-    r"(?<![\w-])(?P<flag>--[a-z][a-z-]*)"
-    r"(?P<value> '[^']*'|(?: (?:[A-Z][A-Z_]+|-?\d[\d.]*)\b)+| [a-z]+)?(?P<colon>:(?= ))?"
-)
 
 
 def localize_photo(photo: AnyPath, city: AnyPath, **options: Any) -> LocalizedPhoto:
@@ -96,35 +90,29 @@ def _typed(
     return [*words, "--", *(fspath(photo) for photo in photos)]
 
 
-def as_arguments(text: str, flags: Mapping[str, argparse.Action]) -> str:
+def as_arguments(text: Words, flags: Mapping[str, argparse.Action]) -> Words:
     """Returns a message of the command with its flags as arguments of the functions here.
 
     Example:
         >>> command = parser()
         >>> flags = {each.option_strings[-1]: each for each in command._actions if each.option_strings}
-        >>> as_arguments("Give --lat, or --center EAST NORTH UP, and --camera 'PINHOLE 4 3'.", flags)
-        "Give lat=, or center=(EAST, NORTH, UP), and camera='PINHOLE 4 3'."
-        >>> as_arguments("--camera: too few values; lodbench localize takes --heights ellipsoid.", flags)
-        "camera: too few values; this function takes heights='ellipsoid'."
+        >>> as_arguments(Words("Give `--lat`, `--center EAST NORTH UP` and `--camera 'PINHOLE 4 3'`."), flags)
+        "Give lat, center=(EAST, NORTH, UP) and camera='PINHOLE 4 3'."
+        >>> as_arguments(Words("lodbench localize takes `--heights ellipsoid`."), flags)
+        "this function takes heights='ellipsoid'."
     """
 
-    def argument(match: re.Match[str]) -> str:
-        action = flags.get(match["flag"])
+    def argument(option: Option) -> str:
+        action = flags.get(f"--{option.name.replace('_', '-')}")
         if action is None:
-            return match[0]
-        value, name = match["value"] or "", action.dest
-        words = value.split()
-        if not words:
-            return f"{name}=" if match["colon"] is None else f"{name}:"
-        if action.choices and words[0] in action.choices:
-            return f"{name}={words[0]!r}{value[1 + len(words[0]) :]}"
-        if value.startswith(" '"):
-            return f"{name}={value[1:]}"
-        if words[0].isupper() or words[0][0].isdigit():
-            return f"{name}={words[0]}" if len(words) == 1 else f"{name}=({', '.join(words)})"
-        return f"{name}={value}"
+            return option.words
+        if action.choices and option.value in action.choices:
+            return f"{action.dest}={option.value!r}"
+        several = isinstance(action.nargs, int) and action.nargs > 1 and " " in option.value
+        value = f"({', '.join(option.value.split())})" if several else option.value
+        return f"{action.dest}={value}" if value else action.dest
 
-    return _FLAG.sub(argument, text).replace("lodbench localize takes", "this function takes")
+    return Words(text.marked.replace("lodbench localize takes", "this function takes")).rewritten(argument)
 
 
 def _words(flag: str, value: Any, action: argparse.Action) -> list[str]:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from lodbench.datasets.exchange.survey import survey_sigmas
 from lodbench.geometry.looking import look_from_rotation
-from lodbench.reporting.aligned_text import count_of, format_columns
+from lodbench.photos.map_frame import survey_sigmas
+from lodbench.reporting.aligned_text import count_of, format_columns, plain_text
 from lodbench.reporting.answers import percent_text, probability_text, trust_counts, trust_word
-from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_columns import finite_text
 
 if TYPE_CHECKING:

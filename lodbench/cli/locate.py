@@ -13,8 +13,7 @@ from lodbench.cli.localize import NOT_TRUSTED
 from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import add_map_options, map_settings
 from lodbench.errors import ConfigError, require_within
-from lodbench.reporting.aligned_text import format_columns
-from lodbench.reporting.safe_text import plain_text
+from lodbench.reporting.aligned_text import format_columns, plain_text
 from lodbench.storage.json_text import finite
 
 if TYPE_CHECKING:

@@ -33,7 +33,7 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
     from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
-    from lodbench.harness.mask.files import (
+    from lodbench.harness.mask.session import (
         Untouched,
         opened_session,
         require_untouched,
@@ -130,9 +130,9 @@ def _serve(
     Raises:
         ConfigError: Nobody may listen at the port, or somebody else does.
     """
-    from lodbench.harness.last_write import last_write
-    from lodbench.harness.mask.files import saved
     from lodbench.harness.mask.server import MaskServer
+    from lodbench.harness.mask.session import saved
+    from lodbench.harness.tracebacks import last_write
 
     def saved_words() -> str:
         return "saved: " + ", ".join(path.name for path in save())

@@ -87,6 +87,9 @@ class Parser(argparse.ArgumentParser):
             ConfigError: Always.
         """
         text = message.replace("the following arguments are required:", "required:")
+        if text.startswith("argument --"):
+            flag = text.split()[1].rstrip(":")
+            text = text.replace(flag, f"`{flag}`", 1)
         # An option of several words takes those after it as well.
         first = "Arguments go before options. " if "required: " in text and "required: -" not in text else ""
         hint = f"{first}See {self.prog} --help."

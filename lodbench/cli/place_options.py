@@ -60,7 +60,9 @@ def city_settings(asked: argparse.Namespace) -> dict[str, Any]:
         ConfigError: The profile, an option or the rule of roofs is unknown, or --out cannot be written to.
     """
     if not can_write(asked.out):
-        raise ConfigError(f"Nothing can be written to --out {asked.out}.", "Name another folder: --out DIR")
+        raise ConfigError(
+            f"Nothing can be written to `--out {asked.out}`.", "Name another folder: `--out DIR`"
+        )
     return {**map_settings(asked), "out": asked.out, "heights": height_options(asked)}
 
 
@@ -92,15 +94,15 @@ def rough_settings(asked: argparse.Namespace) -> dict[str, Any]:
     own = {"--lat": asked.lat, "--lon": asked.lon, "--height": asked.height}
     unused = [name for name, value in own.items() if value is not None] + height_flags(asked)
     if asked.center is not None and unused:
-        hint = f"--center has the height too: leave {unused[0]} or --center out."
-        raise ConfigError(f"{unused[0]} is not used with --center.", hint)
+        hint = f"`--center` has the height too: leave `{unused[0]}` or `--center` out."
+        raise ConfigError(f"`{unused[0]}` is not used with `--center`.", hint)
     if (asked.lat is None) != (asked.lon is None):
         one, other = ("--lat", "--lon") if asked.lon is None else ("--lon", "--lat")
-        raise ConfigError(f"{one} is half a place.", f"Give {other} too, or leave {one} out.")
+        raise ConfigError(f"`{one}` is half a place.", f"Give `{other}` too, or leave `{one}` out.")
     unused = [flag for flag in height_flags(asked) if flag != "--height-offset"]
     if asked.height is not None and unused:
-        hint = f"--height is in the city's heights already: leave {unused[0]} or --height out."
-        raise ConfigError(f"{unused[0]} is not used with --height.", hint)
+        hint = f"`--height` is in the city's heights already: leave `{unused[0]}` or `--height` out."
+        raise ConfigError(f"`{unused[0]}` is not used with `--height`.", hint)
     camera, sigmas = given_camera(asked.camera)
     return {
         "camera": camera,
@@ -155,8 +157,8 @@ def require_start_alone(asked: argparse.Namespace) -> None:
     names = ("lat", "lon", "height", "heading", "pitch", "roll", "center")
     unused = [f"--{name}" for name in names if getattr(asked, name) is not None] + height_flags(asked)
     if unused:
-        hint = f"--start has the whole pose: leave {unused[0]} or --start out."
-        raise ConfigError(f"{unused[0]} is not used with --start.", hint)
+        hint = f"`--start` has the whole pose: leave `{unused[0]}` or `--start` out."
+        raise ConfigError(f"`{unused[0]}` is not used with `--start`.", hint)
 
 
 def add_camera_option(parser: argparse.ArgumentParser, words: str) -> None:
@@ -187,7 +189,7 @@ def with_prior_width(method: ConfiguredMethod, asked: argparse.Namespace) -> Con
     if prior is None:
         return method
     if not isinstance(method.make(), SupportsPriorWidth):
-        hint = "Leave --prior-range, --prior-height and --prior-yaw out; or take --each-alone."
+        hint = "Leave `--prior-range`, `--prior-height` and `--prior-yaw` out; or take `--each-alone`."
         raise ConfigError(f"Method {method.kind.name} has no adjustable search range.", hint)
     return method.for_prior(prior)
 
@@ -266,4 +268,4 @@ def given_camera(text: str | None) -> tuple[Camera | None, CameraSigmas | None]:
         return parse_camera(text.split())
     except (LodbenchError, ValueError) as error:
         reason = str(error).rstrip(".")
-        raise ConfigError(f"--camera: {reason}.", "It reads: PINHOLE W H fx fy cx cy") from error
+        raise ConfigError(f"`--camera`: {reason}.", "It reads: PINHOLE W H fx fy cx cy") from error

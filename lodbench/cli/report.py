@@ -11,12 +11,10 @@ from pathlib import Path
 from lodbench.citymodel.imagery import Imagery, open_imagery
 from lodbench.citymodel.scene import Scene
 from lodbench.cli.parser import Parser
-from lodbench.cli.run_folders import run_folders
-from lodbench.cli.verify import add_path_options, read_config, verify_folder
+from lodbench.cli.verify import add_path_options, read_config, run_folders, verify_folder
 from lodbench.errors import ConfigError
 from lodbench.harness.runs.answer import FLIGHTS_FOLDER
-from lodbench.harness.runs.flight_pages import flight_findings, pages_of_run
-from lodbench.harness.runs.places import scene_of, view_of_run
+from lodbench.harness.runs.places import flight_findings, pages_of_run, scene_of, view_of_run
 from lodbench.harness.runs.report import run_report, title_of
 from lodbench.harness.runs.stored import require_writable
 from lodbench.storage import write_text

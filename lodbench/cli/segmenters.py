@@ -35,7 +35,7 @@ def require_frames_looked_at(segmenter: Segmenter, name: str) -> None:
         ConfigError: It does not, such as one that reads masks.
     """
     if not hasattr(segmenter, "probability"):
-        raise ConfigError(f"--segmenter {name} looks at no frames.", f"{FOR_PHOTOS} does.")
+        raise ConfigError(f"`--segmenter {name}` looks at no frames.", f"{FOR_PHOTOS} does.")
 
 
 def require_one_mask_source(asked: argparse.Namespace, *flags: str) -> None:
@@ -53,7 +53,7 @@ def require_one_mask_source(asked: argparse.Namespace, *flags: str) -> None:
     makers += ["--segmenter-option"] if getattr(asked, "segmenter_option", []) else []
     if named and makers:
         raise ConfigError(
-            f"{makers[0]} is not used with {named[0]}.", f"Leave {makers[0]} or {named[0]} out."
+            f"`{makers[0]}` is not used with `{named[0]}`.", f"Leave `{makers[0]}` or `{named[0]}` out."
         )
 
 

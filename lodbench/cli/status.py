@@ -11,8 +11,7 @@ from lodbench.cli.parser import Parser
 from lodbench.errors import DatasetError
 from lodbench.execution.progress import format_seconds
 from lodbench.harness.runs.status import RunStatus, find_runs, read_status
-from lodbench.reporting.aligned_text import count_of
-from lodbench.reporting.safe_text import plain_text
+from lodbench.reporting.aligned_text import count_of, plain_text
 
 
 def main(argv: Sequence[str]) -> int:

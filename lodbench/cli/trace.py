@@ -157,7 +157,7 @@ def _serve(model: Model, file: Path, port: int) -> None:
     Raises:
         ConfigError: The port cannot be listened at, or nothing was saved.
     """
-    from lodbench.harness.tracing.server import TraceServer
+    from lodbench.harness.tracing.outputs import TraceServer
     from lodbench.harness.tracing.tracing import read_tracing
 
     if file.exists():

@@ -19,11 +19,11 @@ from lodbench.cli.place_options import (
 )
 from lodbench.cli.segmenters import require_frames_looked_at, require_one_mask_source, segmenter_of
 from lodbench.errors import DatasetError, require_within
-from lodbench.reporting.safe_text import plain_text
+from lodbench.reporting.aligned_text import plain_text
 from lodbench.segmentation.choice import FOR_PHOTOS
 
 if TYPE_CHECKING:
-    from lodbench.harness.track.track import Track
+    from lodbench.harness.track import Track
 
 _EPILOG = """\
 The first frame is found from a rough pose, as by localize: what the first photo, or DJI's .SRT beside a
@@ -46,8 +46,8 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
     from lodbench.datasets.own import require_some_mask
-    from lodbench.harness.track.frames import Footage
-    from lodbench.harness.track.track import TrackRequest, track
+    from lodbench.harness.track import TrackRequest, track
+    from lodbench.harness.track_frames import Footage
 
     if not asked.footage.exists():
         raise DatasetError(f"{asked.footage} does not exist.", "Check the path.")

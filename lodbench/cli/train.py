@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Sequence
 from typing import Any, TypeVar, cast
@@ -10,12 +9,11 @@ from typing import Any, TypeVar, cast
 from omegaconf import DictConfig
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
-from lodbench.cli.setting_words import names_method
-from lodbench.errors import ConfigError
+from lodbench.cli.setting_help import names_method
+from lodbench.errors import ConfigError, Words
 from lodbench.params import to_params
 from lodbench.plugins import blaming, load_plugin
-from lodbench.reporting.aligned_text import already_there
-from lodbench.reporting.safe_text import plain_text
+from lodbench.reporting.aligned_text import already_there, plain_text
 from lodbench.segmentation.registry import make_segmenter
 from lodbench.training.samples import LEAST_SHARE
 from lodbench.training.train import Trained, train_network
@@ -84,10 +82,10 @@ def _settings(schedule: dict[str, Any], others: dict[str, Any], kind: type[T]) -
     try:
         return to_params(schedule | others, kind, "")
     except ConfigError as fault:
-        name = re.match(r"\w+", fault.message)
-        if name is not None and name[0] in schedule:
-            fault.message = f"schedule.{fault.message}"
-            fault.hint = re.sub(rf"\b{name[0]}=", f"schedule.{name[0]}=", fault.hint)
+        name = min((fault.message.partition(mark)[0] for mark in "=: "), key=len)
+        if name in schedule:
+            fault.message = Words(f"schedule.{fault.message}")
+            fault.hint = fault.hint.rewritten(lambda option: f"schedule.{option.words}")
         raise
 
 

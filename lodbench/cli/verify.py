@@ -32,8 +32,7 @@ from lodbench.harness.runs.artefacts import is_own, without_paths
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import Verdict, verify_run
-from lodbench.reporting.aligned_text import count_of
-from lodbench.reporting.safe_text import plain_text
+from lodbench.reporting.aligned_text import count_of, plain_text
 from lodbench.segmentation.registry import make_segmenter
 
 _EPILOG = """\
@@ -260,3 +259,27 @@ def _keeps_priors(config: dict[str, Any]) -> bool:
     """Tells whether only the run's own folder has its priors: they came from photos or another file."""
     prior = config.get("prior", {})
     return prior.get("name") == "sensor" or "content" in prior
+
+
+def run_folders(named: Sequence[Path], out: Path | None = None) -> list[Path]:
+    """Returns the folders of finished runs among several, in order; says which others are passed over.
+
+    One alone, what is not there, and all where none holds a run are returned as they are: whoever reads them
+    says what is wrong.
+
+    Args:
+        named: Folders and files.
+        out: ``--out`` of a command that writes one file per run; None where it is not given, or is of all.
+
+    Raises:
+        ConfigError: There is one ``--out`` for several runs.
+    """
+    others = [path for path in named if path.exists() and not (path / CONFIG_FILE).is_file()]
+    runs = [path for path in named if path not in others]
+    if not runs:
+        return list(named)
+    for path in others:
+        sys.stderr.write(f"lodbench: skipped, not a finished run: {path}\n")
+    if out is not None and len(runs) > 1:
+        raise ConfigError(f"--out {out} is one place, and there are {len(runs)} runs.", "Leave --out out.")
+    return runs

@@ -22,13 +22,17 @@ Truth and priors may be missing only where ``dataset.json`` says so: a misspelt 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
+from lodbench.citymodel.crs import is_same_plane
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
-from lodbench.datasets.folder_about import ABOUT_FILE, read_about, stated_city, stated_crs, stated_protocol
+from lodbench.datasets.exchange.posed import read_json
+from lodbench.datasets.inputs import read_references
 from lodbench.datasets.instance_labels import INSTANCES_FOLDER
 from lodbench.datasets.pose_text import (
     format_camera,
@@ -41,11 +45,11 @@ from lodbench.datasets.pose_text import (
     read_words,
 )
 from lodbench.datasets.query import Dataset, Entry
-from lodbench.datasets.references import read_references
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.photos.files import mask_names
 from lodbench.storage import write_text
+from lodbench.storage.seal import is_sealed, seal_of
 
 TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"
 SEQUENCE_FILE, LENS_FILE, RECONSTRUCTION_FOLDER = "sequences.txt", "lens_percent.txt", "reconstruction"
@@ -54,6 +58,7 @@ RENDERED_TRUTH_FILE, RENDERED_IMAGES = "poses.txt", "images"
 _LAYOUT_HINT = (
     f"A dataset folder holds {TRUTH_FILE}, {PRIOR_FILE} and {CAMERA_FILE}, or such folders as splits."
 )
+ABOUT_FILE = "dataset.json"
 _NO_TRUTH_HINT = f'Where true poses are not known, a {ABOUT_FILE} in that folder says so: {{"truth": false}}.'
 
 
@@ -81,10 +86,10 @@ def open_folder(params: FolderParams) -> Dataset:
     """
     root = Path(params.root).expanduser()
     if not root.is_dir():
-        raise DatasetError(f"{root} is not a folder.", "Set dataset.root=FOLDER.")
+        raise DatasetError(f"{root} is not a folder.", "Set `dataset.root=FOLDER`.")
     textured = None if params.textured_map is None else Path(params.textured_map).expanduser()
     if textured is not None and not textured.exists():
-        raise DatasetError(f"The textured map {textured} does not exist.", "Set dataset.textured_map=FILE.")
+        raise DatasetError(f"The textured map {textured} does not exist.", "Set `dataset.textured_map=FILE`.")
     references = () if params.references is None else read_references(Path(params.references).expanduser())
     folders = [root] if _is_split(root) else _split_folders(root)
     names = [root.name or "all"] if folders == [root] else [folder.name for folder in folders]
@@ -95,7 +100,7 @@ def open_folder(params: FolderParams) -> Dataset:
     else:
         city, city_notes = Path(params.city_model).expanduser(), ()
     if city is not None and not city.exists():
-        raise DatasetError(f"The city model {city} does not exist.", "Set city=FILE.")
+        raise DatasetError(f"The city model {city} does not exist.", "Set `city=FILE`.")
     parts = [_read_split(folder, name) for folder, name in zip(folders, names, strict=True)]
     return Dataset(
         name=params.name,
@@ -109,7 +114,7 @@ def open_folder(params: FolderParams) -> Dataset:
         notes=(*city_notes, *(note for _, _, notes in parts for note in notes)),
         city_options=ReadOptions(crs=params.crs, layers=tuple(params.layers)),
         roof_height=params.roof_height,
-        city_hint=". ".join([*city_notes, "Set city=FILE."]),
+        city_hint=". ".join([*city_notes, "Set `city=FILE`."]),
         references=references,
         textured_map=textured,
         crs=stated_crs(folders),
@@ -290,3 +295,104 @@ def _truth_file(folder: Path) -> Path | None:
 
 def _first_file(folder: Path, names: Sequence[str]) -> Path | None:
     return next((folder / name for name in names if (folder / name).is_file()), None)
+
+
+def read_about(folder: Path) -> dict[str, Any]:
+    """Returns what ``dataset.json`` in a folder says; nothing where there is none."""
+    return read_json(folder / ABOUT_FILE) if (folder / ABOUT_FILE).is_file() else {}
+
+
+def stated_crs(folders: Sequence[Path]) -> str | None:
+    """Returns the reference system that ``dataset.json`` of some splits names; None if none does.
+
+    Raises:
+        DatasetError: Two of them name different ones: poses of both would be taken for those of one.
+    """
+    told = {folder: read_about(folder).get("crs") for folder in folders}
+    named = {folder: str(crs) for folder, crs in told.items() if crs is not None}
+    _require_one(named, "reference systems", "Open them one by one: `dataset.root=FOLDER`.", is_same_plane)
+    return next(iter(named.values()), None)
+
+
+def stated_protocol(folders: Sequence[Path]) -> str:
+    """Returns the protocol that ``dataset.json`` of some splits names for results; LoD-Loc's if none does.
+
+    Raises:
+        DatasetError: Two of them name different ones.
+    """
+    stated = {folder: read_about(folder).get("protocol") for folder in folders}
+    named = {folder: str(protocol) for folder, protocol in stated.items() if protocol is not None}
+    _require_one(named, "protocols", "Open them one by one: dataset.root=FOLDER.")
+    return next(iter(named.values()), "lodloc")
+
+
+def stated_city(root: Path, folders: Sequence[Path]) -> tuple[Path | None, tuple[str, ...]]:
+    """Returns the city model that ``dataset.json`` of some splits names, relative to it, and notes.
+
+    None if it is not there. What a stranger's file names outside the dataset is not so much as looked for.
+
+    Raises:
+        DatasetError: What it names cannot be a file's name, or two of them name different ones.
+    """
+    abouts = {folder: read_about(folder) for folder in folders}
+    named = {folder: about["city_model"] for folder, about in abouts.items() if about.get("city_model")}
+    named = {folder: stated for folder, stated in named.items() if isinstance(stated, str)}
+    paths = {folder: os.path.normpath(folder.absolute() / stated) for folder, stated in named.items()}
+    _require_one(
+        paths, "city models", "Open them one by one: `dataset.root=FOLDER`. Or set `city=FILE` for all."
+    )
+    if not named:
+        return None, ()
+    folder, stated = next(iter(named.items()))
+    about = abouts[folder]
+    try:
+        return _found_city(root, folder, stated, about)
+    except PermissionError as error:
+        reason = f"{folder / ABOUT_FILE}: city_model {stated!r:.60} may not be looked at."
+        raise DatasetError(reason, "Ask for permission, or set `city=FILE`.") from error
+    except (OSError, ValueError, RuntimeError) as error:  # too long, NUL, half a character; links in a circle
+        raise DatasetError(
+            f"{folder / ABOUT_FILE}: city_model {stated!r:.60} is no name of a file.",
+            "Set `city=FILE`.",
+        ) from error
+
+
+def _found_city(
+    root: Path, folder: Path, stated: str, about: Mapping[str, Any]
+) -> tuple[Path | None, tuple[str, ...]]:
+    path = Path(os.path.normpath(folder.absolute() / stated))
+    if not is_sealed(_sealed_of(stated), about.get("seal")):
+        home = Path(os.path.normpath(root.absolute()))
+        # In words first: to resolve a path may mount what it leads to.
+        if not path.is_relative_to(home) or not path.resolve().is_relative_to(home.resolve()):
+            return None, (
+                f"{ABOUT_FILE} names a city model outside the dataset, {path}, which is not opened",
+            )
+    return (path if path.exists() else None), ()
+
+
+def sealed_about(about: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns what ``dataset.json`` is to say, with a seal of this user's on the city model that it names."""
+    stated = about.get("city_model")
+    return dict(about) if stated is None else {**about, "seal": seal_of(_sealed_of(str(stated)))}
+
+
+def _sealed_of(stated: str) -> list[str]:
+    return ["city model of a dataset", stated]
+
+
+def _require_one(
+    named: Mapping[Path, str], what: str, hint: str, is_same: Callable[[str, str], bool] = str.__eq__
+) -> None:
+    """Refuses splits that say different things of one kind.
+
+    Raises:
+        DatasetError: They do.
+    """
+    folders = list(named)
+    for other in folders[1:]:
+        if not is_same(named[folders[0]], named[other]):
+            values = " and ".join(f"{named[folder]!r:.200}" for folder in (folders[0], other))
+            raise DatasetError(
+                f"The splits {folders[0].name} and {other.name} are of different {what}: {values}.", hint
+            )

@@ -10,8 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from lodbench.datasets.faults import is_decodable, mask_fault
-from lodbench.datasets.folder import LENS_FILE, SEQUENCE_FILE, write_poses
-from lodbench.datasets.folder_about import ABOUT_FILE, sealed_about
+from lodbench.datasets.folder import ABOUT_FILE, LENS_FILE, SEQUENCE_FILE, sealed_about, write_poses
 from lodbench.datasets.pose_text import lines_to_text
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.geometry import Camera, CameraSigmas, Pose

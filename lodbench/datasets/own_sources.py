@@ -67,10 +67,10 @@ def images_from_photos(
             left_out.append((name, fault.message))
             last = fault
     if not images:
-        hint = last.hint.replace(
+        hint = last.hint.marked.replace(
             "lodbench localize takes", "Poses from elsewhere: --colmap; one by one, localize takes"
         )
-        raise DatasetError(f"No photo of {folder} can be used; {last.message}", hint)
+        raise DatasetError(f"No photo of {folder} can be used; {last.message.marked}", hint)
     return images, left_out
 
 

@@ -7,7 +7,6 @@ A set of priors has a digest, and a file that states how it was made; ``prior=fi
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from lodbench.datasets.exchange.lines import read_lines
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.priors import UniformPrior, with_uniform_priors
 from lodbench.datasets.query import Dataset, Entry, notes_of
-from lodbench.errors import ConfigError, DatasetError, require_numbers
+from lodbench.errors import ConfigError, DatasetError, Option, Words, require_numbers
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
 from lodbench.photos.map_frame import MapFrame
@@ -38,7 +37,7 @@ def photo_frame(dataset: Dataset) -> tuple[MapFrame, tuple[float, ...]]:
         if dataset.photo_origin is None:
             raise DatasetError(
                 f"Where {dataset.name} lies on Earth is withheld by its publishers.",
-                f"Set dataset.origin='[EAST,NORTH,HEIGHT]' in {dataset.photo_crs}, or use prior=file.",
+                f"Set `dataset.origin='[EAST,NORTH,HEIGHT]'` in {dataset.photo_crs}, or use `prior=file`.",
             )
         return MapFrame(dataset.photo_crs), dataset.photo_origin
     crs = None
@@ -49,22 +48,28 @@ def photo_frame(dataset: Dataset) -> tuple[MapFrame, tuple[float, ...]]:
     if crs is None:
         raise DatasetError(
             f"Where {dataset.name} lies on Earth is not known: its city model names no reference system.",
-            "Set dataset.crs=EPSG:CODE, or use prior=file.",
+            "Set `dataset.crs=EPSG:CODE`, or use `prior=file`.",
         )
     return MapFrame(crs), (0.0, 0.0, 0.0)
 
 
-def in_settings(text: str) -> str:
-    """Returns what is said of heights, told in flags, with the settings of ``prior=sensor``.
+_HEIGHTS = {"takeoff": "takeoff_m", "geoid": "geoid_m", "height_offset": "offset_m", "heights": "heights"}
+
+
+def in_settings(text: Words) -> str:
+    """Returns a message about heights of photos, in flags, with the settings of ``prior=sensor``.
 
     Example:
-        >>> in_settings("Leave --takeoff or --heights sea_level out.")
-        'Leave prior.takeoff_m or prior.heights=sea_level out.'
+        >>> in_settings(Words("Leave `--takeoff` or `--heights sea_level` out."))
+        'Leave `prior.takeoff_m` or `prior.heights=sea_level` out.'
     """
-    named = re.sub(r"(?<![\w.])(--heights |heights=)(?=\w)", "prior.heights=", text)
-    for flag, name in (("--takeoff", "takeoff_m"), ("--geoid", "geoid_m"), ("--height-offset", "offset_m")):
-        named = named.replace(flag, f"prior.{name}")
-    return re.sub(r"(prior\.\w+) METRES", r"\1=METRES", named)
+
+    def setting(option: Option) -> str:
+        if option.name not in _HEIGHTS:
+            return option.words
+        return f"prior.{_HEIGHTS[option.name]}" + (f"={option.value}" if option.value else "")
+
+    return text.rewritten(setting).marked
 
 
 # How a file of priors begins.
@@ -172,7 +177,7 @@ class SensorPrior:
                 findings.add(NO_PRIOR, entry.key, reason.message.rstrip("."))
             priors.append(poses)
         if not any(priors):
-            hint = in_settings(reason.hint) if "--geoid" in reason.hint else "Use prior=file."
+            hint = in_settings(reason.hint) if "geoid" in reason.hint else "Use `prior=file`."
             raise DatasetError(f"No photo of {dataset.name} states a prior: {reason}", hint)
         return _with_priors(dataset, priors, findings)
 

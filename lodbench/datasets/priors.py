@@ -12,7 +12,7 @@ from lodbench.errors import DatasetError, require_numbers
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.storage import random_stream
 
-_NO_TRUTH_HINT = "Take the photos' own, prior=sensor, or those of a file: prior=file prior.path=FILE."
+_NO_TRUTH_HINT = "Take the photos' own, `prior=sensor`, or those of a file: `prior=file` `prior.path=FILE`."
 
 
 @dataclass(frozen=True, slots=True)

@@ -181,7 +181,7 @@ class Dataset:
     city_options: ReadOptions = field(default_factory=ReadOptions)
     roof_height: str | None = None
     default_splits: tuple[str, ...] = ()
-    city_hint: str = "Set city=FILE."
+    city_hint: str = "Set `city=FILE`."
     findings: tuple[Finding, ...] = ()
     photo_crs: str | None = None
     photo_origin: tuple[float, ...] | None = None

@@ -85,7 +85,7 @@ def require_one_flight(root: Path) -> None:
         names = ", ".join(flight.parent.name for flight in flights)
         raise DatasetError(
             f"{root} holds several flights, each over a map of its own: {names}.",
-            f"Name one: dataset.root={flights[0].parent}",
+            f"Name one: `dataset.root={flights[0].parent}`",
         )
 
 

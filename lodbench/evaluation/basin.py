@@ -71,7 +71,7 @@ def basin_steps(
         if len(set(widths)) < len(widths):
             raise ConfigError(f"A {kind} range occurs twice: {list(widths)}.")
     if not ranges_m and not yaw_ranges_deg:
-        raise ConfigError("There is no range to run.", "Set ranges='[30,50,100,200]'.")
+        raise ConfigError("There is no range to run.", "Set `ranges='[30,50,100,200]'`.")
     if len(limits) not in (1, len(ranges_m)):
         raise ConfigError(f"{len(limits)} limits are not one per range: there are {len(ranges_m)} ranges.")
     each = list(limits) * len(ranges_m) if len(limits) == 1 else list(limits)

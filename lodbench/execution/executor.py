@@ -1,4 +1,4 @@
-"""Where work is done: in this process, over processes, or on a Dask cluster; the results are the same."""
+"""Where work is done: in this process, over processes, on a Dask cluster, by the same code."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from lodbench.errors import ConfigError, require_choice, require_within
+from lodbench.errors import ConfigError, LodbenchError, require_choice, require_within
 from lodbench.execution.fan_out import Processes
+from lodbench.storage.digest import digest_of_code, package_files
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -107,3 +110,40 @@ def spread(
     """Yields the results of one round of work; see ``open_workers`` and ``Workers.map``."""
     with open_workers(executor, prepare, prepare_with) as workers:
         yield from workers.map(work, items)
+
+
+# Folders whose code no answer depends on: what is left counts, and so does a folder that is yet to come.
+_IDLE = frozenset(("bench", "cli", "evaluation", "reporting", "training"))
+# Those of `baselines/`, which need not lie where the package does.
+_BASELINES = "lodbench.baselines"
+# What computes an answer. Those of extras need not be there.
+LIBRARIES = (
+    "numpy", "numba", "opencv-python-headless", "scipy",
+    "torch", "transformers", "kornia", "romatch", "poselib", "pycolmap", "pyrender", "open3d",
+)  # fmt: skip
+
+
+@cache
+def own_digest() -> str:
+    """Returns a digest of lodbench's own code and of the libraries that compute, as installed here."""
+    package = Path(__file__).parents[1]
+    files = [
+        file for file in sorted(package.rglob("*.py")) if file.relative_to(package).parts[0] not in _IDLE
+    ]
+    return digest_of_code(dict.fromkeys((*files, *package_files(_BASELINES))), LIBRARIES)
+
+
+def require_code_version(code: str) -> None:
+    """Makes sure that a worker's code and libraries are those of the command.
+
+    Args:
+        code: The command's ``own_digest``; "" where its workers have no others.
+
+    Raises:
+        LodbenchError: They are not.
+    """
+    if code and code != own_digest():
+        raise LodbenchError(
+            "its code of lodbench, or a version of its libraries, is not the command's.",
+            "Install the same on all machines: `lodbench doctor` lists versions.",
+        )

@@ -55,7 +55,7 @@ Result = TypeVar("Result")
 # Items handed out per worker: one at work, one waiting.
 _AHEAD = 2
 KEEP_DYING = "Workers keep dying, perhaps for lack of memory, or give no result."
-KEEP_DYING_HINT = "Fewer workers need less; executor.patience_s=SECONDS is how long one may take."
+KEEP_DYING_HINT = "Fewer workers need less; `executor.patience_s=SECONDS` is how long one may take."
 # Workers that may die one after the other with no result in between.
 _DEATHS = 3
 # Fresh processes, not forks of this one: a fork would copy locks that other threads hold. On Linux they fork
@@ -212,7 +212,7 @@ def begin(prepare: Callable[..., None], prepare_with: tuple[Any, ...]) -> None:
     except ConfigError:
         raise
     except LodbenchError as error:
-        raise WorkersGone(f"A worker cannot begin: {error.message}", error.hint) from error
+        raise WorkersGone(f"A worker cannot begin: {error.message.marked}", error.hint) from error
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         reason = f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"

@@ -1,4 +1,4 @@
-"""One process at a time in a folder."""
+"""One process at a time in a folder, and a working folder that code of others does not change."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import fcntl
 import logging
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _LOGGER = logging.getLogger(__name__)
@@ -31,3 +31,18 @@ def only_one_in(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
+
+
+@contextmanager
+def staying_here() -> Iterator[None]:
+    """Returns to the working folder after the block, whatever it did; decorates functions too."""
+    try:
+        here = Path.cwd()
+    except FileNotFoundError:  # it was removed: no relative path leads anywhere
+        yield
+        return
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            os.chdir(here)

@@ -5,7 +5,7 @@ use                 what
 ==================  ================================================================================
 ``runs``            ``lodbench run`` and all that reads a run: report, compare, verify, status
 ``photo``           ``lodbench localize``: photos and flights of one's own, and their pages
-``flights``         what flights say of the map
+``map_findings``    what flights say of the map
 ``georeference``    a reconstruction placed on the map
 ``track``           a video
 ``mask``            ``lodbench mask``: masks by strokes

@@ -24,7 +24,7 @@ FURTHEST_M, _DEEPEST_M = 2000.0, 50.0
 _OTHER_REGION_M = 300_000.0
 _TILE_HINT = "Is it the right tile, and its reference system right? lodbench city info says where it is."
 HEIGHT_HINT = (
-    "Photo and city use different height datums: set the photo's with --takeoff METRES or --heights."
+    "Photo and city use different height datums: set the photo's with `--takeoff METRES` or `--heights`."
 )
 
 

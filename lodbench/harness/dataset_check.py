@@ -29,12 +29,18 @@ from lodbench.datasets.codes import (
     TRUTH_OFF_GPS,
     WRONG_DIRECTION,
 )
-from lodbench.datasets.faults import crop_doubt, exchange_fault, field_fault
-from lodbench.datasets.pose_direction import sample_corners, sees, suspect_direction
+from lodbench.datasets.faults import (
+    crop_doubt,
+    exchange_fault,
+    field_fault,
+    sample_corners,
+    sees,
+    suspect_direction,
+)
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.datasets.published.spec import Download
 from lodbench.datasets.query import Dataset, Entry, repeated_keys
-from lodbench.errors import DatasetError, LodbenchError
+from lodbench.errors import DatasetError, LodbenchError, Words
 from lodbench.evaluation.errors import PoseError, pose_error
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
@@ -208,7 +214,7 @@ def check_dataset(
     scene = None
     if dataset.city_model is None:
         known = SPECS.get(dataset.name)
-        wanted = f"none of {', '.join(known.city_files)}" if known else dataset.city_hint
+        wanted = f"none of {', '.join(known.city_files)}" if known else Words(dataset.city_hint)
         findings.add(FILE_MISSING, "city model", wanted)
     else:
         scene = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene

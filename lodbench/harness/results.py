@@ -118,7 +118,7 @@ def _settings(part: object) -> dict[str, Any]:
     kind: Any = getattr(part, "params_type", None)
     if vars(part) if kind is None else is_dataclass(kind) and fields(kind):
         raise ConfigError(
-            f"{type(part).__name__} does not keep its settings in `params`, so that a run with others could "
+            f"{type(part).__name__} does not keep its settings in params, so that a run with others could "
             "not be told from this one.",
             "Set self.params, a dataclass, in its __init__.",
         )

@@ -170,7 +170,9 @@ def _tile(job: TileJob, sources: tuple[Source, ...], n: int) -> dict[str, Any]:
     )
     # A hundred to a folder: looking for leftovers in one of ten thousand, for each, takes minutes.
     folder = Path(job.parts) / f"{n // _TILES_PER_FOLDER:04d}" / f"{n:06d}-{key}"
-    if not is_scene(folder) or not holds_on(_period(folder), job.options.date):
+    if not is_scene(folder) or not holds_on(
+        period_of(read_about(folder)["extra"].get("period")), job.options.date
+    ):
         scene, extra = _mesh_tile(job, source)
         make_folder(folder.parent)
         write_scene(scene, folder, extra, survives_power_cut=False)
@@ -219,10 +221,6 @@ def _extra(
     counts = {"findings": findings.counts(), "finding_objects": findings.objects()}
     dated = {} if period is None else {"period": list(period)}
     return {**counts, "area_m2": 0.0, "lost_m2": 0.0, "lods": list(lods), "skipped": skipped, **dated}
-
-
-def _period(folder: Path) -> Period | None:
-    return period_of(read_about(folder)["extra"].get("period"))
 
 
 def _common_level(job: TileJob, told: dict[int, dict[str, Any]]) -> str:

@@ -1,7 +1,8 @@
-"""What code of others raised: told in a line, its traceback kept beside the results."""
+"""Faults of others' code in one line, with their tracebacks kept; writes on the way out of a fault."""
 
 from __future__ import annotations
 
+import logging
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,7 +10,7 @@ from pathlib import Path
 
 from lodbench.errors import STOPPED, LodbenchError, QueryFault
 from lodbench.storage import make_folder, write_text
-from lodbench.storage.atomic import writable
+from lodbench.storage.atomic import final_name, writable
 
 
 def keep_traceback(folder: Path, name: str, error: BaseException) -> Path:
@@ -50,3 +51,22 @@ def told_as_fault(part: str, folder: Path, name: str) -> Iterator[None]:
     except BaseException as error:
         file = keep_traceback(folder, name, error)
         raise QueryFault(f"{part} raised {words_of(error)}", f"See {file}.") from error
+
+
+_LOG = logging.getLogger(__name__)
+
+
+@contextmanager
+def last_write(to: Path) -> Iterator[None]:
+    """Runs the block, which writes; where that fails a warning says so, and nothing is raised.
+
+    It is meant for the way out of an exception, which the caller raises again.
+    """
+    try:
+        yield
+    except (OSError, LodbenchError) as fault:
+        if isinstance(fault, LodbenchError):
+            reason = fault.message.rstrip(".")
+        else:
+            reason = f"{final_name(fault.filename) or to}: {fault.strerror or fault}"
+        _LOG.warning("what was done until then could not be kept: %s", reason)

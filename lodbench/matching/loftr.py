@@ -35,7 +35,7 @@ class Loftr:
         if params.weights is None:
             raise ConfigError(
                 "loftr has no weights: loftr_outdoor.ckpt (Apache-2.0, 46 MB) is fetched by hand.",
-                "Its authors' page links it; then: method.weights=FILE.",
+                "Its authors' page links it; then: `method.weights=FILE`.",
             )
         self._file = None if params.weights == RANDOM else named_file(params.weights)
 

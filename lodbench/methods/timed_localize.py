@@ -104,7 +104,7 @@ def weight_files(method: Method) -> tuple[Path, ...]:
         files = tuple(method.weight_files())
     for file in files:
         if not file.is_file():
-            raise ConfigError(f"method={method.name} has no weights {file}.", "Set method.weights=FILE.")
+            raise ConfigError(f"method={method.name} has no weights {file}.", "Set `method.weights=FILE`.")
     return files
 
 

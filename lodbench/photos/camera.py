@@ -55,7 +55,7 @@ def camera_given(camera: Camera, sigmas: CameraSigmas | None) -> PhotoCamera:
 
 def camera_flag(width: int, height: int) -> str:
     """Returns the flag that gives the camera of a photo of this size, but for its focal length."""
-    return f"--camera 'SIMPLE_PINHOLE {width} {height} FOCAL_PX {width / 2:g} {height / 2:g}'"
+    return f"`--camera 'SIMPLE_PINHOLE {width} {height} FOCAL_PX {width / 2:g} {height / 2:g}'`"
 
 
 def require_photo_size(camera: Camera, name: str, width: int, height: int, *, is_video: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""Which files of a folder are photos, and what they are called in lines of poses."""
+"""Which files of a folder are photos, which were taken on one flight, and which have traced masks."""
 
 from __future__ import annotations
 

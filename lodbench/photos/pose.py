@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, cast, get_args
 
-from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
+from lodbench.errors import ConfigError, DatasetError, Words, nearest_names, require_within
 from lodbench.geometry import Pose
 from lodbench.geometry.angles import rotation_from_dji
 from lodbench.photos.camera import (
@@ -66,7 +66,7 @@ def _plain(name: str) -> str:
 
 
 # What says of many photos where each was taken.
-START_OF_EACH = "--start FILE with a rough pose of each photo by its name"
+START_OF_EACH = "`--start FILE` with a rough pose of each photo by its name"
 HeightSource = Literal["auto", "sea_level", "ellipsoid", "takeoff"]
 
 
@@ -96,11 +96,11 @@ class HeightOptions:
     def __post_init__(self) -> None:
         if self.source not in get_args(HeightSource):
             raise ConfigError(
-                f"heights={self.source} is unknown.", nearest_names(self.source, get_args(HeightSource))
+                f"`heights={self.source}` is unknown.", nearest_names(self.source, get_args(HeightSource))
             )
         if self.source == "takeoff" and self.takeoff_m is None:
             raise ConfigError(
-                "Heights above the take-off point need its own height.", "Give --takeoff METRES."
+                "Heights above the take-off point need its own height.", "Give `--takeoff METRES`."
             )
         require_within("--takeoff", self.takeoff_m, -math.inf)
         require_within("--geoid", self.geoid_m, -math.inf)
@@ -116,8 +116,8 @@ class HeightOptions:
             if value is not None and used not in users:
                 why = f"--heights {self.source}" if self.source != "auto" else "--takeoff"
                 own = "takeoff" if name == "--takeoff" else "ellipsoid"
-                hint = f"Leave {name} or {why} out; --heights {own} uses {name}."
-                raise ConfigError(f"{name} is not used with {why}.", hint)
+                hint = f"Leave `{name}` or `{why}` out; `--heights {own}` uses `{name}`."
+                raise ConfigError(f"`{name}` is not used with `{why}`.", hint)
 
     def source_for(self, photo: PhotoMetadata) -> str:
         """Returns the source that counts for a photo."""
@@ -171,7 +171,7 @@ class PoseNotStated(DatasetError):
 
     def __init__(self, message: str, hint: str, hint_for_many: str) -> None:
         super().__init__(message, hint)
-        self.hint_for_many = hint_for_many
+        self.hint_for_many = Words(hint_for_many)
 
 
 def require_stated(
@@ -204,17 +204,17 @@ def require_stated(
         if _first(given.latitude_deg, photo.latitude_deg) is None or (
             _first(given.longitude_deg, photo.longitude_deg) is None
         ):
-            lacking.append(("where it was taken", "--lat and --lon"))
+            lacking.append(("where it was taken", "`--lat` and `--lon`"))
         source = (heights or HeightOptions()).source_for(photo)
         if given.height_m is None and _stated_height(photo, source) is None:
             kind = "above its take-off point" if source == "takeoff" else "absolute"
-            lacking.append((f"how high it was ({kind})", "--height, in the city's heights"))
+            lacking.append((f"how high it was ({kind})", "`--height`, in the city's heights"))
     states_look = None not in (
         _first(given.heading_deg, photo.gimbal_yaw_deg),
         _first(given.pitch_deg, photo.gimbal_pitch_deg),
     )
     if not knows_look and not states_look:
-        looks = "--heading and --pitch (0 at the horizon, -90 straight down)"
+        looks = "`--heading` and `--pitch` (0 at the horizon, -90 straight down)"
         lacking.append((f"where its camera looked ({_why_unknown(photo)})", looks))
     many = [_flags_for_many([flags for _, flags in lacking])] if lacking else []
     if not knows_camera and not states_focal_length(photo):
@@ -222,7 +222,7 @@ def require_stated(
         lacking.append((f"its camera's focal length{why_no_focal_length(photo)}", many[-1]))
     if lacking:
         what, flags = (_listed(words) for words in zip(*lacking, strict=True))
-        local = "" if knows_place else " For a city without a reference system give --center EAST NORTH UP."
+        local = "" if knows_place else " For a city without a reference system give `--center EAST NORTH UP`."
         fault = f": {photo.xmp_fault}" if photo.xmp_fault else ""
         raise PoseNotStated(
             f"{photo.name} does not say {what}{fault}.",

@@ -316,13 +316,11 @@ def _stated_in(member: Element) -> Iterator[_Property]:
                 namespace, name = name.split(":", 1)
             if isinstance(value, str) and namespace and namespace not in _FRAMES:
                 if namespace not in prefixes:
-                    prefixes[namespace] = _prefix(element, namespace)
+                    prefixes[namespace] = next(
+                        (prefix for prefix, uri in element.nsmap.items() if prefix and uri == namespace), ""
+                    )
                 full = f"{owner}/{name}" if owner else name
                 yield _Property(namespace, prefixes[namespace], full, value)
-
-
-def _prefix(element: Element, namespace: str) -> str:
-    return next((prefix for prefix, uri in element.nsmap.items() if prefix and uri == namespace), "")
 
 
 def _dewarp(text: str | None) -> Dewarp | None:

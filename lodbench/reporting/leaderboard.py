@@ -19,12 +19,11 @@ from lodbench.datasets.real_flights import BOARD_HEAD
 from lodbench.datasets.real_flights import NAME as REAL_FLIGHTS
 from lodbench.evaluation.protocols import LODLOC, protocol_named
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
+from lodbench.reporting.aligned_text import csv_cell, plain_text
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
 from lodbench.reporting.page import facts, markup, rendered
 from lodbench.reporting.run_names import settings_apart
-from lodbench.reporting.safe_text import csv_cell, plain_text
-from lodbench.reporting.split_numbers import common_photos, numbers_of
-from lodbench.reporting.summaries import plugin_metrics
+from lodbench.reporting.summaries import common_photos, numbers_of, plugin_metrics
 from lodbench.reporting.table_columns import (
     Column,
     finite_text,

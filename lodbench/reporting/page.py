@@ -10,9 +10,8 @@ from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting.aligned_text import count_of, plain_text
 from lodbench.reporting.figures import SERIES
-from lodbench.reporting.safe_text import plain_text
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from lodbench.errors import ConfigError, nearest_names
-from lodbench.reporting.safe_text import plain_text
+from lodbench.reporting.aligned_text import plain_text
 
 
 class Column(NamedTuple):

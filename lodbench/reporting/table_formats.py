@@ -9,9 +9,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting.aligned_text import count_of, csv_cell, plain_text
 from lodbench.reporting.page import rendered
-from lodbench.reporting.safe_text import csv_cell, plain_text
 from lodbench.reporting.table_columns import Column
 from lodbench.reporting.tables import Line, RecallTable, frame_of
 

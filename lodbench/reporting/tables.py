@@ -7,10 +7,9 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting.aligned_text import count_of, plain_text
 from lodbench.reporting.run_names import labels_of, method_name, natural, title_of, titles_of
-from lodbench.reporting.safe_text import plain_text
-from lodbench.reporting.split_numbers import (
+from lodbench.reporting.summaries import (
     common_photos,
     mean_numbers,
     numbers_of,

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
+from lodbench.reporting.aligned_text import plain_text
 from lodbench.reporting.page import rendered
-from lodbench.reporting.safe_text import plain_text
 
 Floats = NDArray[np.float64]
 # Triangles beyond this are left out, those furthest from the cameras first: 100,000 take about a megabyte.

@@ -192,7 +192,7 @@ class FastSam(PhotoSegmenter):
             raise ConfigError(
                 f"segmenter=fastsam: {_LICENCE}; whoever offers it to others, over a network too, owes them "
                 "the source of the whole.",
-                "If that suits you: segmenter.accept_agpl=true",
+                "If that suits you: `segmenter.accept_agpl=true`",
             )
         export = _EXPORT.format(size=params.size)
         if params.weights is None:

@@ -60,14 +60,14 @@ class PackagedNetwork(PhotoSegmenter):
             is_folder = self._path.is_dir()
             raise ConfigError(
                 f"{self._path} is a folder." if is_folder else f"There are no weights {self._path}.",
-                "segmenter.weights=FILE takes an ONNX file; without it those of the package are taken.",
+                "`segmenter.weights=FILE` takes an ONNX file; without it those of the package are taken.",
             )
 
     @cached_property
     def weights_digest(self) -> str:
         """Returns the SHA-256 of the ONNX file."""
         if not self._path.is_file():
-            raise ConfigError(f"There are no weights {self._path}.", "Set segmenter.weights=FILE.")
+            raise ConfigError(f"There are no weights {self._path}.", "Set `segmenter.weights=FILE`.")
         return file_digest(self._path)
 
     @cached_property

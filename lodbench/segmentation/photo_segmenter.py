@@ -175,7 +175,7 @@ def require_photo_segmenter(segmenter: Segmenter) -> Segmenter:
         ConfigError: It looks at something else.
     """
     if declared_inputs(segmenter, "requires") != {Input.IMAGE}:
-        hint = f"--segmenter {FOR_PHOTOS} does, and any other that requires the image alone."
+        hint = f"`--segmenter {FOR_PHOTOS}` does, and any other that requires the image alone."
         raise ConfigError(f"segmenter {segmenter.name} looks at no photo alone.", hint)
     return segmenter
 

@@ -204,7 +204,7 @@ def read_polygons(path: Path, photo: str, height: int, width: int) -> Mask:
         if isinstance(stored, dict) and "annotations" in stored:
             return _from_coco(stored, path, photo, height, width)
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        hint = "It takes polygons; a mask that is a picture is given with --mask."
+        hint = "It takes polygons; a mask that is a picture is given with `--mask`."
         raise DatasetError(f"{path.name} is not a JSON file.", hint) from error
     except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
         raise DatasetError(f"{path.name} cannot be read: {type(error).__name__} {error}.", _HINT) from error

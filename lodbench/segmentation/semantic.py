@@ -131,7 +131,7 @@ class Semantic(TorchSegmenter):
         if not path.is_dir() and (path.exists() or not is_hub_id(params.weights)):
             raise ConfigError(
                 f"{path} is not a folder." if path.exists() else f"There is no folder {path}.",
-                "segmenter.weights= takes a folder with config.json and safetensors files, or a hub id.",
+                "`segmenter.weights=` takes a folder with config.json and safetensors files, or a hub id.",
             )
         self._folder = path if path.is_dir() else hub_folder(params.weights)
 

@@ -126,7 +126,7 @@ class TorchSegmenter(PhotoSegmenter):
             return torch.zeros(1, device=wanted).device
         except (RuntimeError, AssertionError) as error:
             raise ConfigError(
-                f"segmenter.device={wanted} is not there.", "segmenter.device=cpu is; auto takes the best."
+                f"segmenter.device={wanted} is not there.", "`segmenter.device=cpu` is; auto takes the best."
             ) from error
 
     def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from lodbench.storage.digest import file_digest as file_digest
     from lodbench.storage.disk import can_write as can_write
     from lodbench.storage.disk import make_folder as make_folder
-    from lodbench.storage.formulas import hide_formula as hide_formula
-    from lodbench.storage.formulas import show_formula as show_formula
+    from lodbench.storage.json_text import hide_formula as hide_formula
+    from lodbench.storage.json_text import show_formula as show_formula
     from lodbench.storage.streams import random_stream as random_stream
 
 __all__, __getattr__, __dir__ = lazy_names(
@@ -25,13 +25,13 @@ __all__, __getattr__, __dir__ = lazy_names(
         "can_write": "disk",
         "digest_of": "digest",
         "file_digest": "digest",
-        "hide_formula": "formulas",
+        "hide_formula": "json_text",
         "make_folder": "disk",
         "new_folder": "atomic",
         "random_stream": "streams",
         "remove_leftovers": "atomic",
         "scratch_folder": "atomic",
-        "show_formula": "formulas",
+        "show_formula": "json_text",
         "write_bytes": "atomic",
         "write_chunks": "atomic",
         "write_text": "atomic",

@@ -1,9 +1,10 @@
-"""JSON that somebody else may have written or will read."""
+"""JSON that others write or read, and CSV cells that no spreadsheet takes for a formula."""
 
 from __future__ import annotations
 
 import json
 import math
+import re
 from typing import Any
 
 
@@ -34,3 +35,19 @@ def finite(value: Any) -> Any:
 
 def _refuse(word: str) -> float:
     raise ValueError(f"{word} is not a number of JSON")
+
+
+_HIDDEN = re.compile(r"'*[=+\-@]")
+
+
+def hide_formula(text: str) -> str:
+    """Returns a text with an apostrophe before what a spreadsheet would compute: = + - or @ at its front.
+
+    Texts that look hidden already get one more, so that ``show_formula`` restores every text.
+    """
+    return f"'{text}" if _HIDDEN.match(text) else text
+
+
+def show_formula(text: str) -> str:
+    """Returns the text that ``hide_formula`` was given."""
+    return text[1:] if text.startswith("'") and _HIDDEN.match(text) else text

@@ -69,7 +69,7 @@ def _require_laid_out(low: Floats, high: Floats, spacings: Sequence[float], view
         raise ConfigError(
             f"A grid every {min(spacings):g} m over {high[0] - low[0]:.0f} x {high[1] - low[1]:.0f} m has "
             f"{count:.2g} views, more than {MOST_VIEWS}.",
-            f"spacing_m={few} makes fewer; so does sampling=random."
+            f"`spacing_m={few}` makes fewer; so does `sampling=random`."
             if few
             else "Take fewer yaws and pitches.",
         )

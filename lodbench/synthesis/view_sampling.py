@@ -98,7 +98,7 @@ def sample_views(
             raise DatasetError(
                 f"{_MAX_DRAWS_PER_VIEW} views in a row show less than {low:.0%} or more than {high:.0%} "
                 "buildings, or stand among them.",
-                "Set dataset.camera_height_m=[40,80] to fly lower, or dataset.building_share=[0.02,0.8].",
+                "Set `dataset.camera_height_m=[40,80]` to fly lower, or `dataset.building_share=[0.02,0.8]`.",
             )
         poses.append(pose)
     return SampledViews(tuple(poses), rejections)

@@ -147,7 +147,7 @@ class ViewsParams:
 
     def __post_init__(self) -> None:
         if self.num_views < 1:
-            raise ConfigError(f"dataset.num_views={self.num_views} is not a number of views.")
+            raise ConfigError(f"`dataset.num_views={self.num_views}` is not a number of views.")
         if self.camera_source not in CAMERA_SOURCES:
             known = ", ".join(CAMERA_SOURCES)
             raise ConfigError(f"dataset.camera_source is one of {known}, not {self.camera_source}.")
@@ -221,7 +221,7 @@ def open_views(params: ViewsParams) -> Dataset:
     """
     city = Path(params.city_model).expanduser()
     if not city.exists():
-        raise DatasetError(f"The city model {city} does not exist.", "Set city=FILE.")
+        raise DatasetError(f"The city model {city} does not exist.", "Set `city=FILE`.")
     options = ReadOptions(crs=params.crs, layers=tuple(params.layers))
     lod = params.mask_lod or params.lod
     scene = open_cached_city(city, lod=lod, options=options, roof_height=params.roof_height).scene

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.crs import is_same_plane
-from lodbench.datasets.folder import TRUTH_FILE, FolderParams, open_folder
-from lodbench.datasets.folder_about import ABOUT_FILE
+from lodbench.datasets.folder import ABOUT_FILE, TRUTH_FILE, FolderParams, open_folder
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.execution import Progress
@@ -194,7 +193,7 @@ def posed_samples(folder: Path, out: Path, city: str | None = None) -> list[Samp
     if dataset.city_model is None:
         raise DatasetError(
             f"{folder} has no city model: there is nothing to make labels of.",
-            dataset.city_hint.replace("Set city=FILE.", "city=FILE names one."),
+            dataset.city_hint.replace("Set `city=FILE`.", "`city=FILE` names one."),
         )
     posed = _posed(dataset)
     if not posed:
@@ -203,7 +202,7 @@ def posed_samples(folder: Path, out: Path, city: str | None = None) -> list[Samp
     if dataset.crs is not None and scene.crs is not None and not is_same_plane(dataset.crs, scene.crs):
         raise DatasetError(
             f"The poses of {folder} are in {dataset.crs}, its map {dataset.city_model} in {scene.crs}.",
-            "city=FILE names the one it was made with.",
+            "`city=FILE` names the one it was made with.",
         )
     renderer, samples, shows_any = SilhouetteRenderer(scene, threads=1), [], False
     with Progress("silhouettes", len(posed)) as progress:
@@ -214,7 +213,7 @@ def posed_samples(folder: Path, out: Path, city: str | None = None) -> list[Samp
             try:
                 silhouette = renderer.render(camera, known.pose.shifted(-scene.origin))
             except LodbenchError as fault:
-                raise DatasetError(f"{known.entry.key}: {fault.message}", fault.hint) from fault
+                raise DatasetError(f"{known.entry.key}: {fault.message.marked}", fault.hint) from fault
             shows_any |= bool(silhouette.any())
             make_folder(mask.parent)
             write_bytes(mask, encoded_mask(silhouette, bilevel=True))

@@ -116,7 +116,7 @@ def find_samples(folder: Path, split: str, learns: str = MASKS) -> list[Sample]:
     if without:
         hint = "An unfinished set: give the generate-training-data command again, it goes on."
         if learns == INTERIORS:
-            hint = "generate-training-data labels=true writes them."
+            hint = "generate-training-data `labels=true` writes them."
         kind = _FOLDERS[learns].removesuffix("s")
         raise DatasetError(
             f"{len(without)} pictures in {folder} have no {kind}, the first is {without[0].name}.", hint
@@ -175,7 +175,7 @@ def split_samples(
         if len(val) == 1 and val_data is None:
             raise DatasetError(
                 "One view is too few: some are trained on, others validate.",
-                "lodbench generate-training-data makes more, or val_data=SET names others to validate on.",
+                "lodbench generate-training-data makes more, or `val_data=SET` names others to validate on.",
             )
         kind = "train on" if not train else "validate on"
         raise DatasetError(f"There are no views to {kind}.", "lodbench generate-training-data makes some.")
@@ -193,7 +193,7 @@ def require_unseen(train: list[Path], val: list[Path]) -> None:
     if both:
         raise ConfigError(
             f"{len(both)} of the {len(val)} views of val_data are trained on, the first is {both[0]}.",
-            "val_data=SET of other views; without it the val views of data validate.",
+            "`val_data=SET` of other views; without it the val views of data validate.",
         )
 
 

@@ -191,7 +191,7 @@ def _require_labels(segmenter: TrainableSegmenter, params: TrainParams, data: Pa
     if named:
         raise ConfigError(
             f"{segmenter.params.name} learns single buildings, and {named} has masks only.",
-            "data=FOLDER of generate-training-data labels=true.",
+            "`data=FOLDER` of generate-training-data `labels=true`.",
         )
 
 
@@ -203,7 +203,7 @@ def _pseudo_labelled(segmenter: TrainableSegmenter, params: TrainParams, out: Pa
     """
     settings = segmenter.params
     if not isinstance(segmenter, PhotoSegmenter) or not str(params.init).endswith(".onnx"):
-        raise ConfigError("Only networks in ONNX files label photos.", "init=FILE.onnx, or init=package.")
+        raise ConfigError("Only networks in ONNX files label photos.", "`init=FILE.onnx`, or `init=package`.")
     teacher = type(segmenter)(replace(settings, weights=params.init))
     return pseudo_samples(teacher, _folders(params.unlabelled), out / PSEUDO_LABELS)
 
@@ -221,11 +221,11 @@ def _start(segmenter: TrainableSegmenter, init: str | None) -> str | None:
     """
     if init != PACKAGE:
         if init is not None and not Path(init).expanduser().is_file():
-            raise ConfigError(f"There are no weights {init}.", f"init=FILE, or init={PACKAGE}.")
+            raise ConfigError(f"There are no weights {init}.", f"`init=FILE`, or `init={PACKAGE}`.")
         return init
     packaged = segmenter.packaged_weights()
     if packaged is None:
-        raise ConfigError("The package holds no weights of this segmenter.", "init=FILE names others.")
+        raise ConfigError("The package holds no weights of this segmenter.", "`init=FILE` names others.")
     return str(packaged)
 
 

@@ -81,11 +81,11 @@ class TrainParams:
             require_within(name, getattr(self, name), low, high)
         if self.scale[0] > self.scale[1]:
             raise ConfigError(
-                f"scale=[{self.scale[0]:g},{self.scale[1]:g}] is no ascending range.", "scale=[LOW,HIGH]"
+                f"scale=[{self.scale[0]:g},{self.scale[1]:g}] is no ascending range.", "`scale=[LOW,HIGH]`"
             )
         if self.unlabelled and self.init is None:
             raise ConfigError(
-                "unlabelled photos need a network that labels them.", "init=FILE.onnx, or package."
+                "unlabelled photos need a network that labels them.", "`init=FILE.onnx`, or package."
             )
         if self.size == self.crop == 0:
             raise ConfigError("size and crop are both 0.", "Views differ in size: set one of them.")

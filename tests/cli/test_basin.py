@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 import pytest
 
-from lodbench.harness.runs.cost_maps import CostGrid
+from lodbench.harness.runs.basin import CostGrid
 from lodbench.storage import digest_of
 from tests.town import write_dataset
 

@@ -39,8 +39,8 @@ def test_props_are_not_those_of_the_demo_town(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("accuracy --building-share 0.9,0.1", "--building-share=0.1 is not within 0.9 to 1."),
-        ("accuracy --views 0", "--views=0 is not a number of views."),
+        ("accuracy --building-share 0.9,0.1", "--building-share 0.1 is not within 0.9 to 1."),
+        ("accuracy --views 0", "--views 0 is not a number of views."),
         ("accuracy --world focl=1", "--world focl=1: focl is not a setting."),
         ("silhouettes --views 0", "lodbench: views, hypotheses"),
         ("city --tiles -1", "tiles at least 0"),

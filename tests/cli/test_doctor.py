@@ -7,7 +7,7 @@ import json
 import pytest
 
 from lodbench.checks import Check
-from lodbench.harness.doctor import doctor
+from lodbench.harness import doctor
 
 
 @pytest.mark.slow
@@ -21,8 +21,8 @@ def test_report_for_people(lodbench):
 
 def test_report_for_machines_and_a_broken_base(lodbench, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr("lodbench.harness.doctor.doctor.RENDERER_TRIALS", {"raster": True})
-    monkeypatch.setattr("lodbench.harness.doctor.doctor.NETWORKS", ())
+    monkeypatch.setattr("lodbench.harness.doctor.RENDERER_TRIALS", {"raster": True})
+    monkeypatch.setattr("lodbench.harness.doctor.NETWORKS", ())
     done = lodbench("doctor", "--thorough", "--json", LODBENCH_CACHE=str(tmp_path / "file"))
     checks = {check["name"]: check for check in map(json.loads, done.stdout.splitlines())}
     assert done.returncode == 1

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from lodbench.datasets.declared_crs import brought
 from lodbench.datasets.exchange.photogrammetry import write_odm
 from lodbench.datasets.exchange.posed import FoundPose, inverted
+from lodbench.datasets.pose_files import brought
 from lodbench.datasets.pose_text import read_poses
 from tests.datasets.test_pose_files import lines
 from tests.town import write_dataset

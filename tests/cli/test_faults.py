@@ -62,7 +62,7 @@ def test_fault_of_the_command(lodbench, tmp_path, monkeypatch, words, expected):
 
 
 def test_a_plug_in_without_its_configuration_is_no_unknown_name(monkeypatch, capsys):
-    monkeypatch.setattr("lodbench.cli.hydra_faults.plugin_names", lambda group: ("unset",))
+    monkeypatch.setattr("lodbench.cli.hydra_app.plugin_names", lambda group: ("unset",))
     assert main(["run", "method=unset", "dataset=demo"]) == 2
     told = capsys.readouterr().err
     assert "'unset' brings no conf/method/unset.yaml" in told

@@ -185,7 +185,7 @@ def test_a_mistake_is_one_line_and_a_hint(files, capsys, tmp_path, monkeypatch, 
 )
 def test_sidecars_where_nothing_may_be_written_are_refused_first(files, capsys, tmp_path, monkeypatch, words):
     beside = Path(files.flight)
-    monkeypatch.setattr("lodbench.harness.photo.sidecars.can_write", lambda folder: folder != beside)
+    monkeypatch.setattr("lodbench.harness.photo.outputs.can_write", lambda folder: folder != beside)
     assert main([*words(files), "--sidecars", "--out", str(tmp_path / "out")]) == 2
     assert f"Nothing can be written beside the photos in {beside}" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -14,17 +14,16 @@ from scipy.spatial.transform import Rotation
 from shapely.geometry import shape
 
 from lodbench.cli import main
-from lodbench.datasets.declared_crs import brought
 from lodbench.datasets.exchange.colmap import read_colmap, write_colmap
 from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.photogrammetry import write_odm
 from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.pose_files import read_pose_file
+from lodbench.datasets.pose_files import brought, read_pose_file
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.geometry.similarity import Similarity
-from lodbench.harness.georeference.request import GeoreferenceRequest
-from lodbench.harness.georeference.start import rough_start
+from lodbench.harness.georeference import GeoreferenceRequest
+from lodbench.harness.georeference_start import rough_start
 from lodbench.methods.registry import make_method
 from lodbench.photos.map_frame import MapFrame
 from lodbench.synthesis.flights.dataset import FlightsParams, open_flights

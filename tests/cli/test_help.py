@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from importlib import import_module
+import sys
 from pathlib import Path
 
 import pytest
 
 from lodbench.cli import COMMANDS, main, usage
+from lodbench.cli.commands import load_command
 from lodbench.cli.completion import CONFIGURED
 from lodbench.cli.configs import config_files
 from lodbench.cli.parser import Parser, seen
@@ -81,7 +82,8 @@ class Left(Exception):
 
 def parsers_of(command: str):
     """Returns the parsers of a command and its actions."""
-    module = import_module(COMMANDS[command][0])
+    run = load_command(COMMANDS[command][0])
+    module = sys.modules[run.__module__]
     found: list[argparse.ArgumentParser] = []
 
     def keep(parser):
@@ -92,7 +94,7 @@ def parsers_of(command: str):
     try:
         for words in [[name] for name in getattr(module, "ACTIONS", {})] or [[]]:
             with pytest.raises(Left):
-                module.main(words)
+                run(words)
     finally:
         seen.remove(keep)
     for parser in found:

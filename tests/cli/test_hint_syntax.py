@@ -10,7 +10,7 @@ CASES = [
     ("run dataset=folder method=region", "Add dataset.root=VALUE."),
     ("run --dataset folder --method region", "Add --root VALUE."),
     ("run dataset=folder dataset.root=nowhere", "Set dataset.root=FOLDER."),
-    ("run --dataset folder --root nowhere", "Give --root FOLDER."),
+    ("run --dataset folder --root nowhere", "Set --root FOLDER."),
     ("run --dataset folder dataset.root=nowhere", "Set dataset.root=FOLDER."),
     ("run --retry-failed dataset=folder dataset.root=nowhere", "Set dataset.root=FOLDER."),
     ("run dataset=demo prior=sensor prior.takeoff_m=60 prior.heights=sea_level",

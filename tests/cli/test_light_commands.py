@@ -30,7 +30,7 @@ PACKAGES = (
     "lodbench", "lodbench.cli", "lodbench.geometry", "lodbench.citymodel", "lodbench.citymodel.cache",
     "lodbench.rendering", "lodbench.citymap", "lodbench.methods", "lodbench.methods.region",
     "lodbench.evaluation", "lodbench.execution", "lodbench.storage", "lodbench.harness",
-    "lodbench.harness.doctor.doctor", "lodbench.datasets.published.catalogue",
+    "lodbench.harness.doctor", "lodbench.datasets.published.catalogue",
 )  # fmt: skip
 PROBE = """
 import sys

@@ -383,7 +383,7 @@ class TestCommand:
             (photo.parent / "photo_mask.png").write_bytes(b"by hand")
             return MaskSession(*given)
 
-        monkeypatch.setattr("lodbench.harness.mask.files.MaskSession", opened)
+        monkeypatch.setattr("lodbench.harness.mask.session.MaskSession", opened)
         assert main(["mask", str(photo), "--mask", str(photo.parent / "traced.png"), "--no-page"]) == 2
         told = capsys.readouterr().err
         assert "photo_mask.png was written by another program" in told

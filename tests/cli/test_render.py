@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import open_scene
+from lodbench.datasets.inputs import read_references
 from lodbench.datasets.pose_text import format_pose, read_cameras, read_poses
-from lodbench.datasets.references import read_references
 from lodbench.rendering.raster import RasterRenderer
 from tests.town import write_dataset
 

@@ -205,9 +205,9 @@ def test_a_photo_that_cannot_be_read_costs_no_table(lodbench, tmp_path, content)
     assert "lodlocv2 full" in done.stdout
 
 
-@pytest.mark.parametrize("place", ["methods/protocol.py", "datasets/pictures.py", "baselines/__init__.py"])
+@pytest.mark.parametrize("place", ["methods/protocol.py", "photos/pictures.py", "baselines/__init__.py"])
 def test_other_code_is_another_run(tmp_path, monkeypatch, place):
-    from lodbench.execution import code_version as module
+    from lodbench.execution import executor as module
 
     changed, baselines = tmp_path / "lodbench", tmp_path / "baselines"
     shutil.copytree(Path(module.__file__).parents[1], changed, ignore=shutil.ignore_patterns("weights"))
@@ -221,7 +221,7 @@ def test_other_code_is_another_run(tmp_path, monkeypatch, place):
 
 
 def test_another_scipy_is_another_run(monkeypatch):
-    from lodbench.execution import code_version as module
+    from lodbench.execution import executor as module
     from lodbench.storage import digest
 
     before = module.own_digest.__wrapped__()

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from lodbench.cli.setting_help import Setting, settings_in
-from lodbench.cli.setting_words import settings_of
+from lodbench.cli.setting_help import Setting, settings_in, settings_of
 from lodbench.errors import ConfigError
 from lodbench.params import to_params
 from tests.town import write_dataset
@@ -78,7 +77,7 @@ def test_a_run_takes_flags_and_tells_the_former_name(lodbench, tmp_path):
         ("run prior=uniform prior.foo=3", "prior.foo is not a setting", "x_m"),
         ("run runner=subprocess runner.foo=3", "runner.foo is not a setting", "python"),
         ("generate-training-data city=x size=[128]", "size=[128] has 1 value, not 2", "size=[VALUE,VALUE]"),
-        ("generate-training-data --city x --size 9", "size=9 has 1 value, not 2", "--size [VALUE,VALUE]"),
+        ("generate-training-data --city x --size 9", "--size 9 has 1 value, not 2", "--size [VALUE,VALUE]"),
         ("generate-training-data city=x look.noise=[0.01]", "look.noise=[0.01] has 1", "look.noise=[VALUE"),
         ("generate-training-data city=x sampling=priors poses=p prior_m=[1,2]", "prior_m=[1,2] has 2", "[V"),
         ("render city=x poses=p intrinsics=i out=o size=[1,2,3]", "size=[1,2,3] has 3", "size=[VALUE,VALUE]"),

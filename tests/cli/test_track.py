@@ -21,7 +21,7 @@ from lodbench.datasets.pose_text import read_poses
 from lodbench.errors import DatasetError
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.harness.track.frames import Footage as TrackedFootage
+from lodbench.harness.track_frames import Footage as TrackedFootage
 from lodbench.methods.tracking import Frame, Tracked, Tracker
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from tests.town import CAMERA, box_obj
@@ -357,7 +357,7 @@ def test_a_rough_pose_that_is_lacking_is_asked_for_in_words_of_track(capsys, foo
 def test_photos_with_masks_are_not_decoded_but_of_the_camera_s_size(capsys, footage, tmp_path, monkeypatch):
     shutil.copytree(footage.folder / "photos", tmp_path / "photos")
     cv2.imwrite(str(tmp_path / "photos" / "photo_3.png"), np.zeros((120, 160, 3), np.uint8))
-    monkeypatch.delattr("lodbench.harness.track.frames.read_picture")
+    monkeypatch.delattr("lodbench.harness.track_frames.read_picture")
     words = footage.words("photos", "--masks", footage.folder / "masks", "--out", tmp_path / "out")
     words[1] = str(tmp_path / "photos")
     assert main(words) == 3

@@ -11,10 +11,9 @@ import pytest
 
 from lodbench.datasets.exchange.colmap import read_colmap, write_colmap
 from lodbench.datasets.exchange.kapture import read_kapture, write_kapture
-from lodbench.datasets.exchange.lines import read_lines, write_lines
+from lodbench.datasets.exchange.lines import read_lines, read_tum, write_lines, write_tum
 from lodbench.datasets.exchange.nerfstudio import read_nerfstudio, write_nerfstudio
 from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.exchange.tum import read_tum, write_tum
 from lodbench.datasets.own import write_dataset
 from lodbench.datasets.own_sources import images_from_poses
 from lodbench.datasets.pose_files import read_pose_file

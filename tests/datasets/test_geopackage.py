@@ -7,8 +7,7 @@ import pytest
 import shapely
 
 from lodbench.citymodel.source import is_own_geopackage, open_sources
-from lodbench.datasets.exchange.geojson import nowhere_feature
-from lodbench.datasets.exchange.geopackage import write_geopackage
+from lodbench.datasets.exchange.geojson import nowhere_feature, write_geopackage
 
 pyogrio = pytest.importorskip("pyogrio", reason="GDAL reads what was written")
 

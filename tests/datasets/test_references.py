@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from lodbench.datasets.folder import FolderParams, open_folder
-from lodbench.datasets.inputs import Input, inputs_of
+from lodbench.datasets.inputs import Input, inputs_of, read_references
 from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
-from lodbench.datasets.references import read_references
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from tests.town import write_dataset

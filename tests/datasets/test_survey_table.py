@@ -11,11 +11,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from lodbench.datasets.exchange.survey import SIGMA_COLUMNS, SURVEY_COLUMNS, survey_row
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.looking import STEEP_DEG, off_nadir_deg
-from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.map_frame import SIGMA_COLUMNS, SURVEY_COLUMNS, MapFrame, survey_row
 from lodbench.photos.metadata import PhotoMetadata
 from lodbench.photos.pose import RoughPlace, pose_at, pose_from_photo
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lodbench.datasets.exchange.xmp_sidecar import write_sidecar
+from lodbench.datasets.exchange.photogrammetry import write_sidecar
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.angles import dji_from_rotation, rotation_from_dji

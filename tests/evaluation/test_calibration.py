@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from lodbench.evaluation.calibration import calibrate, risk_coverage
+from lodbench.evaluation.metrics import calibrate, risk_coverage
 from lodbench.storage import random_stream
 
 

@@ -11,8 +11,7 @@ import pytest
 from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError
-from lodbench.evaluation.evaluate import evaluate
-from lodbench.evaluation.predictions import Prediction
+from lodbench.evaluation.predictions import Prediction, evaluate
 from lodbench.evaluation.protocols import EAST_NORTH, GROUND, PROTOCOLS, protocol_named
 from lodbench.evaluation.queries import COLUMNS, queries_csv, summarize_queries
 from lodbench.geometry import EulerAngles, Pose

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from lodbench.harness.runs.budget import budget_panels
+from lodbench.harness.runs.compare import budget_panels
 
 
 def run(recall: float | None, hypotheses: float, version: str = "1", **protocol: str) -> SimpleNamespace:

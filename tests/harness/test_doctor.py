@@ -13,8 +13,8 @@ import pytest
 
 from lodbench.checks import OK, Check
 from lodbench.errors import LodbenchError
-from lodbench.harness.doctor import doctor, probes
-from lodbench.harness.doctor.doctor import ABSENT, BROKEN, is_base_broken, run_probe
+from lodbench.harness import doctor, doctor_probes
+from lodbench.harness.doctor import ABSENT, BROKEN, is_base_broken, run_probe
 from lodbench.plugins import plugin_names
 from tests.site_packages import write_package
 
@@ -57,7 +57,7 @@ def test_every_network_of_the_package_is_tried():
 def test_a_network_that_opencv_cannot_read_is_told(monkeypatch):
     monkeypatch.setattr("cv2.dnn.readNetFromONNX", lambda *_: (_ for _ in ()).throw(cv2.error("no Reshape")))
     with pytest.raises(LodbenchError, match="not an ONNX network that OpenCV can read"):
-        probes.try_network("compact")
+        doctor_probes.try_network("compact")
 
 
 def test_a_crash_is_reported(probe):
@@ -125,7 +125,7 @@ def test_plug_ins_of_one_name_are_told_with_their_packages(monkeypatch, tmp_path
     names = [name for name, _ in doctor._plugins_of_others() if name.startswith("fit ")]
     assert sorted(names) == ["fit first", "fit same of first 1.0", "fit same of second 1.0", "fit second"]
     for name in names:
-        probes.main(name)
+        doctor_probes.main(name)
         told = json.loads(capsys.readouterr().out)
         assert told["ok"] == ("same" not in name)
         if " of " in name:
@@ -156,7 +156,7 @@ def test_torchvision_that_does_not_fit_torch_is_explained(tmp_path):
         "Name: torchvision\nVersion: 0.28.0\n"
     )
     code = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
-    code += "from lodbench.harness.doctor.probes import main\n"
+    code += "from lodbench.harness.doctor_probes import main\n"
     done = subprocess.run(
         [sys.executable, "-c", code + "main('torchvision')"], capture_output=True, text=True, timeout=120
     )
@@ -173,7 +173,7 @@ def test_only_the_base_decides():
 def test_an_extra_of_extras_is_as_ready_as_they_are() -> None:
     from packaging.requirements import Requirement
 
-    from lodbench.harness.doctor.doctor import _wanted_by
+    from lodbench.harness.doctor import _wanted_by
 
     lines = ["numpy", "dask; extra == 'cluster'", "torch; extra == 'torch'"]
     lines += ["lodbench[cluster,torch]; extra == 'all'", "onnx; extra == 'other'"]

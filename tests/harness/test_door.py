@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lodbench.cli import main
-from lodbench.datasets.folder_about import sealed_about
+from lodbench.datasets.folder import sealed_about
 from lodbench.datasets.pose_text import format_pose, lines_to_text, read_poses
 from tests.town import CAMERA, write_dataset
 
@@ -123,6 +123,6 @@ def test_dataset_check_takes_the_city_that_the_dataset_names_and_hints_in_its_ow
     assert str(city) in capsys.readouterr().out
     city.rename(tmp_path / "elsewhere.obj")
     assert main(["dataset", "check", str(root)]) == 1
-    assert "Give --city FILE." in capsys.readouterr().out
+    assert "Set --city FILE." in capsys.readouterr().out
     assert main(["dataset", "check", str(root), "--city", "nowhere.gml"]) == 2
     assert "--city" in capsys.readouterr().err

@@ -11,11 +11,10 @@ import pytest
 
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.kapture import write_kapture
-from lodbench.datasets.exchange.lines import write_lines
+from lodbench.datasets.exchange.lines import write_lines, write_tum
 from lodbench.datasets.exchange.nerfstudio import write_nerfstudio
 from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm
 from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.exchange.tum import write_tum
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.pose_text import format_camera, lines_to_text, read_cameras, read_poses
 from lodbench.evaluation import pose_error

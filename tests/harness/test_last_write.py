@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from lodbench.errors import DatasetError
-from lodbench.harness.last_write import last_write
+from lodbench.harness.tracebacks import last_write
 
 
 @pytest.mark.parametrize(

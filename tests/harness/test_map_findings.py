@@ -7,7 +7,7 @@ import pytest
 from shapely.geometry import Polygon, shape
 
 from lodbench.citymodel.scene import build_scene
-from lodbench.harness.flights.map_findings import building_outline, city_and_marks, contradiction_features
+from lodbench.harness.map_findings import building_outline, city_and_marks, contradiction_features
 from lodbench.photos.map_frame import MapFrame
 
 # A ring of flat roof, 20 m x 20 m with a court of 8 m x 8 m, as four rectangles; and a wall of it.

@@ -2,7 +2,7 @@
 
 import pytest
 
-from lodbench.harness.track.frames import photo_clocks
+from lodbench.harness.track_frames import photo_clocks
 from tests.photos.dji_photo import exif_of, write_photo
 
 

@@ -12,7 +12,7 @@ import pytest
 from lodbench.cli import main
 from lodbench.errors import QueryFault
 from lodbench.harness.conformance.data import export_rules, metric_rules
-from lodbench.harness.conformance.segmenters import segmenter_rules
+from lodbench.harness.conformance.pictures import segmenter_rules
 from lodbench.harness.conformance.trial import Tried, check_rules, trial_dataset
 from lodbench.plugins import load_plugin, plugin_names
 from lodbench.segmentation.masks import MaskFiles

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import re
 
-from lodbench.evaluation.calibration import calibrate
-from lodbench.reporting.calibration_figures import BudgetPoint, draw_budget, draw_calibration
+from lodbench.evaluation.metrics import calibrate
+from lodbench.reporting.figures import BudgetPoint, draw_budget, draw_calibration
 
 
 def test_calibration_names_methods_areas_and_counts():

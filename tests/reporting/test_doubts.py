@@ -7,7 +7,7 @@ import numpy as np
 from lodbench.evaluation.predictions import Prediction
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.region.trust import SIGNS_STAGE
-from lodbench.reporting.doubts import why_of
+from lodbench.reporting.answers import why_of
 
 POSE = Pose.from_euler(EulerAngles(40.0, 0.0, 170.0), [10.0, 20.0, 100.0])
 OTHER = POSE.shifted((3.0, 4.0, 12.0))

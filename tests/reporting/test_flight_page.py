@@ -10,7 +10,7 @@ import pytest
 
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.harness.photo.many import FlightAnswer
-from lodbench.reporting.flight_page import MAX_PICTURES, chosen_for_pictures, flight_page, photo_on_page
+from lodbench.reporting.flight_words import MAX_PICTURES, chosen_for_pictures, flight_page, photo_on_page
 from lodbench.reporting.map_figure import Marked, Spot, draw_map
 from lodbench.reporting.page import Picture
 from tests.reporting.browser import PHONE, fits, opened

@@ -9,6 +9,7 @@ import pytest
 
 from lodbench.errors import DatasetError
 from lodbench.evaluation.metrics import is_taken
+from lodbench.reporting.aligned_text import csv_cell, plain_text
 from lodbench.reporting.leaderboard import (
     blocks_of,
     build_leaderboard,
@@ -16,7 +17,6 @@ from lodbench.reporting.leaderboard import (
     leaderboard_frame,
 )
 from lodbench.reporting.leaderboard_entry import entry_path, entry_text, reasons_against, schema_faults
-from lodbench.reporting.safe_text import csv_cell, plain_text
 
 DIGEST = "0123456789ab"
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lodbench.evaluation.recall import summarize
-from lodbench.reporting.basin_figures import RecallCurve, draw_recall_curves
+from lodbench.reporting.figures import RecallCurve, draw_recall_curves
 from lodbench.reporting.run_figures import ErrorSample, Trace, draw_error_curves, draw_traces, shares_below
 
 ERRORS = np.array([[0.5, 0.3], [4.0, 1.0], [np.inf, 180.0]])

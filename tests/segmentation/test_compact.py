@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lodbench.cli.flags import in_flags
+from lodbench.cli.flags import in_syntax_of
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.segmentation.compact import Compact, CompactParams
@@ -179,7 +179,7 @@ def test_faults_are_told_in_one_line(tmp_path):
     with pytest.raises(ConfigError, match="is a folder") as told:
         Compact(CompactParams(weights=str(tmp_path)))
     # In words that every command puts into its own syntax.
-    assert "--segmenter-option weights=FILE" in in_flags(told.value.hint)
+    assert "--segmenter-option weights=FILE" in in_syntax_of(["localize"], told.value.hint)
     (tmp_path / "text.onnx").write_text("hello")
     with pytest.raises(ConfigError, match="not a safe ONNX network"):
         Compact(CompactParams(weights=str(tmp_path / "text.onnx"))).logits(photo_of(64, 64))

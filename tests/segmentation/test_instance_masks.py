@@ -11,9 +11,8 @@ import pytest
 
 from lodbench.citymodel import open_scene
 from lodbench.datasets.folder import FolderParams, open_folder
-from lodbench.datasets.inputs import Input, inputs_of
+from lodbench.datasets.inputs import Input, inputs_of, with_inputs
 from lodbench.datasets.instance_labels import encoded_labels, masks_of_labels, read_labels
-from lodbench.datasets.references import with_inputs
 from lodbench.errors import QueryFault
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.requirements import required_inputs

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lodbench.datasets.inputs import Input, inputs_of
+from lodbench.datasets.inputs import Input, inputs_of, with_inputs
 from lodbench.datasets.query import Dataset
-from lodbench.datasets.references import with_inputs
 from lodbench.synthesis.demo import DemoParams, open_demo
 from lodbench.synthesis.survey import textured_map as baking
 from lodbench.synthesis.survey.textured_map import baked, corner_light, lay_out_faces, lay_out_ground

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lodbench.cli import main
-from lodbench.cli.generate_training_data import with_demo
+from lodbench.cli.render import with_demo
 from lodbench.synthesis import demo
 from lodbench.synthesis.training_data.params import GenerateParams
 

@@ -206,7 +206,7 @@ def findings_geojson(report: CityReport) -> dict[str, Any]:
     """
     if report.crs is None:
         raise CityModelError(
-            f"{report.source} names no reference system, which a GeoJSON needs.", "Name it: crs=EPSG:25832."
+            f"{report.source} names no reference system, which a GeoJSON needs.", "Name it: `crs=EPSG:25832`."
         )
     from pyproj import Transformer
 

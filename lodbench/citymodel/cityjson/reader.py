@@ -378,7 +378,7 @@ class _Reader:
         for name, count in sorted(self._others.items()):
             self._collector.findings.add(NOT_A_BUILDING, name, f"{count} of them")
         if not self._collector.building_ids and (ended := self._lifespans.none_stands()):
-            raise NotACity(f"{self._source} {ended}.", "Take it as it stood before: date=YYYY-MM-DD")
+            raise NotACity(f"{self._source} {ended}.", "Take it as it stood before: `date=YYYY-MM-DD`")
         if not self._collector.building_ids:
             raise NotACity(f"{self._source} has no buildings.", "Is it the building tile of the city?")
         city = self._collector.finish(

@@ -39,7 +39,7 @@ class TextureReader:
         except (TypeError, ValueError, OverflowError) as error:
             raise CityModelError(
                 f"{source} has malformed vertices of textures ({error}).",
-                "Mend them, or leave out --textures.",
+                "Mend them, or leave out `--textures`.",
             ) from None
         if appearance.get("materials"):
             pictures.notes["list of materials: colours of surfaces"] += 1

@@ -73,7 +73,7 @@ def declared_system(metadata: Any, source: str) -> str | None:
     if not isinstance(name, str | None):
         raise CityModelError(
             f"{source} has a reference system that is no text: {str(name)[:60]}.",
-            "Write it as https://www.opengis.net/def/crs/EPSG/0/25832, or name it with crs=EPSG:...",
+            "Write it as https://www.opengis.net/def/crs/EPSG/0/25832, or name it with `crs=EPSG:...`",
         )
     return name
 

@@ -275,7 +275,7 @@ class _Reader:
         for name, count in sorted(self.walk.extensions.items()):
             self.findings.add(NOT_A_BUILDING, name, f"{count} of them, of an extension, in buildings")
         if not self._building_ids and (ended := self._lifespans.none_stands()):
-            raise NotACity(f"{self._source} {ended}.", "Take it as it stood before: date=YYYY-MM-DD")
+            raise NotACity(f"{self._source} {ended}.", "Take it as it stood before: `date=YYYY-MM-DD`")
         if not self._building_ids and not self._version:
             hint = "Of other GML, such as INSPIRE's, footprints are read once they are saved as GeoPackage."
             raise NotACity(f"{self._source} is GML, but names nothing of CityGML.", hint)

@@ -49,7 +49,7 @@ def read_obj(stream: BinaryIO, source: str, up_axis: str = "auto") -> RawCity:
     faces = [i for i, line in enumerate(lines) if line.startswith("f ")]
     _report_ignored(lines, source, findings)
     if not faces:
-        raise NotACity(f"{source} has no faces.", "A city model in OBJ needs `v` and `f` lines.")
+        raise NotACity(f"{source} has no faces.", "A city model in OBJ needs lines of v and f.")
     points = turned_up(_read_points(lines, positions, source), up_axis, ".obj")
     corners, counts = _read_faces(lines, faces, np.asarray(positions, np.int64), source)
     building, num_buildings = _buildings(points, corners, counts)

@@ -90,7 +90,7 @@ def _named_by_obj(path: Path, folder: TextureFolder) -> tuple[list[str], list[st
     if undefined and None not in files.values():
         raise DatasetError(
             f"{path.name} uses materials that nothing defines: {', '.join(undefined[:3])}.",
-            "Name the file that defines them with `mtllib`, or export the map again.",
+            "Name the file that defines them with mtllib, or export the map again.",
         )
     return libraries, sorted(pictures)
 

@@ -77,7 +77,7 @@ class Columns:
             listed = ", ".join(self._table) or "none at all"
             raise CityModelError(
                 f"{self._source} has no column of heights or storeys among: {listed}.",
-                "Name it: height_column=..., storeys_column=... or default_height_m=...",
+                "Name it: `height_column=...`, `storeys_column=...` or `default_height_m=...`",
             )
         values = self._numbers(height) if height is not None else np.full(self._count, np.nan)
         if storeys is not None:

@@ -100,7 +100,7 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
     crs, geometries, table = _read_table(path, source, options, findings)
     if options.crs is None and crs is None:
         raise CityModelError(
-            f"{source} names no reference system (a Shapefile needs its .prj).", "Name it: crs=EPSG:4326."
+            f"{source} names no reference system (a Shapefile needs its .prj).", "Name it: `crs=EPSG:4326`."
         )
     if not geometries:
         raise NotACity(f"{source} has no footprints.", "Is it the building tile of the city?")
@@ -312,7 +312,8 @@ def _no_height(source: str, findings: Findings) -> CityModelError:
         return CityModelError(f"{source} has no footprint with an area.", "Repair or export the file again.")
     return CityModelError(
         f"{source} has no footprint with a height; of {lost.object_id}, {lost.detail}.",
-        "Heights are metres, below 1000: name their column, height_column=..., or give default_height_m=...",
+        "Heights are metres, below 1000: name their column, `height_column=...`, or give "
+        "`default_height_m=...`",
     )
 
 

@@ -162,7 +162,7 @@ def require_no_binary(folder: Path) -> None:
     if there:
         raise DatasetError(
             f"{folder / there[0]} would be read before the model as text that is to be written beside it.",
-            "Name another folder: --out OTHER",
+            "Name another folder: `--out OTHER`",
         )
 
 

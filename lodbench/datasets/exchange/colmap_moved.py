@@ -41,7 +41,7 @@ def write_moved_colmap(model: Path, similarity: Similarity, folder: Path) -> Non
         DatasetError: A file is missing, cut off or malformed, or the folder is the model's own.
     """
     if folder.resolve() == model.resolve():
-        raise DatasetError(f"{folder} is the model that is to be moved.", "Name another --out.")
+        raise DatasetError(f"{folder} is the model that is to be moved.", "Name another `--out`.")
     ending = "bin" if (model / "images.bin").is_file() else "txt"
     move_images, move_points = (
         (_binary_images, _binary_points) if ending == "bin" else (_text_images, _text_points)

@@ -1,7 +1,7 @@
-"""Reference text of Metashape, Pix4D and OpenDroneMap: image centres and angles in projected coordinates.
+"""Poses for photogrammetry programs: reference text of Metashape, Pix4D and OpenDroneMap; XMP beside photos.
 
-All three turn a picture's axes (x right, y up, z backwards) into east, north, up, and are the identity for a
-camera that looks straight down with north on top:
+The three text formats turn a picture's axes (x right, y up, z backwards) into east, north, up, and are the
+identity for a camera that looks straight down with north on top:
 
 - Metashape's reference pane: yaw (clockwise from north), pitch (0 straight down, 90 ahead), roll;
   ``Rz(-yaw) Rx(pitch) Ry(roll)``, as its ``Utils.ypr2mat`` says.
@@ -17,15 +17,19 @@ import csv
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench import __version__
 from lodbench.citymodel.crs import KnownCrs, require_crs, resolve_crs
 from lodbench.datasets.exchange.posed import FoundPose, Place, content, read_text, require_plain_names
 from lodbench.datasets.pose_text import lines_to_text
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose
+from lodbench.geometry.angles import dji_from_rotation
+from lodbench.photos.map_frame import MapFrame
 from lodbench.storage import write_text
 
 _PIX4D_HEAD = "imageName X Y Z Omega Phi Kappa"
@@ -167,7 +171,7 @@ def write_odm(images: Sequence[FoundPose], path: Path, crs: str | None) -> None:
     """
     if crs is None:
         raise DatasetError("ODM's geo.txt names a reference system, and that of the poses is not known.",
-                           "Name it with --crs.")  # fmt: skip
+                           "Name it with `--crs`.")  # fmt: skip
     require_plain_names([image.name for image in images], " \t\r\n", "ODM's geo.txt")
     plane = require_crs(crs).horizontal
     head = f"EPSG:{plane.to_epsg()}" if plane.to_epsg() else plane.to_proj4()
@@ -241,3 +245,68 @@ def _plane_label(known: KnownCrs) -> str:
     """Returns the short name of a system's plane; its own where that has none. Heights stay as they are."""
     code = known.horizontal.to_epsg()
     return known.label if code is None else f"EPSG:{code}"
+
+
+_TOOL = "lodbench"
+_NAMESPACES = {
+    "exif": "http://ns.adobe.com/exif/1.0/",
+    "xmp": "http://ns.adobe.com/xap/1.0/",
+    "drone-dji": "http://www.dji.com/drone-dji/1.0/",
+}
+
+
+def write_sidecar(photo: Path, pose: Pose, frame: MapFrame) -> Path | None:
+    """Writes ``PHOTO.xmp`` beside a photo; None where another program's is there, which is left alone.
+
+    Args:
+        photo: The file.
+        pose: In the city's coordinates.
+        frame: These on Earth.
+    """
+    path, packet = photo.with_suffix(".xmp"), _packet(pose, frame)
+    if path.exists() and _form(path.read_text(encoding="utf-8", errors="replace")) != _form(packet):
+        return None
+    write_text(path, packet)
+    return path
+
+
+def _form(packet: str) -> str:
+    """Returns a packet without its values; one that another program has added to is of another form."""
+    return re.sub(r'="[^"]*"', "", packet)
+
+
+def _packet(pose: Pose, frame: MapFrame) -> str:
+    place = frame.place_of(pose)
+    east, north, height = (float(v) for v in pose.center)
+    yaw, pitch, roll = dji_from_rotation(pose.rotation, frame.convergence_deg(east, north))
+    properties = {
+        "xmp:CreatorTool": f"{_TOOL} {__version__}",
+        "exif:GPSVersionID": "2.3.0.0",
+        "exif:GPSMapDatum": "WGS-84",
+        "exif:GPSLatitude": _minutes(place.latitude_deg, "NS"),
+        "exif:GPSLongitude": _minutes(place.longitude_deg, "EW"),
+        "exif:GPSAltitude": f"{round(abs(height) * 1000)}/1000",
+        "exif:GPSAltitudeRef": "1" if height < 0 else "0",
+        "exif:GPSImgDirection": f"{round(place.heading_deg * 100)}/100",
+        "exif:GPSImgDirectionRef": "T",
+        "drone-dji:GpsLatitude": f"{place.latitude_deg:+.9f}",
+        "drone-dji:GpsLongitude": f"{place.longitude_deg:+.9f}",
+        "drone-dji:AbsoluteAltitude": f"{height:+.3f}",
+        "drone-dji:GimbalYawDegree": f"{yaw:+.4f}",
+        "drone-dji:GimbalPitchDegree": f"{pitch:+.4f}",
+        "drone-dji:GimbalRollDegree": f"{roll:+.4f}",
+    }
+    spaces = "".join(f' xmlns:{name}="{uri}"' for name, uri in _NAMESPACES.items())
+    listed = "".join(f"\n   {name}={quoteattr(value)}" for name, value in properties.items())
+    return (
+        '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>\n<x:xmpmeta xmlns:x="adobe:ns:meta/">\n'
+        ' <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">\n'
+        f'  <rdf:Description rdf:about=""{spaces}{listed}/>\n </rdf:RDF>\n</x:xmpmeta>\n<?xpacket end="w"?>\n'
+    )
+
+
+def _minutes(degrees: float, letters: str) -> str:
+    """Returns XMP's ``DDD,MM.mmmmmmmk``."""
+    # Rounded before it is split: no minutes are 60.
+    whole, rest = divmod(round(60.0 * abs(degrees), 7), 60.0)
+    return f"{int(whole)},{rest:.7f}{letters[int(degrees < 0)]}"

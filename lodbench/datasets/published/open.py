@@ -100,8 +100,8 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
         DatasetError: Parts are missing (the hint says which, and where to get them), or malformed.
         ConfigError: The frame is unknown, the origin no place, or the file of priors is nowhere.
     """
+    from lodbench.datasets.inputs import read_references
     from lodbench.datasets.published.read import read_split
-    from lodbench.datasets.references import read_references
 
     if params.frame not in _FRAMES:
         raise ConfigError(f"dataset.frame={params.frame} is unknown.", nearest_names(params.frame, _FRAMES))

@@ -10,8 +10,8 @@ from typing import Any
 
 from lodbench.checks import FAULT, OK, Check
 from lodbench.errors import STOPPED, ConfigError, LodbenchError
-from lodbench.harness.conformance.city import fit_rules, reader_rules, renderer_rules
 from lodbench.harness.conformance.data import (
+    command_rules,
     dataset_rules,
     export_rules,
     metric_rules,
@@ -22,10 +22,18 @@ from lodbench.harness.conformance.pictures import (
     extractor_rules,
     matcher_rules,
     retrieval_rules,
+    segmenter_rules,
     solver_rules,
 )
-from lodbench.harness.conformance.segmenters import segmenter_rules
-from lodbench.harness.conformance.trial import Rules, Tried, check_rules, trial_dataset
+from lodbench.harness.conformance.trial import (
+    Rules,
+    Tried,
+    check_rules,
+    fit_rules,
+    reader_rules,
+    renderer_rules,
+    trial_dataset,
+)
 from lodbench.params import to_params
 from lodbench.plugins import PlugIn
 
@@ -43,6 +51,7 @@ CHECKED: dict[str, Callable[[Tried], Rules]] = {
     "renderers": renderer_rules,
     "fits": fit_rules,
     "metrics": metric_rules,
+    "commands": command_rules,
 }
 # Kinds with a file conf/<section>/NAME.yaml, by which a command chooses them.
 CONFIGURED = {"segmenters": "segmenter", "datasets": "dataset", "priors": "prior"}

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from dataclasses import fields, is_dataclass, replace
 from inspect import signature
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +17,12 @@ from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.errors import FAILED, FAILED_PARTS
-from lodbench.evaluation.evaluate import evaluate
 from lodbench.evaluation.metrics import is_taken
-from lodbench.evaluation.predictions import Prediction
+from lodbench.evaluation.predictions import Prediction, evaluate
 from lodbench.evaluation.queries import ERROR, PARTS, queries_frame
 from lodbench.geometry import Pose
 from lodbench.harness.conformance.trial import Rules, Tried, refuses, require
-from lodbench.harness.export.export import CITY, CRS, DATASET, Export, ExportFormat, export_run, wanted_by
+from lodbench.harness.export.formats import CITY, CRS, DATASET, Export, ExportFormat, export_run, wanted_by
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.params import to_params
 
@@ -159,6 +160,28 @@ def metric_rules(tried: Tried) -> Rules:
         return f"{', '.join(said)}; the same again, the queries only read"
 
     return [("numbers", numbers)]
+
+
+def command_rules(tried: Tried) -> Rules:
+    """Returns the rules of a command: a function of its words that has a help and refuses other options."""
+
+    def answer(*words: str) -> tuple[int, str]:
+        with redirect_stdout(StringIO()) as printed:
+            try:
+                code = tried.part(list(words))
+            except SystemExit as ended:  # as argparse ends behind its help
+                code = ended.code
+        return int(code or 0), printed.getvalue()
+
+    def helps() -> str:
+        code, text = answer("--help")
+        require(code == 0 and bool(text.strip()), "--help prints nothing", "Print what the command does.")
+        return f"--help: {text.strip().splitlines()[0]}"
+
+    def wrong() -> str:
+        return refuses(lambda: tried.part(["--no-such-option"]), "--no-such-option")
+
+    return [("help", helps), ("a wrong option", wrong)]
 
 
 def _require_pose(pose: Pose | None, where: str) -> None:

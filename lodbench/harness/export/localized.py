@@ -19,7 +19,7 @@ from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation.predictions import Prediction, encoded_mask
 from lodbench.evaluation.queries import NO_TRUTH, queries_frame
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.export.export import Export
+from lodbench.harness.export.formats import Export
 from lodbench.harness.photo.flight_inputs import names_of
 from lodbench.harness.photo.many import TABLE_FILE
 from lodbench.harness.runs.stored import StoredRun
@@ -176,7 +176,7 @@ def _paths_of(folder: Path, answers: Sequence[_Answer], posed: Sequence[Path]) -
             raise DatasetError(
                 f"{folder} has {counts[answer.photo]} answers for {answer.photo}, and the photos that would "
                 "tell these apart are not where they were.",
-                "Localize each folder of photos into an own one, with --out.",
+                "Localize each folder of photos into an own one, with `--out`.",
             )
         paths.append(by_digest[answer.digest] if counts[answer.photo] > 1 else Path(answer.photo))
     return paths
@@ -196,7 +196,7 @@ def _one_crs(folder: Path, answers: Sequence[_Answer]) -> str | None:
             raise DatasetError(
                 f"{folder} has poses in {first.crs or 'a local frame'} ({first.photo}) and in "
                 f"{other.crs or 'a local frame'} ({other.photo}).",
-                "Localize photos of different cities into different folders, with --out.",
+                "Localize photos of different cities into different folders, with `--out`.",
             )
     return first.crs
 

@@ -13,7 +13,7 @@ from lodbench.datasets.query import Entry
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR
 from lodbench.extras import require
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.export.export import CITY, DATASET, Export
+from lodbench.harness.export.formats import CITY, DATASET, Export
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.photos.pictures import read_picture
 from lodbench.reporting.overlays import ESTIMATE_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR

@@ -1,7 +1,8 @@
-"""What a flight's photos are solved with: masks, pictures, poses in a reconstruction, and short names."""
+"""What photos are solved with: masks, pictures, rough poses and those of a reconstruction; what is unused."""
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,13 +14,17 @@ from numpy.typing import NDArray
 from lodbench.datasets.exchange.colmap import read_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.own import find_mask
+from lodbench.datasets.pose_files import brought, read_pose_file
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
 from lodbench.harness.photo.prepare import PreparedPhoto
+from lodbench.harness.photo.request import RoughPoses
 from lodbench.methods.flight.relative_poses import FEWEST_PHOTOS
-from lodbench.photos.files import PHOTO_SUFFIXES, copies_among
+from lodbench.photos.files import PHOTO_SUFFIXES, copies_among, mask_name
+from lodbench.photos.metadata import read_photo_metadata
 from lodbench.photos.pictures import encoded, read_picture
 from lodbench.photos.undistort import undistorted
+from lodbench.reporting.aligned_text import count_of
 from lodbench.segmentation import no_wider
 from lodbench.storage import write_bytes
 
@@ -155,3 +160,46 @@ def _scaled(pixels: NDArray[np.uint8], width: int, height: int) -> NDArray[np.ui
 
     resized_pixels = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
     return np.asarray(resized_pixels, dtype=np.uint8)
+
+
+def read_rough_poses(path: Path, photos: Sequence[Path], crs: str | None) -> RoughPoses:
+    """Returns the rough poses of photos.
+
+    Args:
+        path: Poses in any known format; those that declare a reference system are brought into the city's.
+        photos: The files.
+        crs: Of the city; None where nobody knows it.
+
+    Raises:
+        DatasetError: The file cannot be read, or has a pose of none of the photos.
+    """
+    names = {name for photo in photos for name in (photo.name, photo.stem)}
+    found, notes = brought(read_pose_file(path, "auto", names)[1], crs)
+    return RoughPoses(path, poses_by_photo(path, found, photos), notes)
+
+
+def saved_masks_note(photos: Sequence[Path]) -> str | None:
+    """Returns that masks saved beside photos are not used; None where there are none."""
+    saved = [mask for photo in photos if (mask := photo.with_name(mask_name(photo.stem))).is_file()]
+    if not saved:
+        return None
+    if len(photos) == 1:
+        return f"The mask beside the photo is not used; use it with --mask {shlex.quote(str(saved[0]))}."
+    folders = {mask.parent for mask in saved}
+    folder = shlex.quote(str(saved[0].parent)) if len(folders) == 1 else "DIR"
+    return f"Masks beside {len(saved)} of the photos are not used; use them with --masks {folder}."
+
+
+def heading_note(photos: Sequence[Path], heading_deg: float | None) -> str | None:
+    """Returns that a heading given takes the place of those which several photos state; None otherwise."""
+    if heading_deg is None or len(photos) < 2:
+        return None
+    stated = 0
+    for photo in photos:
+        try:
+            stated += read_photo_metadata(photo).gimbal_yaw_deg is not None
+        except DatasetError:  # the answer for that photo says so
+            continue
+    if not stated:
+        return None
+    return f"--heading {heading_deg:g} overrides the heading in the metadata of {count_of(stated, 'photos')}."

@@ -1,4 +1,4 @@
-"""Photos of flights over one city: told apart, localised jointly, and what was left out and why."""
+"""Photos of flights over one city: told apart, localised jointly, what was left out and why; their pages."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.datasets.query import Query
 from lodbench.errors import LodbenchError, QueryFault
+from lodbench.evaluation import PoseError
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
-from lodbench.harness.flights.map_findings import contradiction_features
+from lodbench.harness.map_findings import city_and_marks, contradiction_features
 from lodbench.harness.photo.flight_inputs import (
     masks_of,
     names_of,
@@ -25,7 +28,6 @@ from lodbench.harness.photo.flight_inputs import (
     tied_notes,
     with_small_mask,
 )
-from lodbench.harness.photo.flight_pages import page_of_photos
 from lodbench.harness.photo.localize import OpenMap, inputs_of, open_map, write_answer
 from lodbench.harness.photo.many import (
     FINDINGS_FILE,
@@ -46,9 +48,13 @@ from lodbench.methods.timed_localize import localize_flight
 from lodbench.photos.files import Flight, split_flights
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.notes import height_notes
+from lodbench.photos.pictures import read_picture
 from lodbench.reporting.aligned_text import count_of
-from lodbench.reporting.flight_words import PriorSource
+from lodbench.reporting.answers import reasons_for_doubt
+from lodbench.reporting.flight_words import PriorSource, chosen_for_pictures, flight_page, photo_on_page
 from lodbench.reporting.map_figure import Underlay
+from lodbench.reporting.overlays import jpeg_bytes
+from lodbench.reporting.page import Picture
 from lodbench.storage import random_stream, write_text
 from lodbench.storage.json_text import finite
 
@@ -232,3 +238,70 @@ def _write_findings(answers: Answers, scene: Scene, frame: MapFrame | None) -> N
             for feature in contradiction_features(scene, frame, flight.findings, flight.name)
         ]
         write_geojson(features, numbered(answers.folder / FINDINGS_FILE, answers.number))
+
+
+def page_of_photos(
+    flight: FlightAnswer,
+    names: Mapping[Path, str],
+    answers: Sequence[PhotoAnswer],
+    scene: Scene,
+    view: str = "",
+    imagery: Underlay | None = None,
+) -> str:
+    """Returns the page of a flight whose photos `lodbench localize` found.
+
+    Args:
+        flight: The flight.
+        names: Of all photos, by file.
+        answers: Of all photos.
+        scene: The map.
+        view: Address of all photos in three dimensions from this page; "" for none.
+        imagery: What lies under the map.
+    """
+    mine = [answer for answer in answers if answer.flight == flight.name]
+    placed = {names[answer.photo]: (answer, answer.found) for answer in mine if answer.found is not None}
+    photos = [
+        photo_on_page(
+            key,
+            (found.prior, found.pose, None),
+            found.covariance,
+            found.probability,
+            found.score,
+            answer.trust,
+            reasons_for_doubt(
+                answer.trust,
+                found.pose,
+                found.method_notes,
+                None if found.covariance is None else np.diag(found.covariance),
+                found.alternatives,
+                found.alternative_probabilities,
+            ),
+        )
+        for key, (answer, found) in placed.items()
+    ]
+    pictures = []
+    for key in chosen_for_pictures(list(placed)):
+        answer, found = placed[key]
+        drawn = read_picture(found.overlay)
+        if drawn is not None:
+            caption = _caption(key, answer.trust, found.moved)
+            pictures.append(Picture(jpeg_bytes(drawn), "jpeg", caption, "", key))
+    # Photos that are on no flight are on every flight's page: nobody knows which they belong to.
+    left_out = [(names[each.photo], each.failure) for each in answers if each.found is None]
+    title = f"{flight.name[0].upper()}{flight.name[1:]}: {count_of(len(photos), 'photos')}"
+    return flight_page(
+        title,
+        flight.taken,
+        flight.findings,
+        photos,
+        pictures,
+        left_out,
+        *city_and_marks(scene, flight.findings),
+        view,
+        imagery,
+        flight.source,
+    )
+
+
+def _caption(key: str, trust: str, moved: PoseError) -> str:
+    return f"{key}: moved {moved.translation_m:.2f} m, turned {moved.rotation_deg:.2f} deg; {trust}"

@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.exchange.geojson import nowhere_feature, write_geojson
-from lodbench.datasets.exchange.survey import SURVEY_COLUMNS, survey_row
 from lodbench.datasets.own import find_mask
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.execution import Progress
-from lodbench.harness.last_write import last_write
 from lodbench.harness.photo.localize import localize_photo
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
+from lodbench.harness.tracebacks import last_write
 from lodbench.photos.files import find_photos, require_photos
+from lodbench.photos.map_frame import SURVEY_COLUMNS, survey_row
 from lodbench.photos.pose import PoseNotStated
 from lodbench.reporting.answers import rounded_down
 from lodbench.reporting.flight_words import PriorSource, constants_in_words, map_in_words
@@ -164,14 +164,12 @@ def photos_of(paths: Sequence[Path], masks: Path | None = None, *others: Path | 
             raise DatasetError(f"{path} does not exist.", "Check the path.")
         for photo in find_photos(path, masks, *others):
             found.setdefault(photo.resolve(), photo)
-    outside = [path for whole, path in found.items() if masks is None or not _is_below(whole, masks)]
+    outside = [
+        path for whole, path in found.items() if masks is None or not whole.is_relative_to(masks.resolve())
+    ]
     photos = outside or list(found.values())
     require_photos(photos, paths[0])
     return photos
-
-
-def _is_below(path: Path, folder: Path) -> bool:
-    return path.is_relative_to(folder.resolve())
 
 
 def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path | None) -> Answers:
@@ -226,7 +224,7 @@ def write_answers(
     _write_table(written.table, answers)
     features = _features(answers)
     write_geojson(features, written.map)
-    from lodbench.datasets.exchange.geopackage import write_geopackage
+    from lodbench.datasets.exchange.geojson import write_geopackage
 
     write_geopackage(features, written.geopackage)
     return written

@@ -1,7 +1,9 @@
-"""What localising a photo leaves: a picture of mask and city over the photo, and a map of the cameras."""
+"""What localising photos leaves: overlays, a map of the cameras, a 3D page, XMP sidecars."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,16 +12,21 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.geojson import camera_feature, footprint_feature, view_feature
+from lodbench.datasets.exchange.photogrammetry import write_sidecar
+from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, Pose
+from lodbench.harness.city import open_city
+from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
 from lodbench.methods import Estimate
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.undistort import undistorted
 from lodbench.rendering import Renderer
-from lodbench.reporting.answers import rounded_down
+from lodbench.reporting.answers import percent_text, rounded_down
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
 from lodbench.reporting.table_columns import finite_text
-from lodbench.reporting.view3d import photo_jpeg
+from lodbench.reporting.view3d import MAX_PHOTOS, ViewedCamera, draw_view3d, photo_jpeg
 from lodbench.segmentation import binary_mask
+from lodbench.storage import can_write, write_text
 from lodbench.storage.json_text import finite
 
 # The ground is where the lowest corners of the city are, this near a camera; a few may be cellars.
@@ -100,3 +107,103 @@ def ground_below_m(scene: Scene, pose: Pose) -> float:
     near = np.hypot(vertices[:, 0] - center[0], vertices[:, 1] - center[1]) < _NEAR_M
     heights = vertices[near, 2] if near.any() else vertices[:, 2]
     return float(np.percentile(heights, _LOWEST_PERCENT)) + float(scene.origin[2])
+
+
+def write_view(
+    path: Path,
+    request: PhotoRequest,
+    found: Sequence[LocalizedPhoto],
+    pages: Mapping[str, str] | None = None,
+) -> None:
+    """Writes a page of city, photos, rough and found poses.
+
+    Args:
+        path: The page.
+        request: What was asked: its city.
+        found: The answers, one at least.
+        pages: Addresses of the pages that it leads to, by what they are called.
+    """
+    city = open_city(request.city, request.lod, request.options, request.roof_height)
+    origin = city.scene.origin
+    cameras = [
+        ViewedCamera(
+            key=each.photo,
+            facts=_facts(each),
+            camera=each.camera,
+            prior=each.prior.shifted(-origin),
+            estimate=each.pose.shifted(-origin),
+            truth=None,
+            photo=each.thumbnail if number < MAX_PHOTOS else None,
+        )
+        for number, each in enumerate(found)
+    ]
+    title = f"{len(found)} photo{'s' if len(found) > 1 else ''} over {request.city.name}"
+    write_text(path, draw_view3d(title, city.scene, cameras, pages))
+
+
+def _facts(found: LocalizedPhoto) -> dict[str, str]:
+    """Returns what is told of a photo, by name."""
+    facts = {"trust": found.trust}
+    if found.probability is not None:
+        facts["sure"] = percent_text(found.probability)
+    moved = f"{found.moved.translation_m:.2f} m, {found.moved.rotation_deg:.2f} deg"
+    return {**facts, "from the prior": moved, "score": finite_text(found.score, ".3f")}
+
+
+def frame_on_earth(crs: str | None) -> MapFrame:
+    """Returns the frame that sidecars are written in.
+
+    Raises:
+        DatasetError: Nobody knows where on Earth the city is.
+    """
+    if crs is None:
+        raise DatasetError("`--sidecars` need a city with a reference system.", "Name it with `--crs`.")
+    return MapFrame(crs)
+
+
+def require_sidecars(crs: str | None, folders: Iterable[Path]) -> None:
+    """Makes sure, before any work, that sidecars of photos in some folders can be written.
+
+    Raises:
+        DatasetError: A folder takes no files, or as ``frame_on_earth``.
+    """
+    frame_on_earth(crs)
+    for folder in folders:
+        if not can_write(folder):
+            raise DatasetError(
+                f"Nothing can be written beside the photos in {folder}.", "Leave `--sidecars` out."
+            )
+
+
+def write_sidecars(placed: Iterable[tuple[Path, Pose]], crs: str | None) -> str:
+    """Writes ``PHOTO.xmp`` beside each photo; returns a line that says how many, and which were left alone.
+
+    Of photos that differ in their ending alone, which would share one file, none gets any.
+
+    Args:
+        placed: Photos and their poses in the city's coordinates.
+        crs: Of these.
+
+    Raises:
+        DatasetError: Nobody knows where on Earth the city is.
+    """
+    frame, placed = frame_on_earth(crs), list(placed)
+    claims = Counter(photo.with_suffix(".xmp") for photo, _ in placed)
+    written, left = 0, []
+    for photo, pose in placed:
+        if claims[photo.with_suffix(".xmp")] == 1:
+            if write_sidecar(photo, pose, frame) is None:
+                left.append(photo.with_suffix(".xmp"))
+            else:
+                written += 1
+    shared = [path for path, count in claims.items() if count > 1]
+    return (
+        f"{written} written beside the photos"
+        + _listed("of other programs left alone", left)
+        + _listed("not written, which several photos would share", shared)
+    )
+
+
+def _listed(what: str, files: list[Path]) -> str:
+    names = ", ".join(file.name for file in files[:3]) + (", ..." if len(files) > 3 else "")
+    return f"; {len(files)} {what}: {names}" if files else ""

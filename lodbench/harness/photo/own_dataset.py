@@ -13,7 +13,6 @@ import numpy as np
 from lodbench import __version__
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.declared_crs import brought
 from lodbench.datasets.exchange.kapture import unposed_images
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.own import (
@@ -24,7 +23,7 @@ from lodbench.datasets.own import (
     write_dataset,
 )
 from lodbench.datasets.own_sources import LeftOut, images_from_photos, images_from_poses
-from lodbench.datasets.pose_files import read_pose_file
+from lodbench.datasets.pose_files import brought, read_pose_file
 from lodbench.datasets.pose_text import read_known_cameras
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
@@ -176,7 +175,7 @@ def _open_frame(request: OwnRequest) -> tuple[Scene | None, MapFrame | None]:
     if request.poses is None:
         raise DatasetError(
             f"{request.city.name} names no reference system, so GPS means nothing in it.",
-            "Name it with --crs.",
+            "Name it with `--crs`.",
         )
     return scene, None
 
@@ -203,13 +202,15 @@ def _images(
             left_out += [(name, "no pose in the kapture") for name in unposed_images(request.poses)]
         if not images:
             name, reason = left_out[0]
-            hint = "Give --cameras FILE or --camera 'MODEL W H ...'." if "camera" in reason else ""
+            hint = "Give `--cameras FILE` or `--camera 'MODEL W H ...'`." if "camera" in reason else ""
             if "no such photo" in reason:
-                hint = "--images is the folder of the posed photos."
+                hint = "`--images` is the folder of the posed photos."
             raise DatasetError(f"No image can be used; the first is {name}: {reason}.", hint)
         return images, left_out, kind, told
     if request.photos is None or frame is None:
-        raise ConfigError("There are no photos and no poses.", "Give --images DIR, --city FILE, or a model.")
+        raise ConfigError(
+            "There are no photos and no poses.", "Give `--images DIR`, `--city FILE`, or a model."
+        )
     images, left_out = images_from_photos(
         request.photos,
         frame,

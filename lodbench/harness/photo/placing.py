@@ -90,7 +90,7 @@ def place_photo(request: PlacesRequest) -> PlacedPhoto:
         raise DatasetError(
             f"{request.city.name} is in {scene.crs or 'no reference system'}, the photo was localised in "
             f"{localized.crs or 'none'}.",
-            "Give the --city, and the --crs, that it was localised with.",
+            "Give the `--city`, and the `--crs`, that it was localised with.",
         )
     frame = None if scene.crs is None else MapFrame(scene.crs)
     out = request.out or localized.file.with_name(f"{localized.file.stem}_places.geojson")
@@ -249,7 +249,7 @@ def _require_own(path: Path) -> None:
     except (OSError, ValueError, KeyError, TypeError):
         is_own = False
     if not is_own:
-        raise DatasetError(f"{path} is another file and would be written over.", "Name another: --out FILE")
+        raise DatasetError(f"{path} is another file and would be written over.", "Name another: `--out FILE`")
 
 
 def _notes(localized: Localized, orientation: int, frame: MapFrame | None) -> list[str]:

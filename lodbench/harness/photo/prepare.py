@@ -157,7 +157,7 @@ def pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDAr
         with told_as_fault(part, request.out, request.photo.name):
             probability = request.segmenter.segment(entry)
     else:
-        raise DatasetError("There is no mask of the buildings.", "Give --mask FILE: white is building.")
+        raise DatasetError("There is no mask of the buildings.", "Give `--mask FILE`: white is building.")
     return np.asarray(undistorted(check_mask(probability, camera), camera, pinhole))
 
 
@@ -171,7 +171,7 @@ def _prior(request: PhotoRequest, photo: PhotoMetadata, frame: MapFrame | None) 
     if frame is None:
         raise PoseNotStated(
             f"{request.city.name} names no reference system, so GPS means nothing in it.",
-            "Name it with --crs, or give --center EAST NORTH UP in the city's coordinates.",
-            f"Name it with --crs, or give {START_OF_EACH}.",
+            "Name it with `--crs`, or give `--center EAST NORTH UP` in the city's coordinates.",
+            f"Name it with `--crs`, or give {START_OF_EACH}.",
         )
     return pose_from_photo(photo, frame, request.heights, request.given)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -11,17 +12,65 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.pose_text import format_camera
-from lodbench.errors import DatasetError
+from lodbench.errors import DatasetError, require_within
 from lodbench.evaluation import PoseError
 from lodbench.geometry import Camera, CameraSigmas, Pose
-from lodbench.harness.requests import RoughRequest
 from lodbench.methods import Method
 from lodbench.photos.map_frame import Place
+from lodbench.photos.pose import HeightOptions, RoughPlace
 from lodbench.reporting.answers import UNTRUSTED, trust_word
+from lodbench.segmentation import Segmenter
 from lodbench.storage.json_text import finite
 
 _SIGMA_NAMES = ("x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CityRequest:
+    """A city model, how it is read, and how photos are laid on it.
+
+    Attributes:
+        city: City model.
+        out: Folder to write.
+        segmenter: Makes masks where there are none.
+        heights: How the drone's heights become the city's.
+        lod: Level of detail, or None for the lowest.
+        options: How to read the city.
+        roof_height: Rule by which an absent level 1 is derived, or None.
+    """
+
+    city: Path
+    out: Path
+    segmenter: Segmenter | None = None
+    heights: HeightOptions = field(default_factory=HeightOptions)
+    lod: str | None = None
+    options: ReadOptions = field(default_factory=ReadOptions)
+    roof_height: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoughRequest(CityRequest):
+    """Besides, what is known of a photo before what it states.
+
+    Attributes:
+        camera: Intrinsics of the photo as stored, lens distortion included.
+        camera_sigmas: How well these are known, None for exactly.
+        given: Rough place and angles.
+        center: Rough place in the city's coordinates (east, north, up, metres); goes before all others.
+
+    Raises:
+        ConfigError: A coordinate of ``center`` is not finite.
+    """
+
+    camera: Camera | None = None
+    camera_sigmas: CameraSigmas | None = None
+    given: RoughPlace = field(default_factory=RoughPlace)
+    center: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        require_within("--center", self.center, -math.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +95,7 @@ class RoughPoses:
         """
         if photo not in self.poses:
             raise DatasetError(
-                f"{self.source} has no pose of {photo.name}.", "--start needs one of each photo."
+                f"{self.source} has no pose of {photo.name}.", "`--start` needs one of each photo."
             )
         return self.poses[photo]
 

@@ -52,7 +52,7 @@ class RunnerParams:
     def __post_init__(self) -> None:
         require_choice("runner", self.name, (HERE, SUBPROCESS))
         if self.name == SUBPROCESS and not self.python:
-            raise ConfigError("runner=subprocess needs a Python.", "Set runner.python=PATH.")
+            raise ConfigError("runner=subprocess needs a Python.", "Set `runner.python=PATH`.")
         require_numbers(self, "runner", ("timeout_s", "prepare_timeout_s"), 0, 1e6, "(]")
 
 
@@ -129,7 +129,7 @@ class RemoteMethod:
         self._weights, self._prepares = about.weights, about.prepares
         if about.answers_flights:
             raise ConfigError(
-                f"method={self.name} answers whole flights, which go over no pipe.", "Leave out runner=."
+                f"method={self.name} answers whole flights, which go over no pipe.", "Leave out `runner=`."
             )
 
     def __getstate__(self) -> dict[str, Any]:

@@ -52,7 +52,7 @@ def fault_told(fault: LodbenchError) -> dict[str, str]:
     A method's own fault of a query is one here, too: as another it would end the run.
     """
     kind = next((kind.__name__ for kind in type(fault).mro() if FAULTS.get(kind.__name__) is kind), "")
-    return {"fault": fault.message, "hint": fault.hint, "kind": kind}
+    return {"fault": fault.message.marked, "hint": fault.hint.marked, "kind": kind}
 
 
 def fault_of(said: dict[str, Any]) -> LodbenchError:

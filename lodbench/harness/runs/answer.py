@@ -17,7 +17,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.query import Entry, Query
 from lodbench.errors import STOPPED, ConfigError, InputChanged, LodbenchError, QueryFault, WorkersGone
 from lodbench.evaluation.predictions import Prediction, encoded_mask
-from lodbench.execution.same_folder import staying_here
+from lodbench.execution.lock import staying_here
 from lodbench.geometry import Pose
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.tracebacks import keep_traceback, words_of

@@ -17,7 +17,7 @@ from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.prior_sources import prior_text
 from lodbench.evaluation.protocols import LODLOC, protocol_named
 from lodbench.evaluation.queries import queries_csv, summarize_queries
-from lodbench.execution.code_version import LIBRARIES
+from lodbench.execution.executor import LIBRARIES
 from lodbench.harness.runs.code_digest import words_in
 from lodbench.harness.runs.result import Result
 from lodbench.harness.runs.run import Run

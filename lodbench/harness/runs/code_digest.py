@@ -13,7 +13,7 @@ from urllib.parse import urlparse
 from urllib.request import url2pathname
 
 from lodbench.errors import ConfigError
-from lodbench.execution.code_version import own_digest
+from lodbench.execution.executor import own_digest
 from lodbench.plugins import KINDS, installed
 from lodbench.storage import digest_of, file_digest
 from lodbench.storage.digest import package_files

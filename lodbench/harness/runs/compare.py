@@ -1,20 +1,37 @@
-"""Whether two stored runs differ: tests over the queries that both were scored on."""
+"""Stored runs beside each other: tests of paired queries, a page of all, recall over poses drawn."""
 
 from __future__ import annotations
 
 import math
+import os
+from collections import Counter, defaultdict
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from lodbench.citymodel.lods import lod_in_words
 from lodbench.evaluation.errors import Apart, apart, pose_error
 from lodbench.evaluation.predictions import Prediction
-from lodbench.evaluation.queries import ERROR, has_truth, of_split
-from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, Threshold, hits_of
+from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, of_split
+from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, PROBABILITY_THRESHOLD, Threshold, hits_of
 from lodbench.evaluation.statistics import Agreement, Comparison, mcnemar, paired_medians
 from lodbench.geometry import Pose
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, open_predictions
 from lodbench.harness.runs.stored import StoredRun
+from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting.comparison import (
+    PAIRED_NOTE,
+    ErrorCurve,
+    agreement_text,
+    comparison_cells,
+    draw_comparison,
+)
+from lodbench.reporting.figures import BudgetPoint
+from lodbench.reporting.page import Picture, markup, rendered
+from lodbench.reporting.table_formats import format_html
+from lodbench.reporting.tables import RecallTable
 
 # A pose read back from text is off by rounding: 1e-9 m at coordinates of 5,000 km. A number that
 # matters to anybody is 1000 times coarser than this.
@@ -51,14 +68,9 @@ def changed_answers(stored: StoredRun) -> list[str]:
         lines += [
             f"{PREDICTIONS_FILE}: {key} has another {name} than queries.csv"
             for name in _SAID
-            if _is_told(stored, name) and not _is_equal(said[name], getattr(answer, name))
+            if bool(stored.queries[name].notna().any()) and not _is_equal(said[name], getattr(answer, name))
         ]
     return lines
-
-
-def _is_told(stored: StoredRun, name: str) -> bool:
-    """Tells whether any row has a number: rows of older versions do not have them all."""
-    return bool(stored.queries[name].notna().any())
 
 
 def _is_equal(told: float, stored: float | None) -> bool:
@@ -158,3 +170,172 @@ def agreement(first: StoredRun, second: StoredRun) -> Agreement | None:
     within = int(hits_of(errors, PROBABILITY_THRESHOLD).sum())
     medians = [*np.median(errors, axis=0), *np.median(parts, axis=0)]
     return Agreement(len(found), within, *map(float, medians))
+
+
+_LABEL = DEFAULT_THRESHOLDS[0].label
+Curves = dict[str, list[BudgetPoint]]
+
+
+def budget_panels(runs: Sequence[StoredRun]) -> dict[str, Curves]:
+    """Returns points by panel and by method: a panel for each split of a dataset at a tilt.
+
+    Runs of a method are one line, fewest poses first; but those whose settings in words differ
+    (``features=hog``, ``features=xfeat``), or their segmenter, level of detail, priors or the ``settings`` of
+    their data, where summaries have them, are lines of their own, named so. Where runs differ in their number
+    of queries, names say it. A split without a truth has no recall, and no point.
+    """
+    worded = _differing_words(runs)
+    versions = {(run.summary["dataset"]["name"], run.summary["dataset"]["version"]) for run in runs}
+    counted = len({_counts(run) for run in runs}) > 1
+    panels: dict[str, Curves] = defaultdict(lambda: defaultdict(list))
+    for run in runs:
+        summary = run.summary
+        method, dataset = summary["method"]["name"], summary["dataset"]["name"]
+        words = [value for key, value in _words(summary).items() if key in worded[method]]
+        if len([name for name, _ in versions if name == dataset]) > 1:
+            dataset = f"{dataset} ({summary['dataset']['version']})"
+        for split, numbers in summary["splits"].items():
+            if numbers["recall"].get(_LABEL) is None:
+                continue
+            count = f"({count_of(numbers['num_queries'], 'queries')})" if counted else ""
+            name = " ".join(str(word) for word in (method, *words, count) if word)
+            panels[f"{dataset}, {split}, tilt={summary['protocol']['tilt']}"][name].append(_point(numbers))
+    return {
+        title: {name: sorted(points) for name, points in curves.items()} for title, curves in panels.items()
+    }
+
+
+def _point(numbers: dict[str, Any]) -> BudgetPoint:
+    return BudgetPoint(
+        float(numbers["hypotheses_per_query"] or 0.0),
+        float(numbers["recall"][_LABEL]),
+        *map(float, numbers["recall_interval_95"][_LABEL]),
+    )
+
+
+def _counts(run: StoredRun) -> tuple[int, ...]:
+    return tuple(numbers["num_queries"] for numbers in run.summary["splits"].values())
+
+
+def _words(summary: dict[str, Any]) -> dict[str, str | None]:
+    """Returns what may tell lines of one method apart: settings that are words, or none, and the protocol."""
+    params, protocol = summary["method"].get("params", {}).items(), summary["protocol"]
+    lod, drawn = protocol.get("lod"), protocol.get("prior", "file")
+    # A level of detail is named above, numbers of queries where they differ.
+    settings = {k: v for k, v in summary.get("settings", {}).items() if k not in ("lod", "limit")}
+    return {
+        **{key: value for key, value in params if value is None or isinstance(value, str)},
+        "protocol.segmenter": str(protocol["segmenter"]),
+        "protocol.lod": lod_in_words(str(lod)) if lod else None,
+        "protocol.prior": None if drawn == "file" else f"priors {drawn}",
+        **{f"data.{key}": None if value is None else f"{key}={value}" for key, value in settings.items()},
+    }
+
+
+def _differing_words(runs: Sequence[StoredRun]) -> dict[str, set[str]]:
+    """Returns by method what is words, or none, and that its runs do not agree on."""
+    values: dict[str, dict[str, set[str | None]]] = defaultdict(lambda: defaultdict(set))
+    for run in runs:
+        for key, value in _words(run.summary).items():
+            values[run.summary["method"]["name"]][key].add(value)
+    return {
+        name: {key for key, found in settings.items() if len(found) > 1} for name, settings in values.items()
+    }
+
+
+def comparison_page(
+    runs: Sequence[StoredRun],
+    names: Sequence[str],
+    tables: Sequence[RecallTable],
+    thresholds: Sequence[Threshold],
+    beside: Path,
+    photos: str,
+    no_photos: str,
+) -> str:
+    """Returns the page.
+
+    Args:
+        runs: The runs.
+        names: Of each.
+        tables: Of those that have a truth.
+        thresholds: Where to test recall.
+        beside: Folder of the page: links to the runs' pages start there.
+        photos: The part that shows two runs photo by photo (``photo_pairs_of``); "" for none.
+        no_photos: Why there is none; "" for nothing to say.
+    """
+    scored = [(run, name) for run, name in zip(runs, names, strict=True) if has_truth(run.queries).any()]
+    pictures = [
+        Picture(draw_comparison(_curves(found, split))["svg"], "svg+xml", _caption(split, of), "chart")
+        for (split, of), found in _charts(scored).items()
+    ]
+    pairs = []
+    for run, name in zip(runs[1:], names[1:], strict=True):
+        reason = require_same_queries(runs[0], run)
+        tests: list[Comparison] = [] if reason else paired_comparison(runs[0], run, thresholds)
+        together = agreement(runs[0], run)
+        pairs.append(
+            (
+                f"{name} against {names[0]}",
+                reason,
+                comparison_cells(tests, (names[0], name)),
+                agreement_text(together),
+            )
+        )
+    return rendered(
+        "compare.html.jinja",
+        runs=[
+            (name, str(run.folder), _link(run.folder, beside)) for run, name in zip(runs, names, strict=True)
+        ],
+        tables=[markup(format_html(table)) for table in tables],
+        pictures=pictures,
+        pairs=pairs,
+        note=PAIRED_NOTE if any(not reason for _, reason, _, _ in pairs) else "",
+        photos=markup(photos),
+        no_photos=no_photos,
+    )
+
+
+def _charts(scored: Sequence[tuple[StoredRun, str]]) -> dict[tuple[str, str], list[tuple[StoredRun, str]]]:
+    """Returns the runs of each chart, by split and by what tells it from other charts of that split.
+
+    Only errors of the same queries are drawn together.
+    """
+    groups: dict[tuple[str, str, frozenset[Any]], list[tuple[StoredRun, str]]] = {}
+    for run, name in scored:
+        dataset = run.summary["dataset"]
+        words = f"{dataset['name']} ({dataset['version']})" if dataset["version"] else dataset["name"]
+        for split in run.summary["splits"]:
+            if keys := frozenset(of_split(run.queries, split).index):
+                groups.setdefault((split, words, keys), []).append((run, name))
+    per_split = Counter(split for split, _, _ in groups)
+    charts: dict[tuple[str, str], list[tuple[StoredRun, str]]] = {}
+    for number, ((split, words, keys), found) in enumerate(groups.items(), start=1):
+        of = f"{words}, {count_of(len(keys), 'queries')}" if per_split[split] > 1 else ""
+        charts[split, f"{of}, chart {number}" if (split, of) in charts else of] = found
+    return charts
+
+
+def _curves(scored: Sequence[tuple[StoredRun, str]], split: str) -> list[ErrorCurve]:
+    """Returns the errors of each run in a split, and of the priors where all started from the same."""
+    curves, priors = [], []
+    for run, name in scored:
+        mine = of_split(run.queries, split)
+        curves.append(ErrorCurve(name, mine[list(ERROR)].to_numpy()))
+        priors.append(mine[list(PRIOR_ERROR)].to_numpy())
+    if all(prior.shape == priors[0].shape and (prior == priors[0]).all() for prior in priors):
+        curves.append(ErrorCurve("prior", priors[0]))
+    return curves
+
+
+def _caption(split: str, of: str) -> str:
+    name = f"{split} of {of}" if of else split
+    return (
+        f"{name}: recall over a threshold of as many metres as degrees; share of queries below an error in "
+        "place and in direction. A failed query is never below."
+    )
+
+
+def _link(folder: Path, beside: Path) -> str:
+    """Returns where a run's own page is from here; "" if it has none yet."""
+    page = folder / "report.html"
+    return Path(os.path.relpath(page.resolve(), beside.resolve())).as_posix() if page.is_file() else ""

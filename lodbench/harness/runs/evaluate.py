@@ -8,14 +8,11 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from lodbench.datasets.declared_crs import brought
-from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import select_splits
-from lodbench.datasets.pose_files import read_pose_file
+from lodbench.datasets.pose_files import brought, read_pose_file
 from lodbench.datasets.query import Dataset
-from lodbench.evaluation.evaluate import evaluate
 from lodbench.evaluation.pose_matching import match_poses, suspect_convention
-from lodbench.evaluation.predictions import Prediction, pose_numbers
+from lodbench.evaluation.predictions import Prediction, evaluate, pose_numbers
 from lodbench.evaluation.protocols import protocol_named
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
@@ -63,7 +60,7 @@ def evaluate_poses(dataset: Dataset, settings: EvaluateSettings) -> Result:
     Raises:
         LodbenchError: A fault of the file, the dataset or the settings; nothing is scored then.
     """
-    name = _method_name(settings)
+    name = path_name("method", settings.method_name or re.sub(r"[^\w.+-]+", "_", settings.poses.stem))
     require_choices(settings.tilt, settings.limit)
     splits = select_splits(dataset, settings.splits)
     entries = chosen_entries(dataset, splits, settings.limit)
@@ -74,7 +71,10 @@ def evaluate_poses(dataset: Dataset, settings: EvaluateSettings) -> Result:
     matched = match_poses(found, dataset.entries, kind)
     suspicion = suspect_convention(matched.poses, _references(dataset), kind != "c2w")
     notes = moved + matched.notes + ((suspicion,) if suspicion else ())
-    inputs = {"queries": queries_digest(dataset, entries), "poses": _poses_digest(found)}
+    inputs = {
+        "queries": queries_digest(dataset, entries),
+        "poses": digest_of([[pose.name, pose_numbers(pose.pose)] for pose in found]),
+    }
     config = {
         **settings.config,
         "method": {"name": name, "variant": "", "format": kind, "notes": list(notes)},
@@ -115,18 +115,10 @@ def draw_scored(result: Result, segmenter: Segmenter, tilt: str) -> list[Path]:
     return write_overlays(result, preparation, renderer)
 
 
-def _method_name(settings: EvaluateSettings) -> str:
-    return path_name("method", settings.method_name or re.sub(r"[^\w.+-]+", "_", settings.poses.stem))
-
-
 def _references(dataset: Dataset) -> dict[str, Pose]:
     """Returns where the poses should about be: at the truth, or else at the prior."""
     priors = {entry.key: entry.prior for entry in dataset.entries if entry.prior is not None}
     return {**priors, **dataset.truth}
-
-
-def _poses_digest(found: list[FoundPose]) -> str:
-    return digest_of([[pose.name, pose_numbers(pose.pose)] for pose in found])
 
 
 def _prediction(pose: Pose | None) -> Prediction:

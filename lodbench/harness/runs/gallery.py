@@ -1,4 +1,4 @@
-"""The overlays of scored poses: the worst and the best queries."""
+"""Pictures of scored queries: overlays of the worst and the best, and those of a run's page."""
 
 from __future__ import annotations
 
@@ -11,17 +11,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Entry
 from lodbench.errors import STOPPED
 from lodbench.evaluation.predictions import Prediction
-from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, is_answered
-from lodbench.execution.same_folder import staying_here
+from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, is_answered, own_failure
+from lodbench.execution import Progress
+from lodbench.execution.lock import staying_here
+from lodbench.geometry import Pose
 from lodbench.harness.runs.predict import PREDICTIONS_FILE
-from lodbench.harness.runs.prepare import Preparation
+from lodbench.harness.runs.prepare import Preparation, prior_of
 from lodbench.harness.runs.result import Result
+from lodbench.harness.runs.verify import Verdict
 from lodbench.plugins import blaming
-from lodbench.rendering import Renderer
-from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
+from lodbench.rendering import Renderer, make_renderer
+from lodbench.reporting.answers import percent_text, trust_of, why_of
+from lodbench.reporting.overlays import OverlayInput, draw_overlay, jpeg_bytes, write_picture
+from lodbench.reporting.page import Picture
 from lodbench.segmentation import Segmenter, binary_mask, check_mask
 from lodbench.storage import make_folder, remove_leftovers
 from lodbench.storage.disk import disk
@@ -168,3 +174,75 @@ def _caption(row: pd.Series[Any], is_answered: bool) -> str:
     return (
         f"{row.name}: {metres:.2f} m, {degrees:.2f} deg{score} (prior {prior_m:.1f} m, {prior_deg:.1f} deg)"
     )
+
+
+# Of more queries than this the page shows the worst and the best, half of it each: a picture has 60 kB.
+MAX_PICTURES = 240
+
+
+def query_pictures(verdict: Verdict, scene: Scene, tilt: str) -> list[Picture]:
+    """Returns a picture of each query, the worst first; of a large run those at both ends."""
+    queries = _ordered(verdict.stored.queries)
+    if len(queries) > MAX_PICTURES:
+        half = MAX_PICTURES // 2
+        queries = queries.iloc[[*range(half), *range(len(queries) - half, len(queries))]]
+    entries = {entry.key: entry for entry in verdict.entries}
+    renderer = make_renderer("silhouette", scene)
+    pictures = []
+    with Progress("pictures", len(queries)) as progress:
+        for key in queries.index:
+            entry = entries.get(str(key))
+            picture = None if entry is None else picture_of(verdict, renderer, tilt, entry)
+            pictures += [] if picture is None else [picture]
+            progress.advance()
+    return pictures
+
+
+def picture_of(verdict: Verdict, renderer: Renderer, tilt: str, entry: Entry) -> Picture | None:
+    """Returns the picture of a query; None where its camera cannot be drawn, which is its own fault."""
+    if entry.camera is None or entry.camera.distortion:
+        return None
+    drawn = draw_overlay(_shown_picture(verdict, renderer.scene, tilt, entry), renderer)
+    row = verdict.stored.queries.loc[[entry.key]].iloc[0]
+    return Picture(jpeg_bytes(drawn), "jpeg", _place_caption(verdict, row), "", entry.key)
+
+
+def _ordered(queries: pd.DataFrame) -> pd.DataFrame:
+    """Returns the queries, worst first: by error where there is a truth, else by probability or score."""
+    if has_truth(queries).any():
+        return queries.sort_values([*ERROR, "query"], ascending=[False, False, True], na_position="last")
+    by = "probability" if queries["probability"].notna().any() else "score"
+    return queries.sort_values([by, "query"], na_position="first")
+
+
+def _shown_picture(verdict: Verdict, scene: Scene, tilt: str, entry: Entry) -> OverlayInput:
+    assert verdict.dataset is not None  # noqa: S101 - there are entries
+    assert entry.camera is not None  # noqa: S101 - the caller has looked
+    found = verdict.stored.predictions.get(entry.key)
+
+    def local(pose: Pose | None) -> Pose | None:
+        return None if pose is None else pose.shifted(-np.asarray(scene.origin))
+
+    return OverlayInput(
+        camera=entry.camera,
+        mask=None if found is None else found.mask,
+        image=entry.image,
+        prior=local(prior_of(entry, verdict.dataset, tilt)),
+        estimate=local(verdict.stored.poses.get(entry.key)),
+        truth=local(verdict.dataset.truth.get(entry.key)),
+        caption=entry.key,
+    )
+
+
+def _place_caption(verdict: Verdict, row: pd.Series[Any]) -> str:
+    found = verdict.stored.predictions.get(str(row.name))
+    if found is None or found.pose is None:
+        return f"{row.name}: {own_failure(row['failure'])}"
+    metres, degrees = row[list(ERROR)]
+    words = [] if math.isnan(metres) else [f"{metres:.2f} m, {degrees:.2f} deg"]
+    words += [] if math.isnan(row["score"]) else [f"score {row['score']:.3f}"]
+    if found.probability is not None:
+        words.append(f"probability {percent_text(found.probability)}")
+    if trust_of(found) != "-":
+        words.append(trust_of(found))
+    return f"{row.name}: {'; '.join([', '.join(words), *why_of(found)])}"

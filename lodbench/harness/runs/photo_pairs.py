@@ -22,9 +22,9 @@ from lodbench.evaluation.queries import ERROR
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.runs.compare import answers_apart
+from lodbench.harness.runs.gallery import MAX_PICTURES
 from lodbench.harness.runs.places import city_of
 from lodbench.harness.runs.prepare import prior_of
-from lodbench.harness.runs.query_pictures import MAX_PICTURES
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.reporting.answers import trust_of
@@ -309,6 +309,6 @@ def read_tags(file: Path, dataset: Mapping[str, Any]) -> dict[str, list[str]]:
     if of != shown:
         raise DatasetError(
             f"{file} holds tags of the dataset {of}, and the runs are of {shown}.",
-            "Write the page under another name with --out, or move the file away.",
+            "Write the page under another name with `--out`, or move the file away.",
         )
     return tags

@@ -1,27 +1,44 @@
-"""Where a run's cameras are: on the map of its page, and in three dimensions."""
+"""Where a run's cameras are: on maps, in three dimensions, as a surveyor's table; pages of its flights."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
+from lodbench.datasets.exchange.posed import read_json
 from lodbench.datasets.query import Dataset, Entry
-from lodbench.errors import LodbenchError
+from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, own_failure
 from lodbench.geometry import Pose
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+from lodbench.harness.map_findings import city_and_marks
+from lodbench.harness.runs.answer import FLIGHTS_FOLDER, flight_name
+from lodbench.harness.runs.gallery import picture_of
 from lodbench.harness.runs.prepare import prior_of
+from lodbench.harness.runs.stored import StoredRun
 from lodbench.harness.runs.verify import Verdict
+from lodbench.photos.map_frame import SURVEY_COLUMNS, MapFrame, survey_row
 from lodbench.photos.pictures import read_picture
-from lodbench.reporting.answers import percent_text, trust_of
-from lodbench.reporting.doubts import why_of
+from lodbench.rendering import make_renderer
+from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting.answers import percent_text, rounded_down, trust_of, why_of
+from lodbench.reporting.flight_words import (
+    PhotoOnPage,
+    chosen_for_pictures,
+    constants_in_words,
+    flight_page,
+    map_in_words,
+    photo_on_page,
+)
 from lodbench.reporting.map_figure import Spot, Underlay, draw_map
 from lodbench.reporting.view3d import MAX_PHOTOS, ViewedCamera, draw_view3d, photo_jpeg
+from lodbench.storage import hide_formula
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -129,3 +146,142 @@ def _facts(verdict: Verdict, key: str) -> dict[str, str]:
 def _error(row: pd.Series[Any], columns: tuple[str, ...]) -> str:
     metres, degrees = (float(row[name]) for name in columns)
     return f"{metres:.2f} m, {degrees:.2f} deg" if math.isfinite(metres) else ""
+
+
+_COLUMNS = ("photo", "split", *SURVEY_COLUMNS, "probability", "trust", "crs", "failure")
+
+
+def survey_table(run: StoredRun, crs: str | None) -> pd.DataFrame:
+    """Returns a row per query, by ``split/query``: ``photo``, ``split``, ``SURVEY_COLUMNS`` and more.
+
+    Args:
+        run: The run.
+        crs: Reference system of its poses; None, or one that is none of a map, leaves latitude and longitude
+            empty, and headings count from the y axis.
+
+    ``probability`` is that of being within 2 m and 2 degrees, ``trust`` a word for it, ``failure`` why there
+    is no pose.
+    """
+    import pandas as pd
+
+    frame = None
+    with suppress(LodbenchError):
+        frame = None if crs is None else MapFrame(crs)
+    rows = []
+    for key, query in run.queries.iterrows():
+        found, pose = run.predictions[str(key)], run.poses.get(str(key))
+        row = dict.fromkeys(_COLUMNS) | {"photo": query["query"], "split": query["split"]}
+        if pose is not None:
+            row |= survey_row(pose, None if frame is None else frame.place_of(pose), found.covariance)
+        probability = None if found.probability is None else rounded_down(found.probability, 4)
+        row |= {"probability": probability, "trust": trust_of(found), "crs": crs}
+        rows.append(row | {"failure": own_failure(query["failure"])})
+    numbers = dict.fromkeys((*SURVEY_COLUMNS, "probability"), float)
+    return pd.DataFrame(rows, index=run.queries.index, columns=list(_COLUMNS)).astype(numbers)
+
+
+def survey_csv(run: StoredRun, crs: str | None) -> str:
+    """Returns ``survey_table`` as CSV; no text is a formula to a spreadsheet."""
+    table = survey_table(run, crs)
+    for name in ("photo", "split", "failure"):
+        table[name] = table[name].map(hide_formula)
+    return str(table.to_csv(index=False, lineterminator="\n"))
+
+
+Floats = NDArray[np.float64]
+
+
+def pages_of_run(
+    verdict: Verdict, scene: Scene, tilt: str, view: str = "", imagery: Underlay | None = None
+) -> dict[str, str]:
+    """Returns the pages of a run's flights, by the name of the file of what each says.
+
+    Args:
+        verdict: The run.
+        scene: Its city.
+        tilt: Which prior it had.
+        view: Address of the run in three dimensions from these pages; "" for none.
+        imagery: What lies under the maps.
+    """
+    found = flight_findings(verdict)
+    return {
+        name: _page_of_sequence(verdict, scene, tilt, name, said, view, imagery)
+        for name, said in found.items()
+    }
+
+
+def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
+    """Returns what each flight of a run says, by the name of its file.
+
+    Raises:
+        DatasetError: A file is not a JSON object, or says something else.
+    """
+    found = {}
+    for file in sorted((verdict.stored.folder / FLIGHTS_FOLDER).glob("*.json")):
+        said = found[file.stem] = read_json(file)
+        try:
+            constants_in_words(said.get("constants", {})), map_in_words(said)
+            len(said.get("lost", [])), dict(said.get("reasons", {})), list(said.get("notes", []))
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            raise DatasetError(
+                f"{file} has no constants, buildings and changes as of `method=flight` ({error!r}).",
+                "Run the method again.",
+            ) from error
+    return found
+
+
+def _page_of_sequence(
+    verdict: Verdict,
+    scene: Scene,
+    tilt: str,
+    name: str,
+    findings: Mapping[str, Any],
+    view: str,
+    imagery: Underlay | None,
+) -> str:
+    dataset, stored = verdict.dataset, verdict.stored
+    assert dataset is not None  # noqa: S101 - the caller has opened it
+    entries = [e for e in verdict.entries if flight_name(e) == name]
+    photos: list[PhotoOnPage] = []
+    left_out: list[tuple[str, str]] = []
+    for entry in entries:
+        found = stored.predictions.get(entry.key)
+        if found is None or found.pose is None:
+            left_out.append((entry.name, "not asked" if found is None else found.failure))
+            continue
+        poses = prior_of(entry, dataset, tilt), found.pose, dataset.truth.get(entry.key)
+        spread = _full(found.covariance)
+        photos.append(
+            photo_on_page(
+                entry.name, poses, spread, found.probability, found.score, trust_of(found), why_of(found)
+            )
+        )
+    chosen = set(chosen_for_pictures([photo.spot.key for photo in photos]))
+    renderer = make_renderer("silhouette", scene)
+    pictures = [
+        picture._replace(key=entry.name)
+        for entry in entries
+        if entry.name in chosen and (picture := picture_of(verdict, renderer, tilt, entry)) is not None
+    ]
+    lines = [f"{dataset.name} {dataset.version}".strip(), f"run {stored.folder.resolve().name}"]
+    return flight_page(
+        f"{name}: {count_of(len(photos), 'photos')}",
+        lines,
+        findings,
+        photos,
+        pictures,
+        left_out,
+        *city_and_marks(scene, findings),
+        view,
+        imagery,
+        "poses",
+    )
+
+
+def _full(upper: Sequence[float]) -> Floats | None:
+    """Returns the (6, 6) covariance of its upper triangle's 21 numbers; None for none."""
+    if not upper:
+        return None
+    matrix = np.zeros((6, 6))
+    matrix[np.triu_indices(6)] = upper
+    return np.asarray(matrix + np.triu(matrix, 1).T)

@@ -18,13 +18,18 @@ from lodbench.datasets.query import Dataset, Entry, Reference
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.predictions import Prediction
 from lodbench.execution import Ledger, Progress
-from lodbench.execution.code_version import require_code_version
-from lodbench.execution.executor import QUERIES, SERIAL, ExecutorParams, Workers, open_workers
+from lodbench.execution.executor import (
+    QUERIES,
+    SERIAL,
+    ExecutorParams,
+    Workers,
+    open_workers,
+    require_code_version,
+)
 from lodbench.geometry import Camera
 from lodbench.harness.city import city_digests, open_city
 from lodbench.harness.runs.answer import Asked, answer
-from lodbench.harness.runs.method_inputs import prepare_method
-from lodbench.harness.runs.prepare import Preparation
+from lodbench.harness.runs.prepare import Preparation, prepare_method
 from lodbench.methods import Method
 from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
 from lodbench.plugins import blaming

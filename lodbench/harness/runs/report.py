@@ -12,22 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.scene import Scene
 from lodbench.evaluation import pose_error
-from lodbench.evaluation.calibration import calibrate
+from lodbench.evaluation.metrics import calibrate
 from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, has_truth, of_split, own_failure
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
-from lodbench.harness.runs.flight_pages import flight_findings
-from lodbench.harness.runs.gallery import chosen_queries
-from lodbench.harness.runs.places import draw_places
+from lodbench.harness.runs.gallery import chosen_queries, query_pictures
+from lodbench.harness.runs.places import draw_places, flight_findings, survey_table
 from lodbench.harness.runs.predict import open_predictions
 from lodbench.harness.runs.prepare import prior_of
-from lodbench.harness.runs.query_pictures import query_pictures
-from lodbench.harness.runs.survey import survey_table
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.aligned_text import count_of
-from lodbench.reporting.answers import probability_text, trust_counts, trust_of, untrusted_note
-from lodbench.reporting.calibration_figures import draw_calibration
-from lodbench.reporting.doubts import NATS, why_of
+from lodbench.reporting.answers import NATS, probability_text, trust_counts, trust_of, untrusted_note, why_of
+from lodbench.reporting.figures import draw_calibration
 from lodbench.reporting.flight_words import constants_in_words, map_in_words
 from lodbench.reporting.map_figure import Underlay
 from lodbench.reporting.page import Picture, facts, markup, rendered

@@ -14,25 +14,27 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.mesh.texture_files import open_textured_map
 from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
+from lodbench.datasets.faults import require_direction
 from lodbench.datasets.folder import select_splits
-from lodbench.datasets.inputs import Input
-from lodbench.datasets.pose_direction import require_direction
+from lodbench.datasets.inputs import Input, with_inputs
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
-from lodbench.datasets.references import with_inputs
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.evaluation.evaluate import evaluate
-from lodbench.evaluation.predictions import Prediction
+from lodbench.evaluation.predictions import Prediction, evaluate
 from lodbench.evaluation.protocols import protocol_named
-from lodbench.execution.code_version import own_digest
-from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams
+from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams, own_digest
 from lodbench.execution.fan_out import expect_workers
 from lodbench.execution.lock import only_one_in
 from lodbench.harness.city import city_digests, open_city
 from lodbench.harness.runs.code_digest import code_digest, words_in
-from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
-from lodbench.harness.runs.prepare import Preparation, require_choices, require_tilt
+from lodbench.harness.runs.prepare import (
+    Preparation,
+    method_inputs,
+    prepare_method,
+    require_choices,
+    require_tilt,
+)
 from lodbench.harness.runs.requirements import (
     doubts_of,
     is_oracle,
@@ -45,13 +47,7 @@ from lodbench.harness.runs.requirements import (
     required_inputs,
     tell_flights,
 )
-from lodbench.harness.runs.result import (
-    Result,
-    chosen_entries,
-    flights_digest,
-    queries_digest,
-    truth_digest,
-)
+from lodbench.harness.runs.result import Result, chosen_entries, flights_digest, queries_digest, truth_digest
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsFlights
@@ -297,7 +293,7 @@ def require_writable(folder: Path) -> None:
         ConfigError: It cannot.
     """
     if not can_write(folder):
-        raise ConfigError(f"Run folders cannot be made in {folder}.", "Set paths.runs=FOLDER.")
+        raise ConfigError(f"Run folders cannot be made in {folder}.", "Set `paths.runs=FOLDER`.")
 
 
 def _remove_unused(folder: Path) -> None:

@@ -139,13 +139,13 @@ def require_writable(
     if out is None:
         return
     if not may_be_folder and (out.is_dir() or not out.name):
-        raise ConfigError(f"--out {str(out)!r} is a folder.", "Name a file with --out.")
+        raise ConfigError(f"`--out {str(out)!r}` is a folder.", "Name a file with `--out`.")
     if out.name in _OWN_FILES and out.resolve().parent in [folder.resolve() for folder in folders]:
-        raise ConfigError(f"{out} is what the run itself wrote.", "Name another file with --out.")
+        raise ConfigError(f"{out} is what the run itself wrote.", "Name another file with `--out`.")
     if endings and out.exists() and out.suffix.lower() not in endings:
         raise ConfigError(
             f"{out} is there already, and is none of {', '.join(filter(None, endings))}.",
-            "Name another file with --out.",
+            "Name another file with `--out`.",
         )
 
 

@@ -20,7 +20,7 @@ from lodbench.datasets.folder import select_splits
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
-from lodbench.evaluation.evaluate import evaluate
+from lodbench.evaluation.predictions import evaluate
 from lodbench.evaluation.protocols import LODLOC, protocol_named
 from lodbench.evaluation.queries import ERROR, NO_TRUTH, PARTS, PRIOR_ERROR, has_truth, is_without_truth
 from lodbench.geometry import wrap_deg

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from shapely import Polygon
 
 from lodbench.errors import DatasetError
-from lodbench.harness.tracing.tracing import Traced
-from lodbench.harness.tracing.views import View, triangulated
+from lodbench.harness.tracing.tracing import Traced, View, triangulated
 
 Floats = NDArray[np.float64]
 

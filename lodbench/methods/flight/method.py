@@ -219,7 +219,7 @@ class FlightMethod:
             raise ConfigError(
                 f"method.relative_poses=reconstruction, and {known} of {len(queries)} photos of the flight "
                 f"of {queries[0].name} are in a reconstruction.",
-                "Set method.relative_poses=auto, or give the flight's COLMAP model (docs/flights.md).",
+                "Set `method.relative_poses=auto`, or give the flight's COLMAP model (docs/flights.md).",
             )
 
     def _finished(

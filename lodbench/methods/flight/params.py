@@ -117,7 +117,7 @@ class FlightParams:
                 near = nearest_names(getattr(self, name), known)
                 raise ConfigError(f"method.{name}={getattr(self, name)} is not known.", near)
         if self.steps < 1 or self.votes < 1:
-            raise ConfigError("method.steps and method.votes are at least 1.")
+            raise ConfigError("`method.steps` and `method.votes` are at least 1.")
         if not 0 <= self.restarts <= 4:
             raise ConfigError(f"method.restarts lies within 0 and 4, not {self.restarts}.")
 

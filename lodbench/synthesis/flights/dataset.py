@@ -84,10 +84,10 @@ class FlightsParams:
         require_within("dataset.focal", self.focal, 0, 0.2)
         require_within("dataset.distortion", self.distortion, -0.3, 0.3)
         if self.reconstruct and self.look is None:
-            raise ConfigError("dataset.reconstruct=true needs photos.", "Set dataset.look=plain.")
+            raise ConfigError("dataset.reconstruct=true needs photos.", "Set `dataset.look=plain`.")
         require_within("dataset.photo_width", self.photo_width, FINE_SIZE[0], RGB_CAMERA.width, "[]")
         if self.look is not None and self.distortion != 0:
-            raise ConfigError("dataset.look draws photos without distortion.", "Set dataset.distortion=0.")
+            raise ConfigError("dataset.look draws photos without distortion.", "Set `dataset.distortion=0`.")
         errors = ("shared_m", "own_m", "shared_height_m", "shared_tilt_deg", "own_tilt_deg")
         require_numbers(self, "dataset", (*errors, "shared_yaw_deg", "own_yaw_deg"), 0)
         require_numbers(self, "dataset", ("wrong_heights", "missing", "extra"), 0, 0.5)
@@ -118,7 +118,7 @@ def open_flights(params: FlightsParams) -> Dataset:
     """
     city = Path(params.city_model).expanduser()
     if not city.exists():
-        raise DatasetError(f"The city model {city} does not exist.", "Set city=FILE.")
+        raise DatasetError(f"The city model {city} does not exist.", "Set `city=FILE`.")
     if city.name == _MAP_FOLDER and (city.parent / MAP_TRUTH_FILE).is_file():
         # A run that is opened again names the wrong map it was given: its flights lie around it.
         return _opened(params, city.parent)
@@ -225,7 +225,7 @@ def _poses(
             return seen[first : first + wanted]
     raise DatasetError(
         f"No {kind} flight of {wanted} photos that all show buildings was found.",
-        "Set dataset.path=orbit, or fewer dataset.num_photos.",
+        "Set `dataset.path=orbit`, or fewer `dataset.num_photos`.",
     )
 
 

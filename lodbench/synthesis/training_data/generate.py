@@ -27,8 +27,14 @@ from lodbench.datasets.folder import RENDERED_TRUTH_FILE, write_poses
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
-from lodbench.execution.code_version import own_digest, require_code_version
-from lodbench.execution.executor import DASK, PROCESS, ExecutorParams, spread
+from lodbench.execution.executor import (
+    DASK,
+    PROCESS,
+    ExecutorParams,
+    own_digest,
+    require_code_version,
+    spread,
+)
 from lodbench.photos.pictures import encoded, read_picture
 from lodbench.storage import (
     digest_of,
@@ -83,12 +89,13 @@ def begin_manifest(
         found = _read(path)
         if not isinstance(found.get("settings"), dict):
             raise DatasetError(
-                f"{out} holds something else than a training set.", "Name a new or empty folder with out=."
+                f"{out} holds something else than a training set.", "Name a new or empty folder with `out=`."
             )
         if found.get("digest") != manifest["digest"]:
             changed = _difference(found, manifest)
             raise DatasetError(
-                f"{out} holds another training set{changed}.", "Name another folder with out=, or remove it."
+                f"{out} holds another training set{changed}.",
+                "Name another folder with `out=`, or remove it.",
             )
         return manifest
     make_folder(out)

@@ -86,20 +86,21 @@ class GenerateParams:
             if entry.metadata:
                 self._require_sound(entry, getattr(self, entry.name))
         if self.sampling in ("trajectory", "priors") and self.poses is None:
-            raise ConfigError(f"sampling={self.sampling} needs poses.", "Add poses=FILE.")
+            raise ConfigError(f"sampling={self.sampling} needs poses.", "Add `poses=FILE`.")
         if self.renderer == "pyrender" and self.texture_model is None:
             raise ConfigError(
                 "renderer=pyrender pictures textured meshes only.",
-                "Add texture_model=FILE, or leave renderer out.",
+                "Add `texture_model=FILE`, or leave renderer out.",
             )
         if self.val_share + self.test_share > 0.9:
             raise ConfigError(
-                f"val_share={self.val_share:g} and test_share={self.test_share:g} leave little to train on."
+                f"`val_share={self.val_share:g}` and `test_share={self.test_share:g}` leave "
+                "little to train on."
             )
         if self.texture_model is not None and self.props is not None:
             raise ConfigError("props means nothing to texture_model.", "Leave one of them out.")
         if self.texture_model is None and self.texture_up != "auto":
-            raise ConfigError("texture_up means nothing without texture_model.", "Add texture_model=FILE.")
+            raise ConfigError("texture_up means nothing without texture_model.", "Add `texture_model=FILE`.")
 
     def _require_sound(self, entry: Field[Any], value: Any) -> None:
         """Makes sure that a setting is what it may be, and that the pictures follow it.
@@ -116,10 +117,10 @@ class GenerateParams:
             require_within(name, value, *told["within"])
         if self.sampling not in told["paths"] and _plain(value) != _plain(told["default"]):
             raise ConfigError(
-                f"{name} means nothing to sampling={self.sampling}.",
+                f"{name} means nothing to `sampling={self.sampling}`.",
                 "limit=N takes N views of any sampling."
                 if name == "count"
-                else f"Leave it out, or set sampling={' or '.join(told['paths'])}.",
+                else f"Leave it out, or set `sampling={' or '.join(told['paths'])}`.",
             )
 
     def pitches_from_nadir(self) -> list[float]:

@@ -80,7 +80,7 @@ def plan_views(
     if len(poses) > MOST_VIEWS:
         raise ConfigError(
             f"There are more than {MOST_VIEWS} views to choose from.",
-            "A smaller count=, a larger spacing_m=, or fewer heights, pitches and poses make fewer.",
+            "A smaller `count=`, a larger `spacing_m=`, or fewer heights, pitches and poses make fewer.",
         )
     order = np.arange(len(poses))
     if params.limit is not None:
@@ -100,7 +100,7 @@ def plan_views(
         counts = ", ".join(f"{count} {reason}" for reason, count in sorted(skipped.items()))
         raise DatasetError(
             f"None of {len(poses)} views can be taken: {counts or 'there is none'}.",
-            "Other heights and pitches, a smaller min_buildings, or val_share=0 test_share=0 may help.",
+            "Other heights and pitches, a smaller min_buildings, or `val_share=0` `test_share=0` may help.",
         )
     names, used = [], Counter[str]()
     for index in sorted(taken):

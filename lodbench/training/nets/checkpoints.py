@@ -50,11 +50,11 @@ def load_checkpoint(folder: Path, identity: str) -> dict[str, Any] | None:
         found = state["identity"]
     except Exception as error:
         raise ConfigError(
-            f"{path} is no checkpoint of lodbench train.", "Name another out=FOLDER."
+            f"{path} is no checkpoint of lodbench train.", "Name another `out=FOLDER`."
         ) from error
     if found != identity:
         raise ConfigError(
             f"{folder} holds the training of other settings, other views or other code.",
-            "Name another out=FOLDER, or set resume=false to start anew there.",
+            "Name another `out=FOLDER`, or set `resume=false` to start anew there.",
         )
     return state

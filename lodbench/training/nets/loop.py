@@ -304,7 +304,8 @@ def _finite(loss: float, epoch: int, step: int) -> float:
     if not math.isfinite(loss):
         raise ConfigError(
             f"The loss is {loss} in step {step + 1} of epoch {epoch + 1}: the training has diverged.",
-            "A smaller schedule.lr and schedule.muon_lr, in another out=FOLDER; the last checkpoint stays.",
+            "A smaller `schedule.lr` and `schedule.muon_lr`, in another `out=FOLDER`; "
+            "the last checkpoint stays.",
         )
     return loss
 

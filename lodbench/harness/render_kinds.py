@@ -128,8 +128,8 @@ def choose_renderer(kind: str, renderer: str | None) -> str:
         return KINDS[kind].default
     if not hasattr(load_plugin("renderers", renderer), KINDS[kind].ability):
         raise ConfigError(
-            f"renderer={renderer} cannot draw kind={kind}.",
-            f"Leave renderer= out, or take one of: {', '.join(renderers_with(KINDS[kind].ability))}.",
+            f"`renderer={renderer}` cannot draw `kind={kind}`.",
+            f"Leave `renderer=` out, or take one of: {', '.join(renderers_with(KINDS[kind].ability))}.",
         )
     return renderer
 

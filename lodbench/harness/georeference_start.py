@@ -10,10 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
-from lodbench.datasets.declared_crs import brought
 from lodbench.datasets.exchange.posed import FoundPose, Place, read_json
 from lodbench.datasets.own import find_photo, shared_files
-from lodbench.datasets.pose_files import read_pose_file
+from lodbench.datasets.pose_files import brought, read_pose_file
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose
 from lodbench.geometry.similarity import FEWEST_POSES, Similarity, fit_similarity
@@ -100,11 +99,11 @@ def _require_enough(usable: int, count: int, source: str, faults: Sequence[Lodbe
     if usable >= FEWEST_POSES:
         return
     first = f"; the first without one: {faults[0].message.rstrip('.')}" if faults else ""
-    hint = "Give --images DIR with the drone's photos, or --start FILE with rough poses."
+    hint = "Give `--images DIR` with the drone's photos, or `--start FILE` with rough poses."
     if faults:
         # What a photo lacks can be given to localize alone; how heights are meant, here too.
         own = faults[0].hint if "lodbench localize takes" not in faults[0].hint else ""
-        hint = own or "Give --start FILE with rough poses."
+        hint = own or "Give `--start FILE` with rough poses."
     raise DatasetError(
         f"{usable} of the model's {count} cameras have a rough place ({source}), and {FEWEST_POSES} are "
         f"needed{first}.",
@@ -145,12 +144,12 @@ def _stated_by_photos(request: Rough, images: Sequence[FoundPose], frame: MapFra
     if request.images is None:
         raise DatasetError(
             "Nobody says where the model is, roughly.",
-            "Give --images DIR with the drone's photos, or --start FILE with rough poses.",
+            "Give `--images DIR` with the drone's photos, or `--start FILE` with rough poses.",
         )
     if frame is None:
         raise DatasetError(
             "The city names no reference system, so GPS means nothing in it.",
-            "Name it with --crs, or give --start FILE with rough poses.",
+            "Name it with `--crs`, or give `--start FILE` with rough poses.",
         )
     stated = _StatedPoses({}, [], [])
     paths = [find_photo(request.images, image.name) for image in images]
@@ -161,7 +160,7 @@ def _stated_by_photos(request: Rough, images: Sequence[FoundPose], frame: MapFra
                 if path in shared:
                     raise DatasetError(
                         f"{path} may be of several of the model's images.",
-                        "Keep the folders that their names have below --images.",
+                        "Keep the folders that their names have below `--images`.",
                     )
                 photo = read_photo_metadata(path)
                 stated.poses[image.name] = pose_from_photo(photo, frame, request.heights)

@@ -23,7 +23,7 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import far_words, open_city
-from lodbench.harness.render.kinds import KINDS, Kind, View, choose_renderer, write_marked
+from lodbench.harness.render_kinds import KINDS, Kind, View, choose_renderer, write_marked
 from lodbench.photos.pictures import picture_size
 from lodbench.plugins import blaming
 from lodbench.rendering import open_renderer
@@ -133,10 +133,11 @@ def _require_heard(params: RenderParams) -> None:
     """Raises ConfigError where the kind or the renderer draws neither photos nor textured maps."""
     if params.textured_map is not None and (params.kind, params.renderer) not in _TEXTURED:
         raise ConfigError(
-            "A textured map is drawn by kind=colour and renderer=raster or pyrender.", "Add kind=colour."
+            "A textured map is drawn by `kind=colour` and `renderer=raster` or pyrender.",
+            "Add `kind=colour`.",
         )
     if params.images is not None and params.kind in KINDS and params.kind != "overlay":
-        raise ConfigError(f"images= is not used by kind={params.kind}.", "Add kind=overlay.")
+        raise ConfigError(f"`images=` is not used by `kind={params.kind}`.", "Add `kind=overlay`.")
 
 
 def _require_room(shots: list[Shot], out: Path, kind: Kind) -> None:

@@ -123,8 +123,8 @@ def is_base_broken(checks: list[Check]) -> bool:
 
 
 def run_probe(section: str, name: str, is_base: bool, timeout_s: float) -> Check:
-    """Returns how a trial of ``lodbench.harness.doctor.probes`` went in a process of its own."""
-    command = [sys.executable, "-m", "lodbench.harness.doctor.probes", name]
+    """Returns how a trial of ``lodbench.harness.doctor_probes`` went in a process of its own."""
+    command = [sys.executable, "-m", "lodbench.harness.doctor_probes", name]
     try:
         done = subprocess.run(  # noqa: S603
             command, capture_output=True, text=True, errors="replace", timeout=timeout_s

@@ -24,9 +24,9 @@ from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city, require_near_city
-from lodbench.harness.last_write import last_write
-from lodbench.harness.requests import RoughRequest
-from lodbench.harness.track.frames import Footage, Mask, MaskMaker, Shot, with_masks
+from lodbench.harness.photo.request import RoughRequest
+from lodbench.harness.tracebacks import last_write
+from lodbench.harness.track_frames import Footage, Mask, MaskMaker, Shot, with_masks
 from lodbench.methods.tracking import LOST, Frame, Tracker, TrackingParams
 from lodbench.photos.camera import PhotoCamera, camera_from_photo, camera_given, require_photo_size
 from lodbench.photos.files import in_pose_lines
@@ -70,7 +70,7 @@ def require_no_other(out: Path, source: Path, names: Iterable[str]) -> None:
     if there and not _is_track_of(out / TABLE_FILE, source, names):
         raise DatasetError(
             f"{there[0]} is not of these frames of {source} and would be written over.",
-            "Name another folder: --out OTHER",
+            "Name another folder: `--out OTHER`",
         )
 
 
@@ -254,7 +254,7 @@ def _start(
         size = request.footage.video_size()
         if request.camera is None:
             raise ConfigError(
-                "A video does not say its camera.", "Give --camera 'SIMPLE_PINHOLE W H FOCAL_PX CX CY'."
+                "A video does not say its camera.", "Give `--camera 'SIMPLE_PINHOLE W H FOCAL_PX CX CY'`."
             )
         size = size or (request.camera.width, request.camera.height)
         stated = PhotoMetadata(request.footage.source.name, *size)
@@ -276,13 +276,13 @@ def _start(
     if frame is None:
         raise DatasetError(
             f"{request.city.name} names no reference system, so GPS means nothing in it.",
-            "Name it with --crs, or give --center EAST NORTH UP in the city's coordinates.",
+            "Name it with `--crs`, or give `--center EAST NORTH UP` in the city's coordinates.",
         )
     try:
         pose = pose_from_photo(stated, frame, request.heights, request.given)
     except DatasetError as fault:
         # What it names are options of track, too.
-        hint = fault.hint.replace("lodbench localize takes", "Give")
+        hint = fault.hint.marked.replace("lodbench localize takes", "Give")
         raise DatasetError(fault.message, hint) from fault
     return camera, pose, () if request.given.height_m is not None else (stated,)
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +28,11 @@ from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.similarity import FEWEST_POSES, FittedSimilarity, Similarity, fit_similarity
 from lodbench.harness.city import open_city, require_near_city
-from lodbench.harness.flights.map_findings import contradiction_features
-from lodbench.harness.georeference.request import Georeferenced, GeoreferenceRequest
-from lodbench.harness.georeference.start import ROUGH_DEG, ROUGH_M, rough_start
+from lodbench.harness.georeference_start import ROUGH_DEG, ROUGH_M, rough_start
+from lodbench.harness.map_findings import contradiction_features
 from lodbench.harness.photo.outputs import ground_below_m
-from lodbench.methods import Estimate
+from lodbench.harness.photo.request import CityRequest
+from lodbench.methods import Estimate, Method
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
 from lodbench.methods.timed_localize import localize_flight
 from lodbench.photos.map_frame import MapFrame
@@ -40,6 +41,87 @@ from lodbench.reporting.answers import is_trusted
 from lodbench.segmentation import check_mask, notes_of, resized
 from lodbench.segmentation.masks import read_mask
 from lodbench.storage import make_folder, random_stream, write_text
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeoreferenceRequest(CityRequest):
+    """A reconstruction, and what is known of where it is.
+
+    Attributes:
+        model: Folder of a COLMAP model.
+        method: Solves flights.
+        images: Folder that the model's names are relative to; None where nothing is read from photos.
+        masks: Folder of masks of the photos as stored, or None for the segmenter.
+        start: Rough poses in the city's coordinates, in any known format, or a similarity that this command
+            wrote; None for what the photos state.
+        seed: Of the search.
+    """
+
+    model: Path
+    method: Method
+    images: Path | None = None
+    masks: Path | None = None
+    start: Path | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Georeferenced:
+    """A reconstruction, placed.
+
+    Attributes:
+        fitted: From the model to the city's coordinates.
+        cameras: All of the model's, in the city's coordinates.
+        used: Images by whose masks it was placed, and how far, in metres, each was found from where the
+            similarity puts it.
+        untrusted: Those among ``used`` whose poses are more likely wrong than right, as far as can be told.
+        left_out: Name and reason of each image that had no part in it.
+        findings: What its photos say besides; see the method.
+        start: Where the rough places came from, in words.
+        crs: Reference system, or None.
+        files: Written, by what they are.
+        notes: What the reader should know.
+    """
+
+    fitted: FittedSimilarity
+    cameras: tuple[FoundPose, ...]
+    used: Mapping[str, float]
+    untrusted: tuple[str, ...]
+    left_out: tuple[tuple[str, str], ...]
+    findings: dict[str, Any]
+    start: str
+    crs: str | None
+    files: Mapping[str, Path]
+    notes: tuple[str, ...]
+
+    @property
+    def is_trusted(self) -> bool:
+        """Returns whether most of the images it was placed by are more likely right than wrong."""
+        return 2 * len(self.untrusted) < len(self.used)
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns plain values for JSON."""
+        similarity = self.fitted.similarity
+        names = ("east_m", "north_m", "up_m", "about_east_deg", "about_north_deg", "about_up_deg", "scale")
+        return {
+            "similarity": {
+                "scale": similarity.scale,
+                "rotation": similarity.rotation.tolist(),
+                "translation": similarity.translation.tolist(),
+            },
+            "sigmas": dict(zip(names, map(float, self.fitted.sigmas), strict=True)),
+            "middle": self.fitted.middle.tolist(),
+            "crs": self.crs,
+            "start": self.start,
+            "used": dict(self.used),
+            "trusted": self.is_trusted,
+            "untrusted": list(self.untrusted),
+            "left_out": [list(pair) for pair in self.left_out],
+            "files": {name: str(path) for name, path in self.files.items()},
+            "notes": list(self.notes),
+            "findings": self.findings,
+        }
+
 
 SIMILARITY_FILE = "similarity.json"
 _NAMES = {
@@ -66,7 +148,7 @@ def require_no_other(out: Path, model: Path) -> None:
     if there and _model_of(out / SIMILARITY_FILE) != str(model.resolve()):
         raise DatasetError(
             f"{there[0]} is no result of placing {model} and would be written over.",
-            "Name another folder: --out OTHER",
+            "Name another folder: `--out OTHER`",
         )
 
 
@@ -200,9 +282,9 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
 def _require_enough(usable: int, count: int, left_out: Sequence[tuple[str, str]]) -> None:
     if usable < FEWEST_POSES:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out[:3])
-        hint = "Name the masks as the photos, or give --images and leave --masks out."
+        hint = "Name the masks as the photos, or give `--images` and leave `--masks` out."
         if any(reason.startswith("there is no photo") for _, reason in left_out):
-            hint = "--images is the folder of the model's photos, under the names that the model has."
+            hint = "`--images` is the folder of the model's photos, under the names that the model has."
         raise DatasetError(
             f"{usable} of {count} photos can be used, and {FEWEST_POSES} are needed: {reasons}.", hint
         )

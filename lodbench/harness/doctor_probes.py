@@ -1,4 +1,4 @@
-"""Trials that may crash or hang: `python -m lodbench.harness.doctor.probes NAME` tries one, says how.
+"""Trials that may crash or hang: `python -m lodbench.harness.doctor_probes NAME` tries one, says how.
 
 `lodbench doctor` runs each in a process of its own, so that a driver's crash takes only that down, and
 imports no more than it tries.
@@ -15,7 +15,7 @@ from importlib import import_module
 import numpy as np
 
 from lodbench.errors import LodbenchError, RenderingError
-from lodbench.harness.doctor.doctor import NETWORKS, PACKAGE_FOLLOWS, RENDERER_TRIALS
+from lodbench.harness.doctor import NETWORKS, PACKAGE_FOLLOWS, RENDERER_TRIALS
 from lodbench.plugins import KINDS, installed, load_plugin
 
 

@@ -1,1 +1,0 @@
-"""What a flight says of the map, as outlines of buildings. Pages of flights: ``runs``, ``photo``."""

@@ -1,1 +1,0 @@
-"""Reconstructions placed in cities."""

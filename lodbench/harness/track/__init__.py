@@ -1,1 +1,0 @@
-"""Videos and folders of photos, tracked over a city."""
