@@ -268,15 +268,23 @@ def _constant_figures(tally: _Tally) -> list[Figure]:
 
 
 def _map_figures(score: MapScore) -> list[Figure]:
-    nothing = score.places - score.rightly_missing - score.clutter
+    nothing = score.places - score.rightly_unmapped - score.clutter
     rows = (
-        (f"heights within 0.5 m, of {score.heights} shown twice and told", score.recovered, score.heights),
+        (
+            f"heights within 0.5 m, of {score.heights} shown twice",
+            score.recovered,
+            score.heights,
+        ),
         (f"wrong heights found, of {score.wrong}", score.found_wrong, score.wrong),
         (f"buildings in doubt rightly, of {score.doubted}", score.rightly, score.doubted),
-        (f"gone buildings found, of {score.gone}", score.rightly_gone, score.gone),
-        (f"said to be gone rightly, of {score.told_gone}", score.rightly_gone, score.told_gone),
-        (f"missing buildings found, of {score.missing}", score.found, score.missing),
-        (f"places not in the map: buildings, of {score.places}", score.rightly_missing, score.places),
+        (f"demolished buildings found, of {score.demolished}", score.rightly_demolished, score.demolished),
+        (
+            f"reported as demolished rightly, of {score.reported_demolished}",
+            score.rightly_demolished,
+            score.reported_demolished,
+        ),
+        (f"unmapped buildings found, of {score.unmapped}", score.found, score.unmapped),
+        (f"places not in the map: buildings, of {score.places}", score.rightly_unmapped, score.places),
         (f"places not in the map: containers, tents, heaps, of {score.places}", score.clutter, score.places),
         (f"places not in the map: nothing there, of {score.places}", nothing, score.places),
     )

@@ -59,22 +59,22 @@ def _plain(measure: Callable[..., Report], kind: type) -> Measure:
 
 def _of_city(measure: Callable[..., Report], kind: type) -> Measure:
     def of_city(given: argparse.Namespace, steps: ProgressCallback) -> Report:
-        asked: Any = options_of(given, kind)  # before the demo town is made, which takes minutes
-        return measure(city_file(given), asked, steps)
+        wanted: Any = options_of(given, kind)  # before the demo town is made, which takes minutes
+        return measure(city_file(given), wanted, steps)
 
     return of_city
 
 
 def _training_data(given: argparse.Namespace, steps: ProgressCallback) -> Report:
-    asked = options_of(given, TrainingDataOptions)
-    if given.city is None and asked.props is not None:
+    wanted = options_of(given, TrainingDataOptions)
+    if given.city is None and wanted.props is not None:
         raise ConfigError(
             "--props is not used with the demo town, which has a look of its own.", "Add --city FILE."
         )
     city = city_file(given)
     if given.city is None:
-        asked = replace(asked, props=city.parent / "props.npz")  # the demo town's own look
-    return measure_training_data(city, asked, steps)
+        wanted = replace(wanted, props=city.parent / "props.npz")  # the demo town's own look
+    return measure_training_data(city, wanted, steps)
 
 
 def _startup(given: argparse.Namespace, steps: ProgressCallback) -> Report:

@@ -127,9 +127,9 @@ def measure_track(options: argparse.Namespace, steps: ProgressCallback) -> Repor
         LodbenchError: An option is out of range, or as ``measure_tracking``.
     """
     city_file(options)
-    asked = options_of(options, TrackingOptions)
+    given = options_of(options, TrackingOptions)
     # The first, which is searched for, does not count.
-    require_within("--frames", asked.frames, 2)
+    require_within("--frames", given.frames, 2)
     segmenter = segmenter_of(options.segmenter)
     require_frames_looked_at(segmenter, options.segmenter)
-    return measure_tracking(options.city, options.seeds, segmenter, asked, steps)
+    return measure_tracking(options.city, options.seeds, segmenter, given, steps)

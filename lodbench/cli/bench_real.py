@@ -74,7 +74,7 @@ def add_real(actions: Any) -> argparse.ArgumentParser:
 
 
 def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
-    """Returns what was asked for."""
+    """Returns what was requested."""
     for name in ("range", "height", "yaw", "tilt"):
         require_within(f"--prior-{name}", getattr(options, f"prior_{name}"), 0)
     width = UniformPrior(
@@ -181,7 +181,7 @@ def _traced_photos(options: argparse.Namespace) -> tuple[Dataset, Scene]:
             raise ConfigError(
                 f"--{name} is of a --city, and --photos makes its own map.", f"Leave --{name} out."
             )
-    asked = TracedOptions(seed=options.seed)
+    wanted = TracedOptions(seed=options.seed)
     if options.map_error is not None:
-        asked = replace(asked, map_error_m=options.map_error)
-    return open_traced_photos(options.photos, asked)
+        wanted = replace(wanted, map_error_m=options.map_error)
+    return open_traced_photos(options.photos, wanted)

@@ -74,7 +74,7 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
 
 
 def measure_segmentation(options: argparse.Namespace, steps: ProgressCallback) -> Report:
-    """Returns what was asked for."""
+    """Returns what was requested."""
     if options.guided_by:
         return _guided(options, steps)
     if options.blocks or options.grabcut:
@@ -101,7 +101,7 @@ def measure_segmentation(options: argparse.Namespace, steps: ProgressCallback) -
 
 
 def _require_read(options: argparse.Namespace, asked_for: str, *read: str) -> None:
-    """Makes sure that no option is given that what is asked for does not read.
+    """Makes sure that no option is given that what is requested does not read.
 
     Raises:
         ConfigError: One is: a figure would be taken for what it is not.
@@ -137,8 +137,8 @@ def _guided(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     if options.blocks:
         disturbances += [given._replace(is_blocks=True) for given in options.guided_by]
     draws = _DRAWS if options.draws is None else options.draws
-    asked = GuidedOptions(tuple(dict.fromkeys(disturbances)), draws, options.seed or 0, options.grabcut)
-    found = measure_guided_masks(segmenter, options.photos, asked, steps, options.pictures)
+    wanted = GuidedOptions(tuple(dict.fromkeys(disturbances)), draws, options.seed or 0, options.grabcut)
+    found = measure_guided_masks(segmenter, options.photos, wanted, steps, options.pictures)
     return Report(found.to_text(), found.figures())
 
 

@@ -72,7 +72,7 @@ def _world(text: str) -> World:
     """Returns the world of ``--world``.
 
     Raises:
-        ConfigError: There is none; told in the words that were typed.
+        ConfigError: There is none, in the words that were typed.
     """
     try:
         return World.parse(text)
@@ -87,7 +87,7 @@ def add_city(parser: argparse.ArgumentParser) -> None:
 
 
 def city_file(given: argparse.Namespace) -> Path:
-    """Returns the city asked for, or the demo town's.
+    """Returns the city requested, or the demo town's.
 
     Raises:
         DatasetError: It is not there.
@@ -135,7 +135,7 @@ def asked_views(given: argparse.Namespace) -> list[ViewsParams]:
         LodbenchError: A city is not there, the look is not known, or an option is out of range.
     """
     if given.look is not None:
-        look_ranges(given.look)  # not known: told before any city is read
+        look_ranges(given.look)  # not known: reported before any city is read
     return [replace(views_of(given, city), look=given.look) for city in dict.fromkeys(given.city or [None])]
 
 

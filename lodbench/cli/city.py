@@ -27,66 +27,66 @@ _PACKED = (".gz", ".zip")
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code: 1 if `check` finds an error."""
-    asked = city_parser().parse_args(argv)
-    if asked.action == "info" and (asked.file / "scene.json").is_file():
-        return _scene_info(asked)
-    profile = load_profile(asked.source, asked.option, asked.crs, asked.date)
-    if asked.layers:
-        profile = replace(profile, options=replace(profile.options, layers=asked.layers))
-    if asked.action == "info":
-        return _info(asked, profile.options)
-    if asked.action == "check":
-        return _check(asked, profile.options)
-    if asked.action == "make":
-        return _make(asked, profile.options)
-    return _convert(asked, profile.options, asked.lod or profile.lod)
+    wanted = city_parser().parse_args(argv)
+    if wanted.action == "info" and (wanted.file / "scene.json").is_file():
+        return _scene_info(wanted)
+    profile = load_profile(wanted.source, wanted.option, wanted.crs, wanted.date)
+    if wanted.layers:
+        profile = replace(profile, options=replace(profile.options, layers=wanted.layers))
+    if wanted.action == "info":
+        return _info(wanted, profile.options)
+    if wanted.action == "check":
+        return _check(wanted, profile.options)
+    if wanted.action == "make":
+        return _make(wanted, profile.options)
+    return _convert(wanted, profile.options, wanted.lod or profile.lod)
 
 
-def _scene_info(asked: argparse.Namespace) -> int:
+def _scene_info(wanted: argparse.Namespace) -> int:
     """Tells of a scene, with as little loaded as that takes: a second is long."""
     from lodbench.citymodel.scene_file import scene_info
     from lodbench.cli.city_text import format_scene
 
-    told = scene_info(asked.file)
-    _write(asked, told, lambda: format_scene(str(asked.file), told))
+    reported = scene_info(wanted.file)
+    _write(wanted, reported, lambda: format_scene(str(wanted.file), reported))
     return 0
 
 
-def _info(asked: argparse.Namespace, options: ReadOptions) -> int:
+def _info(wanted: argparse.Namespace, options: ReadOptions) -> int:
     from lodbench.citymodel import city_info
     from lodbench.cli.city_text import format_info
 
-    info = city_info(_read([asked.file], replace(options, is_strict=False)))
-    _write(asked, info, lambda: format_info(str(asked.file), info))
+    info = city_info(_read([wanted.file], replace(options, is_strict=False)))
+    _write(wanted, info, lambda: format_info(str(wanted.file), info))
     return 0
 
 
-def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
+def _check(wanted: argparse.Namespace, options: ReadOptions) -> int:
     from lodbench.citymodel.checks.report import check_city, findings_geojson, format_report
     from lodbench.citymodel.source import OWN_GEOJSON, file_source, own_geojson
     from lodbench.storage import write_bytes
 
-    if asked.geojson is not None:
-        is_ours = own_geojson(file_source(asked.geojson)) == OWN_GEOJSON["lodbench"]
-        if not is_ours and (asked.geojson.exists() or asked.geojson.suffix.lower() != ".geojson"):
-            require_other(asked.geojson, [asked.file])
-        if asked.geojson.is_dir() or not asked.geojson.parent.is_dir():
+    if wanted.geojson is not None:
+        is_ours = own_geojson(file_source(wanted.geojson)) == OWN_GEOJSON["lodbench"]
+        if not is_ours and (wanted.geojson.exists() or wanted.geojson.suffix.lower() != ".geojson"):
+            require_other(wanted.geojson, [wanted.file])
+        if wanted.geojson.is_dir() or not wanted.geojson.parent.is_dir():
             raise CityModelError(
-                f"{asked.geojson} is not a file in a folder that is there.", "--geojson FILE"
+                f"{wanted.geojson} is not a file in a folder that is there.", "--geojson FILE"
             )
     start = time.perf_counter()
-    model = _read([asked.file], replace(options, is_strict=False, has_details=True))
+    model = _read([wanted.file], replace(options, is_strict=False, has_details=True))
     read_seconds = time.perf_counter() - start
     report = check_city(model)
-    if asked.geojson is not None:
-        write_bytes(asked.geojson, json.dumps(findings_geojson(report)).encode())
+    if wanted.geojson is not None:
+        write_bytes(wanted.geojson, json.dumps(findings_geojson(report)).encode())
     values = report.to_json() | {"read_seconds": round(read_seconds, 3)}
     took = f"read in {read_seconds:.2f} s, checked in {report.seconds:.2f} s"
-    _write(asked, values, lambda: f"{format_report(report)}\n{took}")
+    _write(wanted, values, lambda: f"{format_report(report)}\n{took}")
     return 1 if report.has_errors else 0
 
 
-def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -> int:
+def _convert(wanted: argparse.Namespace, options: ReadOptions, lod: str | None) -> int:
     from lodbench.citymodel.convert import (
         convert_city,
         convert_textured,
@@ -97,122 +97,124 @@ def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -
     from lodbench.citymodel.source import open_sources
     from lodbench.cli.city_text import conversion_summary, format_conversion
 
-    files, out = from_and_to(asked)
-    _require_heard(asked, out, lod)
-    if asked.textures and not has_room_for_pictures(out):
+    files, out = from_and_to(wanted)
+    _require_heard(wanted, out, lod)
+    if wanted.textures and not has_room_for_pictures(out):
         raise CityModelError(f"{out} has no room for pictures.", "Name it .glb, .obj, .json, .jsonl or .gml.")
-    is_tiles = out.suffix == ".scene" and _is_whole(asked, files)
+    is_tiles = out.suffix == ".scene" and _is_whole(wanted, files)
     if is_tiles and len(open_sources(files[0], options.layers)) > 1:
-        return _compile(asked, files[0], out, options, lod)
-    has_details = keeps_details(out) or bool(asked.where) or asked.textures
-    options = replace(options, has_details=has_details, has_textures=asked.textures)
-    model = _chosen(asked, _read(files, options))
-    is_mesh = asked.textures and model.pictures is None
-    if is_mesh and (keeps_details(out) or not _is_whole(asked, files) or files[0].suffix in _PACKED):
+        return _compile(wanted, files[0], out, options, lod)
+    has_details = keeps_details(out) or bool(wanted.where) or wanted.textures
+    options = replace(options, has_details=has_details, has_textures=wanted.textures)
+    model = _chosen(wanted, _read(files, options))
+    is_mesh = wanted.textures and model.pictures is None
+    if is_mesh and (keeps_details(out) or not _is_whole(wanted, files) or files[0].suffix in _PACKED):
         raise CityModelError(
             f"Of {files[0].name} no pictures can be kept so.",
             "Those of a mesh are kept in .glb and .obj, of a whole file or folder. Or leave out --textures.",
         )
 
     def write(part: CityModel, target: Path) -> Conversion:
-        if asked.textures and not keeps_details(target):
+        if wanted.textures and not keeps_details(target):
             return convert_textured(part, target, files[0] if is_mesh else None, options)
-        version = asked.citygml or "2.0"
-        how = {"lod": lod, "roof_height": asked.roof_height, "citygml": version}
+        version = wanted.citygml or "2.0"
+        how = {"lod": lod, "roof_height": wanted.roof_height, "citygml": version}
         return convert_city(part, target, options=options, **how)
 
-    if asked.tiles is None:
+    if wanted.tiles is None:
         summaries = [conversion_summary(str(out), write(model, out))]
     else:
-        done = convert_tiles(model, out, asked.tiles, write)
+        done = convert_tiles(model, out, wanted.tiles, write)
         summaries = [conversion_summary(str(each.target), each) for each in done]
-    values = summaries[0] if asked.tiles is None else {"tiles": summaries}
-    _write(asked, values, lambda: "\n".join(map(format_conversion, summaries)))
+    values = summaries[0] if wanted.tiles is None else {"tiles": summaries}
+    _write(wanted, values, lambda: "\n".join(map(format_conversion, summaries)))
     return 0
 
 
-def _make(asked: argparse.Namespace, options: ReadOptions) -> int:
+def _make(wanted: argparse.Namespace, options: ReadOptions) -> int:
     """Writes footprints as buildings, and the page that says where their heights come from."""
     from lodbench.citymodel.convert import check_target
     from lodbench.cli.city_text import format_made
     from lodbench.harness.city_make import make_city
 
-    check_target(asked.out)
-    given = [path for path in (asked.footprints, asked.dsm, asked.dtm) if path is not None]
-    require_other(asked.out, given)
-    surface, terrain = (None if path is None else str(path) for path in (asked.dsm, asked.dtm))
+    check_target(wanted.out)
+    given = [path for path in (wanted.footprints, wanted.dsm, wanted.dtm) if path is not None]
+    require_other(wanted.out, given)
+    surface, terrain = (None if path is None else str(path) for path in (wanted.dsm, wanted.dtm))
     options = replace(options, surface=surface or options.surface, terrain=terrain or options.terrain)
-    with ProgressCallback(f"reading {asked.footprints.name}", "MB", 1_000_000) as progress:
-        made = make_city(asked.footprints, asked.out, options, progress)
-    _write(asked, made, lambda: format_made(made))
+    with ProgressCallback(f"reading {wanted.footprints.name}", "MB", 1_000_000) as progress:
+        made = make_city(wanted.footprints, wanted.out, options, progress)
+    _write(wanted, made, lambda: format_made(made))
     return 0
 
 
-def _is_whole(asked: argparse.Namespace, files: Sequence[Path]) -> bool:
+def _is_whole(wanted: argparse.Namespace, files: Sequence[Path]) -> bool:
     """Tells whether one file or folder is converted as it is: nothing chosen, cut, joined or projected."""
-    is_part = asked.id or asked.where or asked.bbox or asked.to_crs or asked.tiles
+    is_part = wanted.id or wanted.where or wanted.bbox or wanted.to_crs or wanted.tiles
     return len(files) == 1 and not is_part
 
 
-def _require_heard(asked: argparse.Namespace, out: Path, lod: str | None) -> None:
+def _require_heard(wanted: argparse.Namespace, out: Path, lod: str | None) -> None:
     """Raises ConfigError if an option means nothing to what is written."""
     from lodbench.citymodel.derive import ROOF_HEIGHTS
 
     suffix = out.suffix.lower()
     is_gml = suffix in (".gml", ".xml", ".citygml")
-    is_parallel = asked.executor is not None or asked.workers is not None or asked.address is not None
+    is_parallel = wanted.executor is not None or wanted.workers is not None or wanted.address is not None
     is_level_1 = lod is not None and lod.lower().removeprefix("lod") == "1"
     unheard = [
-        ("--citygml", "without a .gml", asked.citygml is not None and not is_gml),
+        ("--citygml", "without a .gml", wanted.citygml is not None and not is_gml),
         ("--executor, --workers or --address", "without a .scene", is_parallel and suffix != ".scene"),
-        ("--roof-height", "without --lod 1", asked.roof_height is not None and not is_level_1),
-        ("--lod", "with --textures", asked.lod and asked.textures and suffix in (".glb", ".obj")),
+        ("--roof-height", "without --lod 1", wanted.roof_height is not None and not is_level_1),
+        ("--lod", "with --textures", wanted.lod and wanted.textures and suffix in (".glb", ".obj")),
     ]
     for option, how, is_unheard in unheard:
         if is_unheard:
             raise ConfigError(f"{option} is not used {how}.", f"Leave {option} out.")
-    if asked.roof_height is not None:
-        require_choice("--roof-height", asked.roof_height, ROOF_HEIGHTS)
-    for pair in asked.where:
+    if wanted.roof_height is not None:
+        require_choice("--roof-height", wanted.roof_height, ROOF_HEIGHTS)
+    for pair in wanted.where:
         if "=" not in pair:
             raise ConfigError(f"--where {pair} names no value.", "It reads: --where ATTRIBUTE=VALUE")
-    west, south, east, north = asked.bbox or (0.0, 0.0, 1.0, 1.0)
+    west, south, east, north = wanted.bbox or (0.0, 0.0, 1.0, 1.0)
     if not (west < east and south < north):
         raise ConfigError("--bbox holds nothing: its west is not below its east, or its south its north.")
 
 
-def _chosen(asked: argparse.Namespace, model: CityModel) -> CityModel:
-    """Returns the buildings asked for, in the reference system asked for."""
+def _chosen(wanted: argparse.Namespace, model: CityModel) -> CityModel:
+    """Returns the buildings requested, in the reference system requested."""
     from lodbench.citymodel.subset import choose_buildings, reproject, require_same_heights
 
-    if asked.to_crs is not None:
-        require_same_heights(model, asked.to_crs)
-        model = reproject(model, asked.to_crs)
-    bbox = None if asked.bbox is None else tuple(asked.bbox)
-    where = [pair.partition("=")[::2] for pair in asked.where]
-    return choose_buildings(model, ids=asked.id, bbox=bbox, where=where)
+    if wanted.to_crs is not None:
+        require_same_heights(model, wanted.to_crs)
+        model = reproject(model, wanted.to_crs)
+    bbox = None if wanted.bbox is None else tuple(wanted.bbox)
+    where = [pair.partition("=")[::2] for pair in wanted.where]
+    return choose_buildings(model, ids=wanted.id, bbox=bbox, where=where)
 
 
-def _compile(asked: argparse.Namespace, tiles: Path, out: Path, options: ReadOptions, lod: str | None) -> int:
+def _compile(
+    wanted: argparse.Namespace, tiles: Path, out: Path, options: ReadOptions, lod: str | None
+) -> int:
     """Makes a scene of many tiles; goes on where it was stopped."""
     from lodbench.citymodel.scene_file import scene_info
     from lodbench.cli.city_text import format_scene
     from lodbench.execution.executor import ExecutorParams
     from lodbench.harness.tiled_city import compile_tiles
 
-    executor = ExecutorParams(asked.executor or "process", asked.workers, None, asked.address)
+    executor = ExecutorParams(wanted.executor or "process", wanted.workers, None, wanted.address)
     with ProgressCallback(f"compiling {tiles.name}", "tiles") as progress:
         compile_tiles(
-            tiles, out, lod=lod, roof_height=asked.roof_height, options=options, executor=executor,
+            tiles, out, lod=lod, roof_height=wanted.roof_height, options=options, executor=executor,
             progress=progress,
         )  # fmt: skip
-    told = scene_info(out)
-    _write(asked, {"written": str(out), **told}, lambda: format_scene(str(out), told))
+    reported = scene_info(out)
+    _write(wanted, {"written": str(out), **reported}, lambda: format_scene(str(out), reported))
     return 0
 
 
-def _write(asked: argparse.Namespace, values: dict[str, Any], as_text: Callable[[], str]) -> None:
-    text = json.dumps(values, indent=2, ensure_ascii=False) if asked.json else as_text()
+def _write(wanted: argparse.Namespace, values: dict[str, Any], as_text: Callable[[], str]) -> None:
+    text = json.dumps(values, indent=2, ensure_ascii=False) if wanted.json else as_text()
     sys.stdout.write(text + "\n")
 
 
@@ -223,7 +225,7 @@ def _read(files: Sequence[Path], options: ReadOptions) -> CityModel:
         return read_city_model(files, options=options, progress=progress)
 
 
-def from_and_to(asked: argparse.Namespace) -> tuple[list[Path], Path]:
+def from_and_to(wanted: argparse.Namespace) -> tuple[list[Path], Path]:
     """Returns the files to convert and the one to write, whose folder is there then.
 
     Raises:
@@ -231,15 +233,17 @@ def from_and_to(asked: argparse.Namespace) -> tuple[list[Path], Path]:
     """
     from lodbench.citymodel.convert import check_target
 
-    files, out = (asked.files, asked.out) if asked.out is not None else (asked.files[:-1], asked.files[-1])
+    files, out = (
+        (wanted.files, wanted.out) if wanted.out is not None else (wanted.files[:-1], wanted.files[-1])
+    )
     if not files:
         raise CityModelError(
             f"There is nothing to convert {out} from.", "lodbench city convert FILE... -o OUT"
         )
-    is_made = asked.tiles is not None and not out.parent.exists()  # the folder, with the first tile
+    is_made = wanted.tiles is not None and not out.parent.exists()  # the folder, with the first tile
     check_target(out.parent.with_name(out.name) if is_made else out)
     require_other(out, files)
-    if asked.out is None and _may_be_a_tile(out, files):
+    if wanted.out is None and _may_be_a_tile(out, files):
         raise CityModelError(
             f"{out} is there already, and may be one of the tiles: nothing is written over it.",
             f"Name a new file, -o OUT, or say that it is meant: -o {out}.",

@@ -46,19 +46,19 @@ def _roof_lines(pitched: int) -> list[str]:
     return [f"roofs      {count} pitched (from the file)"] if pitched else []
 
 
-def format_scene(name: str, told: dict[str, Any]) -> str:
+def format_scene(name: str, info: dict[str, Any]) -> str:
     """Returns the data of ``scene_info`` as lines of text."""
-    extent = told["extent_m"]
+    extent = info["extent_m"]
     lines = [
         name,
-        f"format     scene, {lod_in_words(told['lod']) if told['lod'] else 'one level'}",
-        f"CRS        {crs_in_words(told['crs'])}",
+        f"format     scene, {lod_in_words(info['lod']) if info['lod'] else 'one level'}",
+        f"CRS        {crs_in_words(info['crs'])}",
         *([] if extent is None else ["extent     {:,.1f} m x {:,.1f} m, {:,.1f} m high".format(*extent)]),
-        f"buildings  {told['buildings']:,}",
-        *_roof_lines(told["pitched_roofs"]),
-        *(f"{key:10} {told[key]:,}" for key in ("tiles", "triangles") if told[key] is not None),
+        f"buildings  {info['buildings']:,}",
+        *_roof_lines(info["pitched_roofs"]),
+        *(f"{key:10} {info[key]:,}" for key in ("tiles", "triangles") if info[key] is not None),
         "",
-        *_finding_lines(told["findings"], told["finding_objects"]),
+        *_finding_lines(info["findings"], info["finding_objects"]),
     ]
     return "\n".join(lines)
 

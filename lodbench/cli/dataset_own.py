@@ -52,8 +52,8 @@ def main(argv: Sequence[str]) -> int:
     """Runs ``init`` or ``import``, whichever the first word is; returns the exit code."""
     parser = Parser("lodbench dataset")
     _add_actions(parser.add_subparsers(dest="action", required=True))
-    asked = parser.parse_args(argv)
-    code: int = asked.make(asked)
+    given = parser.parse_args(argv)
+    code: int = given.make(given)
     return code
 
 
@@ -118,76 +118,76 @@ def _add_common_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON, for scripts")
 
 
-def _init(asked: argparse.Namespace) -> int:
-    require_within("--no-common-view", asked.no_common_view, 0, ends="(]")
-    return _make(asked, poses=asked.colmap, format="colmap", apart_m=asked.no_common_view)
+def _init(given: argparse.Namespace) -> int:
+    require_within("--no-common-view", given.no_common_view, 0, ends="(]")
+    return _make(given, poses=given.colmap, format="colmap", apart_m=given.no_common_view)
 
 
 # Formats by the names that `lodbench export` has for them.
 _ALIASES = {"visuallocalization": "lines"}
 
 
-def _import(asked: argparse.Namespace) -> int:
+def _import(given: argparse.Namespace) -> int:
     known = (*plugin_names("pose_formats"), *_ALIASES, "auto")
-    if asked.format not in known:
+    if given.format not in known:
         raise ConfigError(
-            f"lodbench dataset import: there is no FORMAT {asked.format!r}.",
-            nearest_names(asked.format, known),
+            f"lodbench dataset import: there is no FORMAT {given.format!r}.",
+            nearest_names(given.format, known),
         )
-    form = _ALIASES.get(asked.format, asked.format)
-    return _make(asked, poses=asked.poses, format=form, cameras=asked.cameras)
+    form = _ALIASES.get(given.format, given.format)
+    return _make(given, poses=given.poses, format=form, cameras=given.cameras)
 
 
-def _make(asked: argparse.Namespace, **sources: Any) -> int:
+def _make(given: argparse.Namespace, **sources: Any) -> int:
     from lodbench.harness.photo.own_dataset import OwnRequest, make_own_dataset, to_json
 
-    require_within("--offset", asked.offset, -math.inf)
-    _require_used(asked)
-    profile = load_profile(asked.source, asked.option, asked.crs, asked.date)
-    camera, camera_sigmas = given_camera(asked.camera)
+    require_within("--offset", given.offset, -math.inf)
+    _require_used(given)
+    profile = load_profile(given.source, given.option, given.crs, given.date)
+    camera, camera_sigmas = given_camera(given.camera)
     made = make_own_dataset(
         OwnRequest(
-            folder=asked.folder,
-            photos=asked.images,
-            masks=asked.masks,
+            folder=given.folder,
+            photos=given.images,
+            masks=given.masks,
             camera=camera,
             camera_sigmas=camera_sigmas,
-            offset_m=tuple(asked.offset),
-            city=asked.city,
-            lod=asked.lod or profile.lod,
+            offset_m=tuple(given.offset),
+            city=given.city,
+            lod=given.lod or profile.lod,
             options=profile.options,
-            heights=height_options(asked),
+            heights=height_options(given),
             **sources,
         )
     )
-    text = json.dumps(to_json(made), indent=2, ensure_ascii=False) if asked.json else _describe(made, asked)
+    text = json.dumps(to_json(made), indent=2, ensure_ascii=False) if given.json else _describe(made, given)
     sys.stdout.write(text + "\n")
     return 0
 
 
-def _require_used(asked: argparse.Namespace) -> None:
+def _require_used(given: argparse.Namespace) -> None:
     """Refuses options that nothing would read.
 
     Raises:
         ConfigError: There is one.
     """
-    heights, is_import = height_flags(asked), asked.make is _import
+    heights, is_import = height_flags(given), given.make is _import
     unused = [
-        ("--city", city_flags(asked) if asked.city is None else []),
-        ("--city and --images", heights if None in (asked.city, asked.images) else []),
-        ("--images", ["--masks"] if asked.images is None and asked.masks is not None else []),
-        ("--colmap", ["--offset"] if not is_import and asked.colmap is None and any(asked.offset) else []),
+        ("--city", city_flags(given) if given.city is None else []),
+        ("--city and --images", heights if None in (given.city, given.images) else []),
+        ("--images", ["--masks"] if given.images is None and given.masks is not None else []),
+        ("--colmap", ["--offset"] if not is_import and given.colmap is None and any(given.offset) else []),
     ]
     for needed, flags in unused:
         if flags:
             raise ConfigError(
                 f"{flags[0]} is not used without {needed}.", f"Give {needed}, or leave {flags[0]} out."
             )
-    if is_import and asked.camera is not None and asked.cameras is not None:
+    if is_import and given.camera is not None and given.cameras is not None:
         raise ConfigError("--camera and --cameras say the same.", "Leave one of them out.")
 
 
-def _describe(made: OwnDataset, asked: argparse.Namespace) -> str:
+def _describe(made: OwnDataset, given: argparse.Namespace) -> str:
     """Returns what was made, what was not, and the next command."""
     written = made.written
     count = len(written.names)
@@ -201,16 +201,16 @@ def _describe(made: OwnDataset, asked: argparse.Namespace) -> str:
         "dataset=folder",
         f"dataset.root={written.folder}",
         # dataset.json names the city that is known.
-        "" if asked.city else "city=FILE",
+        "" if given.city else "city=FILE",
         "" if made.num_priors else "prior=uniform",
-        "method=contour_alignment" if asked.masks or asked.images is None else "method=region",
+        "method=contour_alignment" if given.masks or given.images is None else "method=region",
         # Without photos the only masks are those of the city at the true poses.
-        "segmenter=oracle" if asked.images is None else "",
+        "segmenter=oracle" if given.images is None else "",
         # The run must read the city as it was read here.
-        f"dataset.crs={asked.crs}" if asked.crs else "",
-        f"dataset.lod={asked.lod}" if asked.lod else "",
-        f"source={asked.source}" if asked.source != "folder" else "",
-        *(f"source.options.{option}" for option in asked.option),
+        f"dataset.crs={given.crs}" if given.crs else "",
+        f"dataset.lod={given.lod}" if given.lod else "",
+        f"source={given.source}" if given.source != "folder" else "",
+        *(f"source.options.{option}" for option in given.option),
     ]
     lines.append("Next: lodbench run " + shlex.join(word for word in words if word))
     return "\n".join(lines)

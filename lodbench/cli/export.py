@@ -48,90 +48,95 @@ frame; `rerun FILE` opens it. Of files that are there only earlier exports in th
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    asked = _parser().parse_args(argv)
-    localized = [folder for folder in asked.runs if is_localized(folder)]
-    others = [folder for folder in asked.runs if folder not in localized]
-    folders = [*localized, *(run_folders(others, asked.out) if others else ())]
-    if asked.out is not None and len(folders) > 1:
-        raise ConfigError(f"--out {asked.out} is one place, for {len(folders)} folders.", "Leave --out out.")
-    require_writable(asked.out, folders, may_be_folder=True)
-    form = make_format(asked.format)
-    _require_heard(asked, form)
+    options = _parser().parse_args(argv)
+    localized = [folder for folder in options.runs if is_localized(folder)]
+    others = [folder for folder in options.runs if folder not in localized]
+    folders = [*localized, *(run_folders(others, options.out) if others else ())]
+    if options.out is not None and len(folders) > 1:
+        raise ConfigError(f"--out {options.out} is one place, for {len(folders)} folders.", "Leave it out.")
+    require_writable(options.out, folders, may_be_folder=True)
+    form = make_format(options.format)
+    _require_heard(options, form)
     for folder in folders:
         if folder in localized:
-            export = _localized(asked, folder, form)
+            export = _localized(options, folder, form)
         else:
-            export = _opened(asked, read_whole_run(folder), form)
-        with blaming("export_formats", asked.format, "write the run"):
-            _report(export_run(export, form, asked.out))
+            export = _opened(options, read_whole_run(folder), form)
+        with blaming("export_formats", options.format, "write the run"):
+            _report(export_run(export, form, options.out))
     return 0
 
 
-def _require_heard(asked: argparse.Namespace, form: ExportFormat) -> None:
-    """Checks that the format has a use for what is told.
+def _require_heard(options: argparse.Namespace, form: ExportFormat) -> None:
+    """Checks that the format has a use for what is given.
 
     Raises:
-        LodbenchError: It has none, or poses in metres cannot be in the system told.
+        LodbenchError: It has none, or poses in metres cannot be in the given system.
     """
-    if asked.crs is not None:
+    if options.crs is not None:
         if CRS not in wanted_by(form):
-            raise ConfigError(f"--format {asked.format} states no reference system.", "Leave --crs out.")
-        MapFrame(asked.crs)  # the poses are in metres, and stay as they are
-    if not wanted_by(form) and (asked.dataset_root or asked.city_model):
+            raise ConfigError(f"--format {options.format} states no reference system.", "Leave --crs out.")
+        MapFrame(options.crs)  # the poses are in metres, and stay as they are
+    if not wanted_by(form) and (options.dataset_root or options.city_model):
         raise ConfigError(
-            f"--format {asked.format} needs poses alone.", "Leave --dataset-root and --city out."
+            f"--format {options.format} needs poses alone.", "Leave --dataset-root and --city out."
         )
 
 
-def _localized(asked: argparse.Namespace, folder: Path, form: ExportFormat) -> Export:
+def _localized(options: argparse.Namespace, folder: Path, form: ExportFormat) -> Export:
     """Returns what `lodbench localize` wrote into a folder, with what the format takes of it.
 
     Raises:
         LodbenchError: It cannot be read, the format requires a city, or the poses are in another system than
-            is told.
+            is given.
     """
     if CITY in form.requires:
         raise ConfigError(
-            f"--format {asked.format} needs a run of a dataset, and {folder} is of lodbench localize.",
+            f"--format {options.format} needs a run of a dataset, and {folder} is of lodbench localize.",
             "Make one of the photos: lodbench dataset init.",
         )
-    if asked.dataset_root is not None or asked.city_model is not None:
+    if options.dataset_root is not None or options.city_model is not None:
         hint = "Leave --dataset-root and --city out; --crs names the system of a local frame."
         raise ConfigError(f"{folder}, of lodbench localize, has cameras and reference system itself.", hint)
     export = read_localized_folder(folder)
-    return replace(export, crs=_one_system([export.crs, asked.crs], asked.crs))
+    return replace(export, crs=_one_system([export.crs, options.crs], options.crs))
 
 
-def _opened(asked: argparse.Namespace, run: StoredRun, form: ExportFormat) -> Export:
+def _opened(options: argparse.Namespace, run: StoredRun, form: ExportFormat) -> Export:
     """Returns a run with what the format requires, or takes if it is known.
 
     Raises:
-        LodbenchError: It cannot be had, or the poses are in another system than is told.
+        LodbenchError: It cannot be had, or the poses are in another system than is given.
     """
     kept, needs = run.provenance.get("crs"), wanted_by(form)
-    is_asked = CRS in needs and (kept is None or asked.city_model is not None)
-    is_placed = asked.dataset_root is not None or asked.city_model is not None
+    is_asked = CRS in needs and (kept is None or options.city_model is not None)
+    is_placed = options.dataset_root is not None or options.city_model is not None
     dataset = city = None
     try:
         if is_placed or is_asked or needs - {CRS}:
-            dataset = reopen_dataset(run.folder, asked.dataset_root, asked.city_model)
+            dataset = reopen_dataset(run.folder, options.dataset_root, options.city_model)
         if dataset is not None and (CITY in needs or (is_asked and dataset.city_model is not None)):
             city = _city_of(dataset)
     except LodbenchError:
-        if is_placed or needs - {CRS} or (asked.crs is None and CRS in form.requires):
+        if is_placed or needs - {CRS} or (options.crs is None and CRS in form.requires):
             raise
     # A run of an older version keeps no system: its city and its dataset tell it, where they are there.
-    told = [kept, None if city is None else city.crs, None if dataset is None else dataset.crs, asked.crs]
-    return Export(run, dataset, city, _one_system(told, asked.crs) if CRS in needs else None)
+    reported = [
+        kept,
+        None if city is None else city.crs,
+        None if dataset is None else dataset.crs,
+        options.crs,
+    ]
+    return Export(run, dataset, city, _one_system(reported, options.crs) if CRS in needs else None)
 
 
-def _one_system(told: Sequence[object], asked: str | None) -> str | None:
-    """Returns the reference system that poses are in, as it is asked for or first told; None if by nobody.
+def _one_system(reported: Sequence[object], crs: str | None) -> str | None:
+    """Returns the reference system that poses are in, as requested or first stated; None if by nobody.
 
     Raises:
-        LodbenchError: Two of those told contradict each other, or nobody knows one.
+        LodbenchError: Two of those stated contradict each other, or nobody knows one.
     """
-    named = [str(name) for name in told if name is not None]
+    named = [str(name) for name in reported if name is not None]
     for other in named[1:]:
         first, second = require_crs(named[0]), require_crs(other)
         heights = {first.vertical_code, second.vertical_code} - {None}
@@ -139,10 +144,10 @@ def _one_system(told: Sequence[object], asked: str | None) -> str | None:
             raise DatasetError(
                 f"The run's poses are in {named[0]}, not in {other}.",
                 "Leave --crs out: it moves no pose, and is for runs whose system nobody knows."
-                if other == asked
+                if other == crs
                 else "Take the city model that the run was made with.",
             )
-    return asked or (named[0] if named else None)
+    return crs or (named[0] if named else None)
 
 
 def _report(done: Exported) -> None:

@@ -39,7 +39,7 @@ examples:
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    asked = _parser().parse_args(argv)
+    given = _parser().parse_args(argv)
     from lodbench.datasets.own import find_photo, shared_files
     from lodbench.harness.city import open_city
     from lodbench.harness.georeference import GeoreferenceRequest, georeference
@@ -47,28 +47,28 @@ def main(argv: Sequence[str]) -> int:
     from lodbench.methods.protocol import SupportsFlights
     from lodbench.methods.registry import make_method
 
-    _require_given(asked)
-    method = make_method(asked.method)
+    _require_given(given)
+    method = make_method(given.method)
     if not isinstance(method, SupportsFlights):
-        raise ConfigError(f"--method {asked.method} solves no flights.", "Leave --method out.")
+        raise ConfigError(f"--method {given.method} solves no flights.", "Leave --method out.")
     request = GeoreferenceRequest(
-        **city_settings(asked),
-        model=asked.model,
+        **city_settings(given),
+        model=given.model,
         method=method,
-        images=asked.images,
-        masks=asked.masks,
-        segmenter=None if asked.masks is not None else segmenter_of(asked.segmenter or FOR_PHOTOS),
-        start=asked.start,
-        seed=asked.seed,
+        images=given.images,
+        masks=given.masks,
+        segmenter=None if given.masks is not None else segmenter_of(given.segmenter or FOR_PHOTOS),
+        start=given.start,
+        seed=given.seed,
     )
-    if asked.sidecars:
+    if given.sidecars:
         city = open_city(request.city, request.lod, request.options, request.roof_height)
-        require_sidecars(city.scene.crs, [asked.images])
+        require_sidecars(city.scene.crs, [given.images])
     placed = georeference(request)
-    text = json.dumps(placed.to_json(), indent=2, ensure_ascii=False) if asked.json else describe(placed)
+    text = json.dumps(placed.to_json(), indent=2, ensure_ascii=False) if given.json else describe(placed)
     sys.stdout.write(text + "\n")
-    if asked.sidecars:
-        files = [(find_photo(asked.images, camera.name), camera.pose) for camera in placed.cameras]
+    if given.sidecars:
+        files = [(find_photo(given.images, camera.name), camera.pose) for camera in placed.cameras]
         shared = shared_files(file for file, _ in files)
         own = [(file, pose) for file, pose in files if file is not None and file not in shared]
         line = write_sidecars(own if placed.is_trusted else [], placed.crs)
@@ -76,27 +76,27 @@ def main(argv: Sequence[str]) -> int:
     return 0 if placed.is_trusted else NOT_TRUSTED
 
 
-def _require_given(asked: argparse.Namespace) -> None:
+def _require_given(given: argparse.Namespace) -> None:
     for name in ("model", "images", "masks"):
-        folder = getattr(asked, name)
+        folder = getattr(given, name)
         if folder is not None and not folder.is_dir():
             hint = "Name the folder that holds it." if folder.is_file() else "Check the path."
             raise DatasetError(f"{folder} is not a folder.", hint)
-    if asked.start is not None and not asked.start.exists():
-        raise DatasetError(f"{asked.start} does not exist.", "Check the path.")
-    if asked.masks is None and asked.images is None:
+    if given.start is not None and not given.start.exists():
+        raise DatasetError(f"{given.start} does not exist.", "Check the path.")
+    if given.masks is None and given.images is None:
         raise ConfigError("There is nothing to place the model by.", "Give --masks DIR, or --images DIR.")
-    unused = height_flags(asked)
-    if asked.start is not None and unused:
+    unused = height_flags(given)
+    if given.start is not None and unused:
         hint = f"--start has the heights: leave {unused[0]} or --start out."
         raise ConfigError(f"{unused[0]} is not used with --start.", hint)
-    require_one_mask_source(asked, "--masks")
-    if asked.sidecars and asked.images is None:
+    require_one_mask_source(given, "--masks")
+    if given.sidecars and given.images is None:
         raise ConfigError("--sidecars are written beside photos.", "Name their folder with --images.")
 
 
 def describe(placed: Georeferenced) -> str:
-    """Returns what a reader is told."""
+    """Returns the report."""
     import numpy as np
 
     fitted = placed.fitted

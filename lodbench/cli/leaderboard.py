@@ -149,7 +149,7 @@ def _build(root: Path, check: bool) -> int:
 
 
 def _stale(root: Path, texts: Collection[Path]) -> list[Path]:
-    """Returns the files of boards whose last entry is gone; a board is told by its LaTeX."""
+    """Returns the files of boards whose last entry is gone; a board is recognised by its LaTeX."""
     names = {path.stem for path in root.glob("*.tex")} - {path.stem for path in texts}
     files = (
         root / f"{name}{ending}" for name in sorted(names) for ending in (".csv", ".html", ".md", ".tex")

@@ -88,19 +88,19 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     from lodbench.harness.photo.request import LocalizedPhoto
 
-    asked = parser().parse_args(argv)
-    found = localized(asked)
+    options = parser().parse_args(argv)
+    found = localized(options)
     if not isinstance(found, LocalizedPhoto):
-        return _tell_many(found, asked)
-    sys.stdout.write((_json(found.to_json()) if asked.json else describe(found)) + "\n")
+        return _tell_many(found, options)
+    sys.stdout.write((_json(found.to_json()) if options.json else describe(found)) + "\n")
     return 0 if found.is_trusted else NOT_TRUSTED
 
 
-def localized(asked: argparse.Namespace) -> LocalizedPhoto | Answers:
+def localized(options: argparse.Namespace) -> LocalizedPhoto | Answers:
     """Returns the answer to one photo, or to several, and writes all of it but what is printed.
 
     Args:
-        asked: As ``parser`` returns it.
+        options: As ``parser`` returns it.
 
     Raises:
         LodbenchError: An option is wrong, the city cannot be read, or the one photo cannot be localised.
@@ -110,23 +110,23 @@ def localized(asked: argparse.Namespace) -> LocalizedPhoto | Answers:
     from lodbench.harness.photo.many import photos_of
     from lodbench.harness.photo.outputs import require_sidecars
 
-    is_one = len(asked.photos) == 1 and asked.photos[0].is_file()
-    _require_options(asked, is_one)
-    inside = _masks_inside(asked)
-    photos = photos_of(asked.photos, asked.masks or inside, inside, asked.out)
-    masks = _masks_for(asked)
-    method = _method(asked, is_one, masks)
+    is_one = len(options.photos) == 1 and options.photos[0].is_file()
+    _require_options(options, is_one)
+    inside = _masks_inside(options)
+    photos = photos_of(options.photos, options.masks or inside, inside, options.out)
+    masks = _masks_for(options)
+    method = _method(options, is_one, masks)
     masks = masks if "mask" in method.requires else None
     if masks is not None:
         require_some_mask(masks, [f"{photo.parent.name}/{photo.name}" for photo in photos], photos)
-    request = _with_start(_request(asked, photos[0], method, masks), photos, asked)
-    _tell_unused(photos, asked)
-    if asked.sidecars:
+    request = _with_start(_request(options, photos[0], method, masks), photos, options)
+    _tell_unused(photos, options)
+    if options.sidecars:
         require_sidecars(open_map(request).scene.crs, {photo.parent for photo in photos})
-    return _one(request, asked) if is_one else _several(request, photos, masks, asked)
+    return _one(request, options) if is_one else _several(request, photos, masks, options)
 
 
-def _one(request: PhotoRequest, asked: argparse.Namespace) -> LocalizedPhoto:
+def _one(request: PhotoRequest, options: argparse.Namespace) -> LocalizedPhoto:
     """Returns the answer to one photo, and writes it."""
     from lodbench.harness.photo.localize import STEPS, localize_photo
     from lodbench.harness.photo.outputs import write_view
@@ -134,12 +134,12 @@ def _one(request: PhotoRequest, asked: argparse.Namespace) -> LocalizedPhoto:
     with Progress(request.photo.name, STEPS, unit="steps") as progress:
         found = localize_photo(request, progress.advance)
     write_view(found.view, request, [found])
-    _write_sidecars([(request.photo, found)], asked)
+    _write_sidecars([(request.photo, found)], options)
     return found
 
 
 def _several(
-    request: PhotoRequest, photos: Sequence[Path], masks: Path | None, asked: argparse.Namespace
+    request: PhotoRequest, photos: Sequence[Path], masks: Path | None, options: argparse.Namespace
 ) -> Answers:
     """Returns the answers to several photos, as flights or each alone, and writes them.
 
@@ -153,104 +153,104 @@ def _several(
     from lodbench.harness.photo.outputs import write_view
     from lodbench.methods.protocol import SupportsFlights
 
-    if isinstance(request.method, SupportsFlights) and not asked.each_alone:
-        imagery = None if asked.imagery is None else open_imagery(asked.imagery, open_map(request).scene)
-        answers = localize_flights(request, photos, masks, asked.reconstruction, imagery)
-    elif asked.imagery is not None:
+    if isinstance(request.method, SupportsFlights) and not options.each_alone:
+        imagery = None if options.imagery is None else open_imagery(options.imagery, open_map(request).scene)
+        answers = localize_flights(request, photos, masks, options.reconstruction, imagery)
+    elif options.imagery is not None:
         raise ConfigError("`--imagery` lies under the map of a flight's page.", _NO_FLIGHT)
-    elif asked.reconstruction is not None:
+    elif options.reconstruction is not None:
         raise ConfigError("`--reconstruction` ties a flight's photos.", _NO_FLIGHT)
     else:
         answers = localize_photos(request, photos, masks)
     if answers.found:
         pages = {flight.name: answers.page(flight).name for flight in answers.flights}
         write_view(answers.view, request, answers.found, pages)
-    _write_sidecars([(each.photo, each.found) for each in answers.photos if each.found is not None], asked)
+    _write_sidecars([(each.photo, each.found) for each in answers.photos if each.found is not None], options)
     return answers
 
 
-def _tell_unused(photos: Sequence[Path], asked: argparse.Namespace) -> None:
+def _tell_unused(photos: Sequence[Path], options: argparse.Namespace) -> None:
     """Warns of what photos have and nobody uses."""
     from lodbench.harness.photo.flight_inputs import heading_note, saved_masks_note
 
-    has_choice = asked.mask is not None or asked.segmenter is not None or _masks_for(asked) is not None
-    notes = (None if has_choice else saved_masks_note(photos), heading_note(photos, asked.heading))
+    has_choice = options.mask is not None or options.segmenter is not None or _masks_for(options) is not None
+    notes = (None if has_choice else saved_masks_note(photos), heading_note(photos, options.heading))
     for note in filter(None, notes):
         _LOGGER.warning("%s", note)
 
 
-def _write_sidecars(found: Sequence[tuple[Path, LocalizedPhoto]], asked: argparse.Namespace) -> None:
-    """Writes XMP beside the photos whose poses are to be trusted, if that was asked for."""
+def _write_sidecars(found: Sequence[tuple[Path, LocalizedPhoto]], options: argparse.Namespace) -> None:
+    """Writes XMP beside the photos whose poses are to be trusted, if that was requested."""
     from lodbench.harness.photo.outputs import write_sidecars
 
     trusted = [(photo, answer.pose) for photo, answer in found if answer.is_trusted]
-    if asked.sidecars and found:
+    if options.sidecars and found:
         sys.stderr.write(f"lodbench: sidecars: {write_sidecars(trusted, found[0][1].crs)}\n")
 
 
-def _masks_for(asked: argparse.Namespace) -> Path | None:
-    """Returns the folder of masks that counts: a segmenter that was asked for goes before what lies there."""
-    is_segmented = asked.segmenter is not None or asked.segmenter_option
-    return None if is_segmented else asked.masks or _masks_inside(asked)
+def _masks_for(options: argparse.Namespace) -> Path | None:
+    """Returns the folder of masks that counts: a segmenter that was requested goes before what lies there."""
+    is_segmented = options.segmenter is not None or options.segmenter_option
+    return None if is_segmented else options.masks or _masks_inside(options)
 
 
-def _masks_inside(asked: argparse.Namespace) -> Path | None:
-    """Returns the folder ``masks`` in the one folder that was asked for; None where there is none."""
-    inside: Path = asked.photos[0] / "masks"
-    return inside if len(asked.photos) == 1 and inside.is_dir() else None
+def _masks_inside(options: argparse.Namespace) -> Path | None:
+    """Returns the folder ``masks`` in the one folder that was requested; None where there is none."""
+    inside: Path = options.photos[0] / "masks"
+    return inside if len(options.photos) == 1 and inside.is_dir() else None
 
 
-def _method(asked: argparse.Namespace, is_one: bool, masks: Path | None) -> Method:
-    """Returns the method that was asked for, or the one for what was given.
+def _method(options: argparse.Namespace, is_one: bool, masks: Path | None) -> Method:
+    """Returns the method that was requested, or the one for what was given.
 
     Raises:
         ConfigError: It looks at no mask, and one was named.
     """
     from lodbench.methods.registry import configure_method
 
-    given = [name for name in ("mask", "masks", "segmenter", "segmenter_option") if getattr(asked, name)]
+    given = [name for name in ("mask", "masks", "segmenter", "segmenter_option") if getattr(options, name)]
     named = [f"--{name.replace('_', '-')}" for name in given]
     # Settings without a method are those of the one by pixels, which looks at no mask.
-    by_pixels = "region" if asked.method_option else _BY_PIXELS
+    by_pixels = "region" if options.method_option else _BY_PIXELS
     alone = _BY_MASK if named or masks is not None else by_pixels
-    name = asked.method or (alone if is_one or asked.each_alone else "flight")
+    name = options.method or (alone if is_one or options.each_alone else "flight")
     method = with_prior_width(
-        configure_method({**option_pairs(asked.method_option), "name": name}), asked
+        configure_method({**option_pairs(options.method_option), "name": name}), options
     ).make()
     takes_mask = "mask" in method.requires
-    makes_mask = "mask_on_demand" in method.requires and not (asked.mask or asked.masks)
+    makes_mask = "mask_on_demand" in method.requires and not (options.mask or options.masks)
     if named and not takes_mask and not makes_mask:
         hint = f"Leave `{named[0]}` out, or take `--method {_BY_MASK}`."
         raise ConfigError(f"Method {method.name} looks at no mask.", hint)
     return method
 
 
-def _request(asked: argparse.Namespace, photo: Path, method: Method, masks: Path | None) -> PhotoRequest:
+def _request(options: argparse.Namespace, photo: Path, method: Method, masks: Path | None) -> PhotoRequest:
     from lodbench.harness.photo.request import PhotoRequest
 
     segmenter = None
-    if asked.mask is None and masks is None and {"mask", "mask_on_demand"} & set(method.requires):
-        segmenter = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
-    own = {"photo": photo, "mask": asked.mask, "segmenter": segmenter, "seed": asked.seed}
+    if options.mask is None and masks is None and {"mask", "mask_on_demand"} & set(method.requires):
+        segmenter = segmenter_of(options.segmenter or FOR_PHOTOS, options.segmenter_option)
+    own = {"photo": photo, "mask": options.mask, "segmenter": segmenter, "seed": options.seed}
     own |= {"method": method}
-    return PhotoRequest(**city_settings(asked), **rough_settings(asked), **own)
+    return PhotoRequest(**city_settings(options), **rough_settings(options), **own)
 
 
-def _with_start(request: PhotoRequest, photos: Sequence[Path], asked: argparse.Namespace) -> PhotoRequest:
+def _with_start(request: PhotoRequest, photos: Sequence[Path], options: argparse.Namespace) -> PhotoRequest:
     """Returns a request with the rough poses that --start names, if it does.
 
     Raises:
         LodbenchError: They or the city cannot be read, or are of none of the photos.
     """
-    if asked.start is None:
+    if options.start is None:
         return request
     from lodbench.harness.photo.flight_inputs import read_rough_poses
     from lodbench.harness.photo.localize import open_map
 
-    return replace(request, start=read_rough_poses(asked.start, photos, open_map(request).scene.crs))
+    return replace(request, start=read_rough_poses(options.start, photos, open_map(request).scene.crs))
 
 
-def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
+def _require_options(options: argparse.Namespace, is_one: bool) -> None:
     """Refuses a city where photos are meant, and what is meant for one photo and given for many, and back.
 
     Raises:
@@ -259,34 +259,34 @@ def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
     """
     from lodbench.citymodel.source import is_city_file
 
-    require_one_mask_source(asked, "--mask", "--masks")
-    cities = [photo for photo in asked.photos if is_city_file(photo)]
+    require_one_mask_source(options, "--mask", "--masks")
+    cities = [photo for photo in options.photos if is_city_file(photo)]
     if cities:
         hint = "The photos come first, the city model after `--city`."
         raise ConfigError(f"{cities[0]} is a city model by its name, not a photo.", hint)
-    absent = [photo for photo in asked.photos if not photo.exists()]
+    absent = [photo for photo in options.photos if not photo.exists()]
     if absent:
         raise DatasetError(f"The photo {absent[0]} does not exist.", "Check the path.")
-    require_start_alone(asked)
-    own = [f"--{name}" for name in ("mask", "lat", "lon", "center") if getattr(asked, name) is not None]
+    require_start_alone(options)
+    own = [f"--{name}" for name in ("mask", "lat", "lon", "center") if getattr(options, name) is not None]
     if own and not is_one:
         hint = "Use `--masks DIR` for several." if own[0] == "--mask" else f"For several: {START_OF_EACH}."
         raise ConfigError(f"`{own[0]}` works with one photo.", hint)
-    if asked.masks is not None and is_one:
+    if options.masks is not None and is_one:
         raise ConfigError("`--masks` is for several photos.", "Give `--mask FILE`.")
-    if asked.reconstruction is not None and is_one:
+    if options.reconstruction is not None and is_one:
         raise ConfigError("`--reconstruction` ties a flight's photos.", "Give several, or a folder.")
-    if asked.imagery is not None and is_one:
+    if options.imagery is not None and is_one:
         raise ConfigError("`--imagery` lies under the map of a flight's page.", "Give several, or a folder.")
-    if asked.masks is not None and not asked.masks.is_dir():
+    if options.masks is not None and not options.masks.is_dir():
         raise ConfigError(
-            f"`--masks {asked.masks}` is not a folder.", "Name the folder of the photos' masks."
+            f"`--masks {options.masks}` is not a folder.", "Name the folder of the photos' masks."
         )
 
 
-def _tell_many(answers: Answers, asked: argparse.Namespace) -> int:
+def _tell_many(answers: Answers, options: argparse.Namespace) -> int:
     """Prints what became of many photos; returns the exit code."""
-    if asked.json:
+    if options.json:
         values = [
             {
                 **({"failure": answer.failure} if answer.found is None else answer.found.to_json()),
@@ -297,7 +297,7 @@ def _tell_many(answers: Answers, asked: argparse.Namespace) -> int:
         ]
         sys.stdout.write(_json(values) + "\n")
     else:
-        sys.stdout.write(describe_many(answers, has_masks=_masks_for(asked) is not None))
+        sys.stdout.write(describe_many(answers, has_masks=_masks_for(options) is not None))
     if all(answer.found is None for answer in answers.photos):
         return 1
     is_well = all(answer.found is not None and answer.found.is_trusted for answer in answers.photos)

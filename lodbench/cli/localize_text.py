@@ -111,7 +111,7 @@ def _flight_lines(answers: Answers) -> list[str]:
 
 
 def describe(found: LocalizedPhoto) -> str:
-    """Returns what a reader is told."""
+    """Returns the report."""
     x, y, z = (float(v) for v in found.pose.center)
     lens = "" if found.lens_percent is None else f", its focal length good to {found.lens_percent:.1f} %"
     rows = [

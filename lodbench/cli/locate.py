@@ -50,27 +50,27 @@ examples:
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    asked = _parser().parse_args(argv)
+    options = _parser().parse_args(argv)
     from lodbench.harness.photo.placing import PlacesRequest, place_photo
 
-    if not asked.pixel and asked.mask is None:
+    if not options.pixel and options.mask is None:
         raise ConfigError("There is nothing to place.", "Give --pixel U V, or --mask FILE.")
     for name in ("pixel", "map", "ground"):
-        require_within(f"--{name}-sigma", getattr(asked, f"{name}_sigma"), 0)
-    sigmas = {"pixel_sigma_px": asked.pixel_sigma, "map_sigma_m": asked.map_sigma}
+        require_within(f"--{name}-sigma", getattr(options, f"{name}_sigma"), 0)
+    sigmas = {"pixel_sigma_px": options.pixel_sigma, "map_sigma_m": options.map_sigma}
     sigmas = {name: value for name, value in sigmas.items() if value is not None}
     request = PlacesRequest(
-        **map_settings(asked),
-        photo=asked.photo,
-        found=asked.found,
-        pixels=[tuple(pixel) for pixel in asked.pixel],
-        mask=asked.mask,
-        out=asked.out,
-        ground_sigma_m=asked.ground_sigma,
+        **map_settings(options),
+        photo=options.photo,
+        found=options.found,
+        pixels=[tuple(pixel) for pixel in options.pixel],
+        mask=options.mask,
+        out=options.out,
+        ground_sigma_m=options.ground_sigma,
         **sigmas,
     )
     placed = place_photo(request)
-    if asked.json:
+    if options.json:
         text = json.dumps(finite(placed.to_json()), indent=2, ensure_ascii=False, allow_nan=False)
     else:
         text = describe(placed)

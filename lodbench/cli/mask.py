@@ -31,7 +31,7 @@ examples:
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    asked = _parser().parse_args(argv)
+    options = _parser().parse_args(argv)
     from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
     from lodbench.harness.mask.session import (
         Untouched,
@@ -42,40 +42,40 @@ def main(argv: Sequence[str]) -> int:
     )
     from lodbench.photos.files import mask_name
 
-    if asked.photo.is_dir():
-        raise ConfigError(f"{asked.photo} is a folder.", "Name a photo: lodbench mask PHOTO")
-    require_one_mask_source(asked, "--mask", "--import")
-    polygons: Path | None = vars(asked)["import"]
-    require_within("--port", asked.port, 0, 65535)
-    out = asked.out or asked.photo.with_name(mask_name(asked.photo.stem))
-    _check_out(out, asked.photo)
-    formats = tuple(dict.fromkeys(asked.export))
+    if options.photo.is_dir():
+        raise ConfigError(f"{options.photo} is a folder.", "Name a photo: lodbench mask PHOTO")
+    require_one_mask_source(options, "--mask", "--import")
+    polygons: Path | None = vars(options)["import"]
+    require_within("--port", options.port, 0, 65535)
+    out = options.out or options.photo.with_name(mask_name(options.photo.stem))
+    _check_out(out, options.photo)
+    formats = tuple(dict.fromkeys(options.export))
     untouched = Untouched(out, formats)  # before anything of them is read
-    mask = _start(asked, polygons, out)
-    if asked.out is None:
-        require_untouched(out, asked.photo, formats, polygons)
+    mask = _start(options, polygons, out)
+    if options.out is None:
+        require_untouched(out, options.photo, formats, polygons)
     segmenter = None
     if mask is None and polygons is None:
         from lodbench.segmentation.choice import FOR_PHOTOS
         from lodbench.segmentation.photo_segmenter import require_photo_segmenter
 
-        made = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
+        made = segmenter_of(options.segmenter or FOR_PHOTOS, options.segmenter_option)
         segmenter = require_photo_segmenter(made)
-    require_unturned(asked.photo, formats, polygons)
-    session = opened_session(asked.photo, mask, polygons, segmenter)
-    if polygons is not None and asked.out is None and out.exists() and not session.mask.any():
+    require_unturned(options.photo, formats, polygons)
+    session = opened_session(options.photo, mask, polygons, segmenter)
+    if polygons is not None and options.out is None and out.exists() and not session.mask.any():
         raise ConfigError(f"{polygons.name} shows no building, and {out} would be replaced.", _keep_hint(out))
 
     def save() -> tuple[Path, ...]:
         once_more = "Keep a copy of it if it is needed; saving once more replaces it."
-        untouched.require(once_more if asked.page else _keep_hint(out))
+        untouched.require(once_more if options.page else _keep_hint(out))
         try:
-            return saved(session.mask, asked.photo, out, formats)
+            return saved(session.mask, options.photo, out, formats)
         finally:
             untouched.remember()  # of a save that failed half way too: what is there is its own
 
-    if asked.page:
-        _serve(session, asked, out, save)
+    if options.page:
+        _serve(session, options, out, save)
     else:
         for path in save():
             sys.stdout.write(f"written: {path}\n")
@@ -100,17 +100,17 @@ def _check_out(out: Path, photo: Path) -> None:
         raise ConfigError("--out is the photo itself.", "Leave it out, or name another file.")
 
 
-def _start(asked: argparse.Namespace, polygons: Path | None, out: Path) -> Path | None:
+def _start(options: argparse.Namespace, polygons: Path | None, out: Path) -> Path | None:
     """Returns the mask to start from: what was named, else the one that was saved before.
 
     Raises:
         ConfigError: The mask that was saved before, perhaps by hand, would be replaced unasked.
     """
-    named: Path | None = asked.mask
+    named: Path | None = options.mask
     # Polygons were written from that mask: what comes back is meant to replace it.
-    if asked.out is not None or polygons is not None or not out.exists():
+    if options.out is not None or polygons is not None or not out.exists():
         return named
-    makes_new = asked.segmenter is not None or bool(asked.segmenter_option)
+    makes_new = options.segmenter is not None or bool(options.segmenter_option)
     if makes_new or (named is not None and named.exists() and not named.samefile(out)):
         raise ConfigError(f"{out} is there, and would be replaced.", _keep_hint(out))
     if named is None:
@@ -123,7 +123,7 @@ def _keep_hint(out: Path) -> str:
 
 
 def _serve(
-    session: MaskSession, asked: argparse.Namespace, out: Path, save: Callable[[], tuple[Path, ...]]
+    session: MaskSession, options: argparse.Namespace, out: Path, save: Callable[[], tuple[Path, ...]]
 ) -> None:
     """Serves the page until it is closed, or Ctrl+C, which keeps strokes that were not saved beside the mask.
 
@@ -138,10 +138,11 @@ def _serve(
         return "saved: " + ", ".join(path.name for path in save())
 
     try:
-        server = MaskServer(session, asked.photo.name, saved_words, asked.port)
+        server = MaskServer(session, options.photo.name, saved_words, options.port)
     except OSError as error:
         raise ConfigError(
-            f"--port {asked.port} cannot be listened at: {error.strerror}.", "Leave it out, or name another."
+            f"--port {options.port} cannot be listened at: {error.strerror}.",
+            "Leave it out, or name another.",
         ) from error
     with server:
         sys.stdout.write(
@@ -155,10 +156,10 @@ def _serve(
                 # No picture by its name: a folder of photos would have one more.
                 aside = out.with_name(f"{out.name}.unsaved")
                 with last_write(aside):
-                    saved(session.mask, asked.photo, aside, ())
+                    saved(session.mask, options.photo, aside, ())
                     again = shlex.join(["--mask", str(aside), "--out", str(out)])
-                    told = f"\nnot saved: strokes since the last Save. Go on with them: {again}\n"
-                    sys.stdout.write(told)
+                    words = f"\nnot saved: strokes since the last Save. Go on with them: {again}\n"
+                    sys.stdout.write(words)
             raise
 
 

@@ -24,7 +24,7 @@ class Parser(argparse.ArgumentParser):
     def __init__(
         self, prog: str | None = None, description: str | None = None, epilog: str | None = None, **named: Any
     ) -> None:
-        if epilog is not None:  # told line by line, as it stands
+        if epilog is not None:  # printed line by line, as it stands
             named.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         # An abbreviation that works today is another flag's name tomorrow.
         super().__init__(prog, description=description, epilog=epilog, **{"allow_abbrev": False, **named})
@@ -32,7 +32,7 @@ class Parser(argparse.ArgumentParser):
         self._negative_number_matcher = _NEGATIVE
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parses words; a flag that there is none of is told before what else is missing.
+        """Parses words; a flag that does not exist is reported before what else is missing.
 
         Raises:
             ConfigError: A word is wrong, or one is missing.
@@ -81,7 +81,7 @@ class Parser(argparse.ArgumentParser):
             )
 
     def error(self, message: str) -> NoReturn:
-        """Tells a fault.
+        """Reports a fault.
 
         Raises:
             ConfigError: Always.

@@ -53,20 +53,20 @@ def add_map_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def city_settings(asked: argparse.Namespace) -> dict[str, Any]:
+def city_settings(wanted: argparse.Namespace) -> dict[str, Any]:
     """Returns what a ``CityRequest`` takes of ``add_map_options``, ``add_height_options`` and ``--out``.
 
     Raises:
         ConfigError: The profile, an option or the rule of roofs is unknown, or --out cannot be written to.
     """
-    if not can_write(asked.out):
+    if not can_write(wanted.out):
         raise ConfigError(
-            f"Nothing can be written to `--out {asked.out}`.", "Name another folder: `--out DIR`"
+            f"Nothing can be written to `--out {wanted.out}`.", "Name another folder: `--out DIR`"
         )
-    return {**map_settings(asked), "out": asked.out, "heights": height_options(asked)}
+    return {**map_settings(wanted), "out": wanted.out, "heights": height_options(wanted)}
 
 
-def map_settings(asked: argparse.Namespace) -> dict[str, Any]:
+def map_settings(wanted: argparse.Namespace) -> dict[str, Any]:
     """Returns the city of ``add_map_options`` and how to read it.
 
     Raises:
@@ -74,41 +74,41 @@ def map_settings(asked: argparse.Namespace) -> dict[str, Any]:
     """
     from lodbench.citymodel.derive import ROOF_HEIGHTS
 
-    profile = load_profile(asked.source, asked.option, asked.crs, asked.date)
-    if asked.roof_height is not None:
-        require_choice("--roof-height", asked.roof_height, ROOF_HEIGHTS)
+    profile = load_profile(wanted.source, wanted.option, wanted.crs, wanted.date)
+    if wanted.roof_height is not None:
+        require_choice("--roof-height", wanted.roof_height, ROOF_HEIGHTS)
     return {
-        "city": asked.city,
-        "lod": asked.lod or profile.lod,
+        "city": wanted.city,
+        "lod": wanted.lod or profile.lod,
         "options": profile.options,
-        "roof_height": asked.roof_height,
+        "roof_height": wanted.roof_height,
     }
 
 
-def rough_settings(asked: argparse.Namespace) -> dict[str, Any]:
+def rough_settings(wanted: argparse.Namespace) -> dict[str, Any]:
     """Returns what a ``RoughRequest`` takes of ``add_rough_pose_options``.
 
     Raises:
         ConfigError: The camera is none, or the place or its height is given twice, or half of it.
     """
-    own = {"--lat": asked.lat, "--lon": asked.lon, "--height": asked.height}
-    unused = [name for name, value in own.items() if value is not None] + height_flags(asked)
-    if asked.center is not None and unused:
+    own = {"--lat": wanted.lat, "--lon": wanted.lon, "--height": wanted.height}
+    unused = [name for name, value in own.items() if value is not None] + height_flags(wanted)
+    if wanted.center is not None and unused:
         hint = f"`--center` has the height too: leave `{unused[0]}` or `--center` out."
         raise ConfigError(f"`{unused[0]}` is not used with `--center`.", hint)
-    if (asked.lat is None) != (asked.lon is None):
-        one, other = ("--lat", "--lon") if asked.lon is None else ("--lon", "--lat")
+    if (wanted.lat is None) != (wanted.lon is None):
+        one, other = ("--lat", "--lon") if wanted.lon is None else ("--lon", "--lat")
         raise ConfigError(f"`{one}` is half a place.", f"Give `{other}` too, or leave `{one}` out.")
-    unused = [flag for flag in height_flags(asked) if flag != "--height-offset"]
-    if asked.height is not None and unused:
+    unused = [flag for flag in height_flags(wanted) if flag != "--height-offset"]
+    if wanted.height is not None and unused:
         hint = f"`--height` is in the city's heights already: leave `{unused[0]}` or `--height` out."
         raise ConfigError(f"`{unused[0]}` is not used with `--height`.", hint)
-    camera, sigmas = given_camera(asked.camera)
+    camera, sigmas = given_camera(wanted.camera)
     return {
         "camera": camera,
         "camera_sigmas": sigmas,
-        "given": RoughPlace(asked.lat, asked.lon, asked.height, asked.heading, asked.pitch, asked.roll),
-        "center": None if asked.center is None else tuple(asked.center),
+        "given": RoughPlace(wanted.lat, wanted.lon, wanted.height, wanted.heading, wanted.pitch, wanted.roll),
+        "center": None if wanted.center is None else tuple(wanted.center),
     }
 
 
@@ -143,19 +143,19 @@ def add_start_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start", type=Path, metavar="FILE", help=words)
 
 
-def require_start_alone(asked: argparse.Namespace) -> None:
+def require_start_alone(wanted: argparse.Namespace) -> None:
     """Refuses --start that is not there, or what else says where photos were taken beside it.
 
     Raises:
         ConfigError: There is such an option.
         DatasetError: The file is not there.
     """
-    if asked.start is None:
+    if wanted.start is None:
         return
-    if not asked.start.exists():
-        raise DatasetError(f"{asked.start} does not exist.", "Check the path.")
+    if not wanted.start.exists():
+        raise DatasetError(f"{wanted.start} does not exist.", "Check the path.")
     names = ("lat", "lon", "height", "heading", "pitch", "roll", "center")
-    unused = [f"--{name}" for name in names if getattr(asked, name) is not None] + height_flags(asked)
+    unused = [f"--{name}" for name in names if getattr(wanted, name) is not None] + height_flags(wanted)
     if unused:
         hint = f"`--start` has the whole pose: leave `{unused[0]}` or `--start` out."
         raise ConfigError(f"`{unused[0]}` is not used with `--start`.", hint)
@@ -177,15 +177,15 @@ def add_prior_options(parser: argparse.ArgumentParser) -> None:
     add("--prior-yaw", type=float, metavar="DEG", help="+- heading (default: 7.5; 180: not known)")
 
 
-def with_prior_width(method: ConfiguredMethod, asked: argparse.Namespace) -> ConfiguredMethod:
-    """Returns a method told how far off the rough pose may be, where that was said.
+def with_prior_width(method: ConfiguredMethod, wanted: argparse.Namespace) -> ConfiguredMethod:
+    """Returns a method given how far off the rough pose may be, where that was stated.
 
     Raises:
-        ConfigError: It is one that cannot be told.
+        ConfigError: It takes no width of priors.
     """
     from lodbench.methods.protocol import SupportsPriorWidth
 
-    prior = _told_prior(asked)
+    prior = _told_prior(wanted)
     if prior is None:
         return method
     if not isinstance(method.make(), SupportsPriorWidth):
@@ -194,18 +194,18 @@ def with_prior_width(method: ConfiguredMethod, asked: argparse.Namespace) -> Con
     return method.for_prior(prior)
 
 
-def _told_prior(asked: argparse.Namespace) -> UniformPrior | None:
+def _told_prior(wanted: argparse.Namespace) -> UniformPrior | None:
     """Returns how far off the rough pose may be; None where no option of ``add_prior_options`` says.
 
     Raises:
         ConfigError: A width is negative, or farther than methods search.
     """
-    told = {"x_m": asked.prior_range, "y_m": asked.prior_range, "z_m": asked.prior_height}
-    told["yaw_deg"] = asked.prior_yaw
+    widths = {"x_m": wanted.prior_range, "y_m": wanted.prior_range, "z_m": wanted.prior_height}
+    widths["yaw_deg"] = wanted.prior_yaw
     # A grid of 1 km either way takes gigabytes; whoever knows no more has to find the place first.
     for name, most in (("range", 1000), ("height", 1000), ("yaw", 180)):
-        require_within(f"--prior-{name}", getattr(asked, f"prior_{name}"), 0, most)
-    given = {name: width for name, width in told.items() if width is not None}
+        require_within(f"--prior-{name}", getattr(wanted, f"prior_{name}"), 0, most)
+    given = {name: width for name, width in widths.items() if width is not None}
     return UniformPrior(**given) if given else None
 
 
@@ -228,32 +228,32 @@ def add_height_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def height_flags(asked: argparse.Namespace) -> list[str]:
+def height_flags(wanted: argparse.Namespace) -> list[str]:
     """Returns which of ``add_height_options`` were given; a height that is known leaves nothing to them."""
     given = {
-        "--takeoff": asked.takeoff is not None,
-        "--geoid": asked.geoid is not None,
-        "--heights": asked.heights != "auto",
-        "--height-offset": asked.height_offset != 0,
+        "--takeoff": wanted.takeoff is not None,
+        "--geoid": wanted.geoid is not None,
+        "--heights": wanted.heights != "auto",
+        "--height-offset": wanted.height_offset != 0,
     }
     return [flag for flag, is_given in given.items() if is_given]
 
 
-def city_flags(asked: argparse.Namespace) -> list[str]:
+def city_flags(wanted: argparse.Namespace) -> list[str]:
     """Returns which of ``add_city_options`` were given; without a city nobody reads it so."""
     given = {
-        "--lod": asked.lod is not None,
-        "--crs": asked.crs is not None,
-        "--source": asked.source != "folder",
-        "--option": bool(asked.option),
-        "--date": asked.date is not None,
+        "--lod": wanted.lod is not None,
+        "--crs": wanted.crs is not None,
+        "--source": wanted.source != "folder",
+        "--option": bool(wanted.option),
+        "--date": wanted.date is not None,
     }
     return [flag for flag, is_given in given.items() if is_given]
 
 
-def height_options(asked: argparse.Namespace) -> HeightOptions:
-    """Returns what ``add_height_options`` asked for."""
-    return HeightOptions(asked.heights, asked.takeoff, asked.geoid, asked.height_offset)
+def height_options(wanted: argparse.Namespace) -> HeightOptions:
+    """Returns what ``add_height_options`` requested."""
+    return HeightOptions(wanted.heights, wanted.takeoff, wanted.geoid, wanted.height_offset)
 
 
 def given_camera(text: str | None) -> tuple[Camera | None, CameraSigmas | None]:

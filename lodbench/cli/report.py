@@ -55,7 +55,7 @@ def _report(run: Path, options: argparse.Namespace) -> int:
     flights = list(flight_findings(verdict)) if scene is not None else []
     folder = run / FLIGHTS_FOLDER
     files = {
-        # Into the run nothing is written that is asked for elsewhere.
+        # Into the run nothing is written that is requested elsewhere.
         name: folder / f"{name}.html" if options.out is None else out.with_name(f"{out.stem}_{name}.html")
         for name in flights
     }

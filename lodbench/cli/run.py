@@ -28,7 +28,7 @@ from lodbench.evaluation.basin import BasinStep, basin_steps, protocol_lines
 from lodbench.evaluation.queries import ERROR, has_truth, is_answered, without_truth
 from lodbench.execution.executor import ExecutorParams
 from lodbench.harness import Run, RunSettings, run_method
-from lodbench.harness.remote.method import HERE, RunnerParams
+from lodbench.harness.remote.method import INPROCESS, RunnerParams
 from lodbench.harness.runs.artefacts import queries_text, summary_of, write_artefacts
 from lodbench.harness.runs.basin import Basin, CostGrid, write_basin
 from lodbench.harness.runs.gallery import chosen_queries, overlay_name, write_overlays
@@ -111,7 +111,7 @@ def run_config(values: dict[str, Any]) -> Run:
     options = _options_of(values)
     executor = to_params(section(values, "executor"), ExecutorParams, "executor")
     paths = to_params(section(values, "paths"), PathParams, "paths")
-    # A basin has no other: its prior widths are told to a method in this process.
+    # A basin has no other: its prior widths are given to a method in this process.
     runner = to_params(section({"runner": {}, **values}, "runner"), RunnerParams, "runner")
     method, params = made_method(section(values, "method"), runner, options.tilt)
     named = named_segmenter(section(values, "segmenter"))
@@ -128,7 +128,7 @@ def run_config(values: dict[str, Any]) -> Run:
         "prior": prior,
         "method": params,
         # Left out where it is the process itself, as in all runs before there was a choice.
-        **({} if runner.name == HERE else {"runner": runner.name}),
+        **({} if runner.name == INPROCESS else {"runner": runner.name}),
         # So is the folder of masks where it is the dataset's own.
         "segmenter": {k: v for k, v in asdict(segmenter_params).items() if (k, v) != ("folder", None)},
     }
@@ -237,8 +237,8 @@ def _calibration_text(table: RecallTable) -> str:
 def _failure_lines(run: Run) -> list[str]:
     """Returns per reason how many queries failed, the first of their names, and where code raised."""
     # Splits without a truth have said above what became of each query.
-    told = run.queries.drop(without_truth(run.queries).index)
-    failed = told["failure"][told["failure"] != ""].map(plain_text)
+    reported = run.queries.drop(without_truth(run.queries).index)
+    failed = reported["failure"][reported["failure"] != ""].map(plain_text)
     reasons = {reason: list(failed.index[failed == reason]) for reason in sorted(failed.unique())}
     lines = []
     for reason, keys in reasons.items():

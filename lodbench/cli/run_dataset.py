@@ -19,7 +19,7 @@ from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import draw_priors, make_priors
 from lodbench.errors import LodbenchError
 from lodbench.harness.city import open_city
-from lodbench.harness.remote.method import HERE, SUBPROCESS, RemoteMethod, RunnerParams
+from lodbench.harness.remote.method import INPROCESS, SUBPROCESS, RemoteMethod, RunnerParams
 from lodbench.harness.remote.process import RunnerFault
 from lodbench.methods import Method
 from lodbench.methods.registry import configure_method
@@ -62,7 +62,7 @@ def with_source(dataset: Dataset, values: dict[str, Any]) -> Dataset:
     """Returns a dataset whose city is read as the source says; the dataset's own words go before it."""
     source = profile_of(values, dataset.city_options.crs)
     lod = source.lod if dataset.lod is None else dataset.lod
-    # The frame of the data is no habit of a publisher: it was told by the data.
+    # The frame of the data is no habit of a publisher: it was stated by the data.
     own = dataset.city_options
     layers = own.layers or source.options.layers
     options = replace(source.options, ecef_origin=own.ecef_origin, layers=layers)
@@ -120,7 +120,7 @@ def made_method(values: Mapping[str, Any], runner: RunnerParams, tilt: str) -> t
     Raises:
         ConfigError: It is unknown, a setting is wrong, or the other Python cannot run it.
     """
-    if runner.name == HERE:
+    if runner.name == INPROCESS:
         configured = configure_method(values).for_tilt(tilt)
         return configured.make(), asdict(configured.params)
     method = RemoteMethod(values, runner, tilt)
@@ -157,14 +157,16 @@ def remote_checks(name: str, words: Sequence[str]) -> Iterator[Check]:
     from lodbench.methods.conformance import check_answers, trial_settings
     from lodbench.methods.conformance.rules import known_inputs
 
-    told = {key: value for key, value in option_pairs(words).items() if key.startswith(_PREFIX)}
+    reported = {key: value for key, value in option_pairs(words).items() if key.startswith(_PREFIX)}
     runner = to_params(
-        {"name": SUBPROCESS, **{key.removeprefix(_PREFIX): value for key, value in told.items()}},
+        {"name": SUBPROCESS, **{key.removeprefix(_PREFIX): value for key, value in reported.items()}},
         RunnerParams,
         "runner",
     )
     settings = {
-        key.removeprefix("method."): value for key, value in option_pairs(words).items() if key not in told
+        key.removeprefix("method."): value
+        for key, value in option_pairs(words).items()
+        if key not in reported
     }
 
     def make() -> RemoteMethod:

@@ -38,19 +38,19 @@ def require_frames_looked_at(segmenter: Segmenter, name: str) -> None:
         raise ConfigError(f"`--segmenter {name}` looks at no frames.", f"{FOR_PHOTOS} does.")
 
 
-def require_one_mask_source(asked: argparse.Namespace, *flags: str) -> None:
+def require_one_mask_source(options: argparse.Namespace, *flags: str) -> None:
     """Refuses a segmenter beside masks that are made already: one of the two would be looked at for nothing.
 
     Args:
-        asked: With ``segmenter``, and ``segmenter_option`` where the command has it.
+        options: With ``segmenter``, and ``segmenter_option`` where the command has it.
         flags: The command's options that name masks.
 
     Raises:
         ConfigError: Both were given.
     """
-    named = [flag for flag in flags if getattr(asked, flag.removeprefix("--")) is not None]
-    makers = ["--segmenter"] if asked.segmenter is not None else []
-    makers += ["--segmenter-option"] if getattr(asked, "segmenter_option", []) else []
+    named = [flag for flag in flags if getattr(options, flag.removeprefix("--")) is not None]
+    makers = ["--segmenter"] if options.segmenter is not None else []
+    makers += ["--segmenter-option"] if getattr(options, "segmenter_option", []) else []
     if named and makers:
         raise ConfigError(
             f"`{makers[0]}` is not used with `{named[0]}`.", f"Leave `{makers[0]}` or `{named[0]}` out."

@@ -20,7 +20,7 @@ class SourceProfile:
 
     Attributes:
         name: Its name, as in ``source=plateau``.
-        lod: Level of detail to take unless another is asked for.
+        lod: Level of detail to take unless another is requested.
         options: How to read.
     """
 

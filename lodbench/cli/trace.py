@@ -36,37 +36,37 @@ examples:
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    asked = _parser().parse_args(argv)
+    options = _parser().parse_args(argv)
     from lodbench.citymodel.convert import check_target, convert_city
     from lodbench.datasets.own import require_new_folder
     from lodbench.harness.tracing.outputs import compared, map_of, to_json, write_benchmark
     from lodbench.harness.tracing.solve import Model
     from lodbench.harness.tracing.tracing import read_tracing
 
-    _require_given(asked)
-    check_target(asked.out)
-    if asked.benchmark is not None:
-        require_new_folder(asked.benchmark)
-    model = Model(_request(asked))
-    others = None if asked.compare is None else _others(asked.compare, model)
-    file = asked.polygons or asked.save
-    if asked.polygons is None:
-        _serve(model, file, asked.port)
+    _require_given(options)
+    check_target(options.out)
+    if options.benchmark is not None:
+        require_new_folder(options.benchmark)
+    model = Model(_request(options))
+    others = None if options.compare is None else _others(options.compare, model)
+    file = options.polygons or options.save
+    if options.polygons is None:
+        _serve(model, file, options.port)
     solved = model.solved(read_tracing(file, model.views))
     city = map_of(solved.buildings, solved.placed.crs)
-    convert_city(city, asked.out)
+    convert_city(city, options.out)
     rows = to_json(solved)
-    result: dict[str, Any] = {"buildings": rows, "map": str(asked.out), "notes": list(solved.placed.notes)}
-    lines = [describe(solved), f"written: {asked.out}"]
-    if asked.benchmark is not None:
-        written = write_benchmark(solved, city, asked.images, asked.benchmark, asked.seed)
+    result: dict[str, Any] = {"buildings": rows, "map": str(options.out), "notes": list(solved.placed.notes)}
+    lines = [describe(solved), f"written: {options.out}"]
+    if options.benchmark is not None:
+        written = write_benchmark(solved, city, options.images, options.benchmark, options.seed)
         result["queries"] = list(written.names)
         lines.append(f"written: {written.folder}, {len(written.names)} photos not used for the map")
         lines += [f"left out: {name}: {reason}" for name, reason in written.left_out]
     if others is not None:
         result["compared"] = compared(solved.buildings, others)
-        lines += _comparison(result["compared"], asked.compare)
-    sys.stdout.write((json.dumps(result, indent=2) if asked.json else "\n".join(lines)) + "\n")
+        lines += _comparison(result["compared"], options.compare)
+    sys.stdout.write((json.dumps(result, indent=2) if options.json else "\n".join(lines)) + "\n")
     return 0
 
 
@@ -109,45 +109,45 @@ def _others(path: Path, model: Model) -> list[Footprint]:
     return [Footprint(b.roof.name, b.footprint, b.roof.height) for b in solved.buildings]
 
 
-def _request(asked: argparse.Namespace) -> Any:
+def _request(options: argparse.Namespace) -> Any:
     from lodbench.harness.tracing.tracing import TraceRequest
 
     return TraceRequest(
-        model=asked.model,
-        images=asked.images,
-        start=asked.start,
-        crs=asked.crs,
-        scale=asked.scale,
-        is_metric=asked.metric,
-        heights=height_options(asked),
-        queries=None if asked.benchmark is None else tuple(asked.queries),
+        model=options.model,
+        images=options.images,
+        start=options.start,
+        crs=options.crs,
+        scale=options.scale,
+        is_metric=options.metric,
+        heights=height_options(options),
+        queries=None if options.benchmark is None else tuple(options.queries),
     )
 
 
-def _require_given(asked: argparse.Namespace) -> None:
-    for folder in (asked.model, asked.images):
+def _require_given(options: argparse.Namespace) -> None:
+    for folder in (options.model, options.images):
         if not folder.is_dir():
             raise DatasetError(f"{folder} is not a folder.", "Check the path.")
-    for file in filter(None, (asked.polygons, asked.compare, asked.start)):
+    for file in filter(None, (options.polygons, options.compare, options.start)):
         if not file.exists():
             raise DatasetError(f"{file} does not exist.", "Check the path.")
         require_regular(file)
-    require_regular(asked.save)
-    require_within("--port", asked.port, 0, 65535)
-    if asked.scale is not None and not 0 < asked.scale < 1e9:
-        raise ConfigError(f"--scale {asked.scale:g} is no scale.", "Metres per unit of the model, above 0.")
-    placed = [flag for flag in ("start", "scale", "metric") if getattr(asked, flag)]
-    if asked.scale is not None and asked.crs is not None:
+    require_regular(options.save)
+    require_within("--port", options.port, 0, 65535)
+    if options.scale is not None and not 0 < options.scale < 1e9:
+        raise ConfigError(f"--scale {options.scale:g} is no scale.", "Metres per unit of the model, above 0.")
+    placed = [flag for flag in ("start", "scale", "metric") if getattr(options, flag)]
+    if options.scale is not None and options.crs is not None:
         placed.append("crs")
     if len(placed) > 1:
         raise ConfigError(
             f"--{placed[0]} and --{placed[1]} both say where the model is.", "Leave one of them out."
         )
-    if asked.queries and asked.benchmark is None:
+    if options.queries and options.benchmark is None:
         raise ConfigError("--queries is not used without --benchmark.", "Give --benchmark DIR.")
-    if height_flags(asked) and (asked.crs is None or placed):
+    if height_flags(options) and (options.crs is None or placed):
         raise ConfigError(
-            f"{height_flags(asked)[0]} is about the photos' own heights.", "Give --crs, and no --start."
+            f"{height_flags(options)[0]} is about the photos' own heights.", "Give --crs, and no --start."
         )
 
 

@@ -44,36 +44,39 @@ examples:
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    asked = _parser().parse_args(argv)
+    options = _parser().parse_args(argv)
     from lodbench.datasets.own import require_some_mask
     from lodbench.harness.track import TrackRequest, track
     from lodbench.harness.track_frames import Footage
 
-    if not asked.footage.exists():
-        raise DatasetError(f"{asked.footage} does not exist.", "Check the path.")
-    if asked.masks is not None and not asked.masks.is_dir():
-        raise DatasetError(f"{asked.masks} is not a folder.", "Name the folder of the frames' masks.")
-    require_one_mask_source(asked, "--masks")
-    require_within("--every", asked.every, 1)
-    require_within("--fps", asked.fps, 0, ends="(]")
-    segmenter, footage = None, Footage(asked.footage, asked.every, asked.fps, asked.masks, asked.out)
-    if asked.masks is not None and asked.footage.is_dir():
+    if not options.footage.exists():
+        raise DatasetError(f"{options.footage} does not exist.", "Check the path.")
+    if options.masks is not None and not options.masks.is_dir():
+        raise DatasetError(f"{options.masks} is not a folder.", "Name the folder of the frames' masks.")
+    require_one_mask_source(options, "--masks")
+    require_within("--every", options.every, 1)
+    require_within("--fps", options.fps, 0, ends="(]")
+    segmenter, footage = (
+        None,
+        Footage(options.footage, options.every, options.fps, options.masks, options.out),
+    )
+    if options.masks is not None and options.footage.is_dir():
         photos = footage.photos()
-        require_some_mask(asked.masks, [photo.name for photo in photos], photos)
-    if asked.masks is None:
-        name = asked.segmenter or FOR_PHOTOS
-        segmenter = segmenter_of(name, asked.segmenter_option)
+        require_some_mask(options.masks, [photo.name for photo in photos], photos)
+    if options.masks is None:
+        name = options.segmenter or FOR_PHOTOS
+        segmenter = segmenter_of(name, options.segmenter_option)
         require_frames_looked_at(segmenter, name)
-    own = {"footage": footage, "masks": asked.masks, "segmenter": segmenter}
-    done = track(TrackRequest(**city_settings(asked), **rough_settings(asked), **own))
-    sys.stdout.write(_as_json(done) if asked.json else describe(done))
+    own = {"footage": footage, "masks": options.masks, "segmenter": segmenter}
+    done = track(TrackRequest(**city_settings(options), **rough_settings(options), **own))
+    sys.stdout.write(_as_json(done) if options.json else describe(done))
     if all(frame.pose is None for frame in done.frames):
         return 1
     return 3 if done.lost() else 0
 
 
 def describe(done: Track) -> str:
-    """Returns what a reader is told."""
+    """Returns the report."""
     count = len(done.frames)
     tracked = sum(frame.pose is not None for frame in done.frames)
     lines = [f"{count} frames: {tracked} tracked, {count - tracked} lost"]

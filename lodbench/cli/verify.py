@@ -213,7 +213,7 @@ def _no_run(folder: Path) -> DatasetError:
 
 
 def describe(verdict: Verdict) -> str:
-    """Returns what a reader is told: one line per difference, then how far the check went."""
+    """Returns the report: a line per difference, then how far the check went."""
     lines = list(verdict.differences)
     if verdict.is_weak:
         lines.append(

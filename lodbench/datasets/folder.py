@@ -64,7 +64,7 @@ _NO_TRUTH_HINT = f'Where true poses are not known, a {ABOUT_FILE} in that folder
 
 @dataclass(frozen=True, slots=True)
 class FolderParams:
-    """Settings of ``dataset=folder``, told in ``conf/dataset/folder.yaml``."""
+    """Settings of ``dataset=folder``, explained in ``conf/dataset/folder.yaml``."""
 
     root: str
     city_model: str | None = None
@@ -308,8 +308,8 @@ def stated_crs(folders: Sequence[Path]) -> str | None:
     Raises:
         DatasetError: Two of them name different ones: poses of both would be taken for those of one.
     """
-    told = {folder: read_about(folder).get("crs") for folder in folders}
-    named = {folder: str(crs) for folder, crs in told.items() if crs is not None}
+    reported = {folder: read_about(folder).get("crs") for folder in folders}
+    named = {folder: str(crs) for folder, crs in reported.items() if crs is not None}
     _require_one(named, "reference systems", "Open them one by one: `dataset.root=FOLDER`.", is_same_plane)
     return next(iter(named.values()), None)
 

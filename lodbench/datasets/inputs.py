@@ -111,7 +111,7 @@ def require_inputs(who: str, requires: Collection[Input], has: Collection[Input]
         who: What needs it, as typed: ``method=lodlocv2``.
         requires: What it needs.
         has: What there is.
-        lacking: What is told of the rest: ``the dataset has none``.
+        lacking: What is stated of the rest: ``the dataset has none``.
 
     Raises:
         DatasetError: Something is missing; the hint says how to give it.

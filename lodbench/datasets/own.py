@@ -35,7 +35,7 @@ class OwnImage:
         photo: Its file, or None.
         mask: Building mask of the photo as stored, or None.
         stated: What its photo says of itself, where the prior is from that; else None.
-        no_prior: Why its photo, which was asked, gives no prior; "" where it does, or was not asked.
+        no_prior: Why its photo, where it is read for one, gives no prior; "" else.
         lens_percent: As of ``PhotoCamera``, where the camera is by what the photo says of itself.
         camera_sigmas: How well the camera is known, None where nobody says.
         keeps_folders: Whether its name in a dataset has its folders, which tell it from others.

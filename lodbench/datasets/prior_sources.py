@@ -250,7 +250,7 @@ def prior_text(entries: Sequence[Entry], describe: str, seed: int) -> str:
 
 
 def prior_digest(entries: Sequence[Entry]) -> str:
-    """Returns a digest of where a method is told to start."""
+    """Returns a digest of where a method starts."""
     return digest_of([[e.key, _numbers(e.prior), *map(_numbers, e.hypotheses[1:])] for e in entries])
 
 

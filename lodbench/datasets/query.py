@@ -34,7 +34,7 @@ class Query:
             the mask again, guided by the map from a better pose (scene frame), where the segmenter is one
             that looks at the map; None otherwise. Raises QueryFault.
         true_pixels: Returns where (N, 3) points of the scene are in the photo in truth, (N, 2) COLMAP
-            pixels, NaN behind the camera: for a method that requires it, which is an oracle and told as one.
+            pixels, NaN behind the camera: for a method that requires it, which is an oracle, declared as one.
         sequence: Name of the flight it was taken on, unique within its split; "" where nobody says.
         reconstructed: Its pose in a reconstruction of its flight (COLMAP and the like), whose frame is the
             scene's up to a similarity; None where there is none.

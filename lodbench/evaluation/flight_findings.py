@@ -20,19 +20,19 @@ class MapScore:
     """Counts; those of several flights add up.
 
     Attributes:
-        heights: Buildings whose roofs photos show and whose heights the flight tells.
-        recovered: Of them, those whose height against the map is told within 0.5 m.
-        wrong: Buildings whose roofs photos show and whose height was changed, told or not.
+        heights: Buildings whose roofs photos show and whose heights the flight reports.
+        recovered: Of them, those whose height against the map is reported within 0.5 m.
+        wrong: Buildings whose roofs photos show and whose height was changed, reported or not.
         found_wrong: Of these, those in doubt.
         doubted: Buildings in doubt, whether photos can tell or not.
         rightly: Of the doubted, those whose height was changed.
-        gone: Buildings that stand in the map only, and that several photos should show.
-        told_gone: Buildings said to be gone.
-        rightly_gone: Of them, those that stand in the map only.
-        missing: Buildings that the map lacks, and that several photos show.
+        demolished: Buildings that stand in the map only, and that several photos should show.
+        reported_demolished: Buildings reported as demolished.
+        rightly_demolished: Of them, those that stand in the map only.
+        unmapped: Buildings that the map lacks, and that several photos show.
         found: Of them, those found.
-        places: Places said to lack a building.
-        rightly_missing: Of them, those where the map lacks one.
+        places: Places reported as unmapped.
+        rightly_unmapped: Of them, those where the map lacks one.
         clutter: Of the others, those where something else stands that no map holds: containers, tents, heaps.
     """
 
@@ -42,13 +42,13 @@ class MapScore:
     found_wrong: int = 0
     doubted: int = 0
     rightly: int = 0
-    gone: int = 0
-    told_gone: int = 0
-    rightly_gone: int = 0
-    missing: int = 0
+    demolished: int = 0
+    reported_demolished: int = 0
+    rightly_demolished: int = 0
+    unmapped: int = 0
     found: int = 0
     places: int = 0
-    rightly_missing: int = 0
+    rightly_unmapped: int = 0
     clutter: int = 0
 
     def __add__(self, other: MapScore) -> MapScore:
@@ -76,12 +76,12 @@ def score_map(
         clutter: The same of what stands there besides.
     """
     truth = changed["heights"]
-    told = {b["id"]: b for b in findings["buildings"] if b["id"] not in changed["extra"]}
-    seen = {name: b for name, b in told.items() if name in roofs}
+    reported = {b["id"]: b for b in findings["buildings"] if b["id"] not in changed["extra"]}
+    seen = {name: b for name, b in reported.items() if name in roofs}
     errors = [abs(b["higher_m"] + truth.get(name, 0.0)) for name, b in seen.items()]
-    doubted = [name for name, b in told.items() if b["doubt"]]
-    told_gone = [c["id"] for c in findings["changes"] if c["kind"] == "gone"]
-    places = [_polygon(c["outline"]) for c in findings["changes"] if c["kind"] == "missing"]
+    doubted = [name for name, b in reported.items() if b["doubt"]]
+    reported_demolished = [c["id"] for c in findings["changes"] if c["kind"] == "demolished"]
+    places = [_polygon(c["outline"]) for c in findings["changes"] if c["kind"] == "unmapped"]
     lacking = {name: box(*boxes[name]).buffer(_NEAR_M) for name in changed["missing"] if name in boxes}
     others = [place for place in places if not any(place.intersects(there) for there in lacking.values())]
     standing = unary_union([box(*each) for each in clutter])
@@ -92,16 +92,16 @@ def score_map(
         found_wrong=sum(name in truth and name in roofs for name in doubted),
         doubted=len(doubted),
         rightly=sum(name in truth for name in doubted),
-        gone=sum(name in shown for name in changed["extra"]),
-        told_gone=len(told_gone),
-        rightly_gone=sum(name in changed["extra"] for name in told_gone),
-        missing=sum(name in shown for name in lacking),
+        demolished=sum(name in shown for name in changed["extra"]),
+        reported_demolished=len(reported_demolished),
+        rightly_demolished=sum(name in changed["extra"] for name in reported_demolished),
+        unmapped=sum(name in shown for name in lacking),
         found=sum(
             name in shown and any(place.intersects(there) for place in places)
             for name, there in lacking.items()
         ),
         places=len(places),
-        rightly_missing=len(places) - len(others),
+        rightly_unmapped=len(places) - len(others),
         clutter=sum(bool(place.intersects(standing)) for place in others),
     )
 

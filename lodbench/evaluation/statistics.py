@@ -182,7 +182,7 @@ def paired_medians(first: Floats, second: Floats) -> PairedTest:
 def _median_distance(first: Floats, second: Floats, axis: int = -1) -> Floats:
     with np.errstate(invalid="ignore"):
         apart = np.abs(np.median(second, axis=axis) - np.median(first, axis=axis))
-    # Both medians infinite: no difference that can be told; one of them: further than anything.
+    # Both medians infinite: no difference; one of them: further than anything.
     return np.nan_to_num(apart, nan=0.0, posinf=1e12)
 
 
@@ -233,7 +233,7 @@ def _middle(low: Floats, high: Floats) -> Floats:
 
 
 def _difference(first: float, second: float) -> float:
-    """Returns second less first; infinite medians of both are no difference that can be told."""
+    """Returns second less first; infinite medians of both are no difference."""
     return math.nan if math.isinf(first) and math.isinf(second) else float(second - first)
 
 

@@ -36,7 +36,7 @@ _RETRIES = 3
 # A scheduler that does not answer for so long is not there, seconds.
 _CONNECT_S = 30
 # A cluster of our own gives up workers that do not come back for so long after they died, seconds: Dask's 15
-# are fewer than a start takes on a busy machine. So often it is asked to put others in their place.
+# are fewer than a start takes on a busy machine. So often it is required to put others in their place.
 _LOST_S, _REPLACE_S = 120, 30
 
 
@@ -48,8 +48,8 @@ class DaskWorkers:
         address: The scheduler's, for messages.
         prepare: Module-level function, called once in each worker before its first item.
         prepare_with: Its arguments.
-        workers: How many are asked for, where none has come yet.
-        patience_s: Seconds without any result after which the workers count as hung.
+        workers: How many are requested, where none has come yet.
+        timeout_s: Seconds without any result after which the workers count as hung.
         own: The cluster, where it is one of this process: workers that are lost are replaced.
     """
 
@@ -60,10 +60,10 @@ class DaskWorkers:
         prepare: Callable[..., None],
         prepare_with: tuple[Any, ...],
         workers: int,
-        patience_s: float,
+        timeout_s: float,
         own: Any = None,
     ) -> None:
-        self._client, self._address, self._patience_s, self._own = client, address, patience_s, own
+        self._client, self._address, self._timeout_s, self._own = client, address, timeout_s, own
         threads = client.nthreads().values()
         self.count = len(threads) or max(1, workers)
         self._has_told = False
@@ -121,7 +121,7 @@ class DaskWorkers:
         The worker that holds it may die before it has handed it over: then one that replaces it does the work
         again, and is waited for as long as any.
         """
-        until = time.monotonic() + self._patience_s
+        until = time.monotonic() + self._timeout_s
         while True:
             try:
                 return future.result(_REPLACE_S)
@@ -139,8 +139,8 @@ class DaskWorkers:
 
     def _tell_no_worker(self) -> None:
         if not self._has_told:
-            told = "%s has no worker: `dask worker %s --nthreads 1` starts one"
-            _LOGGER.warning(told, self._address, self._address)
+            reported = "%s has no worker: `dask worker %s --nthreads 1` starts one"
+            _LOGGER.warning(reported, self._address, self._address)
         self._has_told = True
 
     def _has_workers(self) -> bool:
@@ -162,7 +162,7 @@ class DaskWorkers:
             TimeoutError: None was done for as long as workers are waited for.
         """
         wait: Any = import_module("distributed").wait
-        until = time.monotonic() + self._patience_s
+        until = time.monotonic() + self._timeout_s
         while True:
             try:
                 left_s = max(0.0, until - time.monotonic())
@@ -170,7 +170,7 @@ class DaskWorkers:
             except TimeoutError:
                 if self._own is None and not self._has_workers():
                     # Nobody is at work who could hang: workers may wait in a queue of their own, for days.
-                    until = time.monotonic() + self._patience_s
+                    until = time.monotonic() + self._timeout_s
                 elif time.monotonic() >= until:
                     raise
             self._replace()
@@ -180,7 +180,7 @@ class DaskWorkers:
 def dask_workers(
     address: str | None,
     workers: int,
-    patience_s: float,
+    timeout_s: float,
     prepare: Callable[..., None],
     prepare_with: tuple[Any, ...],
 ) -> Iterator[DaskWorkers]:
@@ -218,7 +218,7 @@ def dask_workers(
             _LOGGER.warning("Dask's dashboard: %s", client.dashboard_link)
             name = address or "on this machine"
             with import_module("dask.config").set({"distributed.deploy.lost-worker-timeout": f"{_LOST_S}s"}):
-                yield DaskWorkers(client, name, prepare, prepare_with, workers, patience_s, own)
+                yield DaskWorkers(client, name, prepare, prepare_with, workers, timeout_s, own)
     finally:
         if own is not None:
             own.close()
@@ -233,7 +233,7 @@ def _own_cluster(distributed: Any, workers: int) -> Any:
             threads_per_worker=1,
             # The dashboard can be seen from this machine alone.
             dashboard_address="127.0.0.1:8787",
-            # Workers that die are told in lines of ours; a stopped run would print dozens.
+            # Workers that die are reported in lines of ours; a stopped run would print dozens.
             silence_logs=logging.ERROR,
         )
 

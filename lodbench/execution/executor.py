@@ -33,7 +33,7 @@ class ExecutorParams:
     workers: int | None = None
     threads: int | None = None
     address: str | None = None
-    patience_s: float = 3600.0
+    timeout_s: float = 3600.0
     share: str = QUERIES
 
     def __post_init__(self) -> None:
@@ -44,11 +44,11 @@ class ExecutorParams:
             if value is not None and value < 1:
                 raise ConfigError(f"executor.{name}={value} is not a number of {name}.")
         # The operating system waits no longer at a time.
-        require_within("executor.patience_s", self.patience_s, 0, 1e6, "(]")
+        require_within("executor.timeout_s", self.timeout_s, 0, 1e6, "(]")
 
     @property
     def num_workers(self) -> int:
-        """Number of processes asked for."""
+        """Number of processes requested."""
         return 1 if self.name == SERIAL else self.workers or os.cpu_count() or 1
 
     @property
@@ -92,11 +92,11 @@ def open_workers(
     if executor.name == DASK:
         from lodbench.execution.cluster import dask_workers
 
-        asked = executor.address, executor.num_workers, executor.patience_s
-        with dask_workers(*asked, prepare, prepare_with) as cluster:
+        settings = executor.address, executor.num_workers, executor.timeout_s
+        with dask_workers(*settings, prepare, prepare_with) as cluster:
             yield cluster
         return
-    with closing(Processes(executor.num_workers, prepare, prepare_with, executor.patience_s)) as processes:
+    with closing(Processes(executor.num_workers, prepare, prepare_with, executor.timeout_s)) as processes:
         yield processes
 
 

@@ -55,7 +55,7 @@ Result = TypeVar("Result")
 # Items handed out per worker: one at work, one waiting.
 _AHEAD = 2
 KEEP_DYING = "Workers keep dying, perhaps for lack of memory, or give no result."
-KEEP_DYING_HINT = "Fewer workers need less; `executor.patience_s=SECONDS` is how long one may take."
+KEEP_DYING_HINT = "Fewer workers need less; `executor.timeout_s=SECONDS` is how long one may take."
 # Workers that may die one after the other with no result in between.
 _DEATHS = 3
 # Fresh processes, not forks of this one: a fork would copy locks that other threads hold. On Linux they fork
@@ -83,10 +83,10 @@ def fan_out(
     workers: int,
     prepare: Callable[..., None],
     prepare_with: tuple[Any, ...],
-    patience_s: float | None = None,
+    timeout_s: float | None = None,
 ) -> Iterator[Result]:
     """Yields the results of work on items, in the order they come; arguments as for ``Processes``."""
-    with closing(Processes(workers, prepare, prepare_with, patience_s)) as processes:
+    with closing(Processes(workers, prepare, prepare_with, timeout_s)) as processes:
         yield from processes.map(work, items)
 
 
@@ -101,7 +101,7 @@ class Processes:
         workers: Number of processes.
         prepare: Module-level function, called once in each worker before its first item.
         prepare_with: Its arguments.
-        patience_s: Seconds without any result after which the workers count as hung and are replaced; None
+        timeout_s: Seconds without any result after which the workers count as hung and are replaced; None
             waits for ever.
     """
 
@@ -110,10 +110,10 @@ class Processes:
         workers: int,
         prepare: Callable[..., None],
         prepare_with: tuple[Any, ...],
-        patience_s: float | None = None,
+        timeout_s: float | None = None,
     ) -> None:
         self.count = workers
-        self._prepare, self._prepare_with, self._patience_s = prepare, prepare_with, patience_s
+        self._prepare, self._prepare_with, self._timeout_s = prepare, prepare_with, timeout_s
         self._pool: ProcessPoolExecutor | None = None
         self._others: set[Any] = set()
         self._is_prepared = False
@@ -173,7 +173,7 @@ class Processes:
                     at_work[future] = again.pop()
                 if not at_work:
                     return
-                done, _ = wait(at_work, self._patience_s, return_when=FIRST_COMPLETED)
+                done, _ = wait(at_work, self._timeout_s, return_when=FIRST_COMPLETED)
                 if not done:
                     # Nobody knows which of them hangs; what they were at fails now, and is done again.
                     for worker in set(multiprocessing.active_children()) - self._others:
@@ -219,7 +219,7 @@ def begin(prepare: Callable[..., None], prepare_with: tuple[Any, ...]) -> None:
         raise WorkersGone(f"A worker cannot begin: {reason}") from error
 
 
-# Why this worker cannot work: told with its first item, as a pool whose workers raise at the start is silent.
+# Why this worker cannot work: reported with its first item, as a pool whose workers raise at once is silent.
 _cannot_begin: list[LodbenchError] = []
 
 

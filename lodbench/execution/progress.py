@@ -9,7 +9,7 @@ from typing import Any, TextIO
 
 # A log that is no terminal gets a line as often as this, seconds: short work leaves it clean.
 _LOG_EVERY_S = 60.0
-# The first item is no measure: it compiles, loads and fills caches. What is left is told from the pace after
+# The first item is no measure: it compiles, loads and fills caches. What is left follows from the pace after
 # it, once so many items took so long, seconds; a single one must have taken longer.
 _LEAST_ITEMS, _LEAST_S, _LONG_S = 3, 2.0, 20.0
 

@@ -51,8 +51,8 @@ def scene_digest(scene: Scene) -> str:
 
 def city_digests(scene: Scene) -> dict[str, str]:
     """Returns digests of a city by name: ``scene``, and ``roofs`` where its source tells of pitched ones."""
-    told = {} if scene.pitched is None else {"roofs": digest_of(np.flatnonzero(scene.pitched).tolist())}
-    return {"scene": scene_digest(scene), **told}
+    reported = {} if scene.pitched is None else {"roofs": digest_of(np.flatnonzero(scene.pitched).tolist())}
+    return {"scene": scene_digest(scene), **reported}
 
 
 def distance_outside_m(pose: Pose, scene: Scene) -> float:

@@ -73,11 +73,11 @@ def make_city(
     meanings = {str(code): code.meaning for code in finding_catalogue()}
     counts = conversion.findings.counts()
     page = out.with_suffix(".html")
-    told = [(code, count, meanings[code]) for code, count in counts.items()]
+    reported = [(code, count, meanings[code]) for code, count in counts.items()]
     lines = [f"Footprints: {footprints.name}."]
     lines += [f"Surface model: {Path(options.surface).name}."] if options.surface else []
     lines += [f"Terrain model: {Path(options.terrain).name}."] if options.terrain else []
-    write_text(page, city_page(out.name, [" ".join(lines)], buildings, left_out, told))
+    write_text(page, city_page(out.name, [" ".join(lines)], buildings, left_out, reported))
     return {
         "written": str(out),
         "page": str(page),
@@ -107,13 +107,13 @@ def _buildings(model: CityModel) -> list[MadeBuilding]:
     return [
         MadeBuilding(
             name,
-            float(told["measuredHeight"]),
+            float(reported["measuredHeight"]),
             float(ground),
-            told["height_from"],
-            told["ground_from"],
+            reported["height_from"],
+            reported["ground_from"],
             rings[n],
         )
-        for n, (name, ground, told) in enumerate(
+        for n, (name, ground, reported) in enumerate(
             zip(model.building_ids, ground_m.tolist(), attributes, strict=True)
         )
     ]

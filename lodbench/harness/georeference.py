@@ -74,7 +74,7 @@ class Georeferenced:
         cameras: All of the model's, in the city's coordinates.
         used: Images by whose masks it was placed, and how far, in metres, each was found from where the
             similarity puts it.
-        untrusted: Those among ``used`` whose poses are more likely wrong than right, as far as can be told.
+        untrusted: Those among ``used`` whose poses are more likely wrong than right, as far as can be known.
         left_out: Name and reason of each image that had no part in it.
         findings: What its photos say besides; see the method.
         start: Where the rough places came from, in words.

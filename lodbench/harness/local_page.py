@@ -36,12 +36,12 @@ class LocalServer(ThreadingHTTPServer):
         self.token = secrets.token_urlsafe(16)
         self.lock = Lock()
 
-    def shown(self, asked: str) -> tuple[bytes, str] | None:
+    def shown(self, address: str) -> tuple[bytes, str] | None:
         """Returns what is at an address below the token, and its media type; None for nothing."""
         raise NotImplementedError
 
-    def done(self, asked: str, content: dict[str, Any]) -> dict[str, Any] | None:
-        """Does what is asked, under the lock, and returns the answer; None for nothing known.
+    def done(self, address: str, content: dict[str, Any]) -> dict[str, Any] | None:
+        """Does what is requested, under the lock, and returns the answer; None for nothing known.
 
         An answer whose ``closes`` is true ends the server. ValueError, KeyError, TypeError and OverflowError
         mean a malformed request.
@@ -73,8 +73,8 @@ def saved_or_why(save: Callable[[], str]) -> dict[str, Any]:
 class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answers with the page, or what it shows."""
-        asked = self._asked()
-        found = None if asked is None else self._server.shown(asked)
+        address = self._address()
+        found = None if address is None else self._server.shown(address)
         if found is None:
             self.send_error(HTTPStatus.NOT_FOUND)
         else:
@@ -82,7 +82,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """Does what the page asks for."""
-        asked = self._asked()
+        address = self._address()
         try:
             length = int(self.headers.get("Content-Length", "0"))
             if not 0 <= length <= _MOST_BYTES:
@@ -91,7 +91,7 @@ class _Handler(BaseHTTPRequestHandler):
             if not isinstance(content, dict):
                 raise ValueError
             with self._server.lock:
-                answer = None if asked is None else self._server.done(asked, content)
+                answer = None if address is None else self._server.done(address, content)
         except (ValueError, KeyError, TypeError, OverflowError):
             self.send_error(HTTPStatus.BAD_REQUEST)
             return
@@ -106,8 +106,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _server(self) -> LocalServer:
         return cast(LocalServer, self.server)
 
-    def _asked(self) -> str | None:
-        """Returns what is asked for below the token; None for what is not meant for this page."""
+    def _address(self) -> str | None:
+        """Returns what is requested below the token; None for what is not meant for this page."""
         host = self.headers.get("Host", "").partition(":")[0]  # without a port where it is 80
         start = f"/{self._server.token}/"
         if host not in ("127.0.0.1", "localhost") or not self.path.startswith(start):

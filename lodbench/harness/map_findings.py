@@ -43,7 +43,7 @@ def building_outline(scene: Scene, building: int) -> Outline:
 def contradictions(scene: Scene, findings: Mapping[str, Any]) -> list[tuple[dict[str, Any], Outline]]:
     """Returns what a flight contradicts in the map, the surest of each kind first: what, and where.
 
-    ``kind`` is ``height``, ``gone`` or ``missing``; the rest is as the flight's findings have it. Outlines
+    ``kind`` is ``height``, ``demolished`` or ``unmapped``; the rest is as in the flight's findings. Outlines
     are polygons, each its rings, in the city's coordinates; of buildings that this map has not there is none.
     """
     rows = {name: row for row, name in enumerate(scene.building_ids)}
@@ -57,7 +57,7 @@ def contradictions(scene: Scene, findings: Mapping[str, Any]) -> list[tuple[dict
     ]
     for change in findings.get("changes", []):
         said = {key: value for key, value in change.items() if key != "outline"}
-        if change["kind"] == "gone":
+        if change["kind"] == "demolished":
             found.append((said, outline(change["id"])))
         else:
             found.append((said, [[np.array(ring, dtype=np.float64)] for ring in change["outline"]]))

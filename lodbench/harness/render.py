@@ -75,7 +75,7 @@ class Rendered:
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One view asked for.
+    """One view requested.
 
     Attributes:
         name: Of the image.

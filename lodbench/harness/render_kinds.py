@@ -92,7 +92,7 @@ class Kind:
     """A kind of picture.
 
     Attributes:
-        default: The renderer that is taken unless one is asked for.
+        default: The renderer that is taken unless one is requested.
         ability: The function of renderers that can draw it.
         write: Draws and writes a view; returns its files.
         check: Raises a LodbenchError if a scene cannot be drawn so.

@@ -59,7 +59,7 @@ def run_method(
         city: City model of such a folder, where its ``dataset.json`` names none.
         segmenter: Makes the masks; by default as the dataset has it: its masks, or a network on its photos.
         runs: Folder that the run's folder is made below; an interrupted run goes on there.
-        tilt: ``prior``, or ``truth`` for the true pitch and roll, which a method named is told of.
+        tilt: ``prior``, or ``truth`` for the true pitch and roll, which a method named is given.
         seed: Of the search.
         limit: At most this many queries per split.
 
@@ -74,20 +74,20 @@ def run_method(
     from lodbench.harness.runs.run import RunSettings
     from lodbench.harness.runs.run import run_method as run
 
-    asked = configure_method({"name": method}).for_tilt(tilt).make() if isinstance(method, str) else method
+    made = configure_method({"name": method}).for_tilt(tilt).make() if isinstance(method, str) else method
     opened, stated = _opened(dataset, city)
     if segmenter is None:
-        segmenter, _ = make_segmenter(chosen_segmenter(opened, segmented_inputs(asked))[0])
+        segmenter, _ = make_segmenter(chosen_segmenter(opened, segmented_inputs(made))[0])
     config: dict[str, Any] = {
         **{"renderer": "silhouette", "tilt": tilt, "seed": seed, "split": [], "limit": limit},
         "prior": {"name": "file"},
-        "method": {"name": asked.name, **_settings(asked)},
+        "method": {"name": made.name, **_settings(made)},
         "segmenter": {"name": segmenter.name, **_settings(segmenter)},
         "dataset": stated,
         "source": {"name": "folder", "lod": None, "options": {}},
     }
     settings = RunSettings(Path(runs), config=config, tilt=tilt, seed=seed, limit=limit)
-    done = run(asked, opened, segmenter, settings)
+    done = run(made, opened, segmenter, settings)
     # Through JSON: tuples are lists in a file.
     write_artefacts(done, yaml.safe_dump(json.loads(json.dumps(config)), sort_keys=True, allow_unicode=True))
     write_overlays(done, done.preparation, lambda: done.scorer)
@@ -119,7 +119,7 @@ def _settings(part: object) -> dict[str, Any]:
     if vars(part) if kind is None else is_dataclass(kind) and fields(kind):
         raise ConfigError(
             f"{type(part).__name__} does not keep its settings in params, so that a run with others could "
-            "not be told from this one.",
+            "not be distinguished from this one.",
             "Set self.params, a dataclass, in its __init__.",
         )
     return {}

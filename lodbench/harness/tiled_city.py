@@ -50,7 +50,7 @@ class TileJob:
     Attributes:
         path: Folder or archive of the tiles.
         parts: Folder for what is made of them.
-        lod: Level asked for, or None for the lowest that has walls.
+        lod: Level requested, or None for the lowest that has walls.
         roof_height: Rule by which an absent level 1 is derived, or None.
         options: How to read.
         crs: Reference system that all tiles go to; "" until the first one is read.
@@ -74,7 +74,7 @@ def compile_tiles(
     executor: ExecutorParams | None = None,
     progress: Steps | None = None,
 ) -> dict[str, Any]:
-    """Makes one scene of a folder or archive of tiles; returns what is told of it, see ``read_about``.
+    """Makes one scene of a folder or archive of tiles; returns what is stated of it, see ``read_about``.
 
     The scene is that of ``mesh_model`` over all tiles read at once, up to the rounding of float32: the same
     buildings in the same order, at one level of detail. Called again after it was stopped, it goes on with
@@ -96,42 +96,42 @@ def compile_tiles(
     options, executor = options or ReadOptions(), executor or ExecutorParams()
     sources = open_sources(path, options.layers)
     parts = target.with_name(f"{target.name}.parts")
-    told: dict[int, dict[str, Any]] = {}
-    with _kept_if_of_use(parts, told), only_one_in(parts):
+    reported: dict[int, dict[str, Any]] = {}
+    with _kept_if_of_use(parts, reported), only_one_in(parts):
         remove_leftovers(parts)
         job = TileJob(str(path), str(parts), lod, roof_height, options)
-        job = _settle(job, sources, told)
-        _compile(job, range(len(sources)), executor, told, progress)
-        level = _common_level(job, told)
-        wrong = [n for n, about in told.items() if about["extra"]["lods"] and about["lod"] != level]
+        job = _settle(job, sources, reported)
+        _compile(job, range(len(sources)), executor, reported, progress)
+        level = _common_level(job, reported)
+        wrong = [n for n, about in reported.items() if about["extra"]["lods"] and about["lod"] != level]
         if wrong:  # their own lowest level is not that of the city
             job = replace(job, lod=level)
-            _compile(job, wrong, executor, told, progress)
-        meta = _join([told[n] for n in sorted(told)], target, made_with(options, roof_height))
+            _compile(job, wrong, executor, reported, progress)
+        meta = _join([reported[n] for n in sorted(reported)], target, made_with(options, roof_height))
     shutil.rmtree(parts)
     return meta
 
 
 @contextmanager
-def _kept_if_of_use(parts: Path, told: dict[int, dict[str, Any]]) -> Iterator[None]:
+def _kept_if_of_use(parts: Path, reported: dict[int, dict[str, Any]]) -> Iterator[None]:
     """Makes the folder of parts, which a fault leaves there only where it holds tiles to go on with."""
     is_new = not parts.exists()
     make_folder(parts)
     try:
         yield
     except LodbenchError:
-        if is_new and not any(about["extra"]["lods"] for about in told.values()):
+        if is_new and not any(about["extra"]["lods"] for about in reported.values()):
             disk().remove(parts)
         raise
 
 
-def _settle(job: TileJob, sources: tuple[Source, ...], told: dict[int, dict[str, Any]]) -> TileJob:
+def _settle(job: TileJob, sources: tuple[Source, ...], reported: dict[int, dict[str, Any]]) -> TileJob:
     """Returns the job with the reference system of the first tile that is a city, which all others go to."""
     for n in range(len(sources)):
         about = _tile(job, sources, n)
         if about["extra"]["skipped"] is None:
             return replace(job, crs=about["crs"])
-        told[n] = about
+        reported[n] = about
     raise CityModelError(f"{job.path} has no tile with a building.", "Is it the building part of the city?")
 
 
@@ -139,11 +139,11 @@ def _compile(
     job: TileJob,
     numbers: range | list[int],
     executor: ExecutorParams,
-    told: dict[int, dict[str, Any]],
+    reported: dict[int, dict[str, Any]],
     progress: Steps | None,
 ) -> None:
     for done, (n, about) in enumerate(spread(executor, _compile_here, numbers, _open_here, (job,)), start=1):
-        told[n] = about
+        reported[n] = about
         if progress is not None:
             progress(done, len(numbers))
 
@@ -162,7 +162,7 @@ def _compile_here(n: int) -> tuple[int, dict[str, Any]]:
 
 
 def _tile(job: TileJob, sources: tuple[Source, ...], n: int) -> dict[str, Any]:
-    """Returns what is told of the part of a tile, which is made where it is not there yet."""
+    """Returns what is stated of the part of a tile, which is made where it is not there yet."""
     source = sources[n]
     settings = {**asdict(replace(job, parts="", path="")), "options": asdict(job.options)}
     key = digest_of(
@@ -223,24 +223,24 @@ def _extra(
     return {**counts, "area_m2": 0.0, "lost_m2": 0.0, "lods": list(lods), "skipped": skipped, **dated}
 
 
-def _common_level(job: TileJob, told: dict[int, dict[str, Any]]) -> str:
+def _common_level(job: TileJob, reported: dict[int, dict[str, Any]]) -> str:
     """Returns the level that the whole city has by the rule for one file."""
     if job.lod in (FINEST, COARSEST):
         return job.lod
     if job.lod is not None:
-        levels = {about["lod"] for about in told.values() if about["extra"]["lods"]}
+        levels = {about["lod"] for about in reported.values() if about["extra"]["lods"]}
         if not levels:
             raise CityModelError(
                 f"No tile of {job.path} has a level of detail {job.lod}.", "See lodbench city info."
             )
         return str(min(levels))
     return choose_lod(
-        sorted({name for about in told.values() for name in about["extra"]["lods"]}), None, Findings()
+        sorted({name for about in reported.values() for name in about["extra"]["lods"]}), None, Findings()
     )
 
 
 def _join(parts: list[dict[str, Any]], target: Path, made: dict[str, Any]) -> dict[str, Any]:
-    """Writes all parts as one scene, and returns what is told of it."""
+    """Writes all parts as one scene, and returns what is stated of it."""
     findings = Findings()
     folders = [Path(part["folder"]) for part in parts if part["extra"]["skipped"] is None]
     ids = unique_ids([name for folder in folders for name in read_about(folder)["building_ids"]], findings)

@@ -235,8 +235,8 @@ def _tracked(tracker: Tracker, shot: Shot, mask: Mask | str, origin: NDArray[np.
     found = tracker.track(Frame(shot.name, shot.time_s, mask))
     pose = None if found.state == LOST else found.pose.shifted(origin)
     sigmas = None if found.covariance is None else _sigmas(found.covariance)
-    told = found.state, pose, found.score, "", sigmas, found.probability
-    return TrackedFrame(shot.name, shot.time_s, *told)
+    reported = found.state, pose, found.score, "", sigmas, found.probability
+    return TrackedFrame(shot.name, shot.time_s, *reported)
 
 
 def _sigmas(covariance: NDArray[np.float64]) -> tuple[float, float]:

@@ -43,21 +43,21 @@ def photo_clocks(photos: Sequence[Path]) -> tuple[list[float] | None, list[str]]
         return None, []
     stated = _stated(photos)
     rows = [row for row, second in enumerate(stated) if second is not None]
-    told = [second for second in stated if second is not None]
+    reported = [second for second in stated if second is not None]
     notes = []
-    if not _rises(told):
-        whole = [float(second // 1) for second in told]
+    if not _rises(reported):
+        whole = [float(second // 1) for second in reported]
         if whole[0] == whole[-1] or whole != sorted(whole):
             return None, [_NO_CLOCK]
-        told, notes = _spread(whole), [_WHOLE_SECONDS]
-    if len(told) < 2:
+        reported, notes = _spread(whole), [_WHOLE_SECONDS]
+    if len(reported) < 2:
         return None, [_NO_CLOCK]
-    if len(told) < len(photos):
-        told = _filled(rows, told, len(photos))
+    if len(reported) < len(photos):
+        reported = _filled(rows, reported, len(photos))
         notes.append(
             f"photos without a clock, {len(photos) - len(rows)}, are placed between their neighbours"
         )
-    return _from_first(told), notes
+    return _from_first(reported), notes
 
 
 _NO_CLOCK = f"no clock to order the photos by: {PHOTO_RATE:g} a second is assumed; --fps says how many"
@@ -81,11 +81,11 @@ def _stated(photos: Sequence[Path]) -> list[float | None]:
     return [None if taken is None else (taken - first).total_seconds() for taken in times]
 
 
-def _filled(rows: Sequence[int], told: Sequence[float], count: int) -> list[float]:
+def _filled(rows: Sequence[int], reported: Sequence[float], count: int) -> list[float]:
     """Returns the times of all photos from those of some rows: evenly between, as fast before and after."""
-    pace = (told[-1] - told[0]) / (rows[-1] - rows[0])
+    pace = (reported[-1] - reported[0]) / (rows[-1] - rows[0])
     known_rows = [-1, *rows, count]
-    known = [told[0] - pace * (rows[0] + 1), *told, told[-1] + pace * (count - rows[-1])]
+    known = [reported[0] - pace * (rows[0] + 1), *reported, reported[-1] + pace * (count - rows[-1])]
     return [float(second) for second in np.interp(range(count), known_rows, known)]
 
 
@@ -211,8 +211,8 @@ class Footage:
         rate = self.rate or PHOTO_RATE
         clocks = [self.every * number / rate for number in range(len(photos))]
         if self.rate is None:
-            told, note = photo_clocks(photos)
-            clocks = told or clocks
+            reported, note = photo_clocks(photos)
+            clocks = reported or clocks
             self.notes.extend(note)
         for photo, when in zip(photos, clocks, strict=True):
             # A mask that is there is looked at alone: decoding a drone's photo takes longer than aligning it.

@@ -45,8 +45,8 @@ def find_photos(folder: Path, masks: Path | None = None, *others: Path | None) -
     found = sorted(path for path in pictures if not path.name.startswith("._") and not path.is_dir())
     if not found:
         raise DatasetError(f"{folder} holds no photos.", f"Looked for {', '.join(PHOTO_SUFFIXES)} files.")
-    asked = [other.resolve() for other in (masks, *others) if other is not None]
-    aside = [other for other in asked if not folder.resolve().is_relative_to(other)]
+    aside_from = [other.resolve() for other in (masks, *others) if other is not None]
+    aside = [other for other in aside_from if not folder.resolve().is_relative_to(other)]
     are_photos = {
         parent: not any(parent.resolve().is_relative_to(other) for other in aside)
         for parent in {path.parent for path in found}

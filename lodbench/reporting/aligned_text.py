@@ -66,7 +66,7 @@ def csv_cell(value: object) -> str:
     Numbers stay as they are, negative ones too; a text that starts with = + - or @ gets an apostrophe
     before it, except the lone dash of an unknown value. None is empty.
     """
-    # Late: faults are told through this module where numpy, which storage needs, does not start.
+    # Late: faults are reported through this module where numpy, which storage needs, does not start.
     from lodbench.storage import hide_formula
 
     if value is None:

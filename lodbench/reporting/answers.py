@@ -69,7 +69,7 @@ def trust_of(prediction: Prediction) -> str:
 
 
 def is_trusted(probability: float | None, score: float | None, has_mask: bool) -> bool:
-    """Tells whether a pose is more likely right than wrong, as far as can be told.
+    """Tells whether a pose is more likely right than wrong, as far as can be known.
 
     Args:
         probability: That it is within 2 m and 2 degrees, where the method knows it.

@@ -139,7 +139,7 @@ def map_in_words(findings: Mapping[str, Any], most: int = 5) -> list[str]:
     Places where the map has no building come apart: of a partial map there are many, and none is wrong.
     """
     rows, count = map_rows(findings), len(findings.get("buildings", []))
-    lacking = sum(change["kind"] == "missing" for change in findings.get("changes", []))
+    lacking = sum(change["kind"] == "unmapped" for change in findings.get("changes", []))
     mapped, places = rows[: len(rows) - lacking], rows[len(rows) - lacking :]
     errors = f"{count_of(len(mapped), 'possible errors')} of the map"
     not_mapped = "buildings, containers or heaps not in the map, which may hold a part of all"
@@ -165,7 +165,7 @@ def map_rows(findings: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Returns of each possible error the building, what the photos show, and which photos.
 
     Args:
-        findings: ``buildings`` with heights, and ``changes``: buildings gone, and places the map lacks one.
+        findings: ``buildings`` with heights, and ``changes``: demolished and unmapped buildings.
     """
     rows = [
         (
@@ -179,8 +179,10 @@ def map_rows(findings: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     for change in findings.get("changes", []):
         listed = ", ".join(change["photos"][:3]) + (", ..." if len(change["photos"]) > 3 else "")
         photos = f"{count_of(len(change['photos']), 'photos')}{_apart(change)} ({listed})"
-        if change["kind"] == "gone":
-            rows.append((str(change["id"]), f"probably gone ({100 * change['probability']:.0f} %)", photos))
+        if change["kind"] == "demolished":
+            rows.append(
+                (str(change["id"]), f"probably demolished ({100 * change['probability']:.0f} %)", photos)
+            )
         else:
             rows.append(("not in the map", f"{change['area_m2']:.0f} m2, {_height(change)}", photos))
     return rows

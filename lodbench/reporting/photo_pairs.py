@@ -38,7 +38,7 @@ class Said(NamedTuple):
 
 
 class PhotoPair(NamedTuple):
-    """A photo that two runs, A and B, were asked for.
+    """A photo that two runs, A and B, worked on.
 
     Attributes:
         key: ``split/query``.

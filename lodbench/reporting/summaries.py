@@ -126,13 +126,13 @@ def with_settings(summary: dict[str, Any], config: dict[str, Any], city: str | P
         config: The run's configuration.
         city: The city model's path, where it is known.
     """
-    told = {**config["dataset"], "limit": config.get("limit"), "city": Path(city).name if city else None}
+    reported = {**config["dataset"], "limit": config.get("limit"), "city": Path(city).name if city else None}
     segmenter = config.get("segmenter")
     if isinstance(segmenter, dict):
-        told["segmenter"] = {key: _place(value) for key, value in segmenter.items() if key != "name"}
-    nested = {key: value for key, value in told.items() if isinstance(value, dict)}
+        reported["segmenter"] = {key: _place(value) for key, value in segmenter.items() if key != "name"}
+    nested = {key: value for key, value in reported.items() if isinstance(value, dict)}
     inner = {f"{key}.{name}": value for key, values in nested.items() for name, value in values.items()}
-    settings = {key: value for key, value in {**told, **inner}.items() if key not in nested}
+    settings = {key: value for key, value in {**reported, **inner}.items() if key not in nested}
     method = {**summary["method"], "settings": changed_settings(config.get("method", {}))}
     return {**summary, "method": method, "settings": settings}
 
@@ -233,7 +233,7 @@ def mean_numbers(runs: Sequence[dict[str, Any]], split: str) -> dict[str, Any]:
 
 
 def require_one_run_a_seed(label: str, runs: Sequence[dict[str, Any]]) -> None:
-    """Makes sure that no seed counts twice in a mean: the spread would be told too small.
+    """Makes sure that no seed counts twice in a mean: the spread would be stated too small.
 
     Raises:
         ConfigError: One would.
@@ -260,9 +260,9 @@ def require_seeds_alone(label: str, runs: Sequence[dict[str, Any]]) -> None:
     Raises:
         ConfigError: Something else of them differs.
     """
-    told = {words: [run["dataset"].get(name) for run in runs] for name, words in _NO_SEEDS.items()}
-    told["settings"] = [run["method"].get("params") for run in runs]
-    for words, values in told.items():
+    reported = {words: [run["dataset"].get(name) for run in runs] for name, words in _NO_SEEDS.items()}
+    reported["settings"] = [run["method"].get("params") for run in runs]
+    for words, values in reported.items():
         known = [value for value in values if value]
         if any(value != known[0] for value in known):
             raise ConfigError(
@@ -272,7 +272,7 @@ def require_seeds_alone(label: str, runs: Sequence[dict[str, Any]]) -> None:
 
 
 def common_photos(keys: Sequence[Hashable], photos: Sequence[str | None]) -> list[str]:
-    """Returns for each run the digest of the photos that its rows are of, "" where none is told.
+    """Returns for each run the digest of the photos that its rows are of, "" where none is stated.
 
     A run that looked at no photo, or does not say at which, stands beside those of its key that do, where all
     of these looked at the same; otherwise by itself.

@@ -34,7 +34,7 @@ class ViewedCamera(NamedTuple):
 
     Attributes:
         key: Of the query, or the photo's name.
-        facts: What is told of it, by name.
+        facts: What is stated of it, by name.
         camera: Its intrinsics; the lens is taken for a pinhole.
         prior: The rough pose.
         estimate: The pose found.

@@ -60,7 +60,7 @@ def _version(library: str) -> str:
         return ""
 
 
-# What files held when `content_digest` first read them: here, and as another process told this one.
+# What files held when `content_digest` first read them: here, and as another process reported it.
 _scope: ContextVar[dict[Path, str] | None] = ContextVar("_scope", default=None)
 _told: dict[Path, str] = {}
 
@@ -81,7 +81,7 @@ def known_contents() -> dict[Path, str]:
 
 
 def remember_contents(known: Mapping[Path, str]) -> None:
-    """Lets a worker's process compare what it reads with what another process found, until told otherwise."""
+    """Lets a worker's process compare what it reads with what another process found, until changed."""
     _told.clear()
     _told.update(known)
 

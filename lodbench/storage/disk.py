@@ -107,7 +107,7 @@ def make_folder(folder: Path) -> Path:
 
 
 def can_write(folder: Path) -> bool:
-    """Tells whether a folder is there or can be made, and takes files: to be asked before long work.
+    """Tells whether a folder is there or can be made, and takes files: to be checked before long work.
 
     Raises:
         OSError: Its name is too long, or a folder above it may not be looked into.

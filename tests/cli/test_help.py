@@ -58,7 +58,7 @@ def test_the_help_shows_no_setting_that_the_command_refuses(capsys):
     for executor in ("process", "dask"):
         assert main(["generate-training-data", f"executor={executor}", "--help"]) == 0
         told = capsys.readouterr().out
-        assert "executor.patience_s=" in told
+        assert "executor.timeout_s=" in told
         assert "executor.share=" not in told
     assert main(["run", "executor=process", "--help"]) == 0
     assert "executor.share=queries" in capsys.readouterr().out

@@ -15,7 +15,7 @@ def building(name, higher_m, doubt, photos=5):
 def place(west, south):
     ring = [[west, south], [west + 8, south], [west + 8, south + 8], [west, south + 8], [west, south]]
     return {
-        "kind": "missing",
+        "kind": "unmapped",
         "outline": [ring],
         "area_m2": 64.0,
         "height_m": 5.0,
@@ -37,8 +37,8 @@ def test_counts_of_a_flight_and_of_two():
             building("y", -5.0, True),  # stands in the map only
         ],
         "changes": [
-            {"kind": "gone", "id": "x", "probability": 1.0, "photos": ["p"]},
-            {"kind": "gone", "id": "c", "probability": 0.95, "photos": ["p"]},
+            {"kind": "demolished", "id": "x", "probability": 1.0, "photos": ["p"]},
+            {"kind": "demolished", "id": "c", "probability": 0.95, "photos": ["p"]},
             place(111.0, 113.0),  # beside the corner of what is missing, within three metres
             place(500.0, 500.0),
             place(700.0, 700.0),  # on a container
@@ -53,8 +53,8 @@ def test_counts_of_a_flight_and_of_two():
         clutter=[(706.0, 700.0, 712.0, 702.4), (110.0, 110.0, 120.0, 120.0)],
     )
     assert score == MapScore(
-        heights=4, recovered=2, wrong=2, found_wrong=1, doubted=3, rightly=1, gone=2, told_gone=2,
-        rightly_gone=1, missing=1, found=1, places=3, rightly_missing=1, clutter=1,
+        heights=4, recovered=2, wrong=2, found_wrong=1, doubted=3, rightly=1, demolished=2,
+        reported_demolished=2, rightly_demolished=1, unmapped=1, found=1, places=3, rightly_unmapped=1, clutter=1,
     )  # fmt: skip
     assert (score + score).heights == 8
     assert (score + MapScore()) == score

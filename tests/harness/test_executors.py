@@ -233,7 +233,7 @@ def test_what_a_hung_worker_was_at_is_done_again(tmp_path: Path, name: str) -> N
         pytest.importorskip("distributed")
     (tmp_path / "5").touch()
     # Longer than workers take to start, where many things run.
-    executor = ExecutorParams(name, workers=2, patience_s=8)
+    executor = ExecutorParams(name, workers=2, timeout_s=8)
     results = sorted(spread(executor, hang_once, range(8), prepare, (Deadly(tmp_path),)))
     assert results == [item * item for item in range(8)]
 

@@ -54,12 +54,12 @@ def test_what_is_contradicted_is_told_and_lies_where_it_stands(scene):
         [500_040.0, 5_600_010.0],
         [500_030.0, 5_600_000.0],
     ]
-    lacking = {"kind": "missing", "outline": [ring], "area_m2": 50.0, "photos": ["p"]}
+    lacking = {"kind": "unmapped", "outline": [ring], "area_m2": 50.0, "photos": ["p"]}
     lacking |= {"height_m": None, "sigma_m": None, "at_most_m": 8.0}
-    gone = {"kind": "gone", "id": "court", "probability": 0.9, "photos": ["p"]}
+    gone = {"kind": "demolished", "id": "court", "probability": 0.9, "photos": ["p"]}
     findings = {"buildings": [doubted], "changes": [gone, lacking]}
     features = contradiction_features(scene, frame, findings, "flight 1")
-    assert [each["properties"]["kind"] for each in features] == ["height", "gone", "missing"]
+    assert [each["properties"]["kind"] for each in features] == ["height", "demolished", "unmapped"]
     assert {each["properties"]["flight"] for each in features} == {"flight 1"}
     places = [shape(each["geometry"]).centroid for each in features]
     found = [frame.east_north(place.y, place.x) for place in places]
@@ -71,7 +71,7 @@ def test_what_is_contradicted_is_told_and_lies_where_it_stands(scene):
 
 
 def test_a_building_that_this_map_has_not_is_told_without_an_outline(scene):
-    gone = {"kind": "gone", "id": "of another map", "probability": 0.95, "photos": ["a", "b", "c"]}
+    gone = {"kind": "demolished", "id": "of another map", "probability": 0.95, "photos": ["a", "b", "c"]}
     _, (mark,) = city_and_marks(scene, {"changes": [gone]})
-    assert "of another map: probably gone (95 %)" in mark.title
+    assert "of another map: probably demolished (95 %)" in mark.title
     assert list(mark.rings) == []

@@ -61,15 +61,15 @@ def test_the_surest_building_in_doubt_comes_first_and_changes_follow():
     one = {"id": "a", "higher_m": -2.0, "sigma_m": 0.9, "photos": 4, "apart_deg": 61.6, "doubt": True}
     two = {"id": "b", "higher_m": 1.5, "sigma_m": 0.2, "photos": 9, "doubt": True}
     sure = {"id": "c", "higher_m": 0.1, "sigma_m": 0.2, "photos": 9, "doubt": False}
-    gone = {"kind": "gone", "id": "d", "probability": 0.97, "photos": ["p1", "p2", "p3", "p4"]}
-    lacking = {"kind": "missing", "outline": [], "area_m2": 120.0, "photos": ["p5"]}
+    gone = {"kind": "demolished", "id": "d", "probability": 0.97, "photos": ["p1", "p2", "p3", "p4"]}
+    lacking = {"kind": "unmapped", "outline": [], "area_m2": 120.0, "photos": ["p5"]}
     lacking |= {"height_m": 8.0, "sigma_m": 0.6, "at_most_m": 12.0}
     findings = {"buildings": [one, two, sure], "changes": [gone, lacking]}
     assert map_in_words(findings) == [
         "3 possible errors of the map, 3 buildings checked:",
         "- b: 1.5 m +-0.2 higher than in the map, from 9 photos",
         "- a: 2.0 m +-0.9 lower than in the map, from 4 photos up to 62 deg apart",
-        "- d: probably gone (97 %), from 4 photos (p1, p2, p3, ...)",
+        "- d: probably demolished (97 %), from 4 photos (p1, p2, p3, ...)",
         "1 place with buildings, containers or heaps not in the map, which may hold a part of all:",
         "- not in the map: 120 m2, 8.0 m +-0.6 high, from 1 photo (p5)",
     ]

@@ -159,15 +159,15 @@ def open_anyvisloc(params: AnyVisLocParams) -> Dataset:
     )
 
 
-def _scene(home: Path, asked: str | None) -> Path:
+def _scene(home: Path, name: str | None) -> Path:
     names = sorted(path.parent.name for path in home.glob("Scene_*/L??_reference.json"))
-    if asked is None and len(names) == 1:
+    if name is None and len(names) == 1:
         return home / names[0]
-    if asked not in names:
+    if name not in names:
         several = f"{home} holds several scenes, each in a frame of its own"
-        what = f"There is no {asked}" if asked else several
-        raise DatasetError(f"{what}: {', '.join(names)}.", f"Name one: dataset.scene={names[0]}")
-    return home / asked
+        what = f"There is no {name}" if name else several
+        raise DatasetError(f"{what}: {', '.join(names)}.", f"Name one: `dataset.scene={names[0]}`")
+    return home / name
 
 
 def _read(path: Path) -> _Sample:
@@ -203,7 +203,7 @@ def _camera(sample: _Sample, image: Path) -> Camera:
         raise DatasetError(f"{sample.path}: K: {error.message.rstrip('.')}.") from error
 
 
-def _poses(asked: str, samples: Sequence[_Sample], findings: Findings) -> list[Pose]:
+def _poses(reading: str, samples: Sequence[_Sample], findings: Findings) -> list[Pose]:
     """Returns true poses, from the matrices where these agree with place and angles.
 
     Raises:
@@ -216,14 +216,14 @@ def _poses(asked: str, samples: Sequence[_Sample], findings: Findings) -> list[P
     words = f"matrix, place and angles agree in {sum(agree)} of {len(samples)}"
     by_angles = [Pose.from_euler(sample.angles, sample.centre) for sample in samples]
     is_fitting = sum(agree) >= _NEARLY_ALL * len(samples)
-    if asked == "euler":
+    if reading == "euler":
         return by_angles
     if is_fitting:
         findings.add(READING_INFERRED, "dataset.poses", words)
-    elif asked == AUTO:
+    elif reading == AUTO:
         raise DatasetError(
             f"The frame of pose_c2w is not documented, and the data does not decide: {words}.",
-            "Set dataset.poses=euler (place and angles) or matrix.",
+            "Set `dataset.poses=euler` (place and angles) or matrix.",
         )
     else:
         findings.add(READING_UNFIT, "dataset.poses", words)

@@ -173,4 +173,4 @@ def _camera(stated: str | None, path: Path) -> tuple[Camera, CameraSigmas | None
         if not path.is_file()
         else "has no line MODEL W H params, and its layout is not documented"
     )
-    raise DatasetError(f"{path} {what}.", "State the camera: dataset.camera='PINHOLE 960 1280 FX FY CX CY'.")
+    raise DatasetError(f"{path} {what}.", "State it: `dataset.camera='PINHOLE 960 1280 FX FY CX CY'`.")

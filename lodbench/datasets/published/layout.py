@@ -173,7 +173,7 @@ def require_data(found: Survey) -> None:
             where to get it, what to do next.
     """
     if found.city_model is not None and not found.city_model.exists():
-        raise DatasetError(f"The city model {found.city_model} does not exist.", "Set city=FILE.")
+        raise DatasetError(f"The city model {found.city_model} does not exist.", "Set `city=FILE`.")
     if found.spec.parts:
         if any(part.is_needed for part in found.lacking):
             raise not_all_of(found)

@@ -1,6 +1,6 @@
 """What the papers' datasets have in common: their parts are found, read, and brought to east, north, up.
 
-Which frame a published dataset comes in, told by what stands upright in it. The Swiss city model was once
+Which frame a published dataset comes in, by what stands upright in it. The Swiss city model was once
 turned into earth-centred coordinates, minus those of an origin; whether a download still is, its files do
 not say. Walls do: their normals are level in the frame that has the true vertical. Cameras do too: a gimbal
 keeps the picture's x axis level.
@@ -78,7 +78,7 @@ _FRAMES = ("auto", ENU, SHIFTED_ECEF)
 
 @dataclass(frozen=True, slots=True)
 class PublishedParams:
-    """Settings of a published dataset, told in ``conf/dataset/uavd4l_lod.yaml``."""
+    """Settings of a published dataset, explained in ``conf/dataset/uavd4l_lod.yaml``."""
 
     name: str
     root: str | None = None
@@ -117,7 +117,7 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
     options = ReadOptions()
     textured = found.textured_map if params.textured_map is None else Path(params.textured_map).expanduser()
     if textured is not None and not textured.exists():
-        raise DatasetError(f"The textured map {textured} does not exist.", "Set dataset.textured_map=FILE.")
+        raise DatasetError(f"The textured map {textured} does not exist.", "Set `dataset.textured_map=FILE`.")
     folder = found.references if params.references is None else Path(params.references).expanduser()
     references = () if folder is None else read_references(folder)
     if spec.ecef is not None:
@@ -186,8 +186,8 @@ def _to_enu(
     city, cameras = city or cameras or ENU, cameras or city or ENU
     options = ReadOptions()
     if city == SHIFTED_ECEF:
-        told = "as configured" if frame != "auto" else "by its walls"
-        findings.add(TURNED_TO_ENU, "city model", told)
+        reported = "as configured" if frame != "auto" else "by its walls"
+        findings.add(TURNED_TO_ENU, "city model", reported)
         options = ReadOptions(ecef_origin=(ecef.lat_deg, ecef.lon_deg))
     if cameras == SHIFTED_ECEF:
         findings.add(

@@ -123,7 +123,7 @@ def open_ortholoc(params: OrthoLocParams) -> Dataset:
     if len(files) > _MOST_SAMPLES:
         raise DatasetError(
             f"{len(files)} samples are more than the {_MOST_SAMPLES} that are opened at a time.",
-            "Select some by their names: dataset.samples='L01_R*'.",
+            "Select some by their names: `dataset.samples='L01_R*'`.",
         )
     findings = Findings()
     samples = [_read(split, path) for split, path in files]
@@ -205,7 +205,7 @@ def _camera(sample: _Sample, half_px: float, focal: str) -> tuple[Camera, Camera
     return Camera(width, height, guess, guess, 0.5 * width, 0.5 * height), sigmas
 
 
-def _half_pixel(asked: str, samples: Sequence[_Sample], findings: Findings) -> float:
+def _half_pixel(reading: str, samples: Sequence[_Sample], findings: Findings) -> float:
     """Returns what to add to principal points: half a pixel if pixels count from their centres.
 
     A pixel's point, projected, lies on its number in the one case, half a pixel beyond in the other.
@@ -213,8 +213,8 @@ def _half_pixel(asked: str, samples: Sequence[_Sample], findings: Findings) -> f
     Raises:
         DatasetError: It lies at neither.
     """
-    if asked != AUTO:
-        return _ORIGINS[asked]
+    if reading != AUTO:
+        return _ORIGINS[reading]
     off = []
     for sample in samples[:: max(1, len(samples) // _CHECKED)]:
         width, height = sample.size
@@ -232,7 +232,7 @@ def _half_pixel(asked: str, samples: Sequence[_Sample], findings: Findings) -> f
     if not fitting:
         raise DatasetError(
             f"The point maps of {SPEC.id} lie {offset[0]:.2f}, {offset[1]:.2f} px off their pixels.",
-            "Set dataset.pixel_origin to centre or corner: where the first pixel's zero is.",
+            "Set `dataset.pixel_origin` to centre or corner: where the first pixel's zero is.",
         )
     findings.add(READING_INFERRED, "dataset.pixel_origin", f"{fitting[0]}, by {len(off)} point maps")
     return _ORIGINS[fitting[0]]

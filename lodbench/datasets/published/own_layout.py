@@ -156,31 +156,31 @@ def pose_read_as(row: PoseRow, reading: str, *, is_centre: bool = False) -> Pose
 
 
 def choose_reading(
-    setting: str, asked: str, readings: Mapping[str, Sequence[Pose]], findings: Findings
+    setting: str, wanted: str, readings: Mapping[str, Sequence[Pose]], findings: Findings
 ) -> str:
-    """Returns the reading of poses that makes pictures level and upright, or the one that is asked for.
+    """Returns the reading of poses that makes pictures level and upright, or the one that is requested.
 
     Args:
         setting: As typed: ``dataset.poses``.
-        asked: Name of a reading, or ``auto``.
+        wanted: Name of a reading, or ``auto``.
         readings: The poses in each of the readings that are possible.
-        findings: Receives which was chosen, or that the one asked for does not fit.
+        findings: Receives which was chosen, or that the one requested does not fit.
 
     Raises:
         ConfigError: There is no such reading.
         DatasetError: ``auto``, and not exactly one fits.
     """
-    require_word(setting, asked, [AUTO, *readings])
+    require_word(setting, wanted, [AUTO, *readings])
     levels = {name: _level_of(poses) for name, poses in readings.items()}
     fitting = [name for name, (sine, share) in levels.items() if sine < _LEVEL_SINE and share > _NEARLY_ALL]
     words = ", ".join(
         f"{name} {np.degrees(np.arcsin(min(1.0, sine))):.0f} deg off level, {share:.0%} upright"
         for name, (sine, share) in levels.items()
     )
-    if asked != AUTO:
-        if asked not in fitting:
+    if wanted != AUTO:
+        if wanted not in fitting:
             findings.add(READING_UNFIT, setting, words)
-        return asked
+        return wanted
     if len(fitting) != 1:
         raise DatasetError(
             f"How poses are to be read is not documented, and the pictures do not decide: {words}.",

@@ -134,16 +134,16 @@ def _up_axis(city: Path, params: SemCityParams, findings: Findings) -> Literal["
     """
     from lodbench.citymodel.cache import open_cached_scene
 
-    asked = params.up_axis
-    if asked == AUTO:
+    given = params.up_axis
+    if given == AUTO:
         low, high = open_cached_scene(city).extent_m
         extents_m = {name: float(high[axis] - low[axis]) for name, axis in _UP_AXES.items()}
         words = " and ".join(f"{extent_m:.0f} m along {name}" for name, extent_m in extents_m.items())
-        asked = min(extents_m, key=lambda name: extents_m[name])
-        if max(extents_m.values()) < _FLAT * extents_m[asked]:
+        given = min(extents_m, key=lambda name: extents_m[name])
+        if max(extents_m.values()) < _FLAT * extents_m[given]:
             raise DatasetError(
                 f"Which axis of {city.name} points up is not documented, and {words} do not decide.",
-                "Set dataset.up_axis=z or y.",
+                "Set `dataset.up_axis=z` or y.",
             )
-        findings.add(READING_INFERRED, "dataset.up_axis", f"{asked}: the city is {words}")
-    return "y" if asked == "y" else "z"
+        findings.add(READING_INFERRED, "dataset.up_axis", f"{given}: the city is {words}")
+    return "y" if given == "y" else "z"

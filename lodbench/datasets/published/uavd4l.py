@@ -75,7 +75,7 @@ def open_uavd4l(params: Uavd4lParams) -> Dataset:
     findings, query = Findings(), home / "Query"
     textured = home / "Model" if params.textured_map is None else Path(params.textured_map).expanduser()
     if not textured.exists() and params.textured_map is not None:
-        raise DatasetError(f"The textured map {textured} does not exist.", "Set dataset.textured_map=FILE.")
+        raise DatasetError(f"The textured map {textured} does not exist.", "Set `dataset.textured_map=FILE`.")
     shift = [-value for value in params.map_origin or (0.0, 0.0, 0.0)]
     truth = {name: pose.shifted(shift) for name, pose in read_poses(query / "poses" / "gt_pose.txt").items()}
     entries = []

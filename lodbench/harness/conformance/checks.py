@@ -106,7 +106,7 @@ def require_settings(plug_in: PlugIn, config: Mapping[str, Any]) -> None:
     """
     try:
         params_type = _params_type_of(plug_in.group, plug_in.load())
-    except LodbenchError:  # told by the checks
+    except LodbenchError:  # reported by the checks
         return
     if params_type is None or _parameters(params_type).status != OK:
         return

@@ -87,9 +87,9 @@ def _dot_s_place(tried: Tried) -> str:
     if not len(found):
         return "not seen: it is sure of nothing in a lone dot"
     off = np.abs(found.mean(axis=0) - [41.5, 31.5]).max()
-    told = f"a dot at (41.5, 31.5) is found {off:.2f} px off"
-    require(off < 0.4, told, "The first pixel's centre is (0.5, 0.5).")
-    return told
+    reported = f"a dot at (41.5, 31.5) is found {off:.2f} px off"
+    require(off < 0.4, reported, "The first pixel's centre is (0.5, 0.5).")
+    return reported
 
 
 def matcher_rules(tried: Tried) -> Rules:

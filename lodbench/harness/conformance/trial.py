@@ -215,7 +215,7 @@ def _depth(tried: Tried, renderer: Any) -> str:
 
 
 class _Once:
-    """Makes something when it is first asked for, and keeps it."""
+    """Makes something when it is first requested, and keeps it."""
 
     def __init__(self, make: Any) -> None:
         self._make, self._made = make, None

@@ -46,7 +46,7 @@ class Rerun:
     def write(self, export: Export, path: Path) -> None:
         """Writes a recording with one step of the timeline ``query`` per query.
 
-        Photos and the dataset's masks lie in the estimate's camera; why a query has none is told.
+        Photos and the dataset's masks lie in the estimate's camera; why a query has none is stated.
         """
         import rerun as rr
 

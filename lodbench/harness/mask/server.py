@@ -37,9 +37,9 @@ class MaskServer(LocalServer):
         super().__init__(port)
         self.session, self.name, self.save = session, name, save
 
-    def shown(self, asked: str) -> tuple[bytes, str] | None:
+    def shown(self, address: str) -> tuple[bytes, str] | None:
         """Returns the page, the photo, the mask, or a square of the mask as it is drawn over the photo."""
-        match asked:
+        match address:
             case "":
                 return _page(self.name, self.session), "text/html; charset=utf-8"
             case "photo.jpg":
@@ -47,11 +47,11 @@ class MaskServer(LocalServer):
             case "mask.png":
                 with self.lock:
                     return _encoded(".png", self.session.mask.astype(np.uint8) * 255), "image/png"
-        return self._tile(asked)
+        return self._tile(address)
 
-    def _tile(self, asked: str) -> tuple[bytes, str] | None:
+    def _tile(self, address: str) -> tuple[bytes, str] | None:
         """Returns the square "tile/COLUMN/ROW.png"; None where there is none."""
-        place = re.fullmatch(r"tile/(\d{1,4})/(\d{1,4})\.png", asked)
+        place = re.fullmatch(r"tile/(\d{1,4})/(\d{1,4})\.png", address)
         if place is None:
             return None
         column, row = (int(number) * _TILE_PX for number in place.groups())
@@ -61,10 +61,10 @@ class MaskServer(LocalServer):
             return None
         return _encoded(".png", _drawn(mask, row, column), cv2.IMWRITE_PNG_COMPRESSION, 1), "image/png"
 
-    def done(self, asked: str, content: dict[str, Any]) -> dict[str, Any] | None:
+    def done(self, address: str, content: dict[str, Any]) -> dict[str, Any] | None:
         """Draws a stroke, takes one back or draws it again, saves, or stops."""
         session = self.session
-        match asked:
+        match address:
             case "stroke":
                 points = np.array(content["points"], np.float64).reshape(-1, 2)
                 radius = float(content["radius"])

@@ -283,7 +283,7 @@ class Untouched:
         self._contents = [_content(file) for file in self._files]
 
     def require(self, hint: str) -> None:
-        """Makes sure that nobody else has written a file since; asked again, they may be replaced.
+        """Makes sure that nobody else has written a file since; tried again, they may be replaced.
 
         Args:
             hint: What to do about it.

@@ -84,8 +84,8 @@ def localize_photo(request: PhotoRequest, advance: Callable[[], None] = lambda: 
     advance()
     with TemporaryDirectory() as folder:
         image = undistorted_photo(view, Path(folder)) if Input.IMAGE in requires else None
-        told = told_as_fault(f"method {method.name}", request.out, request.photo.name)
-        with telling_of_depth(prior, place.scene), told:
+        reported = told_as_fault(f"method {method.name}", request.out, request.photo.name)
+        with telling_of_depth(prior, place.scene), reported:
             estimate = localize(
                 place.scene,
                 photo.pinhole,

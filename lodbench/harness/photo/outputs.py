@@ -119,7 +119,7 @@ def write_view(
 
     Args:
         path: The page.
-        request: What was asked: its city.
+        request: Its city is drawn.
         found: The answers, one at least.
         pages: Addresses of the pages that it leads to, by what they are called.
     """
@@ -142,7 +142,7 @@ def write_view(
 
 
 def _facts(found: LocalizedPhoto) -> dict[str, str]:
-    """Returns what is told of a photo, by name."""
+    """Returns what is stated of a photo, by name."""
     facts = {"trust": found.trust}
     if found.probability is not None:
         facts["sure"] = percent_text(found.probability)

@@ -96,7 +96,7 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
         if path is not None and not path.exists():
             raise DatasetError(f"{path} does not exist.", "Check the path.")
     scene, frame = _open_frame(request)
-    images, left_out, kind, told = _images(request, frame)
+    images, left_out, kind, reported = _images(request, frame)
     if request.masks is not None:
         require_some_mask(request.masks, [image.name for image in images], [image.photo for image in images])
     if scene is not None:
@@ -116,7 +116,7 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
     with Progress(f"writing {request.folder.name}", len(images)) as progress:
         written = write_dataset(images, request.folder, about, progress.advance, left_out)
     kept = [image for image in images if image.file_name in set(written.names)]
-    notes = [*told, *_prior_notes(kept, frame, request.heights)]
+    notes = [*reported, *_prior_notes(kept, frame, request.heights)]
     if request.masks is not None:
         notes += _mask_notes(request.masks, kept)
     priors = sum(image.prior is not None for image in kept)
@@ -148,14 +148,14 @@ def _mask_notes(folder: Path, images: Sequence[OwnImage]) -> list[str]:
         for image in images
         if image.mask is not None and picture_size(image.mask) != (image.camera.width, image.camera.height)
     ]
-    told = (
+    reported = (
         (lacking, f"of {len(images)} images have no mask"),
         (strays, "masks belong to no image that is used"),
         (scaled, "masks are of another size than their photos, and will be scaled"),
     )
     return [
         f"{len(names)} {words}: {', '.join(names[:3])}{', ...' * (len(names) > 3)}"
-        for names, words in told
+        for names, words in reported
         if names
     ]
 
@@ -186,7 +186,7 @@ def _images(
     """Returns the images, those left out, what they were read from, and what the reader should know of it."""
     if request.poses is not None:
         kind, found = read_pose_file(request.poses, request.format)
-        placed, told = brought(
+        placed, reported = brought(
             [_as_asked(image, request) for image in found], None if frame is None else frame.crs
         )
         images, left_out = images_from_poses(
@@ -206,7 +206,7 @@ def _images(
             if "no such photo" in reason:
                 hint = "`--images` is the folder of the posed photos."
             raise DatasetError(f"No image can be used; the first is {name}: {reason}.", hint)
-        return images, left_out, kind, told
+        return images, left_out, kind, reported
     if request.photos is None or frame is None:
         raise ConfigError(
             "There are no photos and no poses.", "Give `--images DIR`, `--city FILE`, or a model."

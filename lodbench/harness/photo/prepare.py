@@ -46,7 +46,7 @@ class PreparedPhoto:
     """What is known of a photo before the city is.
 
     Attributes:
-        request: What is asked of it.
+        request: The request.
         stated: What its metadata say.
         camera: Of the photo as stored, lens included.
         camera_source: Where the camera's numbers came from.

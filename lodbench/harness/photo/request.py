@@ -1,4 +1,4 @@
-"""What is asked of a photo, and what is answered."""
+"""What is requested of a photo, and what is answered."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ class LocalizedPhoto:
         sigmas: Standard deviations of x, y, z (metres), pitch, roll and yaw (degrees), where it knows them.
         alternatives: Other poses that fit nearly as well, in the city's coordinates, best first.
         alternative_probabilities: Of each, where the method knows them; else empty.
-        is_trusted: Whether the pose is more likely right than wrong, as far as can be told.
+        is_trusted: Whether the pose is more likely right than wrong, as far as can be known.
         place: Where on Earth, or None without a reference system.
         camera: Pinhole that was localised.
         stored_camera: Of the photo as stored, lens included.

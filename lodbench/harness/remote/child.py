@@ -42,7 +42,7 @@ from lodbench.methods.workspace import Workspace
 from lodbench.rendering import Fit, IouCounts
 
 Floats = NDArray[np.float64]
-# What is asked for at a time.
+# What is requested at a time.
 _PORTION_BYTES = 1 << 26
 
 
@@ -106,7 +106,7 @@ class RemoteMap:
 
     @cached_property
     def scene(self) -> Scene:
-        """Returns the city, sent over when it is first asked for."""
+        """Returns the city, sent over when it is first requested."""
         return cast(Scene, self._pipe.ask("scene"))
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:

@@ -29,7 +29,7 @@ from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.workspace import Workspace
 from lodbench.storage.paths import path_name
 
-HERE, SUBPROCESS = "here", "subprocess"
+INPROCESS, SUBPROCESS = "inprocess", "subprocess"
 _MODULE = "lodbench.harness.remote.child"
 _MOST_BYTES = 1 << 32
 # A Python that imports torch takes longer than some queries: it has at least so many seconds to start.
@@ -44,13 +44,13 @@ class RunnerParams:
         ConfigError: A value is unknown, missing or out of range.
     """
 
-    name: str = HERE
+    name: str = INPROCESS
     python: str | None = None
     timeout_s: float = 600.0
     prepare_timeout_s: float = 86400.0
 
     def __post_init__(self) -> None:
-        require_choice("runner", self.name, (HERE, SUBPROCESS))
+        require_choice("runner", self.name, (INPROCESS, SUBPROCESS))
         if self.name == SUBPROCESS and not self.python:
             raise ConfigError("runner=subprocess needs a Python.", "Set `runner.python=PATH`.")
         require_numbers(self, "runner", ("timeout_s", "prepare_timeout_s"), 0, 1e6, "(]")
@@ -266,7 +266,7 @@ def _counted(city_map: CityMap, kind: str, poses: int) -> None:
 
 def _drawn(city_map: CityMap, kind: str, named: dict[str, Any], camera: Any, *arguments: Any) -> Any:
     if not isinstance(camera, Camera) or not arguments:
-        raise RenderingError(f"{kind} is asked for with a camera and poses")
+        raise RenderingError(f"{kind} is requested with a camera and poses")
     views = 1 if kind == "render" else len(arguments[0])
     if not 0 <= drawn_bytes(kind, camera, views) <= _MOST_BYTES:
         raise RenderingError(f"{views} views of {camera.width} x {camera.height} are too many at a time")
@@ -275,5 +275,5 @@ def _drawn(city_map: CityMap, kind: str, named: dict[str, Any], camera: Any, *ar
 
 def _pose(*values: Any) -> Pose:
     if len(values) != 1 or not isinstance(values[0], Pose):
-        raise QueryFault("a mask is asked for from a pose")
+        raise QueryFault("a mask is requested from a pose")
     return replace(values[0])

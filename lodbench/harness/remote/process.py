@@ -1,4 +1,4 @@
-"""A child process that is asked over pipes, and may hang, die or write nonsense."""
+"""A child process that answers over pipes, and may hang, die or write nonsense."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 from lodbench.errors import ConfigError, LodbenchError, WorkersGone
 from lodbench.harness.remote.wire import MalformedMessage, fault_told, numbered, packed, unpacked
 
-# Of what the child wrote to standard error, at most this much is told.
+# Of what the child wrote to standard error, at most this much is reported.
 _TAIL_BYTES = 4000
 # Bytes read and written at a time.
 _CHUNK = 1 << 16
@@ -116,12 +116,12 @@ class Child:
     def _send(self, message: dict[str, Any], deadline: float) -> None:
         """Sends a message with the next number."""
         if self._has_said():
-            raise MalformedMessage("bytes that nobody had asked for")
+            raise MalformedMessage("bytes that nobody had requested")
         self._number += 1
         self._write(packed({"number": self._number, **message}), deadline)
 
     def _has_said(self) -> bool:
-        """Tells whether bytes wait that were not asked for.
+        """Tells whether bytes wait that were not requested.
 
         Raises:
             EOFError: The pipe is closed.

@@ -1,4 +1,4 @@
-"""One query asked of a method: the estimate, or why there is none, as it is stored."""
+"""One query given to a method: the estimate, or why there is none, as it is stored."""
 
 from __future__ import annotations
 
@@ -105,16 +105,16 @@ def _stored_estimate(
 
 @staying_here()
 def answer(
-    method: Method, preparation: Preparation, city_map: CityMap, asked: Sequence[Asked], folder: Path
+    method: Method, preparation: Preparation, city_map: CityMap, waiting: Sequence[Asked], folder: Path
 ) -> None:
     """Fills in estimates, or why there are none."""
-    for each in asked:
+    for each in waiting:
         with _failing(each, folder):
             started = time.perf_counter()
             query = preparation.query(each.entry)
             each.query = _with_small_mask(query) if isinstance(method, SupportsFlights) else query
             each.prepare_s = time.perf_counter() - started
-    ready = [(each, each.query) for each in asked if each.query is not None]
+    ready = [(each, each.query) for each in waiting if each.query is not None]
     if isinstance(method, SupportsFlights) and ready:
         _answer_flight(method, city_map, ready, folder)
         return
@@ -170,8 +170,8 @@ def _answer_flight(
             each.estimate = answer
     if found.findings:
         make_folder(folder / FLIGHTS_FOLDER)
-        told = json.dumps(found.findings, indent=1, sort_keys=True)
-        write_text(folder / FLIGHTS_FOLDER / f"{flight_name(first)}.json", told + "\n")
+        reported = json.dumps(found.findings, indent=1, sort_keys=True)
+        write_text(folder / FLIGHTS_FOLDER / f"{flight_name(first)}.json", reported + "\n")
 
 
 def flight_name(entry: Entry) -> str:

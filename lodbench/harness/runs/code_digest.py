@@ -57,7 +57,7 @@ def required_by(packages: Collection[str]) -> list[Distribution]:
     """
     offered = packages_distributions() if packages else {}
     waiting = [name for package in packages for name in offered.get(package, ())]
-    asked = set(waiting)
+    read = set(waiting)
     found: dict[str, Distribution] = {}
     while waiting:
         name = waiting.pop()
@@ -71,7 +71,7 @@ def required_by(packages: Collection[str]) -> list[Distribution]:
         needs = [text for text in found[plain].requires or () if "extra" not in text.partition(";")[2]]
         waiting += [match[0] for match in map(_NAME.match, needs) if match]
     # The packages themselves count by their files.
-    return [each for each in found.values() if each.name not in asked]
+    return [each for each in found.values() if each.name not in read]
 
 
 def _name_of(package: Distribution) -> str:
@@ -81,9 +81,9 @@ def _name_of(package: Distribution) -> str:
 def _edited_files(package: Distribution) -> list[Path]:
     """Returns the Python files of a package that is installed to be edited (PEP 610), else none."""
     try:
-        told = parse_json(_read(package, "direct_url.json") or "{}")
-        is_editable = told["dir_info"]["editable"] is True
-        folder = Path(url2pathname(urlparse(told["url"]).path))
+        reported = parse_json(_read(package, "direct_url.json") or "{}")
+        is_editable = reported["dir_info"]["editable"] is True
+        folder = Path(url2pathname(urlparse(reported["url"]).path))
     except (ValueError, KeyError, TypeError):
         return []
     if not is_editable:
@@ -122,7 +122,7 @@ def _typed_code(part: object) -> str:
         return file_digest(Path(script))
     if not any(map(linecache.getlines, _cells_of(type(part)))):
         raise ConfigError(
-            f"The code of {type(part).__name__} cannot be read, so its results could not be told from "
+            f"The code of {type(part).__name__} cannot be read, so its results could not be kept apart from "
             "those of another version.",
             "Define it in a file, and import it.",
         )

@@ -73,8 +73,8 @@ def changed_answers(stored: StoredRun) -> list[str]:
     return lines
 
 
-def _is_equal(told: float, stored: float | None) -> bool:
-    return math.isnan(told) if stored is None else told == stored
+def _is_equal(reported: float, stored: float | None) -> bool:
+    return math.isnan(reported) if stored is None else reported == stored
 
 
 def _is_same(one: Pose | None, other: Pose | None) -> bool:

@@ -96,8 +96,8 @@ def evaluate_poses(dataset: Dataset, settings: EvaluateSettings) -> Result:
         tilt=settings.tilt,
         columns=protocol_named(dataset.protocol).columns,
     )
-    told = replace(dataset, notes=dataset.notes + notes)
-    return Result(folder, config, told, splits, predictions, queries, inputs, lod=None)
+    reported = replace(dataset, notes=dataset.notes + notes)
+    return Result(folder, config, reported, splits, predictions, queries, inputs, lod=None)
 
 
 def draw_scored(result: Result, segmenter: Segmenter, tilt: str) -> list[Path]:

@@ -80,7 +80,7 @@ def write_overlays(
                 with blaming("renderers", drawer.name, "draw"):
                     picture = draw_overlay(shown, drawer)
                 write_picture(path, picture)
-    # A query asked again has another place among the best and the worst: its old picture is wrong.
+    # A query tried again has another place among the best and the worst: its old picture is wrong.
     for path in sorted(folder.glob("*.png")):
         if path not in written and re.search(rf"_({_NAMES})_\d+_", path.name):
             disk().remove(path)

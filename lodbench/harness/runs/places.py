@@ -129,7 +129,7 @@ def _poses(
 
 
 def _facts(verdict: Verdict, key: str) -> dict[str, str]:
-    """Returns what is told of a query, by name."""
+    """Returns what is stated of a query, by name."""
     found = verdict.stored.predictions.get(key)
     if key not in verdict.stored.queries.index:
         return {}
@@ -210,6 +210,10 @@ def pages_of_run(
     }
 
 
+# What runs of version 0.1 call changes of the map.
+_KINDS_OF_0_1 = {"gone": "demolished", "missing": "unmapped"}
+
+
 def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
     """Returns what each flight of a run says, by the name of its file.
 
@@ -220,6 +224,8 @@ def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
     for file in sorted((verdict.stored.folder / FLIGHTS_FOLDER).glob("*.json")):
         said = found[file.stem] = read_json(file)
         try:
+            for change in said.get("changes", []):
+                change["kind"] = _KINDS_OF_0_1.get(change["kind"], change["kind"])
             constants_in_words(said.get("constants", {})), map_in_words(said)
             len(said.get("lost", [])), dict(said.get("reasons", {})), list(said.get("notes", []))
         except (AttributeError, LookupError, TypeError, ValueError) as error:

@@ -172,9 +172,9 @@ class Work:
         self, preparation: Preparation, city_map: CityMap, entries: Sequence[Entry]
     ) -> list[tuple[str, dict[str, Any]]]:
         """Returns the keys of queries and the predictions of their poses as JSON values."""
-        asked = [Asked(entry, self.streams_of(entry)) for entry in entries]
-        answer(self.method, preparation, city_map, asked, self.folder)
-        return [(each.entry.key, each.prediction(preparation, self.folder).to_json()) for each in asked]
+        given = [Asked(entry, self.streams_of(entry)) for entry in entries]
+        answer(self.method, preparation, city_map, given, self.folder)
+        return [(each.entry.key, each.prediction(preparation, self.folder).to_json()) for each in given]
 
 
 def predict(
@@ -195,7 +195,7 @@ def predict(
         city_map: What they are found on in this process.
         entries: The queries.
         executor: Where the work is done; it changes no prediction.
-        retries_failed: Whether queries whose stored prediction is a failure are asked again.
+        retries_failed: Whether queries whose stored prediction is a failure are tried again.
 
     Raises:
         ConfigError: A setting of the method or the segmenter is wrong, which only a query could tell.
@@ -237,7 +237,7 @@ def _answers(
         if executor.share == QUERIES:
             yield from workers.map(_answer_here, batches)
             return
-        # The process that was asked goes on by itself, and has workers score its large grids.
+        # The process that was started goes on by itself, and has workers score its large grids.
         prepare_method(*work.prepared_with(city_map))
         shared = SharedScorer(city_map.scorer, workers, _score_here)
         shared_map = city_map.with_scorer(cast(Scorer, shared))
@@ -246,7 +246,7 @@ def _answers(
 
 
 def _batches(method: Method, entries: Sequence[Entry], waiting: Sequence[Entry]) -> list[list[Entry]]:
-    """Returns the queries that are asked together: whole flights where any of their photos waits."""
+    """Returns the queries that are answered together: whole flights where any of their photos waits."""
     if isinstance(method, SupportsFlights):
         flights: dict[tuple[str, str], list[Entry]] = {}
         for entry in entries:

@@ -58,7 +58,7 @@ class Preparation:
         scene: The city; queries are moved into its local frame.
         segmenter: Makes the masks.
         tilt: ``prior``, or ``truth`` to replace the prior's pitch and roll by the true ones.
-        needs: What is looked at of ``mask``, ``mask_on_demand`` and ``instances``, which are asked of the
+        needs: What is looked at of ``mask``, ``mask_on_demand`` and ``instances``, which are made by the
             segmenter, of the truth, ``true_pixels``, and of ``image``, which must then be fit for the
             camera; no more is made.
         city_map: The map that a segmenter may look at; one of its own if None.
@@ -192,10 +192,10 @@ class Preparation:
 
 
 def require_choices(tilt: str, limit: int | None = None) -> None:
-    """Makes sure of what can be told of a run's settings before any dataset is opened, or built.
+    """Makes sure of what can be checked of a run's settings before any dataset is opened, or built.
 
     Raises:
-        ConfigError: A tilt is none of ``TILTS``, or no query is asked for.
+        ConfigError: A tilt is none of ``TILTS``, or no query is requested.
     """
     if tilt not in TILTS:
         raise ConfigError(f"tilt={tilt} is not known.", nearest_names(tilt, TILTS))
@@ -207,7 +207,7 @@ def require_tilt(tilt: str, dataset: Dataset) -> None:
     """Makes sure that a tilt is one of ``TILTS``, and that a dataset has it.
 
     Raises:
-        ConfigError: It is not, or the true one is asked for and there is no truth.
+        ConfigError: It is not, or the true one is requested and there is no truth.
     """
     require_choices(tilt)
     if tilt == "truth" and not dataset.truth:

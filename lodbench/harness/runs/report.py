@@ -44,16 +44,16 @@ _MOST_CHARTS = 60
 
 def score_pictures(folder: Path, queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
     """Returns how the scores of the gallery's queries rose, by the run's predictions; none without steps."""
-    told = [Trace(title, _scores(stages)) for title, stages in _stages(folder, queries, splits)]
-    traces = [trace for trace in told if any(len(scores) > 2 for scores in trace.stages.values())]
+    reported = [Trace(title, _scores(stages)) for title, stages in _stages(folder, queries, splits)]
+    traces = [trace for trace in reported if any(len(scores) > 2 for scores in trace.stages.values())]
     caption = "Best score after each step: every beam, and the best of them."
     return [_chart(draw_traces(traces), caption)] if traces else []
 
 
 def evidence_pictures(predictions: Mapping[str, Prediction]) -> list[Picture]:
     """Returns by how much each answer is ahead of the query's other candidates, closest first; or none."""
-    told = [Trace(key, _behind(found.trace)) for key, found in predictions.items()]
-    traces = [trace for trace in told if any(len(nats) > 1 for nats in trace.stages.values())]
+    reported = [Trace(key, _behind(found.trace)) for key, found in predictions.items()]
+    traces = [trace for trace in reported if any(len(nats) > 1 for nats in trace.stages.values())]
     if not traces:
         return []
     traces.sort(key=lambda trace: (min(n[1] for n in trace.stages.values() if len(n) > 1), trace.name))

@@ -56,7 +56,7 @@ def is_oracle(method: Method, segmenter: Segmenter) -> bool:
 
 
 def required_inputs(method: Method, segmenter: Segmenter) -> frozenset[Input]:
-    """Returns what a run needs of its dataset: for its method, and for its segmenter where one is asked."""
+    """Returns what a run needs of its dataset: for its method, and its segmenter if it needs one."""
     requires = declared_inputs(method, "requires", {Input.MASK}) - SEGMENTED
     return requires | declared_inputs(segmenter, "requires") if needs_segmenter(method) else requires
 

@@ -63,7 +63,7 @@ from lodbench.storage.paths import path_name
 
 @dataclass(frozen=True, slots=True)
 class RunSettings:
-    """What a run is told besides its method, dataset and segmenter.
+    """What a run is given besides its method, dataset and segmenter.
 
     Attributes:
         runs_root: Folder that run folders are made in.
@@ -75,7 +75,7 @@ class RunSettings:
         seed: Seed of the random streams.
         splits: Splits to run; empty for all.
         limit: At most this many queries per split, or None.
-        retries_failed: Whether queries that failed in an earlier run into the same folder are asked again.
+        retries_failed: Whether queries that failed in an earlier run into the same folder are tried again.
         executor: Where queries are answered; never changes a result.
         stream_names: Returns the names of a query's random streams; its dataset and key if None.
     """

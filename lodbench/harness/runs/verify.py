@@ -107,7 +107,7 @@ def verify_run(
         )
     entries: tuple[Entry, ...] = ()
     inputs, lod = _inputs(stored), stored.summary["protocol"].get("lod")
-    told = _stand_in(stored)
+    reported = _stand_in(stored)
     if dataset is not None:
         splits = select_splits(dataset, config.get("split") or ())
         entries = chosen_entries(dataset, splits, config.get("limit"))
@@ -120,7 +120,7 @@ def verify_run(
         if "flights" in inputs:
             inputs["flights"] = flights_digest(entries) or ""
         # What was said of a pose file stands with its method: the file itself need not be there.
-        told = replace(dataset, notes=dataset.notes + tuple(config["method"].get("notes", ())))
+        reported = replace(dataset, notes=dataset.notes + tuple(config["method"].get("notes", ())))
         if "masks" in inputs and segmenter is not None:
             # Runs of older versions never say what settings a fingerprint leaves out.
             earlier = fingerprint_of(segmenter, entries)
@@ -131,16 +131,16 @@ def verify_run(
             city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
             inputs, lod = _with_city(inputs, city.scene, notes), city.scene.lod
             scorer = make_renderer("silhouette", city.scene, None)
-            told = replace(dataset, notes=dataset.notes + city.notes())
+            reported = replace(dataset, notes=dataset.notes + city.notes())
         elif "scene" in inputs:
             notes.append("the city model is not there: not compared")
-            told = replace(dataset, notes=_stand_in(stored).notes)
+            reported = replace(dataset, notes=_stand_in(stored).notes)
         if "textured_map" in inputs:
-            told = _with_words_of_the_map(told, stored)
+            reported = _with_words_of_the_map(reported, stored)
         differences += _changed_errors(stored, entries, dataset, str(config["tilt"]), scorer)
     splits = tuple(stored.queries["split"].unique())
     computed = summary_of(
-        Result(folder, config, told, splits, stored.predictions, stored.queries, inputs, lod)
+        Result(folder, config, reported, splits, stored.predictions, stored.queries, inputs, lod)
     )
     # Plug-ins may have come and gone since.
     unknown = plugin_metrics(stored.summary) ^ plugin_metrics(computed)
@@ -269,10 +269,10 @@ def _stand_in(stored: StoredRun) -> Dataset:
     return Dataset(said["name"], said["version"], stored.folder, None, None, (), (), {}, notes, protocol=bins)
 
 
-def _with_words_of_the_map(told: Dataset, stored: StoredRun) -> Dataset:
+def _with_words_of_the_map(reported: Dataset, stored: StoredRun) -> Dataset:
     """Returns a dataset with the notes of a textured map, which takes minutes to make and is not opened."""
     said = _stand_in(stored).notes
-    return replace(told, notes=said) if said[: len(told.notes)] == told.notes else told
+    return replace(reported, notes=said) if said[: len(reported.notes)] == reported.notes else reported
 
 
 def _wrong_name(folder: Path, config: dict[str, Any], inputs: dict[str, str]) -> list[str]:

@@ -213,20 +213,20 @@ class TraceServer(LocalServer):
         self.model, self.file, self._describe = model, file, describe
         self.saved = json.loads(file.read_text("utf-8"))["traced"] if file.exists() else []
 
-    def shown(self, asked: str) -> tuple[bytes, str] | None:
+    def shown(self, address: str) -> tuple[bytes, str] | None:
         """Returns the page or a photo, by its number."""
         names = list(self.model.views)
-        if asked == "":
+        if address == "":
             return self._page(names), "text/html; charset=utf-8"
-        number = asked.removeprefix("photo").removesuffix(".jpg")
+        number = address.removeprefix("photo").removesuffix(".jpg")
         if not number.isdecimal() or int(number) >= len(names):
             return None
         pixels = read_photo(self.model.views[names[int(number)]].photo)
         return cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]))[1].tobytes(), "image/jpeg"
 
-    def done(self, asked: str, content: dict[str, Any]) -> dict[str, Any] | None:
+    def done(self, address: str, content: dict[str, Any]) -> dict[str, Any] | None:
         """Saves, solves, draws a ray, or stops."""
-        match asked:
+        match address:
             case "save":
                 return saved_or_why(lambda: self._save(content))
             case "solve":

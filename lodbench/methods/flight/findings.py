@@ -77,7 +77,7 @@ def findings_of(
     pictures = open_pictures(kept_queries, poses, state.lens[:2])
     curves = sweep_roofs(pictures, city_map)
     changes = [*gone_buildings(views, city_map), *missing_buildings(views, city_map, pictures)]
-    gone = {change["id"] for change in changes if change["kind"] == "gone"}
+    gone = {change["id"] for change in changes if change["kind"] == "demolished"}
     heights = building_heights(aligned, curves, city_map.scene, params)
     centers = np.array([pose.center for pose in poses]).reshape(-1, 3)
     buildings = _buildings(heights, aligned, city_map.scene, centers)

@@ -110,7 +110,7 @@ def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, A
             name = city_map.scene.building_ids[each]
             found.append(
                 {
-                    "kind": "gone",
+                    "kind": "demolished",
                     "id": name,
                     "probability": probability,
                     "photos": photos,

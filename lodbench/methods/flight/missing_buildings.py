@@ -228,7 +228,7 @@ def _components(
         outline = [(ring + west_south).tolist() for ring in _outline(shape)]
         found.append(
             {
-                "kind": "missing",
+                "kind": "unmapped",
                 "outline": outline,
                 "area_m2": area,
                 **height,

@@ -73,7 +73,7 @@ def without_contradicted(
     """
     rows = {name: row for row, name in enumerate(city_map.scene.building_ids)}
     doubted = {rows[b["id"]]: float(b["higher_m"]) for b in findings["buildings"] if b["doubt"]}
-    gone = {rows[c["id"]]: None for c in findings["changes"] if c["kind"] == "gone"}
+    gone = {rows[c["id"]]: None for c in findings["changes"] if c["kind"] == "demolished"}
     standing = _standing({**doubted, **gone}, queries, vectors, lens, city_map)
     ids = {city_map.scene.building_ids[row] for row in standing}
     return {

@@ -48,7 +48,7 @@ def said(heights=(), gone=()):
     buildings = [
         {"id": name, "higher_m": m, "sigma_m": 0.3, "photos": 6, "doubt": True} for name, m in heights
     ]
-    return {"buildings": buildings, "changes": [{"kind": "gone", "id": name} for name in gone]}
+    return {"buildings": buildings, "changes": [{"kind": "demolished", "id": name} for name in gone]}
 
 
 def test_directions_are_compared_at_the_place():
