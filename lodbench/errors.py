@@ -73,7 +73,8 @@ def _option(text: str) -> Option | str:
     is_spaced = flag != text and " " in flag.partition("=")[0]
     name, _, value = flag.partition(" " if is_spaced else "=")
     known = name.replace("-", "_") if flag != text else name
-    return Option(known, value, text) if known.replace(".", "").isidentifier() else f"`{text}`"
+    is_option = known.partition("[")[0].replace(".", "").isidentifier()
+    return Option(known, value, text) if is_option else f"`{text}`"
 
 
 class LodbenchError(Exception):
