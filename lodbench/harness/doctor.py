@@ -71,7 +71,7 @@ def _there(timeout_s: float) -> Iterator[Check]:
         else:
             hint = "pip install 'lodbench[render]'"
             yield Check("renderers", name, ABSENT, "is not installed", hint)
-    weights = Path(__file__).parents[2] / "segmentation" / "weights"
+    weights = Path(__file__).parents[1] / "segmentation" / "weights"
     for name in NETWORKS:
         is_there = (weights / f"{name}.onnx").is_file()
         status, detail = (OK, f"installed, {_NOT_TRIED}") if is_there else (BROKEN, "has no weights")
