@@ -406,7 +406,7 @@ class TestCommand:
         for words, told in (
             (["--mask", str(photo.parent / "small.png")], "24 x 16 pixels, the photo 240 x 160"),
             (["--segmenter", "masks"], "looks at no photo alone"),
-            (["--segmenter", "semantic"], "segmenter.weights is not set"),
+            (["--segmenter", "semantic"], "--segmenter-option weights is not set"),
             (["--import", str(photo)], "is not a JSON file"),
             (["--import", "a.json", "--segmenter-option", "size=64"], "is not used with --import"),
         ):

@@ -63,7 +63,7 @@ def test_a_run_takes_flags_and_tells_the_former_name(lodbench, tmp_path):
             "is not used: views are",
             "Leave executor",
         ),
-        ("bench", "required: silhouettes|scale|", "--help"),
+        ("bench", "required: silhouettes|accuracy|", "--help"),
         ("compare --columns paper a b", "required: RUN", "Arguments go before options."),
         ("run --multirn seed=0,1", "has no option --multirn", "Did you mean --multirun?"),
         ("run dataset=demo seed=0,1", "seed=0,1 has several values", "Add --multirun for a run of each"),
