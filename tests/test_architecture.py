@@ -189,6 +189,29 @@ def test_methods_do_not_import_each_other():
     assert not wrong
 
 
+def test_parts_of_kernels_are_called_by_kernels_alone():
+    # They have no way in for Python: a call would end the process.
+    parts = {
+        f"lodbench.kernels.{path.stem}.{node.name}"
+        for path in MODULES
+        if layer_of(path) == "kernels"
+        for node in trees()[path].body
+        if isinstance(node, ast.FunctionDef)
+        and {ast.unparse(each) for each in node.decorator_list} & {"part", "per_pixel"}
+    }
+    assert len(parts) > 20
+    wrong = [
+        f"{name_of(path)} imports {node.module}.{alias.name}"
+        for path in MODULES
+        if layer_of(path) != "kernels"
+        for node in ast.walk(trees()[path])
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+        if f"{node.module}.{alias.name}" in parts
+    ]
+    assert not wrong
+
+
 def test_nothing_imports_the_baselines():
     wrong = [
         f"{name_of(path)} imports {name}"

@@ -6,14 +6,15 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-from lodbench.kernels import cache
-from lodbench.kernels.compiled import say_if_compiling
+from lodbench.kernels import cache, compiled, silhouettes
 from lodbench.rendering.silhouette import SilhouetteRenderer
 
 pytestmark = pytest.mark.attack
@@ -155,33 +156,54 @@ def test_a_folder_the_user_has_set_is_used_and_knows_called_files_too(package, m
     assert not list(package.glob("__pycache__/kernels-*"))
 
 
-def test_the_first_use_says_that_it_compiles(tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
-    for lines in (1, 0):
-        caplog.clear()
-        say_if_compiling.cache_clear()
-        for _ in range(2):
-            say_if_compiling()
-        assert [record.getMessage() for record in caplog.records] == [
-            "First use: compiling takes about a minute, once."
-        ] * lines
-        # As numba names what it keeps.
-        (tmp_path / "silhouettes.draw_view-1.py311.nbi").touch()
+DRAW = """
+import numpy as np
+from lodbench.citymodel.blocks import scene_of_blocks
+from lodbench.geometry import Camera, Pose
+from lodbench.rendering.silhouette import SilhouetteRenderer
+renderer = SilhouetteRenderer(scene_of_blocks([(-6.0, -6.0, 6.0, 6.0, 0.0, 25.0)]), 1)
+if {draws}:
+    renderer.render(Camera(64, 48, 60.0, 60.0, 32.0, 24.0), Pose.from_matrix(np.eye(4)))
+"""
+
+
+@pytest.mark.slow
+def test_the_first_use_says_that_it_compiles_and_no_other(tmp_path):
+    said = []
+    for draws in (False, True, True):
+        done = subprocess.run(
+            [sys.executable, "-c", DRAW.format(draws=draws)],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}, capture_output=True, text=True,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        said.append(done.stderr.splitlines())
+    assert said[0] == said[2] == []
+    assert said[1][0].startswith("First use: compiling kernels (silhouettes.draw_views, ...)")
+
+
+def test_progress_of_compiling_names_kernels_and_not_their_parts(monkeypatch, caplog):
+    now = iter((0.0, 1.0, 7.0, 7.0, 8.0))
+    monkeypatch.setattr(compiled, "monotonic", lambda: next(now))
+    report = compiled._Report()
+    for name in ("draw_views", "score_views", "draw_instances", "draw_views"):
+        kernel = SimpleNamespace(data={"dispatcher": getattr(silhouettes, name)})
+        inner = SimpleNamespace(data={"dispatcher": silhouettes.draw_group})
+        report.on_start(kernel)
+        report.on_start(inner)
+        report.on_end(inner)
+        report.on_end(kernel)
+    elsewhere = SimpleNamespace(data={"dispatcher": SimpleNamespace(py_func=np.median)})
+    report.on_start(elsewhere)
+    assert [record.getMessage() for record in caplog.records] == [
+        "First use: compiling kernels (silhouettes.draw_views, ...), once: up to half a minute.",
+        "2 kernels compiled, now silhouettes.draw_instances.",
+    ]
 
 
 def _triangle():
     corners = np.array([(0, 0, 0), (9, 0, 0), (0, 9, 5)], np.float32)
     rows, ends = np.array([(0, 1, 2)], np.int32), (np.array([0, 3]), np.array([0, 1]))
     return Scene(corners, rows, *ends, ("a",), "1", None, np.zeros(3))
-
-
-def test_a_renderer_that_draws_nothing_compiles_nothing_and_says_nothing(tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
-    say_if_compiling.cache_clear()
-    renderer = SilhouetteRenderer(_triangle(), 1)
-    assert caplog.records == []
-    renderer.render(Camera(64, 48, 60.0, 60.0, 32.0, 24.0), Pose.from_matrix(np.eye(4)))
-    assert [record.getMessage()[:9] for record in caplog.records] == ["First use"]
 
 
 def test_a_place_that_cannot_be_used_is_left_alone(package):
@@ -211,7 +233,7 @@ def test_kernels_are_given_no_types_that_their_digest_does_not_know(tmp_path):
     # Of a named tuple numba keeps the class by name, and the order of its fields is compiled in.
     scene, camera = _triangle(), Camera(64, 48, 60.0, 60.0, 32.0, 24.0)
     SilhouetteRenderer(scene, 1).render(camera, Pose.from_matrix(np.eye(4)))
-    kept = [path for path in cache.kept_kernels("*") or []]
+    kept = list(Path(silhouettes.draw_views.stats.cache_path).glob("*.nbi"))
     assert kept
     foreign = [path.name for path in kept if re.search(rb"lodbench\.(?!kernels)", path.read_bytes())]
     assert foreign == []

@@ -1,16 +1,15 @@
-"""Passes over small cities without numba, which takes longer to load than they do; the same bits."""
+"""Passes over small cities in numpy: to load kernels, or compile them, takes longer; the same bits."""
 
 from __future__ import annotations
 
 import re
-import sys
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.raw import take_segments
 
-# Coordinates of all passes of a process up to which numba is not loaded for them: these take 0.1 s, it 0.4.
+# Coordinates of all passes of a process up to which no kernel is loaded: these take 0.1 s, numba 0.4.
 _FEW_NUMBERS = 1_000_000
 # Plain decimals between white space, as ``kernels.city.scan`` takes them.
 _DECIMAL = rb"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
@@ -20,10 +19,10 @@ _num_seen = 0
 
 
 def is_few(num_numbers: int) -> bool:
-    """Counts coordinates; returns whether there are so few in all that numba is not worth its loading."""
+    """Counts coordinates; returns whether there are so few in all that no kernel is worth its loading."""
     global _num_seen
     _num_seen += num_numbers
-    return _num_seen <= _FEW_NUMBERS and "numba" not in sys.modules
+    return _num_seen <= _FEW_NUMBERS
 
 
 def scan(texts: list[bytes]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:

@@ -127,6 +127,8 @@ class Scratch(NamedTuple):
         facing: (8 T,) int32, which way each triangle turns on the screen.
         lists: Outline edges gathered for each hypothesis.
         coverage: The marks of one view.
+        seen: (2, M + 8) int64, the buildings that a group of views may see, see ``select_nearby``.
+        polygons: (2, MAX_CORNERS, 3) float64, a triangle that is clipped, and room to do so.
     """
 
     poses: Floats
@@ -137,6 +139,8 @@ class Scratch(NamedTuple):
     facing: NDArray[np.int32]
     lists: EdgeLists
     coverage: Coverage
+    seen: NDArray[np.int64]
+    polygons: Floats
 
 
 class SphereTree(NamedTuple):
@@ -276,6 +280,33 @@ class EdgeArrays(NamedTuple):
     floors: Floats
     rises: Floats
     rows: NDArray[np.int64]
+
+
+class LinePoses(NamedTuple):
+    """N poses, number by number, and room for what they see of a point; all arrays (N,).
+
+    Inner loops go along poses, so that several are worked on at a time.
+
+    Attributes:
+        turns: The nine numbers of cam_from_world, row by row.
+        places: The three of the camera's centre, metres.
+        of_all: How much higher than the points say all roofs and the feet of all walls are taken to be, and
+            how much farther all eaves to stand out, metres.
+        seen: x, y, z of a line's point in camera axes, and z of its nearer end.
+        across: A direction in the picture across the line.
+        starts: Where in the picture the camera's axis is taken to be, pixels.
+        directions: int64, which of the 12 the line has.
+        cells: int64, which of all levels the point meets, or -1.
+    """
+
+    turns: tuple[Floats, ...]
+    places: tuple[Floats, ...]
+    of_all: tuple[Floats, ...]
+    seen: tuple[Floats, ...]
+    across: tuple[Floats, ...]
+    starts: tuple[Floats, ...]
+    directions: NDArray[np.int64]
+    cells: NDArray[np.int64]
 
 
 class LinePoints(NamedTuple):

@@ -79,12 +79,6 @@ def use_own_folder(locator: type[KernelLocator] = KernelLocator) -> None:
         CacheImpl._locator_classes.insert(0, locator)
 
 
-def kept_kernels(name: str) -> list[Path] | None:
-    """Returns the files that hold kernels of a name, "module.function"; None where numba chose the place."""
-    folder = _configured() or own_folder(_HERE)
-    return None if folder is None else list(folder.rglob(f"{name}-*.nbi"))
-
-
 def _configured() -> Path | None:
     """Returns the folder that the user has set for all that numba compiles."""
     folder: str = config.CACHE_DIR  # type: ignore[attr-defined]

@@ -20,7 +20,7 @@ from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
-from lodbench.kernels.compiled import inlined, kernel
+from lodbench.kernels.compiled import part
 from lodbench.kernels.simd import LANES
 from lodbench.kernels.simd_kernels import mark_lines, set_up_lines
 
@@ -29,13 +29,13 @@ MAX_LAYERS = 30_000
 STRIP = 64
 
 
-@inlined
+@part
 def first_centre_at(position):
     """Returns the first row or column whose centre is at or after a position in sub-pixels."""
     return (np.int64(position) + 127) >> 8
 
 
-@kernel
+@part
 def expect_marks(coverage, lane, left, right, top, bottom, width, height):
     """Notes that marks may follow within bounds in sub-pixels; tells whether the view sees any of them."""
     first_column = max(np.int64(0), first_centre_at(left))
@@ -50,7 +50,7 @@ def expect_marks(coverage, lane, left, right, top, bottom, width, height):
     return True
 
 
-@inlined
+@part
 def pack_corner(u, v, weight):
     """Returns a snapped corner, each way within 2**23, and a weight in [-128, 127] as one int64.
 
@@ -59,7 +59,7 @@ def pack_corner(u, v, weight):
     return (np.int64(v) << 32) | ((np.int64(weight) & 0xFF) << 24) | (np.int64(u) & 0xFFFFFF)
 
 
-@kernel
+@part
 def append_edge(lists, lane, width, ua, va, ub, vb, weight):
     """Appends an edge from snapped corner a to b to a hypothesis's list, unless it meets no column."""
     if ua > ub:
@@ -72,7 +72,7 @@ def append_edge(lists, lane, width, ua, va, ub, vb, weight):
     lists.counts[lane] += 1
 
 
-@kernel
+@part
 def mark_edges(lists, lane, width, height, marks):
     """Marks a hypothesis's edges in every column they meet, and empties its list."""
     start, count = lane * lists.column.shape[0], lists.counts[lane]
@@ -113,7 +113,7 @@ def _accumulate_strip(
     return types.void(marks, types.int64, types.int64, words, types.int64, types.int64), generate
 
 
-@kernel
+@part
 def accumulate(coverage, lane, height, words):
     """Sets the bits of ``words``, (H, S) uint64, where a hypothesis's sums are not zero; clears all marks."""
     strips = coverage.low.shape[1]

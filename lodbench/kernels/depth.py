@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.kernels.compiled import checked, inlined, kernel
-from lodbench.kernels.projection import MAX_CORNERS, camera_axes, clip_polygon, is_outside, snap
+from lodbench.kernels.compiled import checked, inlined, part, uncounted
+from lodbench.kernels.projection import camera_axes, clip_polygon, is_outside, snap
 from lodbench.kernels.raster_rule import GUARD_PX, NEAR_M
 
 # A triangle whose snapped corners all stay this far inside the guard band needs no clipping.
@@ -48,7 +48,7 @@ def _first_row(x, ua, va, ub, vb):
     return np.int64(np.floor((n + d - 0.5) * (1.0 / d)))
 
 
-@kernel
+@part
 def _fill(u, v, z, plane, triangle, band, buffer):
     """Draws a triangle of three snapped corners (raster rule 4); z bounds the depth.
 
@@ -80,7 +80,7 @@ def _fill(u, v, z, plane, triangle, band, buffer):
             winner[row] = triangle if is_nearer else winner[row]
 
 
-@kernel
+@part
 def _fill_clipped(a, b, c, plane, triangle, band, buffer, polygon, scratch):
     """Draws what clipping leaves of a triangle, as a fan (raster rule 2)."""
     f = band.intrinsics
@@ -96,7 +96,7 @@ def _fill_clipped(a, b, c, plane, triangle, band, buffer, polygon, scratch):
         _fill((u0, u1, u2), (v0, v1, v2), z, plane, triangle, band, buffer)
 
 
-@kernel
+@part
 def _project(vertices, rotation, center, f, points):
     """Writes x, y, z in camera axes and the snapped u, v of each vertex to ``points``."""
     for k in range(vertices.shape[0]):
@@ -105,7 +105,7 @@ def _project(vertices, rotation, center, f, points):
         points[k, 3], points[k, 4] = snap(x, y, z, f)
 
 
-@kernel
+@part
 def _draw_triangle(a, b, c, triangle, band, buffer, polygon, scratch):
     """Draws a triangle of three rows of ``_project``, clipped if it reaches out of the safe space."""
     f = band.intrinsics
@@ -125,8 +125,8 @@ def _draw_triangle(a, b, c, triangle, band, buffer, polygon, scratch):
         _fill(u, v, z, plane, triangle, band, buffer)
 
 
-@kernel
-def draw_band(mesh, buildings, rotation, center, band, buffer):
+@uncounted
+def draw_band(mesh, buildings, rotation, center, band, buffer, points, polygons):
     """Draws some buildings into the blank buffer of a band: the nearest triangle of every pixel.
 
     Args:
@@ -136,14 +136,13 @@ def draw_band(mesh, buildings, rotation, center, band, buffer):
         center: (3,) float64 camera centre, local metres.
         band: Band.
         buffer: Buffer of the band's size.
+        points: (V, 5) float64 room for the vertices of the largest building.
+        polygons: (2, MAX_CORNERS, 3) float64 room for a triangle that is clipped.
     """
-    largest = 0
+    polygon, scratch = polygons[0], polygons[1]
     for b in buildings:
-        largest = max(largest, mesh.vertex_starts[b + 1] - mesh.vertex_starts[b])
-    points = np.empty((largest, 5))
-    polygon, scratch = np.empty((MAX_CORNERS, 3)), np.empty((MAX_CORNERS, 3))
-    for b in buildings:
-        if is_outside(mesh.spheres[b], rotation, center, band.planes):
+        s = mesh.spheres[b]
+        if is_outside((s[0], s[1], s[2], s[3]), rotation, center, band.planes):
             continue
         v0, v1 = mesh.vertex_starts[b], mesh.vertex_starts[b + 1]
         _project(mesh.vertices[v0:v1], rotation, center, band.intrinsics, points)
@@ -152,7 +151,7 @@ def draw_band(mesh, buildings, rotation, center, band, buffer):
             _draw_triangle(points[i], points[j], points[k], np.int32(t), band, buffer, polygon, scratch)
 
 
-@kernel
+@part
 def _facing_normal(mesh, triangle, center):
     """Returns a triangle's unit normal on the side of a point, or zeros if it has no area."""
     i, j, k = mesh.triangles[triangle]
@@ -168,7 +167,7 @@ def _facing_normal(mesh, triangle, center):
     return x * scale, y * scale, z * scale
 
 
-@kernel
+@part
 def _shade(appearance, building, x, y, z):
     """Returns the RGB of a building's surface of a given normal: Lambert's law and ambient light."""
     # Neighbours in the file are neighbours on the ground: a hash keeps them from looking alike.
@@ -180,7 +179,7 @@ def _shade(appearance, building, x, y, z):
     return np.uint8(rgb[0] * light), np.uint8(rgb[1] * light), np.uint8(rgb[2] * light)
 
 
-@kernel
+@uncounted
 def resolve_depth(band, buffer, depth):
     """Writes a band's columns of (H, W) float32 depth."""
     for row in range(band.height):
@@ -189,7 +188,7 @@ def resolve_depth(band, buffer, depth):
             depth[row, column] = 1.0 / inverse if inverse > 0.0 else 0.0
 
 
-@kernel
+@uncounted
 def resolve_normals(mesh, center, band, buffer, normal):
     """Writes a band's columns of (H, W, 3) float32 normals."""
     known = np.int32(-1)
@@ -205,7 +204,7 @@ def resolve_normals(mesh, center, band, buffer, normal):
             normal[row, column, 0], normal[row, column, 1], normal[row, column, 2] = nx, ny, nz
 
 
-@kernel
+@uncounted
 def resolve_buildings(mesh, band, buffer, building):
     """Writes a band's columns of (H, W) int32 indices of buildings, -1 for none."""
     known, number = np.int32(-1), np.int64(-1)
@@ -219,7 +218,7 @@ def resolve_buildings(mesh, band, buffer, building):
             building[row, column] = number
 
 
-@kernel
+@uncounted
 def resolve_layers(mesh, appearance, center, band, buffer, planes):
     """Writes a band's columns of every layer.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.kernels.compiled import checked, kernel
+from lodbench.kernels.compiled import kernel, part, uncounted
 from lodbench.kernels.projection import camera_axes
 from lodbench.kernels.raster_rule import NEAR_M
 
@@ -19,7 +19,7 @@ _LEAST_RUN = 3
 _NARROWEST_M = 1e-6
 
 
-@kernel
+@part
 def _clipped(a, b, f, width, height):
     """Returns the shares of an edge, camera axes, between which it is in the picture; first > last: never."""
     first, last = 0.0, 1.0
@@ -43,7 +43,7 @@ def _clipped(a, b, f, width, height):
     return first, last
 
 
-@kernel
+@part
 def _is_contour(a, b, c, d, is_lone):
     """Tells whether both faces beside an edge lie on one side of it as seen; camera axes.
 
@@ -55,7 +55,7 @@ def _is_contour(a, b, c, d, is_lone):
     return (x * c[0] + y * c[1] + z * c[2]) * (x * d[0] + y * d[1] + z * d[2]) > 0.0
 
 
-@kernel
+@part
 def _is_flat(a, b, c, d, cosine):
     """Tells whether the planes of the faces beside an edge meet at an angle of a larger cosine; camera axes.
 
@@ -73,7 +73,7 @@ def _is_flat(a, b, c, d, cosine):
     return p0 * q0 + p1 * q1 + p2 * q2 < -cosine * max(size, least)
 
 
-@kernel
+@part
 def _is_seen(u, v, z, focal, depth):
     """Tells whether nothing hides a place of the picture at a depth: see ``edges_in_view``."""
     least = z - _SLACK_M - _SLACK_PX * z / focal
@@ -86,7 +86,7 @@ def _is_seen(u, v, z, focal, depth):
     return False
 
 
-@kernel
+@part
 def _look_along(line, steps, focal, depth, seen):
     """Writes for each step along a line of the picture whether it is seen.
 
@@ -109,19 +109,20 @@ def _look_along(line, steps, focal, depth, seen):
             run += 1
             continue
         if run <= _LEAST_RUN and run < steps:
-            seen[k - run : k] = False
+            for i in range(k - run, k):
+                seen[i] = False
         run = 0
 
 
-@kernel
-def cut_and_test(edges, buildings, rotation, center, f, depth, crease_deg):
-    """Returns of each piece: shares of its edge, pixels, (edge, is visible, kind), and its building."""
-    shares, pixels = np.empty((256, 2)), np.empty((256, 2, 2))
-    rows, owner = np.empty((256, 3), dtype=np.int64), np.empty(256, dtype=np.int64)
+@uncounted
+def cut_and_test(edges, buildings, rotation, center, f, depth, crease_deg, seen, shares, pixels, rows):
+    """Writes of each piece: shares of its edge, pixels, (edge, is visible, kind, building); returns how many.
+
+    Pieces beyond the room in ``rows`` are counted and not written. ``seen`` is (H + W + 2) bool or more.
+    """
     count = 0
     height, width = depth.shape
     flattest = np.cos(np.radians(crease_deg))
-    seen = np.empty(int((height + width) / _STEP_PX) + 2, dtype=np.bool_)
     for building in buildings:
         for e in range(edges.starts[building], edges.starts[building + 1]):
             p, q = edges.ends[e, 0], edges.ends[e, 1]
@@ -149,29 +150,19 @@ def cut_and_test(edges, buildings, rotation, center, f, depth, crease_deg):
             for k in range(1, steps + 1):
                 if k < steps and seen[k] == seen[begin]:
                     continue
-                if count == len(owner):
-                    shares, pixels = _doubled(shares), _doubled(pixels)
-                    rows, owner = _doubled(rows), _doubled(owner)
-                for end in range(2):
+                for end in range(2 if count < rows.shape[0] else 0):
                     place = (k if end else begin) / steps
                     # Along the line in the picture 1 / z is linear; the share of the edge follows it.
                     z = 1.0 / ((1.0 - place) / za + place / zb)
                     shares[count, end] = first + (last - first) * place * z / zb
                     pixels[count, end, 0] = ua + place * (ub - ua)
                     pixels[count, end, 1] = va + place * (vb - va)
-                rows[count, 0], rows[count, 1], rows[count, 2] = e, seen[begin], is_contour
-                owner[count] = building
+                if count < rows.shape[0]:
+                    rows[count, 0], rows[count, 1], rows[count, 2] = e, seen[begin], is_contour
+                    rows[count, 3] = building
                 count += 1
                 begin = k
-    return shares[:count], pixels[:count], rows[:count], owner[:count]
-
-
-@checked
-def _doubled(values):
-    """Returns an array of twice as many rows that begins with the given ones."""
-    larger = np.empty((2 * values.shape[0], *values.shape[1:]), dtype=values.dtype)
-    larger[: values.shape[0]] = values
-    return larger
+    return count
 
 
 # Edges that come nearer to the camera than this are left out, metres.
@@ -180,7 +171,7 @@ _NEAREST_EDGE_M = 1.0
 _BORDER_PX = 2.0
 
 
-@kernel
+@part
 def _is_candidate(edges, e, center):
     """Tells whether the triangles beside an edge do not cancel out, seen from a centre."""
     total = np.int64(0)
@@ -192,7 +183,7 @@ def _is_candidate(edges, e, center):
     return total != 0
 
 
-@kernel
+@part
 def _clip(u, v, du, dv, width, height):
     """Returns the part (from, to) of a segment that lies well inside the image; empty if from >= to."""
     first, last = 0.0, 1.0
@@ -209,7 +200,7 @@ def _clip(u, v, du, dv, width, height):
     return first, last
 
 
-@kernel
+@part
 def _write_moves(rotation, derivatives, f, world, share, row):
     """Writes how a point's pixel moves with each of the six numbers, and with what else may be wrong.
 
@@ -235,7 +226,7 @@ def _write_moves(rotation, derivatives, f, world, share, row):
         row[2 * k + 1] = f[1] * (dy - y / z * dz) / z
 
 
-@kernel
+@uncounted
 def sample_edges(edges, visible, rotation, center, derivatives, f, silhouette, spacing, rows, buildings):
     """Writes a row per point on the silhouette's outline; returns how many there are.
 
@@ -288,7 +279,7 @@ def sample_edges(edges, visible, rotation, center, derivatives, f, silhouette, s
     return count
 
 
-@kernel
+@uncounted
 def measure_distances(pixels, normals, moves, distance, residuals, slopes, agreement):
     """Writes how far inside the query's outline each point lies, and how that changes with the pose.
 

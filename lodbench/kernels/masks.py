@@ -15,7 +15,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from lodbench.kernels.compiled import checked
+from lodbench.kernels.compiled import checked, part, uncounted
 
 
 @intrinsic
@@ -51,7 +51,7 @@ def count_bits(words):
     return np.int64(total)
 
 
-@checked
+@part
 def intersect_and_clear(words, query):
     """Returns (set bits in both, set bits in ``words``) and clears ``words`` for the next view."""
     both, mine = np.uint64(0), np.uint64(0)
@@ -160,7 +160,7 @@ def grow(picture, valid, width, is_square, wide, grown):
         grown[i] = (wide[i] | column[i - stride] | column[i + stride]) & valid[i]
 
 
-@checked
+@part
 def _missed(outline, grown):
     """Returns how many pixels of an outline are not in a grown one."""
     count = np.uint64(0)
@@ -208,7 +208,7 @@ def distance_sums(words, query, query_grown, valid, width):
     return to_query, from_query, lengths
 
 
-@checked
+@part
 def _toggle(word, change, first, bins, counts):
     """Counts the pixels of a change in or out of a histogram: in where the word has them set."""
     while change != np.uint64(0):
@@ -218,9 +218,9 @@ def _toggle(word, change, first, bins, counts):
         change &= change - _ONE
 
 
-@checked
-def code_lengths_saved(words, bins, totals, log_gamma):
-    """Returns (N,) nats that a histogram on either side of each silhouette saves over one for all.
+@uncounted
+def code_lengths_saved(words, bins, totals, log_gamma, inside, last, saved):
+    """Writes (N,) nats that a histogram on either side of each silhouette saves over one for all.
 
     Each side is coded by the Krichevsky-Trofimov mixture (Dirichlet, one half per bin), whose code length
     needs the logarithms of the gamma function at half numbers only. Counts are whole numbers; silhouettes
@@ -228,29 +228,31 @@ def code_lengths_saved(words, bins, totals, log_gamma):
     more of them than set ones.
 
     Args:
-        words: (N, H, S) uint64 silhouettes.
+        words: (N, H * S) uint64 silhouettes.
         bins: (H * S * 64,) uint16 bin of each pixel, rows padded to whole words.
         totals: (B,) int64 pixels of each bin in the whole photo.
         log_gamma: (P + 1,) float64 ``lgamma(count + 1/2) - lgamma(1/2)`` followed by (P + 1,) of
             ``lgamma(count + B/2) - lgamma(B/2)``; P pixels.
+        inside: (B,) int64 and
+        last: (H * S,) uint64 of zeros, to work with.
+        saved: (N,) float64 to write.
     """
     count, num_bins = words.shape[0], totals.shape[0]
     pixels = log_gamma.shape[1] - 1
-    saved = np.zeros(count)
     whole = log_gamma[1, pixels]
     for b in range(num_bins):
         whole -= log_gamma[0, totals[b]]
-    inside = np.zeros(num_bins, dtype=np.int64)
-    last = np.zeros(words.shape[1] * words.shape[2], dtype=np.uint64)
     for n in range(count):
-        drawn = words[n].reshape(-1)
+        drawn = words[n]
         changed, area = np.uint64(0), np.uint64(0)
         for i in range(drawn.size):
             changed += popcount(drawn[i] ^ last[i])
             area += popcount(drawn[i])
         if changed > area:
-            inside[:] = 0
-            last[:] = 0
+            for b in range(num_bins):
+                inside[b] = 0
+            for i in range(drawn.size):
+                last[i] = np.uint64(0)
         for i in range(drawn.size):
             _toggle(drawn[i], drawn[i] ^ last[i], 64 * i, bins, inside)
             last[i] = drawn[i]
@@ -258,12 +260,11 @@ def code_lengths_saved(words, bins, totals, log_gamma):
         for b in range(num_bins):
             length -= log_gamma[0, inside[b]] + log_gamma[0, totals[b] - inside[b]]
         saved[n] = whole - length
-    return saved
 
 
-@checked
-def outline_sides(words, width):
-    """Returns the outline of N silhouettes as two of (N, H, S) words.
+@uncounted
+def outline_sides(words, width, beside, upright):
+    """Writes the outline of N silhouettes as two of (N, H, S) words.
 
     The first holds set pixels with an unset one to the left or right, the second with one above or below;
     the image's border is no outline.
@@ -271,8 +272,9 @@ def outline_sides(words, width):
     Args:
         words: (N, H, S) uint64.
         width: Pixels of a row.
+        beside: (N, H, S) to write; likewise
+        upright: the second.
     """
-    beside, upright = np.zeros_like(words), np.zeros_like(words)
     height, last = words.shape[1], words.shape[2] - 1
     edge = _ONE << np.uint64((width - 1) % 64)
     for n in range(words.shape[0]):
@@ -286,4 +288,3 @@ def outline_sides(words, width):
                 below = words[n, row + 1, k] if row < height - 1 else here
                 beside[n, row, k] = here & ~(left & right)
                 upright[n, row, k] = here & ~(above & below)
-    return beside, upright

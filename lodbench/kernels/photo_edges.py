@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.kernels.compiled import inlined, kernel
+from lodbench.kernels.compiled import part, uncounted
 
 # Levels of strength, equally full over all pixels and directions, and directions over half a turn.
 EDGE_LEVELS, DIRECTIONS = 16, 12
@@ -12,11 +12,10 @@ EDGE_LEVELS, DIRECTIONS = 16, 12
 FINE_STEPS, FINEST = 256.0, 4095
 
 
-@kernel
-def looked_up(forms, turns, table):
-    """Returns (H, W, 12) uint8 levels of quadratic forms (H, W, 3) of directions (12, 3)."""
+@uncounted
+def looked_up(forms, turns, table, levels):
+    """Writes (H, W, 12) uint8 levels of quadratic forms (H, W, 3) of directions (12, 3)."""
     height, width = forms.shape[:2]
-    levels = np.empty((height, width, len(turns)), dtype=np.uint8)
     for row in range(height):
         for column in range(width):
             form = forms[row, column]
@@ -24,7 +23,6 @@ def looked_up(forms, turns, table):
                 square = form[0] * turns[k, 0] + form[1] * turns[k, 1] + form[2] * turns[k, 2]
                 step = np.sqrt(max(square, 0.0)) * FINE_STEPS
                 levels[row, column, k] = table[int(min(step, FINEST))]
-    return levels
 
 
 # Cosine and sine of the angles between one direction and the next.
@@ -33,29 +31,27 @@ _COSINES, _SINES = (turn((np.arange(DIRECTIONS) + 0.5) * (np.pi / DIRECTIONS)) f
 _NEAREST_M = 1.0
 
 
-@kernel
-def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, own_m, worth, sums):
+@uncounted
+def sum_along_lines(lines, poses, intrinsics, levels, shape, own_m, worth, sums):
     """Adds up what the levels are worth that points of lines meet in a photo; outside is worth nothing.
 
     For N poses, and for each building by itself at D heights of its roof.
 
     Args:
         lines: Their P points.
-        rotations: (N, 3, 3) cam_from_world.
-        centers: (N, 3) metres.
-        of_all_m: (N, 3) how much higher than the points say all roofs and the feet of all walls are taken to
-            be, and how much farther all eaves to stand out, metres.
+        poses: LinePoses, N of them.
         intrinsics: fx, fy, cx, cy.
-        levels: (H, W, 12) uint8 of ``directed_edge_levels``.
+        levels: (H * W * 12,) uint8 of ``directed_edge_levels``.
+        shape: H, W, 12.
         own_m: (D,) how much higher than that the building's own roof is, metres.
         worth: (K, 16) float64 of each level, by the points' kinds.
         sums: (N, B, D) float64 to add to.
     """
     points, rises, lifts, outward, kinds, buildings = lines
-    count, all_levels = len(rotations), levels.ravel()
-    turns, places, of_all = _side_by_side(rotations, centers, of_all_m)
-    seen, across, starts, directions, cells = _blank(count)
-    starts[0][:], starts[1][:] = intrinsics[2], intrinsics[3]
+    turns, places, of_all, seen, across, starts, directions, cells = poses
+    count = len(cells)
+    for n in range(count):
+        starts[0][n], starts[1][n] = intrinsics[2], intrinsics[3]
     for i in range(len(points)):
         rise, building, values = rises[i, 0], buildings[i], worth[kinds[i]]
         _see_lines(points[i], rises[i], lifts[i], outward[i], turns, places, of_all, intrinsics, seen, across)
@@ -63,73 +59,47 @@ def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, own
         # Feet of walls stay where they are, however high the roof.
         heights = len(own_m) if rise != 0.0 else 1
         for d in range(heights):
-            _find_cells(own_m[d], rise, turns, seen, starts, directions, intrinsics, levels.shape, cells)
+            _find_cells(own_m[d], rise, turns, seen, starts, directions, intrinsics, shape, cells)
             if heights == len(own_m):
                 for n in range(count):
                     if cells[n] >= 0:
-                        sums[n, building, d] += values[all_levels[cells[n]]]
+                        sums[n, building, d] += values[levels[cells[n]]]
             else:
                 for n in range(count):
                     if cells[n] >= 0:
-                        value = values[all_levels[cells[n]]]
+                        value = values[levels[cells[n]]]
                         for k in range(len(own_m)):
                             sums[n, building, k] += value
 
 
-@kernel
-def count_along_lines(lines, rotation, center, of_all_m, intrinsics, levels, offset_px, own_m, counts):
+@uncounted
+def count_along_lines(lines, pose, intrinsics, levels, shape, offset_px, own_m, counts):
     """Counts the points of lines that meet each level in a photo, as seen from one pose.
 
     Args:
-        lines: As of ``sum_along_lines``, and so is all else, of a single pose: (1, 3, 3), (1, 3), (1, 3).
-        rotation: See there.
-        center: See there.
-        of_all_m: See there.
+        lines: As of ``sum_along_lines``, and so is all else.
+        pose: One.
         intrinsics: See there.
         levels: See there.
+        shape: See there.
         offset_px: How far beside the line to look.
         own_m: See there.
         counts: (K, B, D, 16) int64 to add to, by kind, building and height of its roof.
     """
     points, rises, lifts, outward, kinds, buildings = lines
-    all_levels = levels.ravel()
-    turns, places, of_all = _side_by_side(rotation, center, of_all_m)
-    seen, across, starts, directions, cells = _blank(1)
+    turns, places, of_all, seen, across, starts, directions, cells = pose
     for i in range(len(points)):
         of_point = counts[kinds[i], buildings[i]]
         _see_lines(points[i], rises[i], lifts[i], outward[i], turns, places, of_all, intrinsics, seen, across)
         _find_directions(across, directions)
         _step_aside(offset_px, intrinsics, across, starts)
         for d in range(len(own_m)):
-            _find_cells(
-                own_m[d], rises[i, 0], turns, seen, starts, directions, intrinsics, levels.shape, cells
-            )
+            _find_cells(own_m[d], rises[i, 0], turns, seen, starts, directions, intrinsics, shape, cells)
             if cells[0] >= 0:
-                of_point[d, all_levels[cells[0]]] += 1
+                of_point[d, levels[cells[0]]] += 1
 
 
-@inlined
-def _side_by_side(rotations, centers, of_all_m):
-    """Returns arrays over poses: inner loops go along these, so that several are worked on at a time."""
-    rows = np.ascontiguousarray(rotations.reshape(len(rotations), 9).T)
-    turns = (rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8])
-    rows = np.ascontiguousarray(centers.T)
-    places = (rows[0], rows[1], rows[2])
-    rows = np.ascontiguousarray(of_all_m.T)
-    return turns, places, (rows[0], rows[1], rows[2])
-
-
-@inlined
-def _blank(count):
-    """Returns room for what so many poses see of a point."""
-    # Each an array of its own: of parts of one a compiler cannot know that they do not overlap.
-    x, y, z, nearer = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
-    across_u, across_v, left, top = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
-    directions, cells = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
-    return (x, y, z, nearer), (across_u, across_v), (left, top), directions, cells
-
-
-@inlined
+@part
 def _see_lines(ends, rises, lifts, outward, turns, centers, of_all, intrinsics, seen, across):
     """Writes where a line's point and its nearer end are in the axes of each camera, and what is across it.
 
@@ -161,7 +131,7 @@ def _see_lines(ends, rises, lifts, outward, turns, centers, of_all, intrinsics, 
         across_u[n], across_v[n] = focal_y * (y * r - t * z), focal_x * (s * z - x * r)
 
 
-@inlined
+@part
 def _find_directions(across, directions):
     """Writes which of the directions over half a turn is nearest to each line's across, without its angle."""
     across_u, across_v = across
@@ -174,18 +144,17 @@ def _find_directions(across, directions):
         directions[n] = 0 if passed == DIRECTIONS else passed
 
 
-@inlined
+@part
 def _step_aside(offset_px, intrinsics, across, starts):
     """Writes where in the picture each camera's axis is taken to be, so far beside the line, pixels."""
     (across_u, across_v), (left, top) = across, starts
-    left[:], top[:] = intrinsics[2], intrinsics[3]
     for n in range(len(left)):
         u, v = across_u[n], across_v[n]
         share = offset_px / max(np.sqrt(u * u + v * v), 1e-12)
-        left[n], top[n] = left[n] + share * u, top[n] + share * v
+        left[n], top[n] = intrinsics[2] + share * u, intrinsics[3] + share * v
 
 
-@inlined
+@part
 def _find_cells(own_m, rise, turns, seen, starts, directions, intrinsics, shape, cells):
     """Writes which of all levels, one after the other, each pose meets; -1 outside the picture."""
     height, width, count = shape

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.kernels.compiled import inlined, kernel
+from lodbench.kernels.compiled import inlined, kernel, part, uncounted
 from lodbench.kernels.raster_rule import GUARD_PX, NEAR_M
 
 
@@ -27,7 +27,7 @@ def snap(x, y, z, f):
     return np.floor(u * 256.0 + 0.5), np.floor(v * 256.0 + 0.5)
 
 
-@kernel
+@part
 def is_outside(sphere, rotation, center, planes):
     """Tells whether a bounding sphere (x, y, z, radius) lies wholly outside one of the planes."""
     x, y, z = camera_axes(sphere[0], sphere[1], sphere[2], rotation, center)
@@ -43,7 +43,8 @@ def visible_buildings(spheres, rotation, center, planes):
     chosen = np.empty(spheres.shape[0], dtype=np.int64)
     count = 0
     for b in range(spheres.shape[0]):
-        if not is_outside(spheres[b], rotation, center, planes):
+        s = spheres[b]
+        if not is_outside((s[0], s[1], s[2], s[3]), rotation, center, planes):
             chosen[count] = b
             count += 1
     return chosen[:count]
@@ -71,7 +72,7 @@ def plane_distance(plane, x, y, z, intrinsics):
     return GUARD_PX * z - v
 
 
-@kernel
+@part
 def clip_polygon(polygon, count, scratch, intrinsics):
     """Clips a convex polygon in place (Sutherland-Hodgman); returns how many corners are left.
 
@@ -110,7 +111,7 @@ def clip_polygon(polygon, count, scratch, intrinsics):
 BRANCH = 8
 
 
-@kernel
+@part
 def _spread_of(rotations, centers):
     """Returns how far N views lie from the first, metres, and how much they are turned, as a chord."""
     away, turned = 0.0, 0.0
@@ -126,7 +127,7 @@ def _spread_of(rotations, centers):
     return away, turned
 
 
-@kernel
+@part
 def _any_sees(sphere, rotations, centers, planes):
     """Tells whether a sphere is not outside of one of N views at least."""
     for i in range(rotations.shape[0]):
@@ -138,9 +139,9 @@ def _any_sees(sphere, rotations, centers, planes):
     return False
 
 
-@kernel
-def select_buildings(tree, rotations, centers, planes):
-    """Returns the buildings, (K,) int64, that any of N nearby views may see.
+@part
+def select_nearby(tree, rotations, centers, planes, seen):
+    """Writes the buildings that any of N nearby views may see into ``seen[0]``; returns how many.
 
     Seen from the first view, a point at distance s moves by at most ``d + 2 sin(a / 2) (s + d)`` for
     a view that is d away and turned by the angle a: so much wider is each sphere made, by what its
@@ -152,15 +153,16 @@ def select_buildings(tree, rotations, centers, planes):
         rotations: (N, 3, 3) float64 cam_from_world, N >= 1.
         centers: (N, 3) float64 camera centres, local metres.
         planes: (5, 3) float64, see ``View``.
+        seen: (2, M + BRANCH) int64.
     """
     away, turned = _spread_of(rotations, centers)
-    kept = np.zeros(1, dtype=np.int64)
-    count = 1
-    for level in range(tree.levels.shape[0] - 2, -1, -1):
+    last = tree.levels.shape[0] - 2
+    seen[last & 1 ^ 1, 0] = 0
+    count = np.int64(1)
+    for level in range(last, -1, -1):
         first, stop = tree.levels[level], tree.levels[level + 1]
-        parents, wanted = kept, count
-        kept = np.empty(BRANCH * wanted, dtype=np.int64)
-        count = 0
+        parents, kept, wanted = seen[level & 1 ^ 1], seen[level & 1], count
+        count = np.int64(0)
         for i in range(wanted):
             for node in range(BRANCH * parents[i], min(stop - first, BRANCH * (parents[i] + 1))):
                 sphere = tree.nodes[first + node]
@@ -178,5 +180,11 @@ def select_buildings(tree, rotations, centers, planes):
                 kept[count] = node
                 count += 1
     for i in range(count):
-        kept[i] = tree.order[kept[i]]
-    return kept[:count]
+        seen[0, i] = tree.order[seen[0, i]]
+    return count
+
+
+@uncounted
+def select_buildings(tree, rotations, centers, planes, seen):
+    """Python's way to ``select_nearby``."""
+    return select_nearby(tree, rotations, centers, planes, seen)

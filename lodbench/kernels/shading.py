@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.kernels.compiled import kernel, per_pixel, pixel_loop
+from lodbench.kernels.compiled import kernel, per_pixel, uncounted
 from lodbench.kernels.looks import TEXTURED
 from lodbench.kernels.patterns import dot, mix, plus, scaled, unit_hash
 from lodbench.kernels.surfaces import surface_colour
@@ -141,7 +141,7 @@ def _pixel(triangle, inverse, column, row, f, rotation, center, shading):
     return mix(look.haze_rgb, light, np.exp(-depth * length * look.haze_per_m))
 
 
-@pixel_loop
+@uncounted
 def resolve_photo(band, buffer, rotation, center, shading, out):
     """Writes the linear RGB of a band's pixels, each the mean of two by two samples, into ``out``, (H, W, 3).
 
@@ -208,7 +208,7 @@ def _straight_light(triangle, point, pixel_m, shading):
     return surface_light(albedo, 0.0, point, normal, scaled(normal, -1.0), shading)
 
 
-@pixel_loop
+@uncounted
 def bake(triangles, texels, corners, texel_m, margin, shading, out):
     """Writes the light of texels within triangles; with a margin, of those up to so many texels outside."""
     height, width, _ = out.shape
@@ -243,7 +243,7 @@ def bake(triangles, texels, corners, texel_m, margin, shading, out):
                 out[row, column, 0], out[row, column, 1], out[row, column, 2] = red, green, blue
 
 
-@pixel_loop
+@uncounted
 def light_corners(triangles, corners, shading, out):
     """Writes the light of triangles' corners."""
     for k in range(len(triangles)):

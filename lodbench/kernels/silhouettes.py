@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.kernels.compiled import inlined, kernel
+from lodbench.kernels.compiled import kernel, part, uncounted
 from lodbench.kernels.coverage import MAX_LAYERS, accumulate, append_edge, expect_marks, mark_edges
 from lodbench.kernels.masks import intersect_and_clear
-from lodbench.kernels.projection import MAX_CORNERS, camera_axes, clip_polygon, select_buildings, snap
+from lodbench.kernels.projection import camera_axes, clip_polygon, select_nearby, snap
 from lodbench.kernels.raster_rule import GUARD_PX, NEAR_M
 from lodbench.kernels.simd import LANES
 from lodbench.kernels.simd_kernels import collect_outline, face_triangles, project_vertices
@@ -21,14 +21,14 @@ from lodbench.kernels.simd_kernels import collect_outline, face_triangles, proje
 _SAFE_SUBPIXELS = int((GUARD_PX - 2.0) * 256.0)
 
 
-@inlined
+@part
 def _side(ua, va, ub, vb, uc, vc):
     """Returns +1, -1 or 0: which way a snapped triangle turns on the screen."""
     area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va)
     return np.int32(area > 0.0) - np.int32(area < 0.0)
 
 
-@kernel
+@part
 def _flush(view, scratch, words):
     """Draws the edges gathered so far into each hypothesis's words."""
     for lane in range(words.shape[0]):
@@ -36,7 +36,7 @@ def _flush(view, scratch, words):
         accumulate(scratch.coverage, lane, view.height, words[lane])
 
 
-@kernel
+@part
 def _has_room(lists, edges, hypotheses):
     """Tells whether every hypothesis's list has room for so many edges more, and one."""
     most = np.int64(0)
@@ -45,43 +45,45 @@ def _has_room(lists, edges, hypotheses):
     return most + edges < lists.column.shape[0]
 
 
-@kernel
+@part
 def _gather_clipped(scene, b, lane, rotation, center, view, scratch, words, layers):
     """Gathers a building's edges triangle by triangle, clipped; returns how many layers there may be now.
 
     Slow, for the few buildings at the edge of the view, and for those with more triangles than fit.
     """
     f, coverage, lists = view.intrinsics, scratch.coverage, scratch.lists
-    polygon, clipped = np.zeros((MAX_CORNERS, 3)), np.zeros((MAX_CORNERS, 3))
-    u, v = np.zeros(3), np.zeros(3)
-    v0 = scene.starts[b, 0]
+    polygon, clipped = scratch.polygons[0], scratch.polygons[1]
+    first = scene.starts[b, 0]
     for t in range(scene.starts[b, 1], scene.starts[b + 1, 1]):
         corners = (scene.corner_a[t], scene.corner_b[t], scene.corner_c[t])
         for i in range(3):
-            k = v0 + np.int64(corners[i])
+            k = first + np.int64(corners[i])
             polygon[i, 0], polygon[i, 1], polygon[i, 2] = camera_axes(
                 scene.x[k], scene.y[k], scene.z[k], rotation, center
             )
         kept = clip_polygon(polygon, 3, clipped, f)
         for i in range(1, kept - 1):
-            for k, m in enumerate((0, i, i + 1)):
-                u[k], v[k] = snap(polygon[m, 0], polygon[m, 1], polygon[m, 2], f)
-            side = _side(u[0], v[0], u[1], v[1], u[2], v[2])
+            u0, v0 = snap(polygon[0, 0], polygon[0, 1], polygon[0, 2], f)
+            u1, v1 = snap(polygon[i, 0], polygon[i, 1], polygon[i, 2], f)
+            u2, v2 = snap(polygon[i + 1, 0], polygon[i + 1, 1], polygon[i + 1, 2], f)
+            side = _side(u0, v0, u1, v1, u2, v2)
             if side == 0:
                 continue
-            if layers == MAX_LAYERS or not _has_room(lists, 3, words.shape[0]):
+            if layers == MAX_LAYERS or not _has_room(lists, np.int64(3), words.shape[0]):
                 _flush(view, scratch, words)
                 layers = 0
-            if not expect_marks(coverage, lane, u.min(), u.max(), v.min(), v.max(), view.width, view.height):
+            left, right = min(u0, min(u1, u2)), max(u0, max(u1, u2))
+            top, bottom = min(v0, min(v1, v2)), max(v0, max(v1, v2))
+            if not expect_marks(coverage, lane, left, right, top, bottom, view.width, view.height):
                 continue
-            for k in range(3):
-                n = k + 1 if k < 2 else 0
-                append_edge(lists, lane, view.width, u[k], v[k], u[n], v[n], side)
+            append_edge(lists, lane, view.width, u0, v0, u1, v1, side)
+            append_edge(lists, lane, view.width, u1, v1, u2, v2, side)
+            append_edge(lists, lane, view.width, u2, v2, u0, v0, side)
             layers += 1
     return layers
 
 
-@kernel
+@part
 def _sort_out(scene, b, view, scratch, hypotheses):
     """Returns bit masks of the hypotheses that see a projected building whole, and that must clip it."""
     whole, cut = np.int64(0), np.int64(0)
@@ -101,7 +103,7 @@ def _sort_out(scene, b, view, scratch, hypotheses):
     return whole, cut
 
 
-@kernel
+@part
 def _gather_whole(scene, b, whole, view, scratch):
     """Gathers a projected building's outline for the hypotheses that see it whole."""
     u, v, lists, capacity = scratch.u, scratch.v, scratch.lists, scratch.lists.column.shape[0]
@@ -116,13 +118,14 @@ def _gather_whole(scene, b, whole, view, scratch):
     )  # fmt: skip
 
 
-@kernel
-def draw_group(scene, buildings, rotations, centers, view, scratch, words):
+@part
+def draw_group(scene, buildings, count, rotations, centers, view, scratch, words):
     """Draws the silhouettes of some buildings seen from 1 to 8 poses into ``words``, which must be clear.
 
     Args:
         scene: SceneArrays.
-        buildings: (K,) indices of the buildings to draw.
+        buildings: (K,) int64 indices of the buildings to draw.
+        count: How many of them, from the first on.
         rotations: (N, 3, 3) float64 cam_from_world.
         centers: (N, 3) float64 camera centres, local metres.
         view: View.
@@ -137,7 +140,8 @@ def draw_group(scene, buildings, rotations, centers, view, scratch, words):
         for i in range(3):
             scratch.poses[8 * (9 + i) + lane] = centers[source, i]
     layers = 0
-    for b in buildings:
+    for i in range(count):
+        b = buildings[i]
         project_vertices(
             scene.x, scene.y, scene.z, scene.starts[b, 0], scene.starts[b + 1, 0], scratch.poses,
             view.intrinsics, scratch.u, scratch.v, scratch.extent, scratch.nearest,
@@ -161,41 +165,31 @@ def draw_group(scene, buildings, rotations, centers, view, scratch, words):
     _flush(view, scratch, words)
 
 
-@kernel
-def draw_view(scene, rotation, center, view, scratch, words):
-    """Draws the silhouette of a scene into ``words``, (H, ceil(W / 64)) uint64, which must be clear."""
-    shape = (1, words.shape[0], words.shape[1])
-    draw_views(scene, rotation.reshape(1, 3, 3), center.reshape(1, 3), view, scratch, words.reshape(shape))
-
-
-@kernel
+@uncounted
 def draw_views(scene, rotations, centers, view, scratch, words):
     """Draws N views into ``words``, (N, H, S), which must be clear; see ``score_views``."""
     for i in range(0, rotations.shape[0], LANES):
         r, c = rotations[i : i + LANES], centers[i : i + LANES]
-        seen = select_buildings(scene, r, c, view.planes)
-        draw_group(scene, seen, r, c, view, scratch, words[i : i + LANES])
+        count = select_nearby(scene, r, c, view.planes, scratch.seen)
+        draw_group(scene, scratch.seen[0], count, r, c, view, scratch, words[i : i + LANES])
 
 
-@kernel
-def score_views(scene, rotations, centers, view, scratch, words, query):
-    """Draws N views; returns (N,) int64 pixels that each shares with the query, and its own pixels.
+@uncounted
+def score_views(scene, rotations, centers, view, scratch, words, query, counts):
+    """Draws N views; writes to ``counts``, (2, N) int64, the pixels each shares with the query, and its own.
 
     Each eight views in turn should lie close together: they share a selection of buildings. ``words``,
     (8, H, S), must be clear, and is again afterwards.
     """
-    count = rotations.shape[0]
-    shared, areas = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
-    for i in range(0, count, LANES):
+    for i in range(0, rotations.shape[0], LANES):
         r, c = rotations[i : i + LANES], centers[i : i + LANES]
-        seen = select_buildings(scene, r, c, view.planes)
-        draw_group(scene, seen, r, c, view, scratch, words[: r.shape[0]])
+        count = select_nearby(scene, r, c, view.planes, scratch.seen)
+        draw_group(scene, scratch.seen[0], count, r, c, view, scratch, words[: r.shape[0]])
         for lane in range(r.shape[0]):
-            shared[i + lane], areas[i + lane] = intersect_and_clear(words[lane], query)
-    return shared, areas
+            counts[0, i + lane], counts[1, i + lane] = intersect_and_clear(words[lane], query)
 
 
-@kernel
+@part
 def _range_of(middle, half, near, far, focal, offset, size):
     """Returns the first pixel and the last + 1 that a span between two depths may cover."""
     low = focal * min((middle - half) / near, (middle - half) / far) + offset - 1.0
@@ -204,7 +198,7 @@ def _range_of(middle, half, near, far, focal, offset, size):
     return np.int64(min(max(low, 0.0), limit)), np.int64(min(max(high, 0.0), limit))
 
 
-@kernel
+@part
 def _box_of(sphere, rotation, center, view):
     """Returns rows and words (first row, last + 1, first word, last + 1) that a sphere may cover."""
     x, y, z = camera_axes(sphere[0], sphere[1], sphere[2], rotation, center)
@@ -217,7 +211,7 @@ def _box_of(sphere, rotation, center, view):
     return top, bottom, left >> 6, (right + 63) >> 6
 
 
-@kernel
+@part
 def _trimmed(words, box):
     """Returns the part of a box of words in which bits are set; an empty one is (0, 0, 0, 0)."""
     top, bottom, left, right = box
@@ -252,7 +246,7 @@ def draw_instances(scene, buildings, rotations, centers, view, scratch, words):
     count = 0
     for n in range(buildings.shape[0]):
         b = buildings[n]
-        draw_group(scene, buildings[n : n + 1], rotations, centers, view, scratch, words)
+        draw_group(scene, buildings[n : n + 1], 1, rotations, centers, view, scratch, words)
         box = _box_of(scene.spheres[b], rotations[0], centers[0], view)
         top, bottom, left, right = _trimmed(words[0], box)
         if bottom == 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.kernels.compiled import per_pixel, pixel_loop
+from lodbench.kernels.compiled import per_pixel, uncounted
 
 
 @per_pixel
@@ -113,7 +113,7 @@ def _sample(triangle, inverse, column, row, f, rotation, center, charts, backgro
     return texture_colour(np.int64(triangle), x, y, z, 2.0 * depth / f[0], charts)
 
 
-@pixel_loop
+@uncounted
 def resolve_textured(band, buffer, rotation, center, charts, background, out):
     """Writes a band's pixels, each the mean of two by two samples; a triangle is looked up once in each.
 

@@ -71,6 +71,10 @@ def _third_corners(scene: Scene, corners: NDArray[np.int32], side: NDArray[np.in
     return np.asarray(triangles[np.arange(len(side)), np.argmin(is_end, axis=1)])
 
 
+# Pieces of a first try; a view with more is cut again with room for all.
+_ROOM = 1 << 14
+
+
 class EdgeKind(IntEnum):
     """Why an edge is one.
 
@@ -133,10 +137,18 @@ def edges_in_view(
     """
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     rotation, center = (np.ascontiguousarray(part) for part in pose)
-    shares, pixels, rows, building = cut_and_test(
-        edges, buildings, rotation, center, intrinsics, depth, crease_deg
-    )
+    view = rotation, center, intrinsics, depth, crease_deg, np.empty(sum(depth.shape) + 2, dtype=np.bool_)
+    room, count = _ROOM, _ROOM + 1
+    while count > room:
+        room = max(room, count)
+        shares, pixels, rows = (
+            np.empty((room, 2)),
+            np.empty((room, 2, 2)),
+            np.empty((room, 4), dtype=np.int64),
+        )
+        count = cut_and_test(edges, buildings, *view, shares, pixels, rows)
+    shares, pixels, rows = shares[:count], pixels[:count], rows[:count]
     ends = edges.ends[rows[:, 0]]
     points = ends[:, :1] + shares[:, :, None] * (ends[:, 1:] - ends[:, :1])
     is_visible, kind = rows[:, 1] == 1, rows[:, 2].astype(np.uint8)
-    return ViewEdges(points, pixels, is_visible, kind, building, edges.corners[rows[:, 0]], shares)
+    return ViewEdges(points, pixels, is_visible, kind, rows[:, 3], edges.corners[rows[:, 0]], shares)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from lodbench.kernels.arguments import Coverage, EdgeLists, SceneArrays, Scratch
 from lodbench.kernels.coverage import STRIP
+from lodbench.kernels.projection import BRANCH, MAX_CORNERS
 from lodbench.kernels.simd import LANES
 from lodbench.rendering.bits import words_per_row
 
@@ -30,6 +31,9 @@ def blank_scratch(scene: SceneArrays, width: int, height: int) -> Scratch:
         facing=np.zeros(LANES * triangles, dtype=np.int32),
         lists=edge_lists(capacity),
         coverage=blank_coverage(width, height),
+        # Not filled: of a large city most of it is never touched.
+        seen=np.zeros((2, len(scene.order) + BRANCH), dtype=np.int64),
+        polygons=np.zeros((2, MAX_CORNERS, 3)),
     )
 
 

@@ -184,7 +184,8 @@ def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: fl
     )
     forms = np.ascontiguousarray(np.stack([xx, xy, yy], axis=2) / (around**2)[..., None])
     some = np.sqrt(np.maximum(forms[::_STEP, ::_STEP] @ turns.T, 0.0)) * FINE_STEPS
-    levels: Levels = looked_up(forms, turns, _level_table(np.minimum(some, FINEST).astype(np.int64)))
+    levels: Levels = np.empty((*forms.shape[:2], DIRECTIONS), dtype=np.uint8)
+    looked_up(forms, turns, _level_table(np.minimum(some, FINEST).astype(np.int64)), levels)
     return levels
 
 

@@ -20,7 +20,7 @@ from lodbench.kernels.depth import (
     resolve_layers,
     resolve_normals,
 )
-from lodbench.kernels.projection import visible_buildings
+from lodbench.kernels.projection import MAX_CORNERS, visible_buildings
 from lodbench.rendering.appearance import plain_appearance
 from lodbench.rendering.projection import pose_arrays, require_pinhole, require_poses, view_planes
 from lodbench.rendering.protocol import Layers
@@ -69,6 +69,7 @@ class RasterRenderer:
             scene.triangle_starts,
             bounding_spheres(scene),
         )
+        self._largest = int(np.diff(scene.vertex_starts).max(initial=0))
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._of_thread = threading.local()
 
@@ -163,7 +164,8 @@ class RasterRenderer:
         def work(task: tuple[int, Band, NDArray[np.int64]]) -> None:
             view, band, buildings = task
             buffer = self._blank_buffer(band)
-            draw_band(self._mesh, buildings, rotations[view], centers[view], band, buffer)
+            room = np.empty((self._largest, 5)), np.empty((2, MAX_CORNERS, 3))
+            draw_band(self._mesh, buildings, rotations[view], centers[view], band, buffer, *room)
             resolve(view, band, buffer)
 
         def tasks() -> Iterator[tuple[int, Band, NDArray[np.int64]]]:

@@ -50,7 +50,9 @@ class RegionFit:
 
     def __call__(self, words: Words) -> Floats:
         """Returns the (N,) fit of N silhouettes. Eqs. (R2), (R3) of docs/methods/region.md."""
-        saved = code_lengths_saved(words, self._bins, self._totals, self._log_gamma)
+        saved, flat = np.empty(len(words)), words.reshape(len(words), -1)
+        blank = np.zeros_like(self._totals), np.zeros(flat.shape[1], dtype=np.uint64)
+        code_lengths_saved(flat, self._bins, self._totals, self._log_gamma, *blank, saved)
         return np.asarray(np.maximum(saved, 0.0) / (self.size[0] * self.size[1]))
 
 
@@ -75,5 +77,6 @@ class ContourFit:
 
     def __call__(self, words: Words) -> Floats:
         """Returns the (N,) fit of N silhouettes. Eq. (R4) of docs/methods/region.md."""
-        beside, upright = outline_sides(words, self.size[0])
+        beside, upright = np.empty_like(words), np.empty_like(words)
+        outline_sides(words, self.size[0], beside, upright)
         return np.asarray(self._beside(beside) + self._upright(upright))

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.kernels.arguments import SphereTree
+from lodbench.kernels import projection
+from lodbench.kernels.arguments import SceneArrays, SphereTree
 from lodbench.kernels.projection import BRANCH
 
 Floats = NDArray[np.float64]
@@ -71,3 +72,12 @@ def _hilbert_places(points: Floats) -> NDArray[np.int64]:
         x, y = np.where(backwards, 2**16 - 1 - x, x), np.where(backwards, 2**16 - 1 - y, y)
         x, y = np.where(up == 0, y, x), np.where(up == 0, x, y)
     return places
+
+
+def select_buildings(
+    tree: SphereTree | SceneArrays, rotations: Floats, centers: Floats, planes: Floats
+) -> NDArray[np.int64]:
+    """Returns the buildings, (K,), that any of N nearby views may see; arguments as of ``select_nearby``."""
+    seen = np.zeros((2, len(tree.order) + BRANCH), dtype=np.int64)
+    count = projection.select_buildings(tree, rotations, centers, planes, seen)
+    return seen[0, :count]

@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
 from lodbench.kernels.arguments import Scratch, View
-from lodbench.kernels.compiled import say_if_compiling
 from lodbench.kernels.masks import count_bits
-from lodbench.kernels.projection import select_buildings
-from lodbench.kernels.silhouettes import draw_instances, draw_view, draw_views, score_views
+from lodbench.kernels.silhouettes import draw_instances, draw_views, score_views
 from lodbench.kernels.simd import LANES
 from lodbench.rendering.bits import Words, pack_mask, unpack_mask, words_per_row
 from lodbench.rendering.engine_arrays import blank_scratch
@@ -35,6 +33,7 @@ from lodbench.rendering.projection import (
     view_planes,
 )
 from lodbench.rendering.protocol import IouCounts
+from lodbench.rendering.selection import select_buildings
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -87,8 +86,9 @@ class SilhouetteRenderer:
 
     def render_words(self, camera: Camera, pose: Pose) -> Words:
         """Returns the silhouette as (H, ceil(W / 64)) bit-packed words."""
-        view, words = _view(camera), _blank(camera)
-        draw_view(self._arrays, *pose_arrays(pose), view, self._working_memory(camera)[0], words)
+        view, words, (rotation, center) = _view(camera), _blank(camera), pose_arrays(pose)
+        memory, _ = self._working_memory(camera)
+        draw_views(self._arrays, rotation[None], center[None], view, memory, words[None])
         return words
 
     def instances(self, camera: Camera, pose: Pose) -> Instances:
@@ -137,15 +137,17 @@ class SilhouetteRenderer:
         require_size(camera, (mask.shape[1], mask.shape[0]))
         view, query = _view(camera), pack_mask(mask)
         rotations, centers = require_poses(rotations, centers)
-        shared = np.zeros(len(centers), dtype=np.int64)
-        area = np.zeros(len(centers), dtype=np.int64)
+        counts = np.zeros((2, len(centers)), dtype=np.int64)
 
         def work(part: Indices) -> None:
             memory, words = self._working_memory(camera)
             poses = rotations[part], centers[part]
-            shared[part], area[part] = score_views(self._arrays, *poses, view, memory, words, query)
+            of_part = np.empty((2, len(part)), dtype=np.int64)
+            score_views(self._arrays, *poses, view, memory, words, query, of_part)
+            counts[:, part] = of_part
 
         self._share_out(work, rotations, centers)
+        shared, area = counts
         return IouCounts(shared, area + count_bits(query) - shared)
 
     def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
@@ -204,9 +206,8 @@ class SilhouetteRenderer:
 
 
 def _view(camera: Camera) -> View:
-    """Returns what is drawn into; the first one comes before anything of the engine is compiled."""
+    """Returns what is drawn into."""
     require_pinhole(camera)
-    say_if_compiling()
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float64)
     return View(camera.width, camera.height, intrinsics, view_planes(camera, 0, camera.width))
 

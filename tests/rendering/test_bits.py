@@ -5,8 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+from numba import njit
 
-from lodbench.kernels.masks import count_bits, intersect_and_clear
+from lodbench.kernels import masks as kernels
+from lodbench.kernels.masks import count_bits
 from lodbench.rendering.bits import pack_mask, unpack_mask, words_per_row
 
 masks = npst.arrays(np.bool_, st.tuples(st.integers(1, 6), st.integers(1, 200)))
@@ -33,6 +35,11 @@ def test_the_lowest_bit_is_the_leftmost_pixel():
 @given(masks)
 def test_counting_bits_is_counting_pixels(mask):
     assert count_bits(pack_mask(mask)) == np.count_nonzero(mask)
+
+
+@njit
+def intersect_and_clear(words, query):
+    return kernels.intersect_and_clear(words, query)
 
 
 @given(masks, st.integers(0, 2**32 - 1))

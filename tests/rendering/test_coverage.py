@@ -6,14 +6,26 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numba import njit
 
 from lodbench.citymodel.scene import build_scene
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.kernels.coverage import accumulate, expect_marks
+from lodbench.kernels import coverage as kernels
 from lodbench.rendering.bits import unpack_mask, words_per_row
 from lodbench.rendering.engine_arrays import blank_coverage
 from lodbench.rendering.reference import ReferenceRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
+
+
+@njit
+def expect_marks(coverage, lane, left, right, top, bottom, width, height):
+    return kernels.expect_marks(coverage, lane, left, right, top, bottom, width, height)
+
+
+@njit
+def accumulate(coverage, lane, height, words):
+    kernels.accumulate(coverage, lane, height, words)
+
 
 CAMERA = Camera(70, 50, 40.0, 40.0, 35.0, 25.0)
 POSE = Pose.from_euler(EulerAngles(20, 0, 10), (0, 0, 30))

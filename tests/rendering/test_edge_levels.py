@@ -8,6 +8,7 @@ from lodbench.geometry import Camera, EulerAngles
 from lodbench.geometry.angles import rotation_from_euler
 from lodbench.kernels.arguments import LinePoints
 from lodbench.kernels.photo_edges import DIRECTIONS, EDGE_LEVELS, count_along_lines, sum_along_lines
+from lodbench.methods.region.lines import line_poses
 from lodbench.rendering.photo_bins import directed_edge_levels
 
 
@@ -46,6 +47,8 @@ def test_sums_are_those_of_points_one_by_one():
     lines, view = LinePoints(points, rises, lifts, outward, kinds, buildings), (rotations, centers, of_all_m)
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
 
+    flat = levels.ravel(), levels.shape
+
     def seen(place, n):
         x, y, z = rotations[n] @ (place - centers[n])
         return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
@@ -54,7 +57,7 @@ def test_sums_are_those_of_points_one_by_one():
         counts, expected = np.zeros((2, 2, 2, 4, 3, EDGE_LEVELS), dtype=np.int64)
         for n in range(2):
             one = (each[n : n + 1] for each in view)
-            count_along_lines(lines, *one, intrinsics, levels, offset, own_m, counts[n])
+            count_along_lines(lines, line_poses(*one), intrinsics, *flat, offset, own_m, counts[n])
         for n, i, d in np.ndindex(2, 50, 3):
             roofs_m, feet_m, eaves_m = of_all_m[n]
             first, second = points[i] + np.outer(rises[i] * roofs_m + lifts[i] * feet_m, [0.0, 0.0, 1.0])
@@ -70,5 +73,5 @@ def test_sums_are_those_of_points_one_by_one():
         assert counts.sum(axis=(1, 4)).any(axis=1).all()
         if offset == 0.0:
             sums = np.zeros((2, 4, 3))
-            sum_along_lines(lines, *view, intrinsics, levels, own_m, worth, sums)
+            sum_along_lines(lines, line_poses(*view), intrinsics, *flat, own_m, worth, sums)
             np.testing.assert_allclose(sums, np.einsum("nkbdl,kl->nbd", counts, worth), atol=1e-9)

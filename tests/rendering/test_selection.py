@@ -5,11 +5,11 @@ import pytest
 from hostile_scenes import box, scene_of
 
 from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler, rotations_at_yaws
-from lodbench.kernels.projection import select_buildings, visible_buildings
+from lodbench.kernels.projection import visible_buildings
 from lodbench.rendering import engine_layout
 from lodbench.rendering.engine_layout import scene_arrays
 from lodbench.rendering.projection import view_planes
-from lodbench.rendering.selection import sphere_tree
+from lodbench.rendering.selection import select_buildings, sphere_tree
 from lodbench.rendering.silhouette import SilhouetteRenderer
 
 CAMERA = Camera(129, 96, 90.0, 89.0, 64.0, 49.0)

@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from lodbench.kernels.coverage import append_edge, mark_edges, pack_corner
+from lodbench.kernels import coverage as kernels
 from lodbench.kernels.simd import LANES
 from lodbench.kernels.simd_kernels import face_triangles, project_vertices
 from lodbench.rendering.engine_arrays import blank_coverage, edge_lists
@@ -21,6 +21,21 @@ _POSITION = st.integers(-_REACH, _REACH) | st.integers(-600, 30_000)
 _EDGES = st.lists(
     st.tuples(_POSITION, _POSITION, _POSITION, _POSITION, st.integers(-2, 2)), min_size=1, max_size=20
 )
+
+
+@njit
+def append_edge(lists, lane, width, ua, va, ub, vb, weight):
+    kernels.append_edge(lists, lane, width, ua, va, ub, vb, weight)
+
+
+@njit
+def mark_edges(lists, lane, width, height, marks):
+    kernels.mark_edges(lists, lane, width, height, marks)
+
+
+@njit
+def pack_corner(u, v, weight):
+    return kernels.pack_corner(u, v, weight)
 
 
 def _marks_by_fractions(edges, width, height):

@@ -21,7 +21,7 @@ from lodbench.estimation.state_vector import ALL, BESIDE_POSE, POSE, ROOFS, view
 from lodbench.geometry import Camera
 from lodbench.geometry.angles import rotations_from_euler
 from lodbench.geometry.pose_vector import pose_from_vector
-from lodbench.kernels.arguments import LinePoints
+from lodbench.kernels.arguments import LinePoints, LinePoses
 from lodbench.kernels.photo_edges import EDGE_LEVELS, count_along_lines, sum_along_lines
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import PosePosterior
@@ -189,15 +189,17 @@ class LineLikelihood:
     def _of_buildings(self, vectors: Floats, share: float) -> Floats:
         """Returns (N, B, D) the logarithm of likelihood and prior of each building's own roofs."""
         sums = np.zeros((len(vectors), len(self.buildings), len(self._own_m)))
-        view, worth = (*self._views(vectors), self._intrinsics), _RATIOS[self._strengths]
-        sum_along_lines(self._points, *view, self._levels, self._own_m, worth, sums)
+        view, worth = (line_poses(*self._views(vectors)), self._intrinsics), _RATIOS[self._strengths]
+        levels = self._levels.ravel(), self._levels.shape
+        sum_along_lines(self._points, *view, *levels, self._own_m, worth, sums)
         return np.asarray(share * self._weight * sums + self._log_prior)
 
     def _counts(self, vector: Floats, own_m: Floats, offset_px: float = 0.0) -> NDArray[np.int64]:
         """Returns (2, B, D, 16) how many points meet each level, by kind, building and height of its roof."""
         counts = np.zeros((2, len(self.buildings), len(own_m), EDGE_LEVELS), dtype=np.int64)
-        views = self._views(vector[None])
-        count_along_lines(self._points, *views, self._intrinsics, self._levels, offset_px, own_m, counts)
+        view = line_poses(*self._views(vector[None])), self._intrinsics
+        levels = self._levels.ravel(), self._levels.shape
+        count_along_lines(self._points, *view, *levels, offset_px, own_m, counts)
         return counts
 
     def _views(self, vectors: Floats) -> tuple[Floats, Floats, Floats]:
@@ -312,12 +314,29 @@ def _sums_at(vectors: Floats, levels: Levels, photo_camera: Camera, roofs: Raise
         poses = np.ascontiguousarray(vectors[:, height])
         points, each_px = _some_points(roofs, camera, poses[len(poses) // 2])
         rotations, centers = rotations_from_euler(poses[:, 3:]), np.ascontiguousarray(poses[:, :3])
-        view = rotations, centers, np.zeros((len(poses), ALL - ROOFS)), intrinsics
+        view = line_poses(rotations, centers, np.zeros((len(poses), ALL - ROOFS))), intrinsics
         sums = np.zeros((len(poses), 1, 1))
-        sum_along_lines(points, *view, levels, np.zeros(1), worth, sums)
+        sum_along_lines(points, *view, levels.ravel(), levels.shape, np.zeros(1), worth, sums)
         return np.asarray(each_px * sums[:, 0, 0])
 
     return np.stack(list(roofs.parallel_map(at, range(vectors.shape[1]))), axis=1).ravel()
+
+
+def line_poses(rotations: Floats, centers: Floats, of_all_m: Floats) -> LinePoses:
+    """Returns poses for sums along lines.
+
+    Args:
+        rotations: (N, 3, 3) cam_from_world.
+        centers: (N, 3) metres.
+        of_all_m: (N, 3) of ``LinePoses.of_all``.
+    """
+    count = len(rotations)
+    turns, places, of_all = (
+        tuple(np.ascontiguousarray(each.reshape(count, -1).T)) for each in (rotations, centers, of_all_m)
+    )
+    seen, across, starts = (tuple(np.empty(count) for _ in range(size)) for size in (4, 2, 2))
+    room = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    return LinePoses(turns, places, of_all, seen, across, starts, *room)
 
 
 def _some_points(roofs: RaisedRoofs, camera: Camera, vector: Floats) -> tuple[LinePoints, float]:
