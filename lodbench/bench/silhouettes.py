@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -27,7 +27,8 @@ from lodbench.citymodel import Scene, open_scene
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.geometry import Camera, Pose, rotations_at_yaws
-from lodbench.rendering import Scorer, make_renderer
+from lodbench.rendering import ContourFit, RegionFit, Scorer, appearance_bins, edge_bins, make_renderer
+from lodbench.rendering.raster import RasterRenderer
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.figures import SERIES, draw_figure
 from lodbench.storage import random_stream
@@ -325,7 +326,7 @@ def measure_silhouettes(
         rows += _time_views(
             kind, contenders, sets[kind][0], camera, options.repeats, lambda: progress(next(done), total)
         )
-    return report_silhouettes(
+    report = report_silhouettes(
         pd.DataFrame(rows),
         {kind: rejections for kind, (_, rejections) in sets.items()},
         absent,
@@ -333,6 +334,35 @@ def measure_silhouettes(
         f"each view, peers the first {options.peer_hypotheses}; best pass per view.",
         f"{os.cpu_count()} cores, {load} before the start: a busy machine slows renderers unequally.",
     )
+    statistics = _time_statistics(scene, engine, sets[STEEP][0], options)
+    lines = [f"{each.figure}: {each.value:.1f} us/hypothesis." for each in statistics]
+    return replace(report, text="\n".join([report.text, *lines]), figures=[*report.figures, *statistics])
+
+
+def _time_statistics(
+    scene: Scene, engine: Scorer, swarms: list[Swarm], options: SilhouetteOptions
+) -> list[Figure]:
+    """Returns what `region` scores a hypothesis by, rendering included, one thread, at the last size.
+
+    Of photos that the raster draws, in colour.
+    """
+    size, raster = options.sizes[-1], RasterRenderer(scene, 1)
+    camera = RGB_CAMERA.scaled(*size)
+    taken: dict[str, list[float]] = {}
+    for swarm in swarms:
+        photo = raster.draw(camera, swarm.pose).colour[..., ::-1]
+        for name, fit in (
+            ("colours on either side", RegionFit(*appearance_bins(photo, size))),
+            ("edges along the outline", ContourFit(*edge_bins(photo, size, 1.0))),
+        ):
+            passes = []
+            for _ in range(options.repeats):
+                start_s = time.perf_counter()
+                engine.fit(camera, swarm.rotations, swarm.centers, fit)
+                passes.append(time.perf_counter() - start_s)
+            taken.setdefault(name, []).append(min(passes) / len(swarm.centers) * 1e6)
+    where = f"{size[0]}x{size[1]}, {engine.name}, 1 thread"
+    return [Figure(f"render and {name}, {where}", float(np.mean(us)), "us") for name, us in taken.items()]
 
 
 def make_swarms(

@@ -54,6 +54,13 @@ class TestMeasure:
         assert (report.data["us"] > 0).all()
         assert (report.data["different"] == 0).all()
         assert steps == [(n, 5) for n in range(1, 6)]
+        scores = {each.figure: each.value for each in report.figures[-2:]}
+        assert list(scores) == [
+            f"render and {what}, 301x224, silhouette, 1 thread"
+            for what in ("colours on either side", "edges along the outline")
+        ]
+        assert min(scores.values()) > 0
+        assert all(name in report.text for name in scores)
 
     def test_views_are_of_their_kind(self, city):
         scene = open_scene(city)
