@@ -38,7 +38,8 @@ def run(name: str, add: Callable[[argparse.ArgumentParser], None], measure: Meas
     try:
         measured(parser.parse_args(), name, measure)
     except LodbenchError as fault:
-        fault.hint = in_syntax_of(("bench", "accuracy"), fault.hint)
+        typed = ("bench", "accuracy")
+        fault.message, fault.hint = in_syntax_of(typed, fault.message), in_syntax_of(typed, fault.hint)
         report_fault(fault)
         return 2
     return 0

@@ -94,23 +94,6 @@ def test_a_lone_house_is_flown_over_lower(tmp_path, capsys):
     assert "1 view (" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (
-            ["--method", "contour_alignment,region"],
-            "region looks at photos, and no photos are drawn.\n  hint: Add --look hard.",
-        ),
-        (["--look", "pretty"], "There is no look pretty."),
-        (["--building-share", "0.1"], "0.1 is not LOW,HIGH"),
-    ],
-)
-def test_methods_that_look_at_photos_need_a_look_that_there_is(city, options, said, capsys):
-    """A look that is not known left out one city after the other."""
-    assert main(["bench", "accuracy", "--city", str(city), "--city", str(city), *options]) == 2
-    assert said in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_pixels_and_masks_are_measured_side_by_side_on_the_same_views(city):
     views = ViewsParams(str(city), num_views=1, look="plain")

@@ -10,7 +10,6 @@ from lodbench.bench.joint_solves import measure_joint_solves
 from lodbench.bench.tracking import TrackingOptions, measure_tracking
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
-from lodbench.cli import main
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError
 from lodbench.geometry import EulerAngles
@@ -39,30 +38,6 @@ def test_frames_are_counted_whether_found_or_lost(city):
     assert values["frames lost", ""] == 3
     assert values["frames within 2 m and 2 deg", "%"] == 0.0
     assert values["photos per second from pixels to pose", "1/s"] > 0
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("tracking --frames 1", "--frames=1 is not at least 2"),
-        ("tracking --segmenter masks", "--segmenter masks looks at no frames"),
-        ("tracking --city absent.gml", "absent.gml does not exist"),
-        ("tracking --seeds 0,1,0", "A seed is given twice: 0,1,0"),
-        ("accuracy --city absent.gml", "absent.gml does not exist"),
-        ("accuracy --views 0", "--views=0 is not a number of views"),
-        ("accuracy --camera-height 80,40", "--camera-height=40 is not"),
-        ("accuracy --prior-range -1", "--prior-range=-1 is not at least 0"),
-        ("real --query . --prior-yaw -1", "--prior-yaw=-1 is not at least 0"),
-        ("real --query absent", "hint: Give --query FOLDER"),
-        ("flights --relative-poses reconstruction --look plain", "--relative-poses reconstruction needs one"),
-        ("flights --relative-poses tracks", "--relative-poses tracks needs photos"),
-    ],
-)
-def test_what_cannot_be_measured_is_told_before_any_work(city, capsys, words, said):
-    what, *more = words.split()
-    place = [] if "--city" in more else ["--city", str(city)]
-    assert main(["bench", what, *place, *more]) == 2
-    assert said in capsys.readouterr().err
 
 
 def test_joint_solves_have_one_thread_for_linear_algebra_as_runs_have(city):

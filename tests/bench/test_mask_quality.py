@@ -137,29 +137,6 @@ def test_the_command_measures_the_shipped_network(sets, tmp_path, capsys):
     assert (tmp_path / "masks.png").is_file()
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["--segmenter", "masks"], "looks at no photo alone"),
-        (["--segmenter", "compakt"], "Did you mean compact"),
-        (["--segmenter-option", "size=abc"], "segmenter.size"),
-        (["--data", "nowhere"], "no folder nowhere"),
-        (["--visible", "there"], "--visible is of no use without --data"),
-        (["--city", "a.obj", "--data", "there"], "--city draws masks of its own"),
-        (["--city", "a.obj", "--segmenter", "compact"], "--city draws masks of its own"),
-        (["--town", "tset"], "Did you mean test?"),
-        (["--views", "0"], "views=0"),
-        (["--city", "a.obj", "--views", "0"], "views=0"),
-    ],
-)
-def test_faults_are_one_line_and_a_hint(words, expected, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main(["bench", "segmentation", *words]) == 2
-    told = capsys.readouterr().err
-    assert expected in told
-    assert len(told.splitlines()) <= 2
-
-
 def test_both_sets_of_a_town_show_the_same_views(tmp_path, monkeypatch):
     from lodbench.bench import mask_quality
 

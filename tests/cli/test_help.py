@@ -121,7 +121,7 @@ SLIPS = [
     *([name, "-x"] for name in COMMANDS),
     *([name, "a", "b", "c", "d"] for name in COMMANDS),
     *([name] for name in COMMANDS if name not in ("run", "basin", "doctor")),
-    *(["bench", name, "--seed", "many"] for name in ("silhouettes", "accuracy", "scale", "evaluation")),
+    *(["bench", name, "--seed", "many"] for name in ("silhouettes", "accuracy", "evaluation")),
     ["bench", "silhouete"],
     ["bench", "accuracy", "--area", "nort"],
     ["bench", "accuracy", "--camera-height", "40"],
@@ -147,23 +147,6 @@ def test_no_slip_is_answered_with_a_wall(capsys, monkeypatch, tmp_path, words):
     told = [line for line in err.splitlines() if not line.startswith("training ")]
     assert told[0].startswith("lodbench: ")
     assert len(told) <= 2
-
-
-@pytest.mark.parametrize(
-    ("words", "meant"),
-    [
-        (["bench", "silhouete"], "silhouettes"),
-        (["bench", "scale", "--viws", "3"], "--views"),
-        (["bench", "real", "--quer", "d"], "--query"),
-        (["mask", "a.jpg", "--export", "geo"], "geojson"),
-        (["mask", "a.jpg", "--exprt", "geojson"], "--export"),
-        (["city", "inof", "a"], "info"),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
-)
-def test_the_nearest_name_is_told(capsys, words, meant):
-    assert main(words) == 2
-    assert meant in capsys.readouterr().err.splitlines()[1]
 
 
 def test_words_of_a_list_may_stand_on_both_sides_of_a_flag():

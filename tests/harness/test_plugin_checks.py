@@ -175,23 +175,6 @@ def test_a_metric_that_takes_another_number_s_name_is_told(trial, tmp_path):
 
 
 class TestCommand:
-    @pytest.mark.parametrize(
-        ("words", "said"),
-        [
-            (["segmenter", "compact", "segmenter.sise=64"], "segmenter.sise is not a setting"),
-            (["segmenter", "compact", "segmenter.size=1"], "segmenter.size=1 is not within"),
-            (["prior", "basin", "prior.seed=1"], "prior.seed is not a setting"),
-            (["matcher", "mutual_nn", "--sample", "x"], "A matcher reads no sample"),
-            (["method", "prior_only", "--sample", "x"], "A method reads no sample"),
-            (["pose-format", "tum", "--sample", "nowhere.txt"], "There is no sample nowhere.txt"),
-        ],
-    )
-    def test_what_was_typed_wrong_is_no_fault_of_the_plug_in(self, capsys, words, said):
-        assert main(["check-plugin", *words]) == 2
-        printed = capsys.readouterr()
-        assert said in printed.err
-        assert printed.out == ""
-
     def test_what_a_plug_in_prints_is_no_line_of_the_report(self, capsys, monkeypatch):
         segment = MaskFiles.segment
 
