@@ -186,6 +186,7 @@ def _pictures(rows: Rows) -> dict[str, bytes]:
             axis.annotate(f"{_found(queries):.0f} %", (place, 110.0), ha="center", fontsize=8, color=colour)
         axis.axhline(2.0, color="#808080", linewidth=0.8, linestyle="--")
         axis.set_yscale("log")
+        axis.yaxis.set_major_formatter("{x:g}")
         axis.set_ylim(0.05, 170.0)
         axis.set_ylabel("error m, one dot per photo; bar: median; above: within (2 m, 2 deg)")
         axis.set_xticks(range(len(maps)), maps)
