@@ -18,7 +18,7 @@ from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene
 from lodbench.citymodel.source import Source, open_sources
 from lodbench.citymodel.stored_city import OpenCity, load_city, open_scene_folder, store_city
 from lodbench.errors import CityModelError
-from lodbench.plugins import find_plugin
+from lodbench.plugins import find_plugin, installed
 from lodbench.storage import digest_of, file_digest, make_folder
 from lodbench.storage.digest import digest_of_code, package_files
 from lodbench.storage.paths import cache_limit_bytes, cache_root
@@ -142,15 +142,16 @@ def code_digest(reader: str | None) -> str:
     """Returns a digest of the code that makes scenes: no version number has to be remembered.
 
     Args:
-        reader: Of ``ReadOptions``; the whole package of a plug-in counts.
+        reader: Of ``ReadOptions``; the whole package of a plug-in counts, of all where none is named.
 
     Raises:
         ConfigError: There is no such reader.
     """
     files = sorted(Path(__file__).parent.rglob("*.py"))
-    plug_in = None if reader is None else find_plugin("city_readers", reader)
-    if plug_in is not None and not plug_in.is_ours:
-        files += package_files(plug_in.point.module.partition(".")[0])
+    plug_ins = installed("city_readers") if reader is None else (find_plugin("city_readers", reader),)
+    for plug_in in plug_ins:
+        if not plug_in.is_ours:
+            files += package_files(plug_in.point.module.partition(".")[0])
     return digest_of_code(files, _LIBRARIES)
 
 

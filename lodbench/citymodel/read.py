@@ -1,4 +1,4 @@
-"""Opening a city model: what kind of file it is, and the reader that fits."""
+"""Opening a city model with the reader that fits."""
 
 from __future__ import annotations
 
@@ -6,121 +6,20 @@ import io
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path, PurePath
-from typing import Any
+from pathlib import Path
 
 from lodbench.citymodel.codes import FILE_SKIPPED
+from lodbench.citymodel.formats import city_formats, formats_in_words, identify
 from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.pictures import PictureTable
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import NotACity, RawCity, merge_cities
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.source import MESH_SUFFIXES, SURFACE_SUFFIXES, Source, count_bytes, open_sources
-from lodbench.citymodel.texture_pictures import TextureFolder
+from lodbench.citymodel.source import Source, count_bytes, open_sources
+from lodbench.citymodel.surface import SURFACE_SUFFIXES
 from lodbench.findings import Findings
 from lodbench.plugins import blaming, load_plugin, of_kind
-
-
-def citygml(source: Source, options: ReadOptions) -> RawCity:
-    """Returns the buildings of CityGML 1.0 to 3.0, and what ``options.layers`` names."""
-    from lodbench.citymodel.gml.reader import read_citygml
-
-    return read_citygml(source.open, source.name, **_asked(source, options))
-
-
-def cityjson(source: Source, options: ReadOptions) -> RawCity:
-    """Returns the buildings of CityJSON or CityJSONSeq, and what ``options.layers`` names."""
-    from lodbench.citymodel.cityjson.reader import read_cityjson
-
-    return read_cityjson(source.open, source.name, **_asked(source, options))
-
-
-def _asked(source: Source, options: ReadOptions) -> dict[str, Any]:
-    """Returns what readers of details are told of the options."""
-    folder = TextureFolder(source.path.parent, source.path.parent)
-    has_pictures = options.has_textures and options.has_details
-    return {
-        "is_strict": options.is_strict,
-        "has_details": options.has_details,
-        "layers": options.layers,
-        "day": options.date,
-        "pictures": PictureTable(folder, is_packed="!" in source.name) if has_pictures else None,
-    }
-
-
-def obj(source: Source, options: ReadOptions) -> RawCity:
-    """Returns the buildings of a Wavefront OBJ."""
-    from lodbench.citymodel.mesh.obj import read_obj
-
-    with source.open() as stream:
-        return read_obj(stream, source.name, options.up_axis)
-
-
-def mesh(source: Source, options: ReadOptions) -> RawCity:
-    """Returns the buildings of a PLY, STL or glTF."""
-    from lodbench.citymodel.mesh.reader import read_mesh
-
-    with source.open() as stream:
-        return read_mesh(stream, source.name, suffix_of(source), options)
-
-
-def footprints(source: Source, options: ReadOptions) -> RawCity:
-    """Returns footprints with heights, as blocks.
-
-    Raises:
-        CityModelError: The file is none that GDAL reads, or the extra is not installed.
-    """
-    from lodbench.citymodel.vector.footprints import read_footprints
-
-    return read_footprints(source.vector_path or str(source.path), source.name, options)
-
-
-def surface(source: Source, options: ReadOptions) -> RawCity:
-    """Returns what rises above the ground of a surface model: a raster, laser points, a folder of tiles.
-
-    Raises:
-        CityModelError: It cannot be read, or the extra is not installed.
-    """
-    from lodbench.citymodel.surface.reader import read_surface
-
-    return read_surface(source.path, source.name, options)
-
-
-def reader_of(source: Source) -> str:
-    """Returns the name of the reader for a file's content, or failing that its ending.
-
-    Raises:
-        CityModelError: The file is empty, or of a kind that no reader of ours knows.
-    """
-    if source.vector_path is not None:
-        return "footprints"
-    if source.path.is_dir() or suffix_of(source) in SURFACE_SUFFIXES:
-        return "surface"
-    head = source.head()
-    text = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n\t")
-    if suffix_of(source) in MESH_SUFFIXES:
-        return "mesh"
-    if text.startswith(b"<"):
-        return "citygml"
-    if text.startswith((b"{", b"[")):
-        return "cityjson"
-    first_words = {line.split(None, 1)[0] for line in text.splitlines() if line.strip()}
-    if suffix_of(source) == ".obj" or first_words & {b"v", b"f", b"o", b"mtllib"}:
-        return "obj"
-    raise NotACity(
-        f"{source.name} is no city model that lodbench can read.",
-        "Supported: CityGML (.gml, .xml, .citygml), CityJSON (.json, .jsonl), meshes (.obj, .ply, .stl, "
-        ".glb), these as .gz, footprints (.gpkg, .shp, .geojson, .fgb, .parquet, .osm.pbf), all of them in a "
-        ".zip, folders of them, and surface models (.tif, .laz).",
-    )
-
-
-def suffix_of(source: Source) -> str:
-    """Returns the ending of a file's name, in small letters, that of compression left out."""
-    return PurePath(source.name.removesuffix(".gz")).suffix.lower()
-
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -219,8 +118,29 @@ def _read_tiles(name: str, sources: tuple[Source, ...], options: ReadOptions) ->
 
 
 def read_source(source: Source, options: ReadOptions) -> RawCity:
-    """Returns what the reader that is asked for, or else the one for a file's content, makes of it."""
-    name = options.reader or reader_of(source)
-    read = load_plugin("city_readers", name)
+    """Returns what the reader that is named, or else the one for a file's content, makes of it.
+
+    Raises:
+        CityModelError: The file is empty, or of a kind that no reader knows.
+    """
+    name = options.reader or _reader_of(source)
+    part = load_plugin("city_readers", name)
     with blaming("city_readers", name, f"read {source.name}"):
-        return of_kind(read(source, options), RawCity)
+        return of_kind(getattr(part, "read", part)(source, options), RawCity)
+
+
+def _reader_of(source: Source) -> str:
+    """Returns the name of the reader for a file's content, or failing that its ending."""
+    if source.vector_path is not None:
+        return next(
+            each.name for each in city_formats() if each.needs_path and source.suffix in each.suffixes
+        )
+    if source.path.is_dir() or source.suffix in SURFACE_SUFFIXES:
+        return "surface"
+    found = identify(source.head(), source.suffix)
+    if found is None:
+        raise NotACity(
+            f"{source.name} is no city model that lodbench can read.",
+            f"Supported: {formats_in_words()}; a .zip or folder of these, a .gz of what is no footprint or surface.",
+        )
+    return found.name

@@ -19,9 +19,11 @@ from functools import lru_cache
 from pathlib import Path, PurePath, PurePosixPath
 from typing import BinaryIO, TypeVar
 
+from lodbench.citymodel.formats import suffixes_of
 from lodbench.citymodel.layers import folders_of
 from lodbench.citymodel.raw import NotACity
 from lodbench.citymodel.scene_file import is_scene
+from lodbench.citymodel.surface import SURFACE_SUFFIXES
 from lodbench.errors import CityModelError
 
 # City models compress 8 to 30 times. Beyond this ratio a stream is taken for a bomb.
@@ -116,12 +118,6 @@ class CountedStream(_StreamOver):
 Item = TypeVar("Item")
 
 HEAD_BYTES = 4096
-MESH_SUFFIXES = (".ply", ".stl", ".glb", ".gltf")
-_CITY_SUFFIXES = (".gml", ".xml", ".citygml", ".json", ".jsonl", ".obj", *MESH_SUFFIXES)
-# Read by GDAL from a path, never from a stream of ours.
-_VECTOR_SUFFIXES = (".gpkg", ".shp", ".geojson", ".fgb", ".gdb", ".parquet", ".geoparquet", ".pbf", ".osm")
-# Rasters and laser points, read from a path; in a folder where nothing else is a city.
-SURFACE_SUFFIXES = (".tif", ".tiff", ".asc", ".laz", ".las")
 _ARCHIVE_SUFFIXES = (".gz", ".zip")
 # Beside the tiles, PLATEAU and others deliver these; none holds a building.
 _OTHER_FOLDERS = frozenset({"codelists", "metadata", "schemas", "specification"})
@@ -153,6 +149,11 @@ class Source:
     path: Path
     vector_path: str | None = None
     stamp: tuple[int, ...] = ()
+
+    @property
+    def suffix(self) -> str:
+        """Returns the ending of its name, in small letters, that of compression left out."""
+        return PurePath(self.name.removesuffix(".gz")).suffix.lower()
 
     def head(self) -> bytes:
         """Returns the first bytes.
@@ -207,7 +208,7 @@ def open_sources(path: Path, layers: Sequence[str] = ()) -> tuple[Source, ...]:
     # A pipe would be waited for, a device read without an end.
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise CityModelError(f"{path} is neither a file nor a folder.", "Check the path.")
-    if path.suffix.lower() in _VECTOR_SUFFIXES and path.exists():
+    if path.suffix.lower() in suffixes_of(needs_path=True) and path.exists():
         return (Source(str(path), lambda: path.open("rb"), path, str(path)),)
     if path.is_dir():
         return _folder_sources(path, layers)
@@ -233,9 +234,13 @@ def is_surface(path: Path) -> bool:
     return path.suffix.lower() in SURFACE_SUFFIXES
 
 
+def _suffixes() -> tuple[str, ...]:
+    return suffixes_of(needs_path=False) + suffixes_of(needs_path=True)
+
+
 def is_city_file(path: Path) -> bool:
     """Returns whether a file is called as city models are; archives may hold anything."""
-    return path.suffix.lower() in _CITY_SUFFIXES + _VECTOR_SUFFIXES and path.is_file()
+    return path.suffix.lower() in _suffixes() and path.is_file()
 
 
 def _folder_sources(folder: Path, layers: Sequence[str]) -> tuple[Source, ...]:
@@ -245,7 +250,7 @@ def _folder_sources(folder: Path, layers: Sequence[str]) -> tuple[Source, ...]:
             f"{folder} is a scene, which holds triangles only.",
             "run and render take it; look into the file it was made from.",
         )
-    suffixes = _CITY_SUFFIXES + _VECTOR_SUFFIXES + _ARCHIVE_SUFFIXES
+    suffixes = _suffixes() + _ARCHIVE_SUFFIXES
     files = [
         file
         for file in sorted(folder.rglob("*"))
@@ -369,6 +374,7 @@ def _packed_members(path: Path, members: list[zipfile.ZipInfo]) -> Iterator[Sour
 
 def _zip_members(path: Path, members: list[zipfile.ZipInfo], layers: Sequence[str]) -> Iterator[Source]:
     chosen = []
+    suffixes, by_path = _suffixes(), suffixes_of(needs_path=True)
     for member in members:
         name = PurePosixPath(member.filename.replace("\\", "/"))
         if name.is_absolute() or ".." in name.parts or ":" in name.parts[0] if name.parts else False:
@@ -377,13 +383,13 @@ def _zip_members(path: Path, members: list[zipfile.ZipInfo], layers: Sequence[st
             )
         if (
             not member.is_dir()
-            and name.suffix.lower() in _CITY_SUFFIXES + _VECTOR_SUFFIXES
+            and name.suffix.lower() in suffixes
             and _may_hold_buildings(name)
             and own_geojson(_zip_source(path, member)) is None
         ):
             chosen.append((name, member))
     for member in _of_layers(sorted(chosen, key=lambda pair: str(pair[0])), layers):
-        if member.filename.lower().endswith(_VECTOR_SUFFIXES):
+        if member.filename.lower().endswith(by_path):
             inside = f"/vsizip/{path}/{member.filename}"
             stamp = (member.CRC, member.file_size)
             yield Source(f"{path}!{member.filename}", lambda: path.open("rb"), path, inside, stamp)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lodbench.citymodel.formats import formats_in_words
 from lodbench.citymodel.layers import LAYERS
 from lodbench.citymodel.options import ReadOptions
 from lodbench.cli.parser import Parser
@@ -288,10 +290,6 @@ def require_other(out: Path, files: Sequence[Path]) -> None:
 
 
 _EXAMPLES = """\
-FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb, .parquet, .pbf, .osm), a
-mesh (.obj, .ply, .stl, .glb) or a surface model (.tif, .asc, .laz); a .zip of all but the last, a .gz of all
-but footprints and surface models, or a folder of tiles.
-
 examples:
   lodbench city info 53394525_bldg_6697_op.gml
   lodbench city check LoD2_32_280_5657_1_NW.gml --geojson findings.geojson
@@ -327,10 +325,15 @@ _ACTIONS = {
 def city_parser() -> argparse.ArgumentParser:
     """Returns the parser of `lodbench city`."""
     about_all = "Inspect, check, convert or make a city model."
-    parser = Parser("lodbench city", description=about_all, epilog=_EXAMPLES)
+    files = (
+        f"FILE is {formats_in_words()}; a .zip of all but the last, a .gz of what is no footprint or "
+        "surface model, or a folder of tiles."
+    )
+    examples = f"{textwrap.fill(files, 110)}\n\n{_EXAMPLES}"
+    parser = Parser("lodbench city", description=about_all, epilog=examples)
     actions = parser.add_subparsers(dest="action", required=True, metavar="|".join(_ACTIONS))
     for name, about in _ACTIONS.items():
-        action = actions.add_parser(name, help=about, description=about, epilog=_EXAMPLES)
+        action = actions.add_parser(name, help=about, description=about, epilog=examples)
         if name == "convert":
             _add_convert(action.add_argument)
         elif name == "make":

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.cityjson.values import list_or_empty
 from lodbench.citymodel.identity import connected_components, number_rows, point_bits
+from lodbench.citymodel.mesh import MESH_FORMATS
 from lodbench.citymodel.mesh.frames import frame_of_comments, frame_of_extras
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.options import ReadOptions
@@ -104,7 +105,6 @@ def _document(content: bytes) -> dict[str, Any] | None:
 T = TypeVar("T")
 
 _PLY_HEADER_BYTES = 4096
-MESH_FORMATS = {".ply": "PLY", ".stl": "STL", ".glb": "glTF", ".gltf": "glTF"}
 
 
 def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) -> RawCity:

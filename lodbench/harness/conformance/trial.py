@@ -131,11 +131,12 @@ _MOST_DIFFERENT = 0.01
 
 
 def reader_rules(tried: Tried) -> Rules:
-    """Returns the rules of a reader of city models."""
+    """Returns the rules of a reader of city models, and of a format."""
+    reads = getattr(tried.part, "read", tried.part)
 
     def garbage() -> str:
         def read(data: bytes) -> object:
-            return tried.part(Source("garbage", lambda: io.BytesIO(data), Path("garbage")), ReadOptions())
+            return reads(Source("garbage", lambda: io.BytesIO(data), Path("garbage")), ReadOptions())
 
         refuses(lambda: read(b"\x00\xff" * 3000), "a file of bytes")
         return refuses(lambda: read(b"neither here nor there\n"), "a file of words")
@@ -145,7 +146,7 @@ def reader_rules(tried: Tried) -> Rules:
             return "not tried: name a file with --sample FILE"
         digests = []
         for _ in range(2):
-            raw = tried.part(open_sources(tried.sample)[0], ReadOptions())
+            raw = reads(open_sources(tried.sample)[0], ReadOptions())
             require(isinstance(raw, RawCity), f"it returned {type(raw).__name__}", "Return RawCity.")
             digests.append((mesh := mesh_model(finish_model(raw, ReadOptions()), None)).scene.digest())
         require(digests[0] == digests[1], "another city of the same file")

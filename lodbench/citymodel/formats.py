@@ -1,0 +1,131 @@
+"""The formats of cities: one table that opening files, folders, archives, messages and help read.
+
+A format is an entry point of the group ``lodbench.city_readers``, lodbench's own and those of other packages
+alike: an object with ``label``, ``suffixes``, ``identify`` and ``read``. A function of a source and options
+alone reads what a profile or ``reader`` names it for, and is asked for nothing else.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from lodbench.errors import ConfigError
+from lodbench.plugins import PlugIn, blaming, installed
+
+if TYPE_CHECKING:
+    from lodbench.citymodel.options import ReadOptions
+    from lodbench.citymodel.source import Source
+
+_LOGGER = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class CityFormat:
+    """A format of cities.
+
+    Attributes:
+        name: Of its entry point.
+        label: What people call it.
+        suffixes: Endings of its files, in small letters, with the dot.
+        identify: Tells from a file's first bytes and its ending whether it is of the format.
+        read: Returns the ``RawCity`` of a source, with ``ReadOptions``.
+        needs_path: Whether it is read from a path, never from a stream of ours.
+        is_tile: Whether its files are looked for in folders and archives.
+    """
+
+    name: str
+    label: str
+    suffixes: tuple[str, ...]
+    identify: Callable[[bytes, str], bool]
+    read: Callable[[Source, ReadOptions], Any]
+    needs_path: bool = False
+    is_tile: bool = True
+
+
+def city_formats() -> tuple[CityFormat, ...]:
+    """Returns the formats of all packages, lodbench's own first; one that is broken is left out."""
+    return _formats_of(installed("city_readers"))
+
+
+@lru_cache(maxsize=8)
+def _formats_of(plug_ins: tuple[PlugIn, ...]) -> tuple[CityFormat, ...]:
+    formats = []
+    for plug_in in plug_ins:
+        try:
+            part = plug_in.load()
+        except ConfigError as error:
+            _LOGGER.debug("%s", error)
+            continue
+        suffixes = getattr(part, "suffixes", ())
+        is_whole = all(callable(getattr(part, name, None)) for name in ("identify", "read"))
+        if not (is_whole and isinstance(suffixes, tuple) and all(map(_is_suffix, suffixes))):
+            continue
+        label = str(getattr(part, "label", plug_in.name))
+        is_tile, needs_path = bool(getattr(part, "is_tile", True)), bool(getattr(part, "needs_path", False))
+        formats.append(
+            CityFormat(plug_in.name, label, suffixes, part.identify, part.read, needs_path, is_tile)
+        )
+    return tuple(formats)
+
+
+def _is_suffix(text: object) -> bool:
+    return isinstance(text, str) and len(text) > 1 and text.startswith(".") and text == text.lower()
+
+
+def suffixes_of(*, needs_path: bool) -> tuple[str, ...]:
+    """Returns the endings of tiles that are read from a path, or of those read from a stream."""
+    return tuple(
+        dict.fromkeys(
+            suffix for each in city_formats() if each.needs_path == needs_path for suffix in each.suffixes
+        )
+    )
+
+
+def identify(head: bytes, suffix: str) -> CityFormat | None:
+    """Returns the format of a file, None for none.
+
+    Formats with the file's ending are asked first, then all others, for endings may be wrong.
+
+    Args:
+        head: Its first bytes.
+        suffix: Its ending, in small letters, that of compression left out.
+
+    Raises:
+        ConfigError: Code of another package fails.
+    """
+    for each in sorted(city_formats(), key=lambda each: suffix not in each.suffixes):
+        if not each.needs_path:
+            with blaming("city_readers", each.name, "identify a file"):
+                if each.identify(head, suffix):
+                    return each
+    return None
+
+
+def formats_in_words() -> str:
+    """Returns the formats and the endings of their files in a line."""
+    return ", ".join(f"{each.label} ({', '.join(each.suffixes)})" for each in city_formats())
+
+
+def text_of(head: bytes) -> bytes:
+    """Returns the first bytes of a text, NUL bytes, a byte order mark and white space left out."""
+    return head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n\t")
+
+
+def details_wanted(source: Source, options: ReadOptions) -> dict[str, Any]:
+    """Returns the arguments that readers of details, attributes and pictures, share."""
+    from lodbench.citymodel.pictures import PictureTable
+    from lodbench.citymodel.texture_pictures import TextureFolder
+
+    folder = TextureFolder(source.path.parent, source.path.parent)
+    has_pictures = options.has_textures and options.has_details
+    return {
+        "is_strict": options.is_strict,
+        "has_details": options.has_details,
+        "layers": options.layers,
+        "day": options.date,
+        "pictures": PictureTable(folder, is_packed="!" in source.name) if has_pictures else None,
+    }
