@@ -8,7 +8,6 @@ above what is resident after a small file, when everything is loaded and compile
 from __future__ import annotations
 
 import json
-import os
 import re
 import resource
 import subprocess
@@ -84,16 +83,14 @@ class CityOptions:
     repeats: int = option(5, "passes, the fastest counts")
     tiles: int = option(0, "instead: make one scene of so many tiles of its buildings; 0 for none")
     workers: int | None = option(None, "processes for the tiles (one per core)", parse=int)
-    beside_path: str | None = option(
-        None, "folder that holds the package lodbench to read in turns with this one"
-    )
+    beside: str | None = option(None, "Python whose lodbench reads the city in turns with this one")
     large_mb: int = option(137, "size of the city repeated, for the memory figure; 0 for none")
 
     def __post_init__(self) -> None:
         if self.repeats < 1 or self.large_mb < 0 or self.tiles < 0:
             raise ConfigError("repeats is at least 1, large_mb and tiles at least 0.")
-        if self.beside_path is not None and not (Path(self.beside_path) / "lodbench").is_dir():
-            raise ConfigError(f"There is no lodbench in {self.beside_path}.", "Name the folder above it.")
+        if self.beside is not None and not Path(self.beside).is_file():
+            raise ConfigError(f"There is no Python {self.beside}.", "Name the one of another environment.")
 
 
 def measure_city(city: Path, options: CityOptions | None = None, progress: Progress = no_progress) -> Report:
@@ -119,7 +116,7 @@ def measure_city(city: Path, options: CityOptions | None = None, progress: Progr
     progress(1, 4)
     rows = _beside_naive(city, model, lod, seconds, options.repeats)
     rows.append(Figure("read and mesh, data rate", size_mb / seconds, "MB/s"))
-    if options.beside_path is not None:
+    if options.beside is not None:
         rows.append(_beside_build(city, options))
     rows.append(Figure("triangles", len(mesh.scene.triangles), ""))
     rows.append(Figure("area lost", round(mesh.lost_m2, 3), "m2"))
@@ -139,15 +136,16 @@ def _beside_build(city: Path, options: CityOptions) -> Figure:
     Raises:
         CityModelError: One of them fails, or they make different scenes of it.
     """
-    builds: dict[str, list[tuple[float, str]]] = {"": [], str(Path(options.beside_path or "").resolve()): []}
+    builds: dict[str, list[tuple[float, str]]] = {
+        sys.executable: [],
+        str(Path(options.beside or "").absolute()): [],
+    }
     for _ in range(options.repeats):
-        for path, told in builds.items():
-            environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-            environment |= {"PYTHONPATH": path} if path else {}
-            done = _json_of(
-                _TURN_SCRIPT, [str(city.resolve()), options.lod or "", str(_PASSES_IN_TURN)], environment
+        for python, told in builds.items():
+            cpu_s, digest = _json_of(
+                _TURN_SCRIPT, [str(city.resolve()), options.lod or "", str(_PASSES_IN_TURN)], python
             )
-            told.append((float(done[0]), str(done[1])))
+            told.append((float(cpu_s), str(digest)))
     if len({digest for told in builds.values() for _, digest in told}) > 1:
         raise CityModelError("The two builds make different scenes of this city.")
     own, other = (min(cpu_s for cpu_s, _ in told) for told in builds.values())
@@ -213,18 +211,17 @@ def _memory(city: Path, lod: str, large_mb: int) -> list[Figure]:
     ]
 
 
-def _json_of(script: str, words: list[str], environment: dict[str, str] | None = None) -> Any:
+def _json_of(script: str, words: list[str], python: str = sys.executable) -> Any:
     """Returns what a script prints as JSON.
 
     Raises:
         CityModelError: It fails.
     """
     done = subprocess.run(  # noqa: S603 - this interpreter, with a script of ours
-        [sys.executable, "-P", "-c", script, *words],
+        [python, "-P", "-c", script, *words],
         capture_output=True,
         text=True,
         check=False,
-        env=environment,
     )
     if done.returncode != 0:
         raise CityModelError(f"The measurement failed: {done.stderr.strip()[-300:]}.")
