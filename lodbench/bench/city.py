@@ -64,6 +64,7 @@ print(json.dumps({"before": before, "peak": peak, "arrays": arrays, "buildings":
 # CPU seconds of reading and meshing, the least of many passes, the digest of what came out.
 _TURN_SCRIPT = """
 import json, sys, time
+import numba  # which small cities go without
 from lodbench.citymodel import open_scene
 city, lod, passes = sys.argv[1], sys.argv[2] or None, int(sys.argv[3])
 digest, times = open_scene(city, lod=lod).digest(), []
