@@ -80,7 +80,10 @@ def suffixes_of(*, needs_path: bool) -> tuple[str, ...]:
     """Returns the endings of tiles that are read from a path, or of those read from a stream."""
     return tuple(
         dict.fromkeys(
-            suffix for each in city_formats() if each.needs_path == needs_path for suffix in each.suffixes
+            suffix
+            for each in city_formats()
+            if each.needs_path == needs_path and each.is_tile
+            for suffix in each.suffixes
         )
     )
 

@@ -141,6 +141,6 @@ def _reader_of(source: Source) -> str:
     if found is None:
         raise NotACity(
             f"{source.name} is no city model that lodbench can read.",
-            f"Supported: {formats_in_words()}; a .zip or folder of these, a .gz of what is no footprint or surface.",
+            f"Supported: {formats_in_words()}; most as .gz, in a .zip, and folders of them.",
         )
     return found.name
