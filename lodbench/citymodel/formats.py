@@ -11,15 +11,15 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from lodbench.errors import ConfigError
 from lodbench.plugins import PlugIn, blaming, installed
 
-if TYPE_CHECKING:
-    from lodbench.citymodel.options import ReadOptions
-    from lodbench.citymodel.source import Source
-
+# What a mesh is called, by the ending of its file.
+MESH_FORMATS = {".ply": "PLY", ".stl": "STL", ".glb": "glTF", ".gltf": "glTF"}
+# Rasters and laser points, read from a path; in a folder where nothing else is a city.
+SURFACE_SUFFIXES = (".tif", ".tiff", ".asc", ".laz", ".las")
 _LOGGER = logging.getLogger(__name__)
 
 
@@ -32,7 +32,7 @@ class CityFormat:
         label: What people call it.
         suffixes: Endings of its files, in small letters, with the dot.
         identify: Tells from a file's first bytes and its ending whether it is of the format.
-        read: Returns the ``RawCity`` of a source, with ``ReadOptions``.
+        read: Returns the ``RawCity`` of a ``Source``, with ``ReadOptions``.
         needs_path: Whether it is read from a path, never from a stream of ours.
         is_tile: Whether its files are looked for in folders and archives.
     """
@@ -41,7 +41,7 @@ class CityFormat:
     label: str
     suffixes: tuple[str, ...]
     identify: Callable[[bytes, str], bool]
-    read: Callable[[Source, ReadOptions], Any]
+    read: Callable[..., Any]
     needs_path: bool = False
     is_tile: bool = True
 
@@ -116,19 +116,3 @@ def formats_in_words() -> str:
 def text_of(head: bytes) -> bytes:
     """Returns the first bytes of a text, NUL bytes, a byte order mark and white space left out."""
     return head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n\t")
-
-
-def details_wanted(source: Source, options: ReadOptions) -> dict[str, Any]:
-    """Returns the arguments that readers of details, attributes and pictures, share."""
-    from lodbench.citymodel.pictures import PictureTable
-    from lodbench.citymodel.texture_pictures import TextureFolder
-
-    folder = TextureFolder(source.path.parent, source.path.parent)
-    has_pictures = options.has_textures and options.has_details
-    return {
-        "is_strict": options.is_strict,
-        "has_details": options.has_details,
-        "layers": options.layers,
-        "day": options.date,
-        "pictures": PictureTable(folder, is_packed="!" in source.name) if has_pictures else None,
-    }

@@ -6,10 +6,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.texture_pictures import TextureFolder
 from lodbench.errors import DatasetError
 
@@ -144,3 +146,22 @@ def blank(num_polygons: int, num_points: int) -> tuple[NDArray[np.int32], NDArra
 def counted_lines(notes: Counter[str]) -> tuple[str, ...]:
     """Returns what was left out, a line each."""
     return tuple(f"{count} x {text}" if count > 1 else text for text, count in sorted(notes.items()))
+
+
+def details_wanted(path: Path, name: str, options: ReadOptions) -> dict[str, Any]:
+    """Returns the arguments that readers of details, attributes and pictures, share.
+
+    Args:
+        path: The file on disk that holds the city.
+        name: Its name for messages, with the member of an archive after an exclamation mark.
+        options: How to read it.
+    """
+    folder = TextureFolder(path.parent, path.parent)
+    has_pictures = options.has_textures and options.has_details
+    return {
+        "is_strict": options.is_strict,
+        "has_details": options.has_details,
+        "layers": options.layers,
+        "day": options.date,
+        "pictures": PictureTable(folder, is_packed="!" in name) if has_pictures else None,
+    }

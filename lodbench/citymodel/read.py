@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from lodbench.citymodel.codes import FILE_SKIPPED
-from lodbench.citymodel.formats import city_formats, formats_in_words, identify
+from lodbench.citymodel.formats import SURFACE_SUFFIXES, city_formats, formats_in_words, identify
 from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
@@ -17,7 +17,6 @@ from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import NotACity, RawCity, merge_cities
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import Source, count_bytes, open_sources
-from lodbench.citymodel.surface import SURFACE_SUFFIXES
 from lodbench.findings import Findings
 from lodbench.plugins import blaming, load_plugin, of_kind
 

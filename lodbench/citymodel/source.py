@@ -19,11 +19,10 @@ from functools import lru_cache
 from pathlib import Path, PurePath, PurePosixPath
 from typing import BinaryIO, TypeVar
 
-from lodbench.citymodel.formats import suffixes_of
+from lodbench.citymodel.formats import SURFACE_SUFFIXES, suffixes_of
 from lodbench.citymodel.layers import folders_of
 from lodbench.citymodel.raw import NotACity
 from lodbench.citymodel.scene_file import is_scene
-from lodbench.citymodel.surface import SURFACE_SUFFIXES
 from lodbench.errors import CityModelError
 
 # City models compress 8 to 30 times. Beyond this ratio a stream is taken for a bomb.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from lodbench.citymodel.formats import details_wanted, text_of
+from lodbench.citymodel.formats import text_of
 
 if TYPE_CHECKING:
     from lodbench.citymodel.options import ReadOptions
@@ -27,5 +27,6 @@ class CityJson:
     def read(source: Source, options: ReadOptions) -> RawCity:
         """Returns the buildings, and what ``options.layers`` names."""
         from lodbench.citymodel.cityjson.reader import read_cityjson
+        from lodbench.citymodel.pictures import details_wanted
 
-        return read_cityjson(source.open, source.name, **details_wanted(source, options))
+        return read_cityjson(source.open, source.name, **details_wanted(source.path, source.name, options))

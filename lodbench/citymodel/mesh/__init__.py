@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from lodbench.citymodel.formats import text_of
+from lodbench.citymodel.formats import MESH_FORMATS, text_of
 
 if TYPE_CHECKING:
     from lodbench.citymodel.options import ReadOptions
     from lodbench.citymodel.raw import RawCity
     from lodbench.citymodel.source import Source
-
-
-# What a mesh is called, by the ending of its file.
-MESH_FORMATS = {".ply": "PLY", ".stl": "STL", ".glb": "glTF", ".gltf": "glTF"}
 
 
 class Obj:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.cityjson.values import list_or_empty
+from lodbench.citymodel.formats import MESH_FORMATS
 from lodbench.citymodel.identity import connected_components, number_rows, point_bits
-from lodbench.citymodel.mesh import MESH_FORMATS
 from lodbench.citymodel.mesh.frames import frame_of_comments, frame_of_extras
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.options import ReadOptions

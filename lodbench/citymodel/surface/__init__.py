@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from lodbench.citymodel.formats import SURFACE_SUFFIXES
+
 if TYPE_CHECKING:
     from lodbench.citymodel.options import ReadOptions
     from lodbench.citymodel.raw import RawCity
     from lodbench.citymodel.source import Source
-
-# Rasters and laser points, read from a path; in a folder where nothing else is a city.
-SURFACE_SUFFIXES = (".tif", ".tiff", ".asc", ".laz", ".las")
 
 
 class Surface:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.crs import resolve_crs
-from lodbench.citymodel.surface import SURFACE_SUFFIXES
+from lodbench.citymodel.formats import SURFACE_SUFFIXES
 from lodbench.citymodel.surface.grid import Floats, Span, SurfaceGrid, epsg_label, plane_unit_m, require_size
 from lodbench.citymodel.surface.laser import rasterised_points
 from lodbench.citymodel.terrain import (
