@@ -24,7 +24,7 @@ from lodbench.synthesis.town.town import TOWN_VERSION, grow_town
 
 MAP_FILE = "textured_map.glb"
 # The code that each follows from; that of the town is in the demo's own name.
-MAP_CODE = ("synthesis/demo.py", "synthesis/survey/*.py")
+MAP_CODE = ("synthesis/demo.py", "synthesis/survey/*.py", "kernels/heights.py")
 LABEL_CODE = ("synthesis/demo.py", "synthesis/instance_degradation.py", "synthesis/mask_*.py")
 
 

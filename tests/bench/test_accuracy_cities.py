@@ -88,7 +88,7 @@ def test_a_lone_house_is_flown_over_lower(tmp_path, capsys):
     house.write_text(box_obj([(0, 0, 10, 8, 0, 6)]))
     words = ["bench", "accuracy", "--city", str(house), "--views", "1", "--method", "prior_only"]
     assert main(words) == 2
-    assert "hint: Give --camera-height [40,80] to fly lower" in capsys.readouterr().err
+    assert "hint: Set --camera-height [40,80] to fly lower" in capsys.readouterr().err
     low = ["--camera-height", "[30,50]", "--building-share", "0.02,0.8"]
     assert main([*words, *low]) == 0
     assert "1 view (" in capsys.readouterr().out
