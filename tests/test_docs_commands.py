@@ -31,7 +31,8 @@ INLINE = re.compile(r"(?<!`)`lodbench ([^`]+)`(?!`)")
 SHELL = re.compile(r"\s*(?:\$ )?(?:\w+=\S+ )*(?:(?:torchrun .*-m|python3? -m) )?lodbench (.*)")
 # What the documents let their reader write, and names that stand for others.
 NAMES = (
-    "NAME DATASET KIND WHAT yours shake halfway bright thumbnail alps north xyz table cantons painter area horizon"
+    "NAME DATASET KIND WHAT yours shake halfway bright thumbnail alps north xyz table cantons painter area "
+    "horizon"
 )
 MADE_UP = re.compile(rf"cannot be started|['=](?:<name>|{'|'.join(NAMES.split())})(?!\w)")
 
