@@ -9,6 +9,7 @@ from lodbench.geometry.looking import look_from_rotation
 from lodbench.photos.map_frame import survey_sigmas
 from lodbench.reporting.aligned_text import count_of, format_columns, plain_text
 from lodbench.reporting.answers import percent_text, probability_text, trust_counts, trust_word
+from lodbench.reporting.flight_words import place_columns
 from lodbench.reporting.table_columns import finite_text
 
 if TYPE_CHECKING:
@@ -60,16 +61,11 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
 def _photo_table(answers: Answers) -> str:
     """Returns a line per photo: its place on Earth, or in the city's coordinates where that is not known."""
     is_local = bool(answers.found) and all(found.place is None for found in answers.found)
-    where = ["easting m", "northing m"] if is_local else ["latitude", "longitude"]
-    places = [("easting_m", ".2f"), ("northing_m", ".2f")]
-    if not is_local:
-        places = [("latitude_deg", ".7f"), ("longitude_deg", ".7f")]
-    rows = [["", *where, "height m", "heading deg", "pitch deg", "roll deg", "moved m", "sure", "trust"]]
-    numbers = ("height_m", "heading_deg", "pitch_deg", "roll_deg", "moved_m")
-    cells = [*places, *((name, "z.2f") for name in numbers)]
+    columns = [*place_columns(not is_local), ("moved m", "moved_m", "z.2f")]
+    rows = [["", *(head for head, _, _ in columns), "sure", "trust"]]
     for answer in answers.photos:
         row = answer.row()
-        texts = ["-" if row[name] is None else format(row[name], spec) for name, spec in cells]
+        texts = ["-" if row[name] is None else format(row[name], spec) for _, name, spec in columns]
         sure = "-" if row["probability"] is None else probability_text(row["probability"])
         rows.append([plain_text(str(answer.photo)), *texts, sure, answer.trust])
     return format_columns(rows)

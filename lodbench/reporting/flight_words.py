@@ -217,6 +217,7 @@ class PhotoOnPage(NamedTuple):
         sigma_m: Standard deviation of its place, in space, where the method knows it.
         probability: That it is within 2 m and 2 degrees, where the method knows it.
         score: Of the method.
+        surveyed: Its place and where it looks: ``survey_row``.
         why: Why it is not to be trusted fully, and notes; "" for neither.
     """
 
@@ -226,17 +227,35 @@ class PhotoOnPage(NamedTuple):
     sigma_m: float | None
     probability: float | None
     score: float | None
+    surveyed: Mapping[str, float | None]
     why: str = ""
 
-    @property
-    def numbers(self) -> list[tuple[float | None, str]]:
-        """Returns the numbers of its row, and their texts."""
+    def numbers(self, has_earth: bool) -> list[tuple[float | None, str]]:
+        """Returns the numbers of its row, and their texts.
+
+        Args:
+            has_earth: Whether its place is given as latitude and longitude, or in the city's coordinates.
+        """
         sure = None if self.probability is None else rounded_down(self.probability, 2)
-        named = (
+        named = [(self.surveyed[name], spec) for _, name, spec in place_columns(has_earth)]
+        named += [
             (self.moved_m, ".2f"), (self.turned_deg, ".2f"), (self.sigma_m, ".2f"), (sure, ".2f"),
             (self.score, ".3f"),
-        )  # fmt: skip
+        ]  # fmt: skip
         return [(value, "-" if value is None else format(value, spec)) for value, spec in named]
+
+
+def place_columns(has_earth: bool) -> list[tuple[str, str, str]]:
+    """Returns heads of where photos are and look, in a table, with name and format in ``survey_row``.
+
+    Args:
+        has_earth: As latitude and longitude; else in the city's coordinates.
+    """
+    first = [("easting m", "easting_m", ".2f"), ("northing m", "northing_m", ".2f")]
+    if has_earth:
+        first = [("latitude", "latitude_deg", ".7f"), ("longitude", "longitude_deg", ".7f")]
+    angles = [(f"{name} deg", f"{name}_deg", "z.2f") for name in ("heading", "pitch", "roll")]
+    return [*first, ("height m", "height_m", "z.2f"), *angles]
 
 
 def photo_on_page(
@@ -246,6 +265,7 @@ def photo_on_page(
     probability: float | None,
     score: float | None,
     trust: str,
+    surveyed: Mapping[str, float | None],
     why: Sequence[str] = (),
 ) -> PhotoOnPage:
     """Returns a photo for the page.
@@ -257,6 +277,7 @@ def photo_on_page(
         probability: That it is within 2 m and 2 degrees.
         score: Of the method.
         trust: In a word.
+        surveyed: Of the estimate: ``survey_row``.
         why: It is not to be trusted fully, and notes.
     """
     prior, estimate, _ = poses
@@ -269,6 +290,7 @@ def photo_on_page(
         None if covariance is None else float(np.sqrt(np.trace(covariance[:3, :3]))),
         probability,
         score,
+        surveyed,
         "; ".join(why),
     )
 
@@ -309,12 +331,15 @@ def flight_page(
     """
     constants = findings.get("constants", {})
     spots = [photo.spot for photo in photos]
+    has_earth = any(photo.surveyed["latitude_deg"] is not None for photo in photos)
     vertices, triangles = (None, None) if city is None else city
     return rendered(
         "flight.html.jinja",
         title=title,
         lines=lines,
         photos=photos,
+        has_earth=has_earth,
+        place_heads=tuple(head for head, _, _ in place_columns(has_earth)),
         pictures=pictures,
         counts=trust_counts(spot.trust for spot in spots),
         doubted=any(spot.trust == UNTRUSTED for spot in spots),

@@ -10,6 +10,7 @@ import pytest
 
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.harness.photo.many import FlightAnswer
+from lodbench.photos.map_frame import Place, survey_row
 from lodbench.reporting.flight_words import MAX_PICTURES, chosen_for_pictures, flight_page, photo_on_page
 from lodbench.reporting.map_figure import Marked, Spot, draw_map
 from lodbench.reporting.page import Picture
@@ -23,7 +24,7 @@ CONSTANTS = {
 }
 
 
-def page(**changed):
+def page(place=None, **changed):
     dot = cv2.imencode(".png", np.zeros((60, 80, 3), np.uint8))[1].tobytes()
     photos, pictures = [], []
     for k in range(COUNT):
@@ -31,7 +32,9 @@ def page(**changed):
         prior, spread = estimate.shifted((4.0, 3.0, 0.0)), np.diag([0.04, 0.01, 0.09, 0.1, 0.1, 0.1])
         poses = prior, estimate, None
         trust = "do not trust" if k == 3 else "good"
-        photos.append(photo_on_page(f"p{k}.jpg", poses, spread, 0.99, 0.8, trust))
+        photos.append(
+            photo_on_page(f"p{k}.jpg", poses, spread, 0.99, 0.8, trust, survey_row(estimate, place, spread))
+        )
         pictures.append(Picture(dot, "png", f"p{k}.jpg: caption", "", f"p{k}.jpg"))
     findings = {
         "constants": CONSTANTS,
@@ -75,6 +78,27 @@ def test_photos_are_turned_by_the_slider_their_rows_and_the_map(tmp_path, scheme
         assert here.locator("g.current").get_attribute("data-key") == "p1.jpg"
         assert here.locator(".map .ellipse").count() == COUNT
         assert complaints == []
+
+
+def test_photos_have_coordinates_and_angles_in_the_table():
+    local = page()
+    assert ">easting m<" in local
+    assert ">latitude<" not in local
+    row = local.split('data-key="p2.jpg" tabindex')[1].split("</tr>")[0]
+    assert re.findall(r">(-?[\d.]+)</td>", row)[:6] == [
+        "60.00",
+        "10.00",
+        "100.00",
+        "340.00",
+        "-60.00",
+        "0.00",
+    ]
+    earth = page(place=Place(51.0261598, 5.8765601, 100.0, 12.5, -60.0, 0.25))
+    assert ">latitude<" in earth
+    assert ">easting m<" not in earth
+    row = earth.split('data-key="p2.jpg" tabindex')[1].split("</tr>")[0]
+    cells = ["51.0261598", "5.8765601", "100.00", "12.50", "-60.00", "0.25"]
+    assert re.findall(r">(-?[\d.]+)</td>", row)[:6] == cells
 
 
 def test_heights_that_photos_do_not_tell_are_not_said_to_be_off():

@@ -268,6 +268,7 @@ def page_of_photos(
             found.probability,
             found.score,
             answer.trust,
+            answer.row(),
             reasons_for_doubt(
                 answer.trust,
                 found.pose,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -250,6 +250,7 @@ def _page_of_sequence(
     entries = [e for e in verdict.entries if flight_name(e) == name]
     photos: list[PhotoOnPage] = []
     left_out: list[tuple[str, str]] = []
+    surveyed = survey_table(stored, scene.crs).replace({math.nan: None}).to_dict("index")
     for entry in entries:
         found = stored.predictions.get(entry.key)
         if found is None or found.pose is None:
@@ -259,7 +260,14 @@ def _page_of_sequence(
         spread = _full(found.covariance)
         photos.append(
             photo_on_page(
-                entry.name, poses, spread, found.probability, found.score, trust_of(found), why_of(found)
+                entry.name,
+                poses,
+                spread,
+                found.probability,
+                found.score,
+                trust_of(found),
+                cast("Mapping[str, float | None]", surveyed[entry.key]),
+                why_of(found),
             )
         )
     chosen = set(chosen_for_pictures([photo.spot.key for photo in photos]))
