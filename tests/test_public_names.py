@@ -94,6 +94,7 @@ PLUG_INS = {
         "metashape",
         "pix4d",
         "odm",
+        "table",
     ],
     "lodbench.export_formats": [
         "colmap",

@@ -39,7 +39,8 @@ examples:
 _IMPORT_EPILOG = """\
 FORMAT: colmap (text or binary), kapture, nerfstudio, tum, lines (visuallocalization.net), c2w; Metashape's
 exported reference (metashape), Pix4D's calibrated external camera parameters (pix4d), ODM's geo.txt (odm),
-all three in projected coordinates, the city's or those that the file declares; or auto.
+all three in projected coordinates, the city's or those that the file declares; a CSV with the head
+name,latitude,longitude,height,heading,pitch or easting,northing (table); or auto.
 The poses become the truth; kapture's and COLMAP's images without a pose are not part of it.
 
 examples:

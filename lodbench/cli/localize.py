@@ -55,7 +55,8 @@ _EXAMPLES = """\
 The rough pose of a photo comes from the photo's metadata (EXIF, and XMP of DJI, Autel, Parrot or Skydio);
 options given here take precedence. --start FILE has a rough pose for each photo instead, in the city's
 coordinates: lines "name qw qx qy qz tx ty tz" (world to camera), a table of Metashape, or another format that
-lodbench reads.
+lodbench reads; or a CSV with the head name,latitude,longitude,height,heading,pitch (degrees, the city's
+heights in metres, heading from true north, pitch -90 straight down), such as localized.csv.
 
 One photo: without a mask its own pixels are aligned with the map (--method auto, by region); where they leave
 the pose open, a network makes a mask, and the more probable of the two poses is taken. The search covers 10 m

@@ -11,6 +11,7 @@ kapture     a folder with ``sensors/trajectories.txt``                      worl
 nerfstudio  ``transforms.json``, OpenGL axes                                camera to world
 metashape   exported reference: ``#Label,X/Easting,...,Yaw,Pitch,Roll``     centre and angles
 pix4d       ``imageName X Y Z Omega Phi Kappa``                             centre and angles
+table       a head ``name,lat,lon,height,heading,pitch``, and a row each    centre and angles
 odm         ``geo.txt`` with omega, phi, kappa                              centre and angles
 ==========  ==============================================================  ===============
 
@@ -26,15 +27,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymodel.crs import is_same_plane, require_crs
 from lodbench.citymodel.frame import brought_note
 from lodbench.datasets.exchange.colmap import is_colmap, models_below
 from lodbench.datasets.exchange.kapture import is_kapture
+from lodbench.datasets.exchange.lines import TABLE_LAYOUT, table_columns
 from lodbench.datasets.exchange.photogrammetry import looks_like
-from lodbench.datasets.exchange.posed import FoundPose, content, with_slashes
+from lodbench.datasets.exchange.posed import DEGREES_CRS, FoundPose, content, with_slashes
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Pose
+from lodbench.photos.map_frame import MapFrame
 from lodbench.plugins import blaming, load_plugin, of_kind, plugin_names
 from lodbench.storage.paths import require_regular
 
@@ -42,7 +46,7 @@ if TYPE_CHECKING:
     from pyproj import Transformer
 
 # What a format is stored in, where it is not either.
-_FOLDERS, _FILES = ("c2w", "kapture"), ("lines", "tum", "metashape", "pix4d", "odm")
+_FOLDERS, _FILES = ("c2w", "kapture"), ("lines", "tum", "metashape", "pix4d", "odm", "table")
 
 
 def read_pose_file(path: Path, format_name: str, known: Collection[str] = ()) -> tuple[str, list[FoundPose]]:
@@ -87,10 +91,13 @@ def _guess(path: Path, known: Collection[str]) -> str:
         return "colmap" if is_colmap(path) or is_above_models else "c2w"
     if path.suffix in (".json", ".bin"):
         return "nerfstudio" if path.suffix == ".json" else "colmap"
+    where, line = next(content(path), (str(path), ""))
     named = looks_like(path)
+    # Pix4D's own tables have no heading.
+    if named is None or (named == "pix4d" and "heading" in line.lower()):
+        named = "table" if table_columns(line) else named
     if named is not None:
         return named
-    where, line = next(content(path), (str(path), ""))
     words = line.split()
     if not words:
         raise DatasetError(f"{path} holds no poses.", "A line of a pose file is a name and numbers.")
@@ -102,7 +109,7 @@ def _guess(path: Path, known: Collection[str]) -> str:
         return "lines"
     raise DatasetError(
         f"{where} is of no known pose format.",
-        f"Known formats: {', '.join(plugin_names('pose_formats'))}.",
+        f"Known formats: {', '.join(plugin_names('pose_formats'))}. A table has {TABLE_LAYOUT}.",
     )
 
 
@@ -130,11 +137,18 @@ def brought(found: Sequence[FoundPose], crs: str | None) -> tuple[list[FoundPose
         crs: Of the city, projected in metres; None where nobody knows it.
 
     Raises:
-        DatasetError: The declared system is not in metres, or the way from it to the city's is not known.
+        DatasetError: The declared system is not in metres, or the way from it to the city's is not known; or
+            poses have latitude and longitude, and nobody knows the city's system.
     """
     moved: list[FoundPose] = []
     notes: dict[str, str] = {}
     for image in found:
+        if image.crs == DEGREES_CRS:
+            moved.append(image._replace(pose=_projected(image, crs), crs=crs))
+            notes.setdefault(
+                DEGREES_CRS, f"latitudes and longitudes brought to {crs}; heights are the city's"
+            )
+            continue
         if crs is None or image.crs is None or is_same_plane(image.crs, crs):
             moved.append(image)
             continue
@@ -143,6 +157,24 @@ def brought(found: Sequence[FoundPose], crs: str | None) -> tuple[list[FoundPose
         sure = f", places to {accuracy_m:g} m" if accuracy_m else ""
         notes.setdefault(image.crs, f"poses in {brought_note(image.crs, crs)}{sure}")
     return moved, tuple(notes.values())
+
+
+def _projected(image: FoundPose, crs: str | None) -> Pose:
+    """Returns a pose by longitude, latitude and true north in a city's coordinates.
+
+    Raises:
+        DatasetError: Nobody knows these, or the place has none.
+    """
+    if crs is None:
+        raise DatasetError(
+            f"{image.where}: latitude and longitude are nowhere in a city without a reference system.",
+            "Name it with `--crs`, or give easting and northing in the city's coordinates.",
+        )
+    longitude, latitude, height = (float(value) for value in image.pose.center)
+    frame = MapFrame(crs)
+    east, north = frame.east_north(latitude, longitude)
+    turn = -math.radians(frame.convergence_deg(east, north))
+    return Pose.from_center(image.pose.rotation @ _turned(turn), (east, north, height))
 
 
 def _moved(image: FoundPose, declared: str, crs: str) -> tuple[Pose, float]:
@@ -164,9 +196,13 @@ def _moved(image: FoundPose, declared: str, crs: str) -> tuple[Pose, float]:
             hint,
         ) from error
     turn = math.atan2(easts[2] - easts[0], norths[2] - norths[0])
+    return Pose.from_center(image.pose.rotation @ _turned(turn), (easts[1], norths[1], up)), accuracy_m
+
+
+def _turned(turn: float) -> NDArray[np.float64]:
+    """Returns the rotation from a system's axes to others, against which its north is turned clockwise."""
     c, s = math.cos(turn), math.sin(turn)
-    old_from_new = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return Pose.from_center(image.pose.rotation @ old_from_new, (easts[1], norths[1], up)), accuracy_m
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 @lru_cache(maxsize=16)

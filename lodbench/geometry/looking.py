@@ -18,9 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.geometry.angles import (
+    EulerAngles,
     dji_from_rotation,
     euler_from_rotation,
     heading_from_yaw,
+    rotation_from_dji,
+    rotation_from_euler,
     turning_axes,
     wrap_deg,
 )
@@ -67,6 +70,12 @@ def look_from_rotation(cam_from_world: Matrix, convergence_deg: float = 0.0) -> 
         return LookAngles(heading_from_yaw(yaw - convergence_deg), wrap_deg(pitch - 90.0), roll)
     yaw, pitch, roll = dji_from_rotation(cam_from_world, convergence_deg)
     return LookAngles(heading_from_yaw(-yaw), pitch, roll)
+
+
+def rotation_from_look(heading_deg: float, pitch_deg: float, roll_deg: float) -> Matrix:
+    """Returns cam_from_world, (3, 3), of ``LookAngles``: the inverse of ``look_from_rotation``."""
+    steep = rotation_from_euler(EulerAngles(pitch_deg + 90.0, roll_deg, -heading_deg))
+    return steep if _is_steep(steep) else rotation_from_dji(heading_deg, pitch_deg, roll_deg)
 
 
 def look_covariance(cam_from_world: Matrix, euler_covariance: Matrix) -> Matrix:

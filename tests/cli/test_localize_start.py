@@ -169,3 +169,32 @@ def test_an_unreliable_pose_of_a_photo_without_a_roll_hints_at_it(capsys, folder
     assert "--roll" not in said["given"]
     assert "--roll" not in said["file"]
     assert f"give a better pose in {folder / 'rough.txt'} or a wider --prior-range" in said["file"]
+
+
+def test_a_plain_table_and_lodbench_s_own_begin_at_the_same_poses(capsys, folder):
+    (folder / "rough.txt").write_text(
+        "photo;x;y;altitude (m);yaw;pitch;roll\n"
+        "a.jpg;-30;-40;60;40;-50;0\n"
+        "b.jpg;5;44;80;173.8;-63.25;-120.6\n"
+    )  # fmt: skip
+    assert localize(folder, *start(folder)) == 0
+    found = (folder / "out" / "localized.csv").read_text()
+    capsys.readouterr()
+    again = (
+        "--start",
+        str(folder / "out" / "localized.csv"),
+        "--camera",
+        CAMERA,
+        "--out",
+        str(folder / "again"),
+    )
+    assert localize(folder, *again) == 0
+    assert (folder / "again" / "localized.csv").read_text() == found
+    with (folder / "out" / "localized.csv").open() as stream:
+        rows = {Path(row["photo"]).name: row for row in csv.DictReader(stream)}
+    for name, pose in POSES.items():
+        values = [float(rows[name][key]) for key in ("easting_m", "northing_m", "height_m")]
+        assert values == pytest.approx(pose.center, abs=1e-3)
+    assert [float(rows["b.jpg"][key]) for key in ("heading_deg", "pitch_deg", "roll_deg")] == pytest.approx(
+        [173.8, -63.25, -120.6], abs=1e-3
+    )

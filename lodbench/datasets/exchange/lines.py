@@ -1,7 +1,9 @@
-"""Poses as lines: LoD-Loc's and visuallocalization.net's, TUM's, and folders of 4 x 4 matrices."""
+"""Poses as lines: LoD-Loc's and visuallocalization.net's, TUM's, tables; folders of 4 x 4 matrices."""
 
 from __future__ import annotations
 
+import csv
+import math
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -9,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from lodbench.datasets.exchange.posed import (
+    DEGREES_CRS,
     FoundPose,
     Place,
     content,
@@ -19,7 +22,8 @@ from lodbench.datasets.exchange.posed import (
 from lodbench.datasets.pose_text import format_pose, lines_to_text, parse_pose
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Pose
-from lodbench.storage import write_text
+from lodbench.geometry.looking import rotation_from_look
+from lodbench.storage import show_formula, write_text
 
 
 def read_lines(path: Path) -> Iterator[FoundPose]:
@@ -96,3 +100,105 @@ def write_tum(images: Sequence[FoundPose], path: Path) -> None:
         values = [*(float(v) for v in image.pose.center), x, y, z, w]
         lines.append(" ".join([str(number), *map(repr, values)]))
     write_text(path, lines_to_text(lines))
+
+
+# How heads of tables spell what they hold, without case, unit and what is no letter.
+_SPELLINGS = {
+    "name": "name photo image filename imagename file label",
+    "lat": "lat latitude gpslatitude",
+    "lon": "lon lng long longitude gpslongitude",
+    "east": "east easting x",
+    "north": "north northing y",
+    "height": "height altitude alt elevation up z",
+    "heading": "heading yaw azimuth bearing gimbalyaw",
+    "pitch": "pitch gimbalpitch",
+    "roll": "roll gimbalroll",
+    "crs": "crs",
+}
+_COLUMN_OF = {word: name for name, words in _SPELLINGS.items() for word in words.split()}
+_UNIT = re.compile(r"[\s_]*(?:\b|_)(?:m|metres?|meters?|deg|degrees?)\W*$|(?<=[a-z])Degree$")
+_EARTH, _GRID, _LOOK = ("lat", "lon"), ("east", "north"), ("height", "heading", "pitch")
+TABLE_LAYOUT = (
+    "a head `name,lat,lon,height,heading,pitch` (or `easting,northing`; `roll` if known): m, degrees"
+)
+_LIMITS = {"lat": (-90.0, 90.0), "lon": (-180.0, 180.0), "pitch": (-180.0, 90.0)}
+
+
+def table_columns(head: str) -> list[str]:
+    """Returns what columns hold by their head: ``name``, ``lat``, ..., "" for others; [] of no head."""
+    cells = [cell.strip().strip("\"'#").strip() for cell in head.split(_separator(head))]
+    columns = [_COLUMN_OF.get(re.sub("[^a-z]", "", _UNIT.sub("", cell).lower()), "") for cell in cells]
+    return columns if {*_LOOK, *_EARTH, *_GRID}.intersection(columns) else []
+
+
+def _separator(head: str) -> str:
+    return next((sign for sign in ",;\t" if sign in head), ",")
+
+
+def read_table(path: Path) -> Iterator[FoundPose]:
+    """Yields poses of a table with a head: a place, heading, pitch and, if it is there, roll of each image.
+
+    Heading, pitch and roll are ``LookAngles``: degrees clockwise from true north, above the horizon, about
+    the optical axis. Places are latitude and longitude (WGS 84), or, where a row has none, easting and
+    northing in the city's coordinates or those of a column ``crs``, with headings from their y axis. Heights
+    are the city's, metres. Rows without any number are images without a pose, as in ``localized.csv``.
+
+    Raises:
+        DatasetError: A column is missing or there twice, or a cell is missing, no number, or out of range.
+    """
+    lines = content(path)
+    where, head = next(lines, (str(path), ""))
+    columns = table_columns(head)
+    with Place(where, TABLE_LAYOUT):
+        twice = {name for name in columns if name and columns.count(name) > 1}
+        if twice:
+            raise LodbenchError(f"several columns hold {' and '.join(sorted(twice))}")
+        place = _EARTH if {*_EARTH} & {*columns} else _GRID
+        missing = [name for name in ("name", *place, *_LOOK) if name not in columns]
+        if missing:
+            raise LodbenchError(f"there is no column for {', '.join(missing)}")
+    for where, line in lines:
+        with Place(where, TABLE_LAYOUT):
+            cells = [cell.strip() for cell in _cells(line.rstrip("\r"), _separator(head))]
+            if any(cells[len(columns) :]):
+                raise LodbenchError(f"{len(cells)} values for {len(columns)} columns")
+            row = {name: cell for name, cell in zip(columns, cells, strict=False) if name}
+            found = _of_row(where, row)
+        if found is not None:
+            yield found
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=separator))
+    except csv.Error as error:
+        raise LodbenchError(str(error)) from error
+
+
+def _of_row(where: str, row: dict[str, str]) -> FoundPose | None:
+    """Returns the pose of a row, None if it has no numbers."""
+    if not any(row.get(name) for name in (*_EARTH, *_GRID, *_LOOK)):
+        return None
+    place = _EARTH if row.get("lat") or row.get("lon") or not {*_GRID} & {*row} else _GRID
+    first, second, height, heading, pitch = (_cell(row, name) for name in (*place, *_LOOK))
+    roll = _cell(row, "roll") if row.get("roll") else 0.0
+    if not row.get("name"):
+        raise LodbenchError("name is missing")
+    # Longitude counts to the east, as x does.
+    crs, x, y = (DEGREES_CRS, second, first) if place is _EARTH else (row.get("crs") or None, first, second)
+    pose = Pose.from_center(rotation_from_look(heading, pitch, roll), (x, y, height))
+    return FoundPose(show_formula(row["name"]), where, pose, crs=crs)
+
+
+def _cell(row: dict[str, str], name: str) -> float:
+    text = row.get(name, "")
+    low, high = _LIMITS.get(name, (-math.inf, math.inf))
+    try:
+        value = float(text)
+    except ValueError:
+        raise LodbenchError(f"{name} is {repr(text) + ', no number' if text else 'missing'}") from None
+    if not math.isfinite(value) or not low <= value <= high:
+        raise LodbenchError(
+            f"{name} {text} is not {'finite' if name not in _LIMITS else f'in {low:g} to {high:g}'}"
+        )
+    return value

@@ -10,6 +10,9 @@ from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
 from lodbench.storage.json_text import parse_json
 
+# What poses by latitude and longitude declare.
+DEGREES_CRS = "EPSG:4326"
+
 
 class FoundPose(NamedTuple):
     """A posed image of a file.
@@ -20,6 +23,8 @@ class FoundPose(NamedTuple):
         pose: World to camera.
         camera: Intrinsics of the picture, lens distortion included; None where the format has none.
         crs: Reference system of the pose as its file declares it; None where it declares none.
+            In ``EPSG:4326`` its centre is longitude, latitude (degrees) and height in the city's heights,
+            and it is turned against true north: see ``pose_files.brought``.
         no_camera: Why ``camera`` is None, where the format has one for each image.
     """
 

@@ -117,13 +117,14 @@ def open_semcitylocked(params: SemCityParams) -> Dataset:
 
 def _true_poses(params: SemCityParams) -> dict[str, Pose]:
     """Returns the poses of a file by the stems of their photos, less ``origin``."""
-    from lodbench.datasets.pose_files import read_pose_file
+    from lodbench.datasets.pose_files import brought, read_pose_file
 
     if params.poses is None:
         return {}
     shift = [-value for value in params.origin or (0.0, 0.0, 0.0)]
     _, found = read_pose_file(Path(params.poses).expanduser(), params.poses_format)
-    return {Path(pose.name).stem: pose.pose.shifted(shift) for pose in found}
+    placed, _ = brought(found, params.crs)
+    return {Path(pose.name).stem: pose.pose.shifted(shift) for pose in placed}
 
 
 def _up_axis(city: Path, params: SemCityParams, findings: Findings) -> Literal["y", "z"]:

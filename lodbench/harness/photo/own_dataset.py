@@ -14,7 +14,7 @@ from lodbench import __version__
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.kapture import unposed_images
-from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.exchange.posed import DEGREES_CRS, FoundPose
 from lodbench.datasets.own import (
     OwnImage,
     Written,
@@ -223,7 +223,13 @@ def _images(
 
 
 def _as_asked(image: FoundPose, request: OwnRequest) -> FoundPose:
-    """Returns an image with the camera and the offset that were given."""
+    """Returns an image with the camera and the offset that were given.
+
+    Raises:
+        DatasetError: It has latitude and longitude, which no offset in metres belongs to.
+    """
+    if image.crs == DEGREES_CRS and any(request.offset_m):
+        raise DatasetError(f"{image.where}: no offset belongs to latitude and longitude.", "Leave it out.")
     return image._replace(camera=request.camera or image.camera, pose=image.pose.shifted(request.offset_m))
 
 
