@@ -63,7 +63,7 @@ def main(argv: Sequence[str]) -> int:
         else:
             export = _opened(options, read_whole_run(folder), form)
         with blaming("export_formats", options.format, "write the run"):
-            _report(export_run(export, form, options.out))
+            _report(export_run(export, form, options.out), form)
     return 0
 
 
@@ -150,9 +150,11 @@ def _one_system(reported: Sequence[object], crs: str | None) -> str | None:
     return crs or (named[0] if named else None)
 
 
-def _report(done: Exported) -> None:
-    """Says what was written."""
+def _report(done: Exported, form: ExportFormat) -> None:
+    """Says what was written, and what its angles mean where they are not those of other formats."""
     sys.stdout.write(f"{done.path}: {done.count} pose{'s' * (done.count != 1)}\n")
+    if convention := getattr(form, "convention", ""):
+        sys.stdout.write(f"  angles: {convention}\n")
     if done.without_pose:
         names = ", ".join(done.without_pose[:3]) + (", ..." if len(done.without_pose) > 3 else "")
         sys.stdout.write(f"  without a pose: {count_of(len(done.without_pose), 'queries')}: {names}\n")

@@ -97,6 +97,17 @@ def untrusted_note(predictions: Iterable[Prediction]) -> str:
     )
 
 
+def columns_legend(has_probability: bool, has_score: bool) -> str:
+    """Returns what columns of a table of answers mean: probability and trust, standard deviations, score."""
+    likely = (
+        f"Probability: of being within 2 m and 2 deg; {GOOD} from {_WORDS[0][0]:g}, {DOUBTFUL} from "
+        f"{TRUSTED_PROBABILITY:g}, else {UNTRUSTED} (as with an IoU of mask and model below "
+        f"{TRUSTED_OVERLAP:g}). ± and +-: one standard deviation, as the method estimates it."
+    )
+    fit = "Score: the method's own measure of the fit, higher is better; other methods measure otherwise."
+    return " ".join([*([likely] if has_probability else []), *([fit] if has_score else [])])
+
+
 def trust_word(probability: float) -> str:
     """Returns how far a pose may be trusted that is within 2 m and 2 degrees with a probability."""
     return next((word for least, word in _WORDS if probability >= least), _WORDS[-1][1])

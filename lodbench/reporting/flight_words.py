@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lodbench.evaluation.errors import pose_error
 from lodbench.geometry import Pose
 from lodbench.reporting.aligned_text import count_of
-from lodbench.reporting.answers import UNTRUSTED, rounded_down, trust_counts
+from lodbench.reporting.answers import UNTRUSTED, columns_legend, rounded_down, trust_counts
 from lodbench.reporting.map_figure import Marked, Spot, Underlay, draw_map
 from lodbench.reporting.page import Picture, markup, rendered
 
@@ -338,6 +338,9 @@ def flight_page(
         title=title,
         lines=lines,
         photos=photos,
+        legend=columns_legend(
+            any(photo.probability is not None for photo in photos), any(p.score is not None for p in photos)
+        ),
         has_earth=has_earth,
         place_heads=tuple(head for head, _, _ in place_columns(has_earth)),
         pictures=pictures,

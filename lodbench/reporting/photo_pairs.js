@@ -10,6 +10,15 @@
   for (const toggle of toggles) toggle.addEventListener("change", layer);
   layer();
 
+  // Leads to the picture as its row does; to the row alone where a filter hides it.
+  for (const link of all("a[data-photo]")) {
+    link.addEventListener("click", (event) => {
+      if (document.getElementById("furthest").hidden) return;
+      event.preventDefault();
+      open(link.dataset.photo);
+    });
+  }
+
   // Tags by photo. The page has those of the file beside it; the browser remembers what changes, and an
   // export writes all of them, those of photos that are not on this page too.
   const section = document.querySelector("section.pair");

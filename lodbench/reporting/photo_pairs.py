@@ -138,6 +138,8 @@ def photo_pairs_section(
     return rendered(
         "photo_pairs.html.jinja",
         names=names,
+        furthest=max((p for p in pairs if p.apart is not None), key=lambda p: p.distance_m, default=None),
+        alone=sum(math.isinf(pair.distance_m) for pair in pairs),
         pairs=pairs,
         columns=columns,
         rows=[(pair, [column.cell(pair) for column in columns]) for pair in pairs],

@@ -68,6 +68,12 @@ def test_photos_are_sorted_filtered_and_tagged_and_the_tags_come_back(lodbench, 
         distances = [float(row["apart"]) for row in rows]
         assert distances == [4.0, 3.0, 2.0, 1.0]
         assert photo_shown(shown) == rows[0]["photo"]
+        furthest = shown.locator("section.pair a.furthest")
+        assert f"differ most at {rows[0]['photo']}: 4.00 m and" in shown.inner_text("section.pair")
+        shown.locator("section.pair tbody tr").nth(2).click()
+        assert photo_shown(shown) == rows[2]["photo"]
+        furthest.click()
+        assert photo_shown(shown) == rows[0]["photo"]
         shown.locator('section.pair th[data-name="apart"] button').click()
         assert [row["photo"] for row in rows_of(shown)] == [row["photo"] for row in reversed(rows)]
 

@@ -51,6 +51,10 @@ def test_every_format_is_read_back(capsys, tmp_path, run, name):
     told = capsys.readouterr().out
     assert "2 poses" in told
     assert "without a pose: 1 query: view_02.png" in told
+    # Where angles are not those of the CSV, it says so.
+    angles = {"metashape": "yaw from grid north", "pix4d": "omega, phi, kappa", "odm": "omega, phi, kappa"}
+    assert ("  angles: " in told) == (name in angles)
+    assert f"  angles: {angles.get(name)}" in told or name not in angles
     kind = "lines" if name == "visuallocalization" else name
     path = tmp_path / "out"
     if name == "nerfstudio":

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+
+import numpy as np
 import pytest
 
 from lodbench.evaluation.predictions import Prediction
@@ -11,6 +14,7 @@ from lodbench.reporting.answers import (
     DOUBTFUL,
     GOOD,
     UNTRUSTED,
+    columns_legend,
     format_answers,
     percent_text,
     probability_text,
@@ -67,3 +71,13 @@ def test_answers_are_counted_by_their_words():
     words = [GOOD, *[DOUBTFUL] * 5, UNTRUSTED, UNTRUSTED, "failed", "-"]
     assert trust_counts(words) == "1 good, 5 doubtful, 2 not to be trusted, 1 of unknown trust, 1 failed"
     assert trust_counts([]) == ""
+
+
+def test_a_legend_has_the_thresholds_that_the_words_have():
+    legend = columns_legend(True, True)
+    least = [float(number) for number in re.findall(r"from ([\d.]+)", legend)]
+    assert [trust_word(number) for number in least] == ["good", "doubtful"]
+    assert [trust_word(np.nextafter(number, 0.0)) for number in least] == ["doubtful", "do not trust"]
+    assert "standard deviation" in legend
+    assert columns_legend(False, True).startswith("Score: ")
+    assert columns_legend(False, False) == ""

@@ -73,7 +73,8 @@ class ExportFormat(Protocol):
         requires: Of ``dataset``, ``city`` and ``crs``, what the export must hold.
 
     Offered if the class has it: ``require_room(path)``, which raises where programs would not read what is
-    written there; ``optional``, of the same names as ``requires``, what the export holds if it is known.
+    written there; ``optional``, of the same names as ``requires``, what the export holds if it is known;
+    ``convention``, what is to be known of its angles, in words.
     """
 
     file_name: str
@@ -192,6 +193,14 @@ def _put_in_place(written: Path, path: Path) -> None:
         disk().rename(written, path)
 
 
+_OF_CSV = (
+    "those of csv: heading from true north, pitch -90 straight down and 0 level, roll about the optical axis"
+)
+_OMEGA_PHI_KAPPA = (
+    "omega, phi, kappa about the axes of the coordinates, all 0 straight down with grid north on top; "
+    f"{_OF_CSV}"
+)
+
 _POSE_COLUMNS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz")
 
 
@@ -241,6 +250,7 @@ class Pix4D(_Poses):
     """Pix4D's calibrated external camera parameters: centre, omega, phi, kappa."""
 
     file_name, writer = "calibrated_external_camera_parameters.txt", write_pix4d
+    convention = _OMEGA_PHI_KAPPA
 
 
 class Metashape:
@@ -248,6 +258,10 @@ class Metashape:
 
     file_name = "metashape_reference.txt"
     requires = (CRS,)
+    convention = (
+        "yaw from grid north, pitch 0 straight down and 90 level, roll about the picture's vertical axis; "
+        f"{_OF_CSV}"
+    )
 
     def write(self, export: Export, path: Path) -> None:
         """Writes a line per pose."""
@@ -259,6 +273,7 @@ class Odm:
 
     file_name = "geo.txt"
     requires = (CRS,)
+    convention = _OMEGA_PHI_KAPPA
 
     def write(self, export: Export, path: Path) -> None:
         """Writes the reference system, and a line per pose."""

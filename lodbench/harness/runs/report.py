@@ -22,7 +22,15 @@ from lodbench.harness.runs.predict import open_predictions
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.aligned_text import count_of
-from lodbench.reporting.answers import NATS, probability_text, trust_counts, trust_of, untrusted_note, why_of
+from lodbench.reporting.answers import (
+    NATS,
+    columns_legend,
+    probability_text,
+    trust_counts,
+    trust_of,
+    untrusted_note,
+    why_of,
+)
 from lodbench.reporting.figures import draw_calibration
 from lodbench.reporting.flight_words import constants_in_words, map_in_words
 from lodbench.reporting.map_figure import Underlay
@@ -235,7 +243,11 @@ def _query_table(verdict: Verdict, tilt: str, crs: str | None) -> str:
     columns = [*first, *middle, *last]
     kept = [column for column in columns if _holds_anything(frame[column[1]])]
     rows = list(zip(map(str, frame.index), frame.to_dict("records"), strict=True))
-    return rendered("queries.html.jinja", rows=rows, columns=kept, isfinite=math.isfinite, number=number)
+    names = {name for _, name, _ in kept}
+    legend = columns_legend("probability" in names, "score" in names)
+    return rendered(
+        "queries.html.jinja", rows=rows, columns=kept, legend=legend, isfinite=math.isfinite, number=number
+    )
 
 
 def _crs_of(verdict: Verdict, scene: Scene | None) -> str | None:
