@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -336,3 +337,20 @@ def test_every_decision_is_in_the_index():
     pages = sorted(path.name for path in folder.glob("*.md") if path.name != "index.md")
     assert [name for name in pages if f"({name})" not in index] == []
     assert index.count("](") == len(pages)
+
+
+def test_references_name_decisions_that_are_there():
+    records = {page.name: page.read_text("utf-8") for page in (ROOT / "docs" / "adr").glob("0*.md")}
+    points = {name[:4]: set(re.findall(r"^(\d+)\. ", text, re.M)) for name, text in records.items()}
+    folders = ("baselines", "conf", "data_cards", "docs", "experiments", "lodbench", "tests")
+    inner = (page for folder in folders for page in (ROOT / folder).rglob("*.*"))
+    pages = [page for page in (*ROOT.glob("*.md"), *inner) if page.suffix in {".md", ".py", ".yaml"}]
+    wrong = []
+    for page in pages:
+        text = page.read_text("utf-8")
+        for number, point in re.findall(r"(?:ADR |adr/|\[)(00\d\d)(?:,\W+points? (\d+))?", text):
+            if number not in points or (point and point not in points[number]):
+                wrong.append((page.name, number, point))
+        links = re.findall(r"adr/(\d{4}-[\w-]+\.md)", text)
+        wrong += [(page.name, link) for link in links if link not in records]
+    assert wrong == []

@@ -1,7 +1,7 @@
 """Buildings that are drawn as blocks, and have pitched roofs, as their source tells.
 
 A block ends above the eaves that it stands for, and its edge is nearer to the camera than a ridge: what is
-seen of the roof ends lower (docs/adr/0067).
+seen of the roof ends lower (docs/adr/0012, point 5).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Each point of a model's line shows an edge of the photo nearby, or none. Which of the edges across it is the
 line's is a mixture with a uniform background, whose density is measured on the photo itself (expectation and
-maximisation over a narrowing deviation; docs/adr/0070).
+maximisation over a narrowing deviation; docs/adr/0011, point 11).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _SPREAD = 1.7
 _MOST_POINTS = 3000
 # How far beside lines the background is measured, pixels.
 _BESIDE_PX = 30.0
-# Bases of walls are no evidence (docs/adr/0068).
+# Bases of walls are no evidence (docs/adr/0012, point 6).
 _LOWEST_RISE = 0.2
 
 

@@ -3,15 +3,15 @@
 The mean of the poses that a photo leaves, instead of the one that fits it best. The fit has steps of its
 own below a pixel, and ridges along which tilt and place make up for each other: its maximum is one of many
 local ones, metres apart on a ridge. Their mean, weighed by the posterior, is nearer to the truth
-(docs/adr/0044).
+(docs/adr/0011, point 9).
 
-How much a photo's nats count follows from the photo (docs/adr/0056). Hundreds of lines seem to fix a place to
-a decimetre, but err together; a few say no more than they know.
+How much a photo's nats count follows from the photo (docs/adr/0013, point 2). Hundreds of lines seem to fix a
+place to a decimetre, but err together; a few say no more than they know.
 
 How far a map's own errors may have led an answer astray: its covariance. The curvature of a likelihood says
 how well a photo tells poses apart if the map is right. Houses stand half a metre beside where the map has
 them, and roofs are higher or lower, each building's outline as a whole: few buildings leave much open that
-thousands of pixels seem to say (docs/adr/0043).
+thousands of pixels seem to say (docs/adr/0013, point 1).
 """
 
 from __future__ import annotations
@@ -202,7 +202,7 @@ def posterior_mean(
 
     By adaptive multiple importance sampling: poses are drawn from a Gaussian, the next Gaussian is that of
     all poses so far, and each weighs what the posterior is there over the mean density of all Gaussians
-    (Cornuet et al., "Adaptive multiple importance sampling", 2012; docs/adr/0066).
+    (Cornuet et al., "Adaptive multiple importance sampling", 2012; docs/adr/0011, point 10).
     The likelihood is tempered as far as the place needs to be ``least_m`` wide.
 
     Args:
@@ -222,7 +222,8 @@ def posterior_mean(
         gaussians.append(_Proposal.of(mean, _WIDTH**2 * spread))
         drawn = gaussians[-1].drawn(generator)
         poses = np.concatenate([poses, drawn])
-        # Against the best point at the same share: what a share alone adds is no pose's (docs/adr/0066).
+        # Against the best point at the same share: what a share alone adds is no pose's (docs/adr/0011,
+        # point 10).
         *logs, level = log_likelihood(np.concatenate([drawn, vector[None]]), share) / share
         whole = np.append(whole, np.array(logs) - level)
         priors = np.append(priors, log_prior(drawn))

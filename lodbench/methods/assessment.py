@@ -1,7 +1,7 @@
 """How far to trust an answer of any method: covariance, camera, the photo's edges, the search's bounds.
 
 A stated probability is never more than the covariance allows, what is not known of the camera included, and
-an answer that the photo's own edges contradict is in doubt (docs/adr/0069).
+an answer that the photo's own edges contradict is in doubt (docs/adr/0013, point 5).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _WIDTH, _SPACING_PX, FEWEST_POINTS, _LOWEST_RISE = 1200, 4.0, 30, 0.2
 # What outlines are off by where they are weighed against the prior, and over which length alike, pixels.
 _NOISE_PX, _TOGETHER_PX = 2.0, 40.0
 # Covariances of single photos allow for more than errors are: on 98 answers over two real flights and two
-# cities this share of them states what is found (docs/adr/0069).
+# cities this share of them states what is found (docs/adr/0013, point 5).
 _COVARIANCE_SHARE = 0.5
 # How often a camera is not as declared, and by how many deviations of a nominal one it errs then.
 _MISDECLARED, _WORSE = 0.15, 2.0

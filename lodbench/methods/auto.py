@@ -25,7 +25,7 @@ from lodbench.methods.search_params import SearchRange
 
 # Two answers within 2 m and 2 degrees of the truth are no farther from each other than this.
 _TOGETHER_M, _TOGETHER_DEG = 4.0, 4.0
-# What a mask's probability is worth where the pixels say another place (docs/adr/0059).
+# What a mask's probability is worth where the pixels say another place (docs/adr/0013, point 4).
 _ALONE = 0.5
 
 
@@ -113,8 +113,8 @@ class Auto:
 def fuse_estimates(by_pixels: Estimate, by_mask: Estimate) -> Estimate:
     """Returns the answer by pixels, or the one by a mask where that is more probable, with a note.
 
-    Where the two lie apart, the mask's probability counts half (docs/adr/0059), and the pose by pixels is the
-    first of the alternatives.
+    Where the two lie apart, the mask's probability counts half (docs/adr/0013, point 4), and the pose by
+    pixels is the first of the alternatives.
 
     Args:
         by_pixels: Assessed, in the scene's frame.

@@ -1,4 +1,4 @@
-"""Frames of a video one after the other: each starts from the last pose and motion (docs/adr/0032).
+"""Frames of a video one after the other: each starts from the last pose and motion (docs/adr/0014, point 14).
 
 Outlines are aligned from where the last motion leads; a lost camera is searched for.
 """

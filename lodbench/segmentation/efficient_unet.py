@@ -2,7 +2,7 @@
 
 What a photo's own colours say, taught by the pixels of which a network is sure. A network that has seen no
 roofs like these is sure of some of them, and of most of the ground. A classifier of colour and texture that
-learns from those, on this photo alone, carries it to the rest (docs/adr/0058).
+learns from those, on this photo alone, carries it to the rest (docs/adr/0009, point 8).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""LoD-Loc v2 in six degrees of freedom: the grid, then outlines aligned by least squares (docs/adr/0013)."""
+"""LoD-Loc v2 in six degrees of freedom: the grid, then outlines aligned by least squares (docs/adr/0010)."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Whole flights: photos aligned jointly, with what drone and map are wrong about in all (docs/adr/0031)."""
+"""Whole flights: photos aligned jointly, with what drone and map are wrong about in all (docs/adr/0014)."""
 
 from typing import TYPE_CHECKING
 

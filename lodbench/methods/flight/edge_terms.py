@@ -1,7 +1,8 @@
 """What the edges of a photo say of its pose, and of what all photos share: a block of the least squares.
 
 The model's lines are laid over the photo, and each point of them is compared with the edges across it. Unlike
-a mask that is cut with the map's help, edges do not depend on where the search began (docs/adr/0068).
+a mask that is cut with the map's help, edges do not depend on where the search began (docs/adr/0014,
+point 10).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _LENGTHS_PX = (80.0, 120.0)
 _VIEW_PLACE_M = 0.3
 _NOISE_PX, _BORDER_PX, _LEAST_WEIGHT, _FEWEST_POINTS = (0.7, 12.0), 3.0, 1e-6, 12
 # Where walls end says nothing: hedges, cars and slopes hide it, and of a map the ground errs most.
-# On two real flights the bases of walls show 1 to 2.5 m above the map's (docs/adr/0068).
+# On two real flights the bases of walls show 1 to 2.5 m above the map's (docs/adr/0012, point 6).
 _LOWEST_RISE = 0.2
 # Matrices of points in the last steps; one leads there.
 _MOST_SUBSETS = 4

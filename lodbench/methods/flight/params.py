@@ -213,7 +213,7 @@ class FlightParams:
     def region(self) -> RegionParams:
         """Returns the same for photos that are found by their pixels."""
         # The best pose on the map as it is: what one photo leaves open the others tell, roofs as well.
-        # Without those, lines count where the map is exact (docs/adr/0023).
+        # Without those, lines count where the map is exact (docs/adr/0011, point 5).
         exact = RegionParams(roofs_m=0.0, pitched_lower_m=0.0, own_roofs_m=0.0, feet_m=0.0, eaves_m=0.0)
         # The edges of all photos together refine them.
         as_it_is = replace(exact, place_sigma_m=0.0, edges=False)

@@ -97,8 +97,8 @@ class PoseFinalizer:
         """Returns lines on edges, with tilt and lens as declared, or others where these are plainly likelier.
 
         Where walls end counts only as far as roofs, which nothing hides, do not contradict it
-        (docs/adr/0068); another tilt only where the photo disagrees with the stated one (docs/adr/0064);
-        another lens only beside an exact map: elsewhere roofs make up for it (docs/adr/0061).
+        (docs/adr/0012, point 6); another tilt only where the photo disagrees with the stated one (point 8);
+        another lens only beside an exact map: elsewhere roofs make up for it (point 7).
         """
         params = self._params
         found = self._alignment(params, streams).from_best(starts, self._roofs)

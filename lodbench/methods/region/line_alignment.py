@@ -1,7 +1,7 @@
 """The model's lines aligned with the photo's edges, round by round; each roof's own height is estimated, too.
 
 Lines also choose among the modes of the search: regions take a lawn for a roof of the right size, but no
-edges lie along it (docs/adr/0055).
+edges lie along it (docs/adr/0011, point 7).
 """
 
 from __future__ import annotations

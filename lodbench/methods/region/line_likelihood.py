@@ -2,7 +2,7 @@
 
 Where the map's lines fall on the photo's edges at all: starts where regions have no mode. A street of roofs
 as dark as its yards has its best silhouette elsewhere; edges along its roofs are where they are. Every
-sample of a fine grid is tried with a blurred photo (docs/adr/0057).
+sample of a fine grid is tried with a blurred photo (docs/adr/0011, point 8).
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ Floats = NDArray[np.float64]
 
 # Least angle between two faces to be a line, degrees; distance of points and least length of lines, pixels.
 _CREASE_DEG, _SPACING_PX, _SHORTEST_PX = 25.0, 3.0, 2.0
-# Most points, as far apart as that needs: fewer leave an answer to where they happen to fall (docs/adr/0065).
+# Most points, as far apart as that needs: fewer leave an answer to where they happen to fall (docs/adr/0011,
+# point 6).
 _MOST_POINTS = 6000
 # How strongly edges may stand out along lines: 0 not at all, 1 as ``_log_ratios`` says.
 _STRENGTHS = np.linspace(0.0, 0.97, 12)
@@ -213,7 +214,7 @@ def points_on_lines(
     """Returns points evenly along the lines seen from a pose, (6,), and their distance, pixels.
 
     Lines where walls end are left out, or not: hedges, cars and slopes hide them, and of a map the ground
-    errs most. On two real flights bases show 1 to 2.5 m above the map's (docs/adr/0068).
+    errs most. On two real flights bases show 1 to 2.5 m above the map's (docs/adr/0012, point 6).
     """
     pose = pose_from_vector(vector)
     (seen,) = roofs.at(step).edges(camera, pose.rotation[None], pose.center[None], _CREASE_DEG)

@@ -42,12 +42,12 @@ Floats = NDArray[np.float64]
 
 # Edges that are likelier than background by fewer nats may lie there by chance.
 _LEAST_EVIDENCE = 10.0
-# So many half widths from the prior's tilt, the photo has overruled it (docs/adr/0064).
+# So many half widths from the prior's tilt, the photo has overruled it (docs/adr/0012, point 8).
 _OVERRULED = 2.0
 # A lens so many deviations from the declared one is worth a note.
 _NEWS = 3.0
 # Modes lower by so many nats after a few generations of refinement are given up: of those that 44 answers
-# came from one was, and a third of all are (docs/adr/0066).
+# came from one was, and a third of all are (docs/adr/0011, point 10).
 _PRUNE_BELOW_NATS = 100.0
 
 
@@ -72,8 +72,8 @@ class Region:
     def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
         """Returns the mean of the poses around the most probable one, weighed by photo and prior.
 
-        Where that is not to be trusted, a second search begins from more samples (docs/adr/0055), and from
-        where the map's lines lie along edges (docs/adr/0057). Edges of roofs refine it (docs/adr/0070).
+        Where that is not to be trusted, a second search begins from more samples (docs/adr/0011, point 7),
+        and from where the map's lines lie along edges (point 8). Edges of roofs refine it (point 11).
 
         Raises:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.

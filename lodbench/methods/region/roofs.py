@@ -2,8 +2,8 @@
 
 Blocks end somewhere between eaves and ridge, and are as wide as walls or as roofs, as whoever made the map
 decided: its roofs err alike. The photo shows by how much, and a camera that has to make up for it ends too
-high or too low (docs/adr/0052, docs/adr/0054). So do walls that end higher than in the map, at a slope, a
-hedge or cars (docs/adr/0062).
+high or too low (docs/adr/0012, points 1 and 3). So do walls that end higher than in the map, at a slope, a
+hedge or cars (docs/adr/0012, point 4).
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ _MOST_LINES = 300.0
 # Logistic regression on 684 answers, 531 of them within (2 m, 2 deg): drawn photos in the look `hard`, seeds
 # 103 and 104, over thirteen files; thermal query, labelled and traced real photos, 122 of these from priors
 # of +-50 m and +-30 deg. Labelled photos weigh three times as much. Each weight was held to one sign.
-# docs/adr/0060 says what it does on other answers.
+# docs/adr/0013, point 3 says what it does on other answers.
 _CONSTANT = -18.62
 _OF_ODDS, _OF_AGREEMENT, _OF_LINES, _OF_SHARPNESS, _OF_BEYOND = 0.63, 0.19, 3.2, 7.06, 44.39
 
