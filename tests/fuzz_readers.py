@@ -55,8 +55,9 @@ def targets(folder: Path) -> list[tuple[str, Path, Callable[[], object]]]:
         assert main(["run", *words, "method=prior_only", "segmenter=masks"]) == 0
         (run,) = (folder / "runs").glob("*/*/*")
         assert main(["leaderboard", "add", str(run), "--root", str(folder / "board")]) == 0
-        for name in ("colmap", "kapture", "tum", "nerfstudio"):
-            assert main(["export", str(run), "--format", name, "--out", str(folder / name)]) == 0
+        for name in ("colmap", "kapture", "tum", "nerfstudio", "csv"):
+            out = folder / ("table" if name == "csv" else name)
+            assert main(["export", str(run), "--format", name, "--out", str(out)]) == 0
     write_scene(open_scene(city), folder / "a.scene")
     photo = folder / "photo.jpg"
     exif = Image.Exif()
@@ -85,7 +86,7 @@ def targets(folder: Path) -> list[tuple[str, Path, Callable[[], object]]]:
         found.append((f"verify {name}", run / name, lambda: main(["verify", str(run)])))
     for name in ("scene.json", "vertices.npy", "triangles.npy"):
         found.append((f"scene {name}", folder / "a.scene" / name, lambda: read_scene(folder / "a.scene")))
-    for name in ("colmap", "kapture", "tum", "nerfstudio"):
+    for name in ("colmap", "kapture", "tum", "nerfstudio", "table"):
         place = folder / name
         for file in sorted(place.rglob("*") if place.is_dir() else [place]):
             if file.is_file():

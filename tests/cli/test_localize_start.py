@@ -171,6 +171,20 @@ def test_an_unreliable_pose_of_a_photo_without_a_roll_hints_at_it(capsys, folder
     assert f"give a better pose in {folder / 'rough.txt'} or a wider --prior-range" in said["file"]
 
 
+def test_photos_of_one_name_are_told_apart_by_whole_paths(folder):
+    for number, name in enumerate(POSES):
+        (folder / "photos" / str(number)).mkdir()
+        (folder / "photos" / name).rename(folder / "photos" / str(number) / "same.jpg")
+    head, *rows = "name,x,y,z,heading,pitch\n,-30,-40,60,40,-50\n,5,44,80,170,-60\n".splitlines()
+    paths = [folder / "photos" / str(number) / "same.jpg" for number in range(2)]
+    lines = [head, *(f"{path}{row}" for path, row in zip(paths, rows, strict=True))]
+    (folder / "rough.txt").write_text("\n".join(lines))
+    assert localize(folder, *start(folder)) == 0
+    with (folder / "out" / "localized.csv").open() as stream:
+        found = {row["photo"]: float(row["easting_m"]) for row in csv.DictReader(stream)}
+    assert found == {str(paths[0]): -30.0, str(paths[1]): 5.0}
+
+
 def test_a_plain_table_and_lodbench_s_own_begin_at_the_same_poses(capsys, folder):
     (folder / "rough.txt").write_text(
         "photo;x;y;altitude (m);yaw;pitch;roll\n"

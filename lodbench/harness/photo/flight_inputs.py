@@ -98,7 +98,8 @@ def poses_by_photo(source: Path, found: Sequence[FoundPose], photos: Sequence[Pa
         same = [image for image in images.get(photo.stem, []) if _is_called(photo, image.name)]
         if named[photo.name] > 1 or len(same) > 1:
             whole = _bare(photo.absolute()).as_posix()
-            same = [image for image in same if whole.endswith(f"/{_bare(PurePosixPath(image.name))}")]
+            tails = [f"/{_bare(PurePosixPath(image.name))}".replace("//", "/") for image in same]
+            same = [image for image, tail in zip(same, tails, strict=True) if whole.endswith(tail)]
         if len(same) == 1:
             matched[photo] = same[0]
     claims = Counter(image.name for image in matched.values())

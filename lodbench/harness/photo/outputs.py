@@ -18,10 +18,11 @@ from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
 from lodbench.methods import Estimate
-from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.map_frame import MapFrame, survey_row
 from lodbench.photos.undistort import undistorted
 from lodbench.rendering import Renderer
 from lodbench.reporting.answers import percent_text, rounded_down
+from lodbench.reporting.flight_words import place_columns
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
 from lodbench.reporting.table_columns import finite_text
 from lodbench.reporting.view3d import MAX_PHOTOS, ViewedCamera, draw_view3d, photo_jpeg
@@ -143,7 +144,11 @@ def write_view(
 
 def _facts(found: LocalizedPhoto) -> dict[str, str]:
     """Returns what is stated of a photo, by name."""
-    facts = {"trust": found.trust}
+    row = survey_row(found.pose, found.place)
+    columns = place_columns(found.place is not None)
+    x, y, *others = [format(row[name], spec) for _, name, spec in columns]
+    place = {", ".join(head for head, _, _ in columns[:2]): f"{x}, {y}", "height m": others[0]}
+    facts = {"trust": found.trust} | place | {"heading, pitch, roll deg": ", ".join(others[1:])}
     if found.probability is not None:
         facts["sure"] = percent_text(found.probability)
     moved = f"{found.moved.translation_m:.2f} m, {found.moved.rotation_deg:.2f} deg"
