@@ -129,8 +129,8 @@ def heights_in_words(constant: Mapping[str, Any], source: PriorSource = "metadat
     if abs(value) < max(_OTHER_ZERO_M, _BEYOND_DOUBT * sigma):
         return f"heights in {_GIVEN[source]} are {amount}"
     datum = "the ellipsoid or the take-off point" if value < 0 else "the take-off point"
-    hint = " Set their datum with --heights" if source == "metadata" else ""
-    return f"heights in {_GIVEN[source]} are {amount}: measured from {datum}?{hint}"
+    hint = ". Set their datum with --heights" if source == "metadata" else ""
+    return f"heights in {_GIVEN[source]} are {amount}, as if measured from {datum}{hint}"
 
 
 def map_in_words(findings: Mapping[str, Any], most: int = 5) -> list[str]:

@@ -58,7 +58,7 @@ def test_photos_are_turned_by_the_slider_their_rows_and_the_map(tmp_path, scheme
         assert fits(here)
         words = here.inner_text("main")
         for said in (
-            "Heights in the metadata are 31.9 m too high +-0.4: measured from the ellipsoid or the",
+            "Heights in the metadata are 31.9 m too high +-0.4, as if measured from the ellipsoid or the",
             "5 photos placed: 4 good, 1 not to be trusted; 1 from the other photos alone; 1 left out",
             "no: these photos leave +-1 % open",
             "B<1>",
