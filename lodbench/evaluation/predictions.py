@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymap.surfaces import Surfaces
 from lodbench.datasets.query import Entry
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation.errors import FAILED, FAILED_PARTS, error_parts, pose_error
@@ -19,10 +18,12 @@ from lodbench.evaluation.protocols import EAST_NORTH, GROUND
 from lodbench.evaluation.queries import ERROR, NO_TRUTH, PARTS, PRIOR_ERROR, is_without_truth, queries_frame
 from lodbench.geometry import Pose
 from lodbench.photos.pictures import decoded, has_too_many_pixels
-from lodbench.rendering import Scorer
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from lodbench.citymap.surfaces import Surfaces
+    from lodbench.rendering import Scorer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,6 +174,8 @@ def evaluate(
         tilt: ``prior`` or ``truth``: what the priors have, to be written down.
         columns: Further errors, of ``lodbench.evaluation.protocols``.
     """
+    from lodbench.citymap.surfaces import Surfaces
+
     rows = [
         _row(entry, predictions[entry.key], truth.get(entry.key), priors.get(entry.key), scorer)
         for entry in entries

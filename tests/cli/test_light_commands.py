@@ -57,6 +57,11 @@ def test_a_light_command_loads_nothing_heavy(command, tmp_path):
     assert loaded(code, tmp_path) == "loaded: []"
 
 
+def test_the_help_of_localize_loads_no_compiler(tmp_path):
+    code = "from lodbench.cli import main\ntry:\n    main(['localize', '--help'])\nexcept SystemExit:\n    pass"
+    assert loaded(code, tmp_path) == "loaded: ['scipy']"
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_package_loads_nothing_heavy(package, tmp_path):
     assert loaded(f"import {package}", tmp_path) == "loaded: []"
