@@ -58,7 +58,9 @@ def test_a_light_command_loads_nothing_heavy(command, tmp_path):
 
 
 def test_the_help_of_localize_loads_no_compiler(tmp_path):
-    code = "from lodbench.cli import main\ntry:\n    main(['localize', '--help'])\nexcept SystemExit:\n    pass"
+    code = (
+        "from lodbench.cli import main\ntry:\n    main(['localize', '--help'])\nexcept SystemExit:\n    pass"
+    )
     assert loaded(code, tmp_path) == "loaded: ['scipy']"
 
 
