@@ -283,7 +283,7 @@ class EdgeArrays(NamedTuple):
 
 
 class LinePoses(NamedTuple):
-    """N poses, number by number, and room for what they see of a point; all arrays (N,).
+    """N poses, number by number; all arrays (N,).
 
     Inner loops go along poses, so that several are worked on at a time.
 
@@ -292,21 +292,11 @@ class LinePoses(NamedTuple):
         places: The three of the camera's centre, metres.
         of_all: How much higher than the points say all roofs and the feet of all walls are taken to be, and
             how much farther all eaves to stand out, metres.
-        seen: x, y, z of a line's point in camera axes, and z of its nearer end.
-        across: A direction in the picture across the line.
-        starts: Where in the picture the camera's axis is taken to be, pixels.
-        directions: int64, which of the 12 the line has.
-        cells: int64, which of all levels the point meets, or -1.
     """
 
     turns: tuple[Floats, ...]
     places: tuple[Floats, ...]
     of_all: tuple[Floats, ...]
-    seen: tuple[Floats, ...]
-    across: tuple[Floats, ...]
-    starts: tuple[Floats, ...]
-    directions: NDArray[np.int64]
-    cells: NDArray[np.int64]
 
 
 class LinePoints(NamedTuple):

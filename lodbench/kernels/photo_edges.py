@@ -4,12 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.kernels.compiled import part, uncounted
+from lodbench.kernels.compiled import inlined, kernel, per_pixel, uncounted
 
 # Levels of strength, equally full over all pixels and directions, and directions over half a turn.
 EDGE_LEVELS, DIRECTIONS = 16, 12
 # Steps of strength per mean strength, and how many are told apart.
 FINE_STEPS, FINEST = 256.0, 4095
+
+
+@inlined
+def _room(count):
+    """Returns room for what so many poses see of a point.
+
+    x, y, z of a line's point in camera axes and z of its nearer end; a direction in the picture across the
+    line; where in the picture the camera's axis is taken to be, pixels; which of the 12 directions the line
+    has; and which of all levels the point meets, or -1.
+    """
+    # Made here: of arrays that are handed in a compiler cannot know that they do not overlap, and works on
+    # one pose at a time.
+    seen = (np.empty(count), np.empty(count), np.empty(count), np.empty(count))
+    across, starts = (np.empty(count), np.empty(count)), (np.empty(count), np.empty(count))
+    return seen, across, starts, np.empty(count, np.int64), np.empty(count, np.int64)
 
 
 @uncounted
@@ -31,7 +46,7 @@ _COSINES, _SINES = (turn((np.arange(DIRECTIONS) + 0.5) * (np.pi / DIRECTIONS)) f
 _NEAREST_M = 1.0
 
 
-@uncounted
+@kernel
 def sum_along_lines(lines, poses, intrinsics, levels, shape, own_m, worth, sums):
     """Adds up what the levels are worth that points of lines meet in a photo; outside is worth nothing.
 
@@ -48,8 +63,9 @@ def sum_along_lines(lines, poses, intrinsics, levels, shape, own_m, worth, sums)
         sums: (N, B, D) float64 to add to.
     """
     points, rises, lifts, outward, kinds, buildings = lines
-    turns, places, of_all, seen, across, starts, directions, cells = poses
-    count = len(cells)
+    turns, places, of_all = poses
+    count = len(turns[0])
+    seen, across, starts, directions, cells = _room(count)
     for n in range(count):
         starts[0][n], starts[1][n] = intrinsics[2], intrinsics[3]
     for i in range(len(points)):
@@ -72,7 +88,7 @@ def sum_along_lines(lines, poses, intrinsics, levels, shape, own_m, worth, sums)
                             sums[n, building, k] += value
 
 
-@uncounted
+@kernel
 def count_along_lines(lines, pose, intrinsics, levels, shape, offset_px, own_m, counts):
     """Counts the points of lines that meet each level in a photo, as seen from one pose.
 
@@ -87,7 +103,8 @@ def count_along_lines(lines, pose, intrinsics, levels, shape, offset_px, own_m, 
         counts: (K, B, D, 16) int64 to add to, by kind, building and height of its roof.
     """
     points, rises, lifts, outward, kinds, buildings = lines
-    turns, places, of_all, seen, across, starts, directions, cells = pose
+    turns, places, of_all = pose
+    seen, across, starts, directions, cells = _room(1)
     for i in range(len(points)):
         of_point = counts[kinds[i], buildings[i]]
         _see_lines(points[i], rises[i], lifts[i], outward[i], turns, places, of_all, intrinsics, seen, across)
@@ -99,7 +116,7 @@ def count_along_lines(lines, pose, intrinsics, levels, shape, offset_px, own_m, 
                 of_point[d, levels[cells[0]]] += 1
 
 
-@part
+@per_pixel
 def _see_lines(ends, rises, lifts, outward, turns, centers, of_all, intrinsics, seen, across):
     """Writes where a line's point and its nearer end are in the axes of each camera, and what is across it.
 
@@ -131,7 +148,7 @@ def _see_lines(ends, rises, lifts, outward, turns, centers, of_all, intrinsics, 
         across_u[n], across_v[n] = focal_y * (y * r - t * z), focal_x * (s * z - x * r)
 
 
-@part
+@per_pixel
 def _find_directions(across, directions):
     """Writes which of the directions over half a turn is nearest to each line's across, without its angle."""
     across_u, across_v = across
@@ -144,7 +161,7 @@ def _find_directions(across, directions):
         directions[n] = 0 if passed == DIRECTIONS else passed
 
 
-@part
+@per_pixel
 def _step_aside(offset_px, intrinsics, across, starts):
     """Writes where in the picture each camera's axis is taken to be, so far beside the line, pixels."""
     (across_u, across_v), (left, top) = across, starts
@@ -154,7 +171,7 @@ def _step_aside(offset_px, intrinsics, across, starts):
         left[n], top[n] = intrinsics[2] + share * u, intrinsics[3] + share * v
 
 
-@part
+@per_pixel
 def _find_cells(own_m, rise, turns, seen, starts, directions, intrinsics, shape, cells):
     """Writes which of all levels, one after the other, each pose meets; -1 outside the picture."""
     height, width, count = shape

@@ -335,9 +335,7 @@ def line_poses(rotations: Floats, centers: Floats, of_all_m: Floats) -> LinePose
     turns, places, of_all = (
         tuple(np.ascontiguousarray(each.reshape(count, -1).T)) for each in (rotations, centers, of_all_m)
     )
-    seen, across, starts = (tuple(np.empty(count) for _ in range(size)) for size in (4, 2, 2))
-    room = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
-    return LinePoses(turns, places, of_all, seen, across, starts, *room)
+    return LinePoses(turns, places, of_all)
 
 
 def _some_points(roofs: RaisedRoofs, camera: Camera, vector: Floats) -> tuple[LinePoints, float]:
