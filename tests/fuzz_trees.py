@@ -209,11 +209,7 @@ def _polygons(folder: Path) -> Iterator[tuple[str, Any, Try]]:
         "frames": [frame, {**frame, "file_path": "images/b.jpg"}],
     }
     file = folder / "transforms.json"
-    yield (
-        "transforms.json",
-        tree,
-        _written(file, lambda path: list(read_pose_file(path, "nerfstudio"))),
-    )
+    yield ("transforms.json", tree, _written(file, lambda path: list(read_pose_file(path, "nerfstudio"))))
 
 
 MADE = {

@@ -153,38 +153,14 @@ MAKERS = {
 @pytest.mark.parametrize(
     ("kind", "size", "told"),
     [
-        (
-            "method",
-            -1,
-            "The method 'kit' cannot take its settings: ValueError: size is negative",
-        ),
-        (
-            "method",
-            1,
-            "The method 'kit' cannot be made: ModuleNotFoundError: No module named",
-        ),
+        ("method", -1, "The method 'kit' cannot take its settings: ValueError: size is negative"),
+        ("method", 1, "The method 'kit' cannot be made: ModuleNotFoundError: No module named"),
         ("method", 2, "The method 'kit' cannot be made: SystemExit: gone"),
-        (
-            "segmenter",
-            -1,
-            "The segmenter 'kit' cannot be made: ValueError: size is negative",
-        ),
-        (
-            "segmenter",
-            1,
-            "The segmenter 'kit' cannot be made: ModuleNotFoundError: No module named",
-        ),
-        (
-            "dataset",
-            -1,
-            "The dataset 'kit' cannot take its settings: ValueError: size is negative",
-        ),
+        ("segmenter", -1, "The segmenter 'kit' cannot be made: ValueError: size is negative"),
+        ("segmenter", 1, "The segmenter 'kit' cannot be made: ModuleNotFoundError: No module named"),
+        ("dataset", -1, "The dataset 'kit' cannot take its settings: ValueError: size is negative"),
         ("dataset", 0, "The dataset 'kit' cannot be opened: KeyError: 'gone'"),
-        (
-            "dataset",
-            1,
-            "The dataset 'kit' cannot be opened: TypeError: int came out instead of Dataset",
-        ),
+        ("dataset", 1, "The dataset 'kit' cannot be opened: TypeError: int came out instead of Dataset"),
         ("dataset", 2, "in its own words"),
     ],
 )

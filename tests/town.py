@@ -67,8 +67,7 @@ def true_poses(count: int) -> dict[str, Pose]:
     generator = np.random.default_rng(7)
     return {
         f"view_{i:02d}.png": Pose.from_euler(
-            EulerAngles(20 + 5 * (i % 4), 0.4, -70 + 45 * i),
-            [*generator.uniform(-12, 12, 2), 120 + 6 * i],
+            EulerAngles(20 + 5 * (i % 4), 0.4, -70 + 45 * i), [*generator.uniform(-12, 12, 2), 120 + 6 * i]
         )
         for i in range(count)
     }

@@ -61,8 +61,7 @@ def moved(pose: Pose, move_m, turn_deg) -> Pose:
 
 
 @given(
-    st.lists(st.tuples(*[st.floats(-50, 50)] * 6), min_size=1, max_size=5),
-    st.sampled_from([0.3, 1.0, 7.0]),
+    st.lists(st.tuples(*[st.floats(-50, 50)] * 6), min_size=1, max_size=5), st.sampled_from([0.3, 1.0, 7.0])
 )
 def test_points_lie_on_their_segments_ends_included_no_further_apart_than_asked(numbers, spacing_m):
     segments = np.array(numbers).reshape(-1, 2, 3)

@@ -69,10 +69,7 @@ class TestTheReport:
         ends = trials((1.0, 0.1, 0.5), (1.0, 0.1, 0.5), (9.0, 0.1, 0.5), (9.0, 0.1, 0.5))
         one, two = (
             report_real(each, "data").text.splitlines()
-            for each in (
-                ends,
-                ends.assign(photo=["a", "a", "b", "b"]),
-            )
+            for each in (ends, ends.assign(photo=["a", "a", "b", "b"]))
         )
         # One photo says nothing of others; of two that are wholly right and wholly wrong, all may be.
         assert " to " not in one[2]

@@ -263,10 +263,7 @@ class TestGround:
         assert np.isnan(ground.at(np.array([[9000.0, 0]])).height_m).all()
         assert ground.distances(
             np.array([0, 0, 100.0]), np.array([[1.0, 0, 0.1], [1.0, 0, -0.005]])
-        ).tolist() == [
-            np.inf,
-            np.inf,
-        ]
+        ).tolist() == [np.inf, np.inf]
 
     def test_a_wall_s_part_below_it_is_not_met(self):
         box = np.array([[x, y, z] for z in (-20.0, 10.0) for x, y in ((0, 0), (10, 0), (10, 10), (0, 10))])

@@ -359,8 +359,7 @@ def test_metadata_in_a_list_name_the_system(tmp_path: Path, metadata: Any) -> No
 
 
 @pytest.mark.parametrize(
-    ("scale", "axes"),
-    [([0, 0, 0], "x and y"), ([0.001, 0, 0.001], "y"), ([0.0, 0.001, 0.001], "x")],
+    ("scale", "axes"), [([0, 0, 0], "x and y"), ([0.001, 0, 0.001], "y"), ([0.0, 0.001, 0.001], "x")]
 )
 def test_a_scale_of_zero_is_called_what_it_is(tmp_path: Path, scale: list[float], axes: str) -> None:
     transform = {"scale": scale, "translate": [85000.0, 446000.0, 0.0]}

@@ -99,8 +99,7 @@ def test_a_part_that_ended_goes_and_its_building_stays(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "attributes",
-    [{"terminationDate": "2015-06-30"}, {"validTo": "2015-06-30"}, {"yearOfDemolition": 2014}],
+    "attributes", [{"terminationDate": "2015-06-30"}, {"validTo": "2015-06-30"}, {"yearOfDemolition": 2014}]
 )
 def test_cityjson_says_it_in_attributes(tmp_path, attributes):
     shape = surface([0, 1, 2, 3])

@@ -42,9 +42,7 @@ def _rows(kinds: tuple[str, ...]) -> list[Row]:
 
 FILES = [row for row in _rows(("CityGML", "CityJSON")) if "503100000000296" not in row.path]
 # Polygons of the sources that fold over or cross themselves, by eye.
-CROSSING = {
-    "ingolstadt_lod3/4018148.xml": 1,
-}
+CROSSING = {"ingolstadt_lod3/4018148.xml": 1}
 
 
 def newell_areas(model: CityModel) -> list[float]:

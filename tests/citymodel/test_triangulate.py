@@ -107,10 +107,7 @@ class TestFindings:
 
     @pytest.mark.parametrize(
         "outline",
-        [
-            ring((0, 0), (4, 4), (4, 0), (0, 3)),
-            ring((0, 0), (4, 0), (4, 4), (1, -1), (0, 4)),
-        ],
+        [ring((0, 0), (4, 4), (4, 0), (0, 3)), ring((0, 0), (4, 0), (4, 4), (1, -1), (0, 4))],
         ids=["bow-tie", "pentagon"],
     )
     def test_crossing_rings(self, outline: NDArray[np.float64]) -> None:

@@ -51,10 +51,7 @@ def test_a_city_named_twice_is_read_once(capsys, folder, words, count, told):
     ("words", "told"),
     [
         (["tiles", "out.scene", "--lod", "9"], "level of detail 9"),
-        (
-            ["tiles", "out.scene", "--lod", "1", "--roof-height", "meidan"],
-            "--roof-height=meidan is",
-        ),
+        (["tiles", "out.scene", "--lod", "1", "--roof-height", "meidan"], "--roof-height=meidan is"),
         (["a.gml", "out.scene", "--lod", "9"], "level of detail 9"),
         (["a.gml", "new/t.gml", "--tiles", "100", "--lod", "9"], "level of detail 9"),
         (["a.gml", "new/t.gml", "--tiles", "100", "--id", "nix"], "nix"),

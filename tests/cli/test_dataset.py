@@ -255,8 +255,7 @@ class TestPriors:
         assert "the run's own priors.txt" in verified.stdout
 
     @pytest.mark.parametrize(
-        ("line", "reason"),
-        [("gone.png 1 0 0 0 1 2 3", "not a query"), ("view_00.png 1 0 0 0 1 2", "line 1")],
+        ("line", "reason"), [("gone.png 1 0 0 0 1 2 3", "not a query"), ("view_00.png 1 0 0 0 1 2", "line 1")]
     )
     def test_a_bad_file_of_priors(self, lodbench, tmp_path, line, reason):
         root, city = write_dataset(tmp_path / "town")

@@ -43,10 +43,7 @@ def _init(f: SimpleNamespace) -> list[str]:
 
 @pytest.mark.parametrize(
     "words",
-    [
-        lambda f: _at(f, f.flight),
-        lambda f: [*_placed(f, f.model), "--images", f.flight],
-    ],
+    [lambda f: _at(f, f.flight), lambda f: [*_placed(f, f.model), "--images", f.flight]],
     ids=["localize", "georeference"],
 )
 def test_sidecars_where_nothing_may_be_written_are_refused_first(files, capsys, tmp_path, monkeypatch, words):

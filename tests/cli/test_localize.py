@@ -16,15 +16,7 @@ from lodbench.cli.localize import main
 from lodbench.errors import DatasetError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Camera, EulerAngles, Pose
-from tests.cli.photo_case import (
-    CITIES,
-    HEIGHT,
-    PINHOLE,
-    WIDTH,
-    localize,
-    make_case,
-    pose_of,
-)
+from tests.cli.photo_case import CITIES, HEIGHT, PINHOLE, WIDTH, localize, make_case, pose_of
 from tests.photos.dji_photo import exif_of, write_photo
 from tests.town import box_obj
 

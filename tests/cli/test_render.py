@@ -180,10 +180,7 @@ def test_silhouettes_are_the_same_bytes_whatever_the_renderer(render, renderer):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (
-            ["kind=depth", "renderer=silhouette"],
-            ["kind=depth", "open3d, pyrender, raster"],
-        ),
+        (["kind=depth", "renderer=silhouette"], ["kind=depth", "open3d, pyrender, raster"]),
         (["kind=label", "renderer=pyrender"], ["kind=label", "one of: raster"]),
         (["kind=colour", "renderer=reference"], ["kind=colour"]),
         (["kind=dept"], ["dept", "depth"]),

@@ -24,12 +24,7 @@ def runs(lodbench, tmp_path) -> list[str]:
 
 @pytest.mark.parametrize(
     "words",
-    [
-        ["report"],
-        ["export", "--format", "csv"],
-        ["compare"],
-        ["leaderboard", "add"],
-    ],
+    [["report"], ["export", "--format", "csv"], ["compare"], ["leaderboard", "add"]],
     ids=lambda words: words[0],
 )
 def test_what_is_no_run_is_passed_over_with_a_note(lodbench, tmp_path, runs, words):

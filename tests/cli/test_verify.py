@@ -398,10 +398,7 @@ def test_a_run_s_own_files_are_not_written_over(lodbench, run, words, out, said)
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (
-            ["verify", "RUN", "--city", "nosuch.gml"],
-            "nosuch.gml does not exist.",
-        ),
+        (["verify", "RUN", "--city", "nosuch.gml"], "nosuch.gml does not exist."),
         (["report", "RUN", "--dataset-root", "nosuch"], "Check the path after --dataset-root."),
         (["export", "RUN", "--format", "tum", "--city", "nosuch"], "--format tum needs poses alone."),
     ],

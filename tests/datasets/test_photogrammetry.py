@@ -113,11 +113,7 @@ def test_metashape_s_estimates_go_before_its_source_and_markers_are_no_cameras(t
 
 @pytest.mark.parametrize(
     ("name", "crs"),
-    [
-        ("EPSG:25833", "EPSG:25833"),
-        ("EPSG:25832+7837", "EPSG:25832"),
-        ("EPSG:32632+5773", "EPSG:32632"),
-    ],
+    [("EPSG:25833", "EPSG:25833"), ("EPSG:25832+7837", "EPSG:25832"), ("EPSG:32632+5773", "EPSG:32632")],
 )
 def test_metashape_s_system_goes_along(tmp_path, name, crs):
     system = CRS(name).to_wkt("WKT1_GDAL")

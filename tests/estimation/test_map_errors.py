@@ -91,15 +91,7 @@ def test_more_buildings_say_more_however_sharp_the_photo():
 
 def test_an_exact_map_leaves_the_curvature(monkeypatch):
     points = outline_of(9)
-    for name in (
-        "_PLACE_M",
-        "_ROOF_M",
-        "_PART_M",
-        "_ROOFS_M",
-        "_BASE_M",
-        "_TOGETHER_PX",
-        "_OWN_PX",
-    ):
+    for name in ("_PLACE_M", "_ROOF_M", "_PART_M", "_ROOFS_M", "_BASE_M", "_TOGETHER_PX", "_OWN_PX"):
         monkeypatch.setattr(map_errors, name, 1e-6)
     plain = np.sqrt(np.diagonal(np.linalg.inv(information_of(points, 1.0) + PRIOR)))
     np.testing.assert_allclose(sigmas(points, lens_percent=1e-6), plain, rtol=5e-3)

@@ -11,12 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from lodbench.evaluation import statistics
-from lodbench.evaluation.statistics import (
-    bootstrap_means,
-    bootstrap_median,
-    mcnemar,
-    paired_medians,
-)
+from lodbench.evaluation.statistics import bootstrap_means, bootstrap_median, mcnemar, paired_medians
 
 values = st.lists(st.floats(0, 100), min_size=2, max_size=60)
 

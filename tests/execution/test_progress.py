@@ -25,10 +25,7 @@ class TestProgress:
         with Progress("views", 8, log) as progress:
             for _ in range(4):
                 progress.advance()
-        assert log.getvalue().splitlines() == [
-            "views: 2 of 8",
-            "views: 4 of 8, 1 min 24 s left",
-        ]
+        assert log.getvalue().splitlines() == ["views: 2 of 8", "views: 4 of 8, 1 min 24 s left"]
 
     def test_a_bar_on_a_terminal_leaves_no_trace(self):
         screen = Terminal()

@@ -198,11 +198,7 @@ class TestFromPhotos:
         [
             ([], None, (0.5, 0.35, 0.01, "dewarp")),
             ([(b"DewarpData", b"DewarpNone")], 1.0, (1.5, 0.7, 0.03, "sensor")),
-            (
-                [(b"DewarpData", b"DewarpNone"), (b"FC6310R", b"FC6310X")],
-                1.56,
-                (1.56, 0.7, 0.03, "35mm"),
-            ),
+            ([(b"DewarpData", b"DewarpNone"), (b"FC6310R", b"FC6310X")], 1.56, (1.56, 0.7, 0.03, "35mm")),
         ],
         ids=["calibrated", "sensor", "35mm"],
     )

@@ -11,9 +11,7 @@ from lodbench.estimation.outline import OutlinePoints
 from lodbench.estimation.outline_alignment import Residuals
 from lodbench.estimation.probability import probability_within
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.geometry.pose_vector import (
-    vector_from_pose,
-)
+from lodbench.geometry.pose_vector import vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignmentParams
 from lodbench.methods.contour_alignment.hypotheses import Hypothesis, Refined, among_rivals, answer_of
 from lodbench.methods.contour_alignment.likelihood import TRACKS, _weights, in_chunks

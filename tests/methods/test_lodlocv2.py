@@ -33,11 +33,7 @@ def streams_of(seed: int):
 
 def as_numbers(estimate) -> tuple:
     """Returns all of an estimate but its wall times, exactly."""
-    return (
-        estimate.pose.cam_from_world.tobytes(),
-        estimate.score,
-        tuple(sorted(estimate.trace.items())),
-    )
+    return (estimate.pose.cam_from_world.tobytes(), estimate.score, tuple(sorted(estimate.trace.items())))
 
 
 class TestFull:

@@ -89,10 +89,7 @@ def exif_of(
         position |= {3: "W" if longitude < 0 else "E", 4: _sexagesimal(longitude)}
     if altitude is not None:
         reference = int(altitude < 0) if altitude_ref is None else altitude_ref
-        position |= {
-            5: bytes([reference]),
-            6: IFDRational(round(abs(altitude) * 1000), 1000),
-        }
+        position |= {5: bytes([reference]), 6: IFDRational(round(abs(altitude) * 1000), 1000)}
     exif._ifds[0x8825] = position
     return exif.tobytes()
 

@@ -8,15 +8,7 @@ from hostile_scenes import box, scene_of
 
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotations_at_yaws
-from lodbench.rendering import (
-    DEPTH,
-    LAYERS,
-    IouCounts,
-    IouFit,
-    make_renderer,
-    open_renderer,
-    renderers_with,
-)
+from lodbench.rendering import DEPTH, LAYERS, IouCounts, IouFit, make_renderer, open_renderer, renderers_with
 
 CAMERA = Camera(65, 40, 50.0, 50.0, 32.0, 20.0)
 SCENE = scene_of(box([-5, -5, 0], [10, 10, 10]), box([12, 0, 0], [4, 9, 20]))

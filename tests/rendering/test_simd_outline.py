@@ -125,9 +125,6 @@ def test_faces_turn_as_their_exact_area_says(numbers):
     v = np.array(numbers[3 * LANES :], dtype=np.int32)
     facing = np.full(LANES, 7, dtype=np.int32)
     _face(*(np.array([i], dtype=np.uint32) for i in range(3)), u, v, facing)
-    (ua, ub, uc), (va, vb, vc) = (
-        u.astype(object).reshape(3, LANES),
-        v.astype(object).reshape(3, LANES),
-    )
+    (ua, ub, uc), (va, vb, vc) = (u.astype(object).reshape(3, LANES), v.astype(object).reshape(3, LANES))
     area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va)
     np.testing.assert_array_equal(facing, np.sign(area.astype(np.float64)))

@@ -199,10 +199,7 @@ LOADERS = {
                 array("Scene_01/*.npz", "xyz", lambda a: a * np.inf),
                 "xyz has values that are not finite",
             ),
-            "angles elsewhere": (
-                array("Scene_01/*.npz", "euler_deg", lambda a: a + 40),
-                "agree in 2 of 3",
-            ),
+            "angles elsewhere": (array("Scene_01/*.npz", "euler_deg", lambda a: a + 40), "agree in 2 of 3"),
             "photo outside": (
                 array("Scene_01/*3.npz", "image_relpath", lambda a: np.array("../../etc/passwd")),
                 "is no file beside it",
@@ -294,10 +291,7 @@ LOADERS = {
             "prior of six numbers": (replaced("Query/poses/w*", r" \S+$", ""), "w_pose.txt, line 1"),
             "tile without faces": (replaced("Model/*.obj", "^f .*$", "", 0), "tile_0_0.obj"),
         },
-        bad_settings={
-            "map_origin=[1,2]": "takes three numbers",
-            "textured_map=nowhere": "does not exist",
-        },
+        bad_settings={"map_origin=[1,2]": "takes three numbers", "textured_map=nowhere": "does not exist"},
     ),
 }
 

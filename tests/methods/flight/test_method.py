@@ -193,11 +193,7 @@ def dense_solution(state, terms, params):
     for k, term in enumerate(terms):
         pose, offset = np.arange(6 * k, 6 * k + 6), np.arange(base, base + 6)
         rows = np.concatenate(
-            [
-                pose,
-                np.arange(base + 6, base + 6 + LENS),
-                base + constants + buildings + term.parts,
-            ]
+            [pose, np.arange(base + 6, base + 6 + LENS), base + constants + buildings + term.parts]
         )
         known = slice(0, len(rows))
         matrix[np.ix_(rows, rows)] += state.weights[k] * term.information[known, known]
