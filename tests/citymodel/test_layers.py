@@ -1,6 +1,4 @@
-"""Bridges, trees, terrain and rooms: left out and counted, or part of the scene when asked for."""
-
-from __future__ import annotations
+"""Layers and levels: bridges, trees, terrain and rooms counted or read; parts with levels of their own."""
 
 import json
 from pathlib import Path
@@ -9,10 +7,12 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import ReadOptions, city_info, mesh_model, parse_city_model, read_city_model
+from lodbench.citymodel.meshing import CityMesh
 from lodbench.citymodel.source import open_sources
 from lodbench.errors import ConfigError
 
 from .gml_text import box_area, box_rings, city, member, polygon, solid, surface_members, write
+from .models import model_of
 
 _MODULES = {"brid": "bridge", "veg": "vegetation", "dem": "relief", "frn": "cityfurniture", "b": "building"}
 _SPACES = " ".join(
@@ -188,3 +188,44 @@ def test_real_interiors(shared_data: Path) -> None:
         for layers in ((), ("interiors",))
     )
     assert inside > 1.5 * outside
+
+
+AREA = box_area()
+
+
+def box(k: int, lod: int) -> str:
+    return solid(surface_members(map(polygon, box_rings(x=500000.0 + 40 * k))), lod)
+
+
+def part(name: str, content: str) -> str:
+    inner = f'<bldg:BuildingPart gml:id="{name}">{content}</bldg:BuildingPart>'
+    return f"<bldg:consistsOfBuildingPart>{inner}</bldg:consistsOfBuildingPart>"
+
+
+def chimney(k: int, lod: int) -> str:
+    shape = box(k, lod).replace(f"lod{lod}Solid", f"lod{lod}Geometry")
+    inner = f'<bldg:BuildingInstallation gml:id="chimney">{shape}</bldg:BuildingInstallation>'
+    return f"<bldg:outerBuildingInstallation>{inner}</bldg:outerBuildingInstallation>"
+
+
+@pytest.mark.parametrize(
+    ("content", "lod", "boxes", "absent"),
+    [
+        (box(0, 2) + chimney(1, 3), "finest", 2, []),
+        (box(0, 2) + chimney(1, 3), "coarsest", 1, []),
+        (box(0, 1) + box(0, 2) + chimney(1, 2), "coarsest", 1, []),
+        (box(0, 1) + box(0, 2) + chimney(1, 2), "finest", 2, []),
+        (chimney(1, 2) + chimney(2, 3), "finest", 2, []),
+        (part("p", box(0, 1) + box(0, 2)) + part("q", box(1, 1)), "finest", 2, []),
+        (part("p", box(0, 1) + box(0, 2)) + part("q", box(1, 1)), "2", 1, ["q"]),
+        (part("p", box(0, 1) + box(0, 2)) + part("q", box(1, 2)), "coarsest", 2, []),
+        # The building's own block stands for its parts, and they for it.
+        (box(0, 1) + part("p", box(0, 2)) + part("q", box(1, 2)), "finest", 2, []),
+        (box(0, 1) + part("p", box(0, 2)) + part("q", box(1, 2)), "coarsest", 1, []),
+        (box(0, 1) + part("p", box(0, 2)) + part("q", box(1, 2)), "1", 1, []),
+    ],
+)
+def test_what_is_meshed(tmp_path: Path, content: str, lod: str, boxes: int, absent: list[str]) -> None:
+    mesh: CityMesh = mesh_model(model_of(tmp_path, city(member(content))), lod)
+    assert mesh.meshed_m2 == pytest.approx(boxes * AREA)
+    assert [item.object_id for item in mesh.findings.items] == absent

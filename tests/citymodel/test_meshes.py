@@ -1,17 +1,21 @@
-"""Meshes as cities: what they need, damage, files that they name."""
-
-from __future__ import annotations
+"""Meshes as cities: needs, damage, files they name, pictures; the same city when written and read again."""
 
 import json
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from lodbench.citymodel import ReadOptions, read_city_model
-from lodbench.errors import CityModelError
+from lodbench.citymodel.convert import convert_city
+from lodbench.citymodel.mesh.frames import frame_of_comments, frame_of_extras
+from lodbench.citymodel.mesh.texture_files import read_textured
+from lodbench.cli import main
+from lodbench.errors import CityModelError, DatasetError
 
-from .gml_text import write
-from .textured_case import write_glb, write_gltf, write_picture
+from .gml_text import box_city, write
+from .textured_case import assert_is_the_roof, write_glb, write_gltf, write_gml, write_obj, write_picture
 
 
 class TestMeshes:
@@ -80,3 +84,148 @@ def test_what_is_asked_for_in_a_binary_file_is_told_too(tmp_path: Path) -> None:
     path = write_glb(tmp_path, lambda content: content.update(extensionsRequired=draco))
     with pytest.raises(CityModelError, match="KHR_draco_mesh_compression"):
         read_city_model(path)
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.ply", "a.glb"])
+def test_there_and_back(tmp_path: Path, name: str) -> None:
+    model = read_city_model(write(tmp_path / "a.gml", box_city()))
+    convert_city(model, tmp_path / name)
+    again = read_city_model(tmp_path / name)
+    assert again.crs == "EPSG:25832"
+    assert again.findings.counts() == {}
+    for corner in (np.min, np.max):
+        placed = [corner(m.polygons.points, axis=0) + m.origin for m in (model, again)]
+        assert placed[0] == pytest.approx(placed[1], abs=1e-3)
+
+
+def test_what_others_write_is_no_frame() -> None:
+    assert frame_of_comments(["origin of all things", "crs none of it"]) is None
+    assert frame_of_comments(["origin 1 2 nan", "crs EPSG:25832"]) is None
+    assert frame_of_extras({"lodbench": {"origin": [1, 2], "crs": None}}) is None
+    assert frame_of_extras({"lodbench": {"origin": [1, 2, 3], "crs": 7}}) is None
+    assert frame_of_extras(None) is None
+
+
+@pytest.mark.parametrize("options", ["-s 1 1 1 ", "-o 0 0 -blendu on ", "-clamp on "])
+def test_options_before_a_picture_s_name_are_passed_over(tmp_path, options):
+    write_picture(tmp_path / "roof.png")
+    assert_is_the_roof(read_textured(write_obj(tmp_path, f"{options}roof.png")))
+
+
+@pytest.mark.parametrize("options", ["-s 2 2 1 ", "-blendu on -o 0 0.5 ", "-o -0.5 0 "])
+def test_options_that_move_a_picture_are_refused(tmp_path, options):
+    write_picture(tmp_path / "roof.png")
+    with pytest.raises(DatasetError, match=r"map\.mtl: .* moves its picture"):
+        read_textured(write_obj(tmp_path, f"{options}roof.png"))
+
+
+def test_a_material_that_nothing_defines_is_refused(tmp_path):
+    write_picture(tmp_path / "roof.png")
+    path = write_obj(tmp_path)
+    path.write_text(path.read_text().replace("usemtl roof", "usemtl wall"))
+    with pytest.raises(DatasetError, match="uses materials that nothing defines: wall"):
+        read_textured(path)
+
+
+@pytest.mark.parametrize(("uri", "words"), [("gone.png", "not there: gone.png"), ("../a.png", "leads out")])
+def test_glb_that_names_a_picture_which_cannot_be_had_is_refused(tmp_path, uri, words):
+    write_picture(tmp_path / "a.png")
+    write_picture(tmp_path / "map" / "roof.png")
+    path = write_glb(tmp_path / "map", lambda content: content.update(images=[{"uri": uri}]))
+    with pytest.raises(DatasetError, match=words):
+        read_textured(path)
+
+
+@pytest.mark.parametrize(
+    ("texture", "words"),
+    [
+        ({"texCoord": 1}, "second texture coordinates"),
+        ({"extensions": {"KHR_texture_transform": {"scale": [2, 2]}}}, "moves its picture"),
+    ],
+)
+@pytest.mark.parametrize("write", [write_gltf, write_glb], ids=["gltf", "glb"])
+def test_pictures_that_lie_by_other_coordinates_are_refused(tmp_path, write, texture, words):
+    write_picture(tmp_path / "roof.png")
+
+    def change(content):
+        content["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"].update(texture)
+
+    with pytest.raises(DatasetError, match=words):
+        read_textured(write(tmp_path, change=change))
+
+
+def test_pictures_of_another_kind_are_refused(tmp_path):
+    write_picture(tmp_path / "roof.png")
+
+    def change(content):
+        content["textures"] = [{"extensions": {"KHR_texture_basisu": {"source": 0}}}]
+
+    with pytest.raises(DatasetError, match="has no PNG, JPEG or WebP"):
+        read_textured(write_gltf(tmp_path, change=change))
+
+
+def test_a_transform_that_moves_nothing_is_none(tmp_path):
+    write_picture(tmp_path / "roof.png")
+    same = {"KHR_texture_transform": {"offset": [0.0, 0.0], "scale": [1.0, 1.0]}}
+
+    def change(content):
+        content["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["extensions"] = same
+
+    assert_is_the_roof(read_textured(write_gltf(tmp_path, change=change)))
+
+
+def test_a_material_s_colour_multiplies_the_light_of_its_picture(tmp_path):
+    write_picture(tmp_path / "roof.png")
+
+    def change(content):
+        content["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [1.0, 0.5, 0.0, 1.0]
+
+    (picture,) = read_textured(write_gltf(tmp_path, change=change)).pictures[:1]
+    # Half of the light of white is 188 in sRGB.
+    assert picture[0].tolist() == [[255, 0, 0], [0, 188, 0], [0, 0, 0], [255, 188, 0]]
+
+
+def test_grey_of_16_bits_keeps_its_shade(tmp_path):
+    assert cv2.imwrite(str(tmp_path / "roof.png"), np.full((2, 4), 30000, dtype=np.uint16))
+    (picture,) = read_textured(write_obj(tmp_path)).pictures[:1]
+    assert np.unique(picture).tolist() == [117]
+    assert cv2.imwrite(str(tmp_path / "roof.tif"), np.full((2, 4), 0.5, dtype=np.float32))
+    with pytest.raises(DatasetError, match="pixels of 32 bits"):
+        read_textured(write_obj(tmp_path, "roof.tif"))
+
+
+@pytest.mark.parametrize("ending", [".glb", ".obj"])
+def test_there_and_back_of_textured_writer(ending: str, tmp_path: Path) -> None:
+    source = write_gml(tmp_path)
+    target = tmp_path / f"out/map{ending}"
+    target.parent.mkdir()
+    assert main(["city", "convert", str(source), str(target), "--textures"]) == 0
+    first, again = read_textured(source), read_textured(target)
+    assert len(again.corners) == len(first.corners)
+    offset = first.corners.reshape(-1, 3).min(axis=0) - again.corners.reshape(-1, 3).min(axis=0)
+    assert offset[:2].tolist() == np.floor(offset[:2]).tolist()  # the origin, in whole metres
+    rows = [np.round(mesh.corners.reshape(len(mesh.corners), -1), 3) for mesh in (first, again)]
+    order = [np.lexsort(row.T) for row in rows]
+    np.testing.assert_allclose(again.corners[order[1]] + offset, first.corners[order[0]], atol=1e-3)
+    np.testing.assert_allclose(again.uv[order[1]], first.uv[order[0]], atol=1e-5)
+    np.testing.assert_array_equal(again.pictures[0], first.pictures[0])
+    name = target.read_bytes()
+    assert b"EPSG:25832" in name
+
+
+def test_materials_that_are_left_out_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    roof = {"type": "MultiSurface", "lod": "2", "boundaries": [[[0, 1, 2]]]}
+    town = {"type": "CityJSON", "version": "1.0", "vertices": [[0.5, 0, 0], [4.5, 0, 0], [0.5, 4, 0]]}
+    town |= {"CityObjects": {"a": {"type": "Building", "geometry": [roof]}}}
+    town |= {"appearance": {"materials": [{"name": "red"}]}}
+    (tmp_path / "a.city.json").write_text(json.dumps(town))
+    assert main(["city", "convert", str(tmp_path / "a.city.json"), str(tmp_path / "a.gml"), "--json"]) == 0
+    assert "or materials" in json.loads(capsys.readouterr().out)["left_out"][0]
+
+
+def test_pictures_that_are_left_out_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = write_gml(tmp_path)
+    assert main(["city", "convert", str(source), str(tmp_path / "a.city.json"), "--json"]) == 0
+    assert "pictures of surfaces" in json.loads(capsys.readouterr().out)["left_out"][0]
+    assert main(["city", "convert", str(source), str(tmp_path / "a.ply"), "--textures"]) == 2
+    assert "no room for pictures" in capsys.readouterr().err

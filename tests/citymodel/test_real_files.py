@@ -1,17 +1,24 @@
-"""Every CityGML and CityJSON sample file: counts as catalogued, areas against an independent sum."""
+"""Sample files and small towns: counts as catalogued, areas against an independent sum, all formats alike."""
 
-from __future__ import annotations
-
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lodbench.citymodel import ReadOptions, mesh_city, mesh_model, read_city_model
-from lodbench.citymodel.model import CityModel
+from lodbench.citymodel import ReadOptions, mesh_city, mesh_model, read_city_model, small_cities
+from lodbench.citymodel.coordinates import parse_rings
+from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.raw import starts_of
+from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.triangulate import triangulate
 from lodbench.findings import Findings
+from lodbench.kernels import city as city_kernels
+
+from .gml_text import write
+from .twins import TOWN, documents
 
 _CATALOGUE = Path(__file__).resolve().parents[3] / "shared" / "data" / "README.md"
 
@@ -128,3 +135,145 @@ def test_bent_polygons_are_named_with_both_areas(shared_data: Path) -> None:
     bent = [item for item in mesh.findings.items if item.code.code == "LB105"]
     assert len(bent) == 25
     assert all("triangles" in item.detail and item.object_id.startswith("DENW") for item in bent)
+
+
+ODD_TEXTS = [
+    "",
+    " \n",
+    "1 2.5 -3",
+    "-0 -0.0 .5 5. 1e3 1E-3 +7",
+    "1e400 2",
+    "1e-400",
+    "0.1234567890123456789012345 3",
+    "123456789012345678901234567890",
+    "5e22 5e23 9007199254740993e1",
+    "nan 1",
+    "1 inf 2",
+    "1_000",
+    "1e",
+    ".",
+    "- 2",
+    "1..2 4",
+    "1,5 2",
+    "\x1c1 2",
+    "1\t2\r\n3\x0b4\x0c5",
+    "00000000000000000000000000000000012.5",
+    "x" * 50 + "9" * 5000 + "x",
+]
+
+
+def both(texts: list[str], monkeypatch: pytest.MonkeyPatch) -> list[tuple[bytes, ...]]:
+    found = []
+    for is_few in (True, False):
+        monkeypatch.setattr(small_cities, "is_few", lambda _, is_few=is_few: is_few)
+        found.append(tuple(part.tobytes() for part in parse_rings([text.encode() for text in texts])))
+    return found
+
+
+@pytest.mark.parametrize("text", ODD_TEXTS)
+def test_texts_are_read_as_the_compiled_reader_reads_them(text, monkeypatch):
+    plain, compiled = both([text, "4 5"], monkeypatch)
+    assert plain == compiled
+
+
+def test_texts_of_other_scripts_and_with_separators_are_read_likewise(monkeypatch):
+    plain, compiled = both(["1 2", "\u0663 4", "5;6", "7"], monkeypatch)
+    assert plain == compiled
+
+
+def test_many_numbers_are_read_to_the_bit(monkeypatch):
+    rng = np.random.default_rng(1)
+    values = rng.normal(size=6000) * 10.0 ** rng.integers(-9, 9, 6000)
+    forms = ("{!r}", "{:.3f}", "{:.12g}", "{:e}")
+    texts = [" ".join(form.format(float(value)) for value in values) for form in forms]
+    plain, compiled = both(texts, monkeypatch)
+    assert plain == compiled
+
+
+@pytest.mark.parametrize("count", [0, 1, 60])
+def test_points_are_marked_as_by_the_compiled_pass(count):
+    rng = np.random.default_rng(count)
+    starts = starts_of(rng.integers(0, 7, count))
+    points = rng.integers(0, 2, (starts[-1], 3)).astype(np.float64)
+    found = []
+    for module in (small_cities, city_kernels):
+        kept, lengths = np.zeros(len(points), np.bool_), np.zeros(count, np.int64)
+        closed, repeated = np.zeros((2, count), np.bool_)
+        module.mark_points(points, starts, kept, lengths, closed, repeated)
+        found.append([part.tolist() for part in (kept, lengths, closed, repeated)])
+    assert found[0] == found[1]
+    assert count < 60 or all(0 < sum(part) for part in found[0])
+
+
+def test_corners_are_hashed_as_by_the_compiled_pass():
+    rng = np.random.default_rng(3)
+    ring_starts = starts_of(rng.integers(3, 9, 80))
+    polygon_starts = starts_of(np.full(40, 2))
+    points = rng.normal(size=(ring_starts[-1], 3)).round(1)
+    points[rng.integers(0, len(points), 30), 1] = -0.0
+    chosen = rng.permutation(40)[:31]
+    found = []
+    for module in (small_cities, city_kernels):
+        hashes = np.zeros((2, len(chosen)), np.uint64)
+        module.hash_corners(points.view(np.uint64), ring_starts, polygon_starts, chosen, hashes)
+        found.append(hashes)
+    assert np.array_equal(*found)
+    assert len(np.unique(found[0])) == found[0].size
+
+
+def test_numba_is_left_out_for_a_small_city_and_loaded_for_a_large_one():
+    code = (
+        "import sys\nfrom lodbench.citymodel.coordinates import parse_rings\n"
+        "parse_rings([b'1.25 2.50 3.75 ' * 1000]); print('numba' in sys.modules)\n"
+        "parse_rings([b'1.25 2.50 3.75 ' * 900000]); print('numba' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "True"]
+
+
+def triangle_set(scene: Scene, *, up_to_translation: bool = False) -> list[set[tuple[int, ...]]]:
+    """Per building, its triangles as sorted corners in whole millimetres of the reference system."""
+    sets = []
+    for b in range(scene.num_buildings):
+        triangles = scene.triangles[scene.triangle_starts[b] : scene.triangle_starts[b + 1]]
+        corners = scene.vertices.astype(np.float64)[triangles] + scene.origin
+        if up_to_translation:
+            corners -= corners.reshape(-1, 3).min(axis=0)
+        rounded = np.rint(corners * 1000).astype(int)
+        sets.append({tuple(np.array(sorted(t.tolist())).reshape(-1).tolist()) for t in rounded})
+    return sets
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("town")
+    return {name: write(folder / name, text) for name, text in documents().items()}
+
+
+@pytest.mark.parametrize("name", list(documents()))
+def test_every_format_gives_the_same_mesh(town: dict[str, Path], name: str) -> None:
+    reference = triangle_set(mesh_city(read_city_model(town["v2.gml"])))
+    model = read_city_model(town[name])
+    scene = mesh_city(model, "3")
+    assert model.findings.counts() == {}
+    assert model.building_ids == ("house-0", "house-1", "house-2")
+    assert (model.crs, model.lods, scene.lod) == ("EPSG:25832", ("3",), "3")
+    assert triangle_set(scene) == reference
+    kinds = [SurfaceKind(kind).name for kind in model.polygons.kind[: len(TOWN[0])]]
+    assert kinds == ["GROUND", "ROOF"] + ["WALL"] * 6 + ["OPENING"]
+
+
+def test_a_window_fills_the_hole_of_its_wall(town: dict[str, Path]) -> None:
+    mesh = mesh_model(read_city_model(town["v3.gml"]))
+    perimeter = sum(8 * (4.0 + i) * (5.0 + i) for i in range(3))
+    floors = sum(2 * (3 - 0.09) * (4.0 + i) ** 2 for i in range(3))
+    assert mesh.meshed_m2 == pytest.approx(perimeter + floors, abs=1e-3)
+
+
+def test_real_pair_agrees_per_building_up_to_translation(shared_data: Path) -> None:
+    folder = shared_data / "city" / "lod3_reference"
+    first = mesh_city(read_city_model(folder / "lod2_buildings_v3.gml"))
+    second = mesh_city(read_city_model(folder / "lod2_buildings_as_CityJSON_features.jsonl"))
+
+    assert first.building_ids == second.building_ids
+    assert triangle_set(first, up_to_translation=True) == triangle_set(second, up_to_translation=True)

@@ -1,15 +1,25 @@
-"""One grammar and one vocabulary: --key value is key=value, city is city, and a slip is named."""
+"""Settings of a run: one grammar and vocabulary, `source=`, the scene cache."""
 
-from __future__ import annotations
-
+import json
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pytest
 
+from lodbench.citymodel import open_scene
+from lodbench.cli.run_dataset import with_date
 from lodbench.cli.setting_help import Setting, settings_in, settings_of
+from lodbench.cli.source_profiles import option_pairs
+from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
+from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError
+from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.params import to_params
+from tests.citymodel.gml_text import box_rings, city, member, polygon, solid, surface_members, write
 from tests.town import write_dataset
+
+from .test_faults import is_clear
+from .test_run import STABLE
 
 
 @pytest.mark.parametrize(
@@ -180,3 +190,178 @@ def test_a_value_of_another_kind_says_which_is_wanted(given, told, hint):
     with pytest.raises(ConfigError) as fault:
         to_params(given, OfKinds, "method")
     assert (fault.value.message, fault.value.hint) == (told, hint)
+
+
+CAMERA = Camera(320, 240, 300.0, 300.0, 160.0, 120.0)
+PLATEAU = "city/plateau/53395404_bldg_6697_op.gml"
+NRW = "city/germany_lod2/LoD2_32_280_5657_1_NW.gml"
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory) -> tuple[Path, Path]:
+    return write_dataset(tmp_path_factory.mktemp("town"), count=1)
+
+
+def run_words(dataset: tuple[Path, Path], *more: str) -> list[str]:
+    return ["run", "dataset=folder", f"dataset.root={dataset[0]}", f"dataset.city_model={dataset[1]}", *more]
+
+
+def artefacts(root: Path) -> dict[str, bytes]:
+    (folder,) = (root / "folder" / "lodlocv2").iterdir()
+    return {"folder": folder.name.encode(), **{name: (folder / name).read_bytes() for name in STABLE}}
+
+
+class TestCache:
+    def test_same_bytes_with_and_without(self, lodbench, tmp_path, dataset):
+        (tmp_path / "file").write_text("no folder")
+        for name, cache in (("new", "own"), ("mapped", "own"), ("none", "file")):
+            words = run_words(dataset, f"paths.runs={name}")
+            done = lodbench(*words, LODBENCH_CACHE=str(tmp_path / cache))
+            assert done.returncode == 0, done.stderr
+        assert len(list((tmp_path / "own" / "scenes").iterdir())) == 1
+        assert artefacts(tmp_path / "new") == artefacts(tmp_path / "mapped") == artefacts(tmp_path / "none")
+
+    def test_a_second_run_parses_nothing(self, lodbench, tmp_path, shared_data, monkeypatch):
+        words = [
+            "city=" + str(shared_data / PLATEAU),
+            "source=plateau",
+            *view_of(shared_data / PLATEAU, tmp_path),
+        ]
+        cache = {"LODBENCH_CACHE": str(tmp_path / "own")}
+        assert lodbench("render", *words, "out=first", **cache).returncode == 0
+
+        def parse(*_: object, **__: object) -> None:
+            raise AssertionError("the city was read again")
+
+        monkeypatch.setattr("lodbench.citymodel.read.read_city_model", parse)
+        assert lodbench("render", *words, "out=second", **cache).returncode == 0
+        first, second = ((tmp_path / name / "view.png").read_bytes() for name in ("first", "second"))
+        assert first == second
+        with pytest.raises(AssertionError, match="read again"):
+            lodbench("render", *words, "out=third", LODBENCH_CACHE=str(tmp_path / "empty"))
+
+
+def view_of(city: Path, folder: Path, lod: str | None = None) -> list[str]:
+    """Writes a view straight down on the middle of a city; returns the words that name it."""
+    scene = open_scene(city, lod=lod)
+    low, high = scene.extent_m
+    center = 0.5 * (low + high) + scene.origin
+    center[2] = high[2] + 300.0
+    pose = Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), center)
+    (folder / "poses.txt").write_text(lines_to_text([format_pose("view.png", pose)]))
+    (folder / "cameras.txt").write_text(lines_to_text([format_camera("view.png", CAMERA)]))
+    return [f"poses={folder / 'poses.txt'}", f"intrinsics={folder / 'cameras.txt'}"]
+
+
+class TestSource:
+    def test_a_converted_city_gives_the_same_poses(self, lodbench, tmp_path, dataset):
+        poses = []
+        for suffix in ("obj", "json", "scene"):
+            target = tmp_path / f"city.{suffix}"
+            done = lodbench("city", "convert", str(dataset[1]), str(target))
+            assert done.returncode == 0, done.stderr
+            words = run_words((dataset[0], target), f"paths.runs={suffix}")
+            done = lodbench(*words)
+            assert done.returncode == 0, done.stderr
+            poses.append(artefacts(tmp_path / suffix)["poses.txt"])
+        assert poses[0] == poses[1] == poses[2]
+
+    def test_findings_are_notes_of_the_run(self, lodbench, tmp_path, dataset):
+        text = dataset[1].read_text() + "v 0 0 0\nv 1 0 0\nv 2 0 0\nf -3 -2 -1\n"
+        (tmp_path / "city.obj").write_text(text)
+        for _ in range(2):  # read, then from the cache
+            done = lodbench(*run_words((dataset[0], tmp_path / "city.obj")))
+            assert "note: city model: " in done.stdout
+            assert "1 x LB104 ZERO_AREA" in done.stdout
+
+    def test_options_need_not_stand_in_the_profile(self, lodbench, tmp_path, dataset):
+        terrain = tmp_path / "Gelände, neu (1).asc"
+        terrain.write_text("ncols 1\nnrows 1\nxllcorner -5000\nyllcorner -5000\ncellsize 10000\n0\n")
+        words = run_words(dataset, "method=prior_only", f"source.options.terrain={terrain}")
+        done = lodbench(*words, "source.options.base=sunk", "source.options.sunk_m=0")
+        assert done.returncode == 0, done.stderr
+        (folder,) = (tmp_path / "runs" / "folder" / "prior_only").iterdir()
+        config = (folder / "config.yaml").read_text()
+        assert "base: sunk" in config
+        assert str(tmp_path) not in config  # content names inputs, paths do not
+
+    def test_the_same_houses_elsewhere_are_another_run(self, lodbench, tmp_path, dataset):
+        for east in (0, 7):
+            words = run_words(dataset, "method=prior_only", f"source.options.origin=[{east},0,0]")
+            assert lodbench(*words).returncode == 0
+        assert len(list((tmp_path / "runs" / "folder" / "prior_only").iterdir())) == 2
+
+    @pytest.mark.parametrize(
+        ("words", "expected"),
+        [
+            (["source=platau"], ["platau", "plateau"]),
+            (["source.options.heigth_column=h"], ["heigth_column", "height_column"]),
+            (["source.options.base=grund"], ["grund", "ground"]),
+            (["source.lodd=1"], ["source.lodd", "lod"]),
+            (["dataset.roof_height=meidan", "dataset.lod=1"], ["meidan", "median"]),
+        ],
+    )
+    def test_faults(self, lodbench, tmp_path, dataset, shared_data, words, expected):
+        city = shared_data / NRW
+        is_clear(lodbench(*run_words((dataset[0], city), *words)), *expected)
+        assert not (tmp_path / "runs").exists()
+
+    def test_levels_are_derived_for_pictures(self, lodbench, tmp_path, shared_data):
+        city = shared_data / NRW
+        words = [f"city={city}", "source=adv_lod1", *view_of(city, tmp_path)]
+        is_clear(lodbench("render", *words, "out=o"), "level of detail 1")
+        assert not (tmp_path / "o").exists()
+        done = lodbench("render", *words, "out=o", "roof_height=max")
+        assert done.returncode == 0, done.stderr
+        assert "LB408 LOD_DERIVED" in done.stdout
+        assert (tmp_path / "o" / "view.png").is_file()
+
+    def test_a_folder_of_tiles_is_a_city_model(self, lodbench, tmp_path, shared_data):
+        (tmp_path / "tiles").mkdir()
+        for name in ("plateau/64412288_bldg_6697_op.gml", "plateau/64413325_bldg_6697_op.gml"):
+            data = (shared_data / "city" / name).read_bytes()
+            (tmp_path / "tiles" / Path(name).name).write_bytes(data)
+        done = lodbench("city", "info", "tiles", "--json", "--source", "plateau")
+        assert json.loads(done.stdout)["buildings"] == 35
+
+
+def test_lists_of_words_in_options_need_no_quotes():
+    words = ["classes=[building, my house]", "scales=[0.5,1]", 'names=["a,b"]', "none=[]", "text=[a"]
+    assert option_pairs(words) == {
+        "classes": ["building", "my house"],
+        "scales": [0.5, 1],
+        "names": ["a,b"],
+        "none": [],
+        "text": "[a",
+    }
+
+
+@pytest.mark.parametrize("end", ["2015-06-30", None])
+def test_a_run_writes_down_a_date_at_which_its_city_stood_if_any_building_ends(tmp_path, end):
+    """On any later day it reads the same city; without ends nothing of it depends on the day."""
+    box = solid(surface_members(map(polygon, box_rings())))
+    over = f"<core:terminationDate>{end}</core:terminationDate>" if end else ""
+    path = write(tmp_path / "a.gml", city(member(over + box, "old") + member(box, "new")))
+    source = {"name": "folder", "options": {"is_strict": True}}
+    given = Dataset("own", "1", tmp_path, path, None, (), (), {})
+    dataset, dated = with_date(given, source)
+    assert dated["options"] == {"is_strict": True} | ({"date": end} if end else {})
+    assert dataset.city_options.date == end
+    assert with_date(dataset, dated) == (dataset, dated)
+    if end is None:
+        assert (dataset is given, dated is source) == (True, True)
+
+
+def test_date_is_an_option_of_every_command_that_reads_a_city(lodbench, tmp_path):
+    box = solid(surface_members(map(polygon, box_rings())))
+    over = "<core:terminationDate>2015-06-30</core:terminationDate>"
+    path = write(tmp_path / "a.gml", city(member(over + box, "old") + member(box, "new")))
+    counts = [
+        json.loads(lodbench("city", "info", str(path), "--json", *more).stdout)["buildings"]
+        for more in ((), ("--date", "2015-06-29"), ("--option", "date=2015-06-29"))
+    ]
+    assert counts == [1, 2, 2]
+    done = lodbench("city", "info", str(path), "--date", "29.6.2015")
+    assert (done.returncode, "--date 2015-06-30" in done.stderr) == (2, True)
+    for command in ("localize", "georeference", "track"):
+        assert "--date" in lodbench(command, "--help").stdout

@@ -1,20 +1,31 @@
-"""What points weigh, which are looked at together, and how sure an answer is."""
+"""What outline points weigh, which are correlated, pitched roofs, and how sure an answer is."""
 
-from __future__ import annotations
+import gc
+import weakref
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lodbench.citymap import CityMap
+from lodbench.citymap.corrected_map import corrected_map
+from lodbench.datasets.query import Query
 from lodbench.estimation.outline import OutlinePoints
 from lodbench.estimation.outline_alignment import Residuals
 from lodbench.estimation.probability import probability_within
+from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.pose_vector import vector_from_pose
-from lodbench.methods.contour_alignment import ContourAlignmentParams
+from lodbench.kernels.estimation import add_products, error_covariance, whiten
+from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
 from lodbench.methods.contour_alignment.hypotheses import Hypothesis, Refined, among_rivals, answer_of
 from lodbench.methods.contour_alignment.likelihood import TRACKS, _weights, in_chunks
+from lodbench.methods.contour_alignment.method import expected_map
+from lodbench.storage import random_stream
+from tests.town import CAMERA, prior_of
 
 
 class TestWeights:
@@ -140,3 +151,93 @@ class TestRivals:
         _, worse = self.among([0.0, 9.0], [0.88, iou - 0.01])
         assert answer.probability <= worse.probability <= alone.probability
         assert worse.probability > 0.9 * alone.probability
+
+
+@pytest.fixture
+def told(scene):
+    """The town's map, of whose buildings every other one is told to have a pitched roof."""
+    return CityMap(replace(scene, pitched=np.arange(scene.num_buildings) % 2 == 0), threads=1)
+
+
+def tops(scene):
+    return np.maximum.reduceat(scene.vertices[:, 2], scene.vertex_starts[:-1])
+
+
+def test_it_is_made_once_for_a_map(told, scene):
+    expected = expected_map(told, 0.3)
+    np.testing.assert_allclose(tops(scene) - tops(expected.scene), 0.3 * told.scene.pitched, atol=1e-4)
+    assert expected_map(told, 0.3) is expected
+    assert expected_map(told, 1.0) is not expected
+
+
+def test_a_map_of_which_nothing_is_told_stays(told, city_map):
+    for _ in range(2):
+        assert expected_map(city_map, 1.0) is city_map
+        assert expected_map(told, 0.0) is told
+
+
+def test_a_map_that_is_no_longer_needed_is_freed(scene):
+    for pitched in (None, np.ones(scene.num_buildings, bool)):
+        city_map = CityMap(replace(scene, pitched=pitched), threads=1)
+        expected_map(city_map, 1.0)
+        reference = weakref.ref(city_map)
+        del city_map
+        gc.collect()
+        assert reference() is None
+
+
+@pytest.mark.slow
+def test_told_roofs_bring_the_answer_nearer(told, truths):
+    """Masks of a town whose every other roof is two metres lower than in the map, which tells which."""
+    town, _ = corrected_map(told, np.where(told.scene.pitched, -2.0, 0.0))
+    errors = {0.0: [], 2.0: []}
+    for number, truth in enumerate(truths):
+        mask = town.render(CAMERA, truth).astype(np.float32)
+        query = Query(f"q{number}", "all", CAMERA, prior_of(truth), mask)
+        for lower_m, found in errors.items():
+            method = ContourAlignment(ContourAlignmentParams(pitched_lower_m=lower_m))
+            estimate = method.localize(query, told, partial(random_stream, 0, "test"))
+            found.append(pose_error(estimate.pose, truth).translation_m)
+    assert np.mean(errors[2.0]) < 0.5 * np.mean(errors[0.0])
+
+
+@pytest.fixture(scope="module")
+def points():
+    generator = np.random.default_rng(3)
+    rises, feet = generator.normal(size=(2, 40))
+    return generator.uniform(0, 300, (40, 2)), rises, feet, generator.integers(0, 4, 40)
+
+
+def test_covariance_is_the_sum_of_what_is_shared(points):
+    pixels, rises, feet, buildings = points
+    matrix = error_covariance(*points, (2.0, 0.5), (30.0, 60.0), (4.0, 9.0, 2.5))
+    apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
+    own = np.outer(rises, rises) * (4.0 + 9.0 * np.exp(-apart / 60.0)) + 2.5 * np.outer(feet, feet)
+    same = buildings[:, None] == buildings[None]
+    lags = np.sqrt(3.0) * apart / 30.0
+    expected = 2.0 * (1.0 + lags) * np.exp(-lags) + np.where(same, own, 0.0) + 0.5 * np.eye(40)
+    np.testing.assert_allclose(matrix, np.tril(expected), rtol=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 30))
+@settings(deadline=None, max_examples=30)
+def test_whitened_products_are_those_of_the_inverse(seed, count):
+    generator = np.random.default_rng(seed)
+    root = generator.normal(size=(count, count))
+    matrix = root @ root.T + 0.1 * np.eye(count)
+    columns = generator.normal(size=(count, 7))
+    whitened = columns.copy()
+    log_determinant = whiten(np.tril(matrix), whitened)
+    np.testing.assert_allclose(
+        whitened.T @ whitened, columns.T @ np.linalg.solve(matrix, columns), rtol=1e-6, atol=1e-9
+    )
+    assert log_determinant == pytest.approx(np.linalg.slogdet(matrix)[1], abs=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 9, 30])
+def test_products_of_columns_are_added_to_the_upper_half(count):
+    generator = np.random.default_rng(count)
+    columns, before = generator.normal(size=(count, 6)), generator.normal(size=(6, 6))
+    products = before.copy()
+    add_products(columns, 0.25, products)
+    np.testing.assert_allclose(np.triu(products), np.triu(before + 0.25 * columns.T @ columns), atol=1e-12)

@@ -1,6 +1,4 @@
-"""Masks of single buildings: from files, and from the truth, exact and as wrong as a network's."""
-
-from __future__ import annotations
+"""Masks of single buildings: from files, the truth, map and photo; their overlap with the map."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,17 +7,20 @@ import cv2
 import numpy as np
 import pytest
 
+from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.inputs import Input, inputs_of, with_inputs
 from lodbench.datasets.instance_labels import encoded_labels, masks_of_labels, read_labels
-from lodbench.errors import QueryFault
+from lodbench.errors import ConfigError, QueryFault
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.requirements import required_inputs
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.segmentation.choice import chosen_segmenter
 from lodbench.segmentation.instance_files import InstanceFiles, InstanceFilesParams
+from lodbench.segmentation.map_instances import MapInstances, MapInstancesParams, parted
+from lodbench.segmentation.mapped_overlap import mapped_overlap
 from lodbench.segmentation.oracle import NoisyOracle, NoisyOracleParams, Oracle, OracleParams
 from lodbench.synthesis.mask_degradation import mask_iou
 from tests.town import CAMERA, write_dataset
@@ -152,3 +153,102 @@ def test_the_noisy_oracles_instances_fill_its_mask(town):
         ious = [mask_iou(mask, seen == building) for mask in query.instances]
         if np.count_nonzero(seen == building) > 500:
             assert 0.5 < max(ious) < 1.0
+
+
+def test_a_border_goes_to_the_photos_edge():
+    photo = np.full((80, 160, 3), 90, np.uint8)
+    photo[20:60, 30:80], photo[20:60, 80:130] = (200, 90, 80), (90, 90, 160)
+    mask = np.zeros((80, 160), bool)
+    mask[20:60, 30:130] = True
+    seen = np.full((80, 160), -1, np.int32)
+    # The map lies five pixels to the right.
+    seen[20:60, 35:85], seen[20:60, 85:135] = 41, 7
+    labels = parted(photo, mask, seen)
+    assert ((labels > 0) == mask).all()
+    left, right = np.unique(labels[25:55, 35:77]), np.unique(labels[25:55, 83:125])
+    assert len(left) == len(right) == 1
+    assert left[0] != right[0]
+
+
+def test_what_the_map_has_not_is_a_building_of_its_own():
+    photo = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 255, (60, 90, 3), np.uint8), (0, 0), 3)
+    mask = np.zeros((60, 90), bool)
+    mask[10:30, 10:30] = mask[10:30, 50:80] = True
+    seen = np.full((60, 90), -1, np.int32)
+    seen[10:30, 10:30] = 3
+    labels = parted(photo, mask, seen)
+    assert sorted(np.unique(labels)) == [0, 1, 2]
+    assert len(np.unique(labels[10:30, 50:80])) == 1
+
+
+@pytest.fixture(scope="module")
+def town_of_map_instances(tmp_path_factory):
+    """A query whose photo is light blocks on dark ground, and the scene."""
+    root, city = write_dataset(tmp_path_factory.mktemp("town_of_map_instances"), count=1)
+    (root / "masks").rename(root / "Query_image")
+    return open_folder(FolderParams(str(root), str(city))), open_scene(city)
+
+
+def test_a_run_hands_them_to_who_asks(town_of_map_instances):
+    dataset, scene = town_of_map_instances
+    assert chosen_segmenter(dataset, {Input.INSTANCES})[0] == "compact_instances"
+    segmenter = MapInstances(MapInstancesParams(size=320))
+    segmenter.segment = lambda entry: (cv2.imread(str(entry.image), 0) > 0).astype(np.float32)
+    preparation = Preparation(dataset, scene, segmenter, "prior", frozenset({Input.INSTANCES}))
+    masks = preparation.query(dataset.entries[0]).instances
+    # Those in view, and their masks make up the whole.
+    assert 4 <= len(masks) <= 7
+    np.testing.assert_array_equal(masks.sum(axis=0), segmenter.segment(dataset.entries[0]))
+    assert segmenter.fingerprint(dataset.entries)
+
+
+def test_nothing_to_see_is_a_fault(town_of_map_instances):
+    dataset, scene = town_of_map_instances
+    entry, segmenter = dataset.entries[0], MapInstances(MapInstancesParams(size=320))
+    city_map, pose = CityMap(scene, threads=1), dataset.entries[0].prior.shifted(-scene.origin)
+    with pytest.raises(QueryFault, match="no photo"):
+        segmenter.segment_instances_from(replace(entry, image=None), pose, city_map)
+    away = pose.shifted(np.array([0.0, 9000.0, 0.0]))
+    with pytest.raises(QueryFault, match="no building of the map"):
+        segmenter.segment_instances_from(entry, away, city_map)
+    with pytest.raises(ConfigError, match=r"segmenter\.range_m=-1"):
+        MapInstancesParams(range_m=-1)
+
+
+def blocks(*corners: tuple[int, int], shape: tuple[int, int] = (300, 400), side: int = 45):
+    mask = np.zeros(shape, dtype=bool)
+    for row, column in corners:
+        mask[row : row + side, column : column + side] = True
+    return mask
+
+
+def test_buildings_far_from_mapped_ones_do_not_count():
+    mapped = blocks((30, 30))
+    everywhere = blocks((30, 30), (30, 200), (30, 330), (200, 30), (200, 200), (200, 330))
+    assert mapped_overlap(mapped, mapped) == 1.0
+    assert mapped_overlap(mapped, everywhere) == 1.0
+    # IoU would call it a wrong place.
+    assert np.count_nonzero(mapped & everywhere) / np.count_nonzero(mapped | everywhere) < 0.2
+
+
+def test_masks_that_know_nothing_of_the_buildings_have_none():
+    mapped, random = blocks((60, 60), (150, 250)), np.random.default_rng(0)
+    assert mapped_overlap(mapped, np.ones_like(mapped)) == 0.0
+    for share in (0.2, 0.5, 0.8):
+        assert mapped_overlap(mapped, random.random(mapped.shape) < share) == pytest.approx(0.0, abs=0.1)
+    # Beside it, not on it.
+    assert mapped_overlap(mapped, blocks((60, 105), (150, 295))) < 0.0
+
+
+@pytest.mark.parametrize("shift", [3, 6])
+def test_of_masks_that_err_little_it_is_the_iou(shift):
+    mapped = blocks((60, 60), (150, 250), side=90)
+    mask = np.roll(mapped, shift, axis=1)
+    iou = np.count_nonzero(mapped & mask) / np.count_nonzero(mapped | mask)
+    assert mapped_overlap(mapped, mask) == pytest.approx(iou, abs=0.02)
+
+
+def test_a_photo_full_of_mapped_buildings_or_without_any():
+    full, none = np.ones((30, 40), dtype=bool), np.zeros((30, 40), dtype=bool)
+    assert mapped_overlap(full, full) == 1.0
+    assert mapped_overlap(none, full) == 0.0

@@ -1,8 +1,6 @@
-"""A textured box drawn by the raster, against an independent projection of its picture."""
+"""Pictures drawn: textures against an independent projection, looks, props."""
 
-from __future__ import annotations
-
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import cv2
 import numpy as np
@@ -11,13 +9,16 @@ import pytest
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.mesh.texture_files import read_textured
 from lodbench.citymodel.mesh.textured import offset_to_city
-from lodbench.errors import CityModelError, DatasetError, RenderingError
+from lodbench.errors import CityModelError, ConfigError, DatasetError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
-from lodbench.synthesis.photo import PhotoRenderer, draw_look, look_ranges
+from lodbench.synthesis.objects.scene_props import SceneProps, read_props, write_props
+from lodbench.synthesis.photo import LookRanges, PhotoRenderer, draw_look, look_ranges
 from lodbench.synthesis.training_data.generate import _texture_digests, generate_training_data
 from lodbench.synthesis.training_data.params import GenerateParams
 from tests.synthesis.conftest import SMALL, WHOLE
+from tests.town import box_obj
 
 CAMERA = Camera(200, 160, 190.0, 190.0, 100.0, 80.0)
 POSE = Pose.from_euler(EulerAngles(35.0, 2.0, 20.0), [12.0, -45.0, 95.0])
@@ -158,3 +159,119 @@ def test_a_changed_texture_makes_another_set(tmp_path):
     after = _texture_digests(path)
     assert [name for name in before if before[name] != after[name]] == ["ground.png"]
     assert _texture_digests(tmp_path) == after
+
+
+CAMERA_LOOKS = Camera(64, 64, 64.0, 64.0, 32.0, 32.0)
+_SIDE, _COUNT = 20.0, 16
+
+
+@pytest.fixture(scope="module")
+def roofs(tmp_path_factory):
+    """A renderer of sixteen flat roofs side by side, all magenta, and a pose above their middle."""
+    path = tmp_path_factory.mktemp("boxes") / "city.obj"
+    path.write_text(box_obj())
+    scene = open_scene(path)
+    corners, triangles, objects = [], [], []
+    for k in range(_COUNT):
+        x, y = _SIDE * (k % 4 - 2), _SIDE * (k // 4 - 2)
+        first = len(corners)
+        corners += [(x, y, 50), (x + _SIDE, y, 50), (x + _SIDE, y + _SIDE, 50), (x, y + _SIDE, 50)]
+        triangles += [(first, first + 1, first + 2), (first, first + 2, first + 3)]
+        objects += [k, k]
+    props = SceneProps(
+        vertices=np.array(corners, np.float32),
+        triangles=np.array(triangles, np.int32),
+        surface=np.full(2 * _COUNT, SurfaceClass.ROOF_FLAT, np.uint8),
+        objects=np.array(objects, np.int32),
+        tint=np.full((2 * _COUNT, 3), (200, 10, 200), np.uint8),
+        num_buildings=_COUNT,
+        origin=scene.origin,
+    )
+    return PhotoRenderer(scene, props), Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), [0.0, 0.0, 110.0])
+
+
+def share_magenta(roofs, look):
+    """Returns the share of pixels that keep the roofs' own colour."""
+    renderer, pose = roofs
+    red, green, blue = np.moveaxis(renderer.light(CAMERA_LOOKS, pose, look).astype(np.float64), 2, 0)
+    return float(((red > 3 * green) & (blue > 3 * green)).mean())
+
+
+@pytest.mark.parametrize(("repaint", "least", "most"), [(0.0, 0.95, 1.0), (0.5, 0.2, 0.8), (1.0, 0.0, 0.05)])
+def test_a_share_of_objects_is_painted_anew(roofs, repaint, least, most):
+    ranges = replace(look_ranges("plain"), repaint=(repaint, repaint))
+    shares = [share_magenta(roofs, draw_look(ranges, np.random.default_rng(k))[0]) for k in range(4)]
+    assert least <= np.mean(shares) <= most
+
+
+def test_painting_anew_changes_nothing_else_of_a_look():
+    plain, camera = draw_look(LookRanges(), np.random.default_rng(3))
+    painted, same_camera = draw_look(LookRanges(repaint=(0.2, 0.9)), np.random.default_rng(3))
+    assert 0.2 <= painted.repaint <= 0.9
+    assert painted._replace(repaint=0.0) == plain
+    assert same_camera == camera
+
+
+def test_a_range_out_of_bounds_is_named():
+    with pytest.raises(ConfigError, match=r"look\.repaint"):
+        LookRanges(repaint=(0.5, 2.0))
+
+
+def props_of(surfaces, origin=(0.0, 0.0, 0.0)):
+    count = len(surfaces)
+    return SceneProps(
+        vertices=np.arange(9 * count, dtype=np.float32).reshape(-1, 3),
+        triangles=np.arange(3 * count, dtype=np.int32).reshape(-1, 3),
+        surface=np.array(surfaces, dtype=np.uint8),
+        objects=np.arange(count, dtype=np.int32),
+        tint=np.full((count, 3), 100, dtype=np.uint8),
+        num_buildings=1,
+        origin=np.array(origin),
+    )
+
+
+def test_ground_comes_first_then_buildings_then_what_stands_before_them():
+    assert SurfaceClass.WATER.is_ground
+    assert not SurfaceClass.WINDOW.is_ground
+    of_buildings = [kind for kind in SurfaceClass if SurfaceClass.WALL <= kind < SurfaceClass.TRUNK]
+    assert SurfaceClass.CHIMNEY in of_buildings
+    assert not {SurfaceClass.FOLIAGE, SurfaceClass.CAR_BODY, SurfaceClass.WATER} & set(of_buildings)
+
+
+def test_a_part_keeps_only_the_vertices_it_uses():
+    props = props_of([SurfaceClass.ROAD, SurfaceClass.WALL, SurfaceClass.FOLIAGE])
+    assert props.has_buildings
+    is_wall = props.surface == SurfaceClass.WALL
+    wall = props.part(is_wall)
+    assert len(wall) == 1
+    assert len(wall.vertices) == 3
+    np.testing.assert_array_equal(wall.vertices[wall.triangles[0]], props.vertices[props.triangles[1]])
+    assert not props.part(~is_wall).has_buildings
+
+
+def test_props_stay_where_they_are_in_another_frame():
+    far = props_of([SurfaceClass.WALL], origin=(1000.0, 0.0, 5.0))
+    here = far.in_frame(np.zeros(3))
+    np.testing.assert_array_equal(here.vertices, far.vertices + np.array([1000.0, 0.0, 5.0]))
+    np.testing.assert_array_equal(here.in_frame(far.origin).vertices, far.vertices)
+
+
+def test_a_file_gives_back_what_was_written_and_is_stable(tmp_path):
+    props = props_of([SurfaceClass.CAR_BODY, SurfaceClass.GRASS])
+    write_props(props, tmp_path / "a.npz")
+    write_props(props, tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    again = read_props(tmp_path / "a.npz")
+    for field in fields(SceneProps):
+        np.testing.assert_array_equal(getattr(again, field.name), getattr(props, field.name))
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no zip", b"PK\x03\x04 cut short"])
+def test_a_damaged_file_is_named(tmp_path, content):
+    path = tmp_path / "props.npz"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(RenderingError, match=r"props\.npz") as told:
+        read_props(path)
+    assert "pickle" not in told.value.message
+    assert "props=FILE" in told.value.hint
