@@ -4,8 +4,6 @@
 no network is, it says so in one line: pip-audit itself would say that there are no holes.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -6,8 +6,6 @@ Libraries that take other instructions on another kind of CPU round sums otherwi
 tolerance of poses, and are told by how many differ.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

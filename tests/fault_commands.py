@@ -1,7 +1,5 @@
 """The commands that write, each as small as it can be, for the disks that fail under them."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Callable

@@ -4,8 +4,6 @@
 prints the counts; the tests try a slice.
 """
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import errno

@@ -1,7 +1,5 @@
 """A flight of one's own: pictures with known poses as photos that a drone stores, metadata off as GPS is."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

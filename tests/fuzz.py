@@ -5,8 +5,6 @@ is drawn and printed; with it the same files come again. What raises anything bu
 does not end or takes more memory than a small file is worth is a failure, told with the number of its file.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import os
 import resource

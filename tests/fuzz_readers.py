@@ -3,8 +3,6 @@
 ``make fuzz`` tries 100,000 over all readers; the tests try a slice.
 """
 
-from __future__ import annotations
-
 import io
 import tempfile
 import time

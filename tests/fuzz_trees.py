@@ -4,8 +4,6 @@ Bytes that are mutated seldom get past a parser; these do: JSON, YAML, messages 
 plug-ins whose parts were lost, exchanged, doubled, or replaced by values of other types and sizes.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

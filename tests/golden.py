@@ -7,8 +7,6 @@ left out. Real cities and flights lie beside the checkout, in `../shared/data`; 
 skipped, and said so.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -5,8 +5,6 @@ and are taken by the same digest alone. Nothing needs them: what is not there, o
 anew.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import platform

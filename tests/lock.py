@@ -6,8 +6,6 @@ x86-64 with the Python it runs on. Use it as `pip install --require-hashes -r re
 from an environment of its own, for all systems and Pythons.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

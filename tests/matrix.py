@@ -6,8 +6,6 @@ installs a wheel or an sdist with oldest, pinned or newest packages, and then wa
 queries of the demo answered.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Packages of others, as pip leaves them on the path of imports."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Layers import one way, heavy packages load late, and what must have one home has one."""
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

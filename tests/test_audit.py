@@ -1,7 +1,5 @@
 """What `make audit` says of pip-audit's answers."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """A broken part of another package is told in one line, with its package and place."""
 
-from __future__ import annotations
-
 import csv
 import sys
 from pathlib import Path

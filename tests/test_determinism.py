@@ -1,7 +1,5 @@
 """A slice of `python -m tests.determinism`."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.determinism import compare

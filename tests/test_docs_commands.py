@@ -1,7 +1,5 @@
 """Every command that the documents print is one that there is, with options and settings that there are."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import sys

@@ -1,7 +1,5 @@
 """The documentation site builds from what is here, every page of it, and its pages ask for nothing."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What pages say of the code is so: equations it cites, settings, names, layers, and where things are."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from collections import Counter

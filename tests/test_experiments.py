@@ -1,7 +1,5 @@
 """Experiments run from a checkout: one each, over a few boxes."""
 
-from __future__ import annotations
-
 import json
 import runpy
 import sys

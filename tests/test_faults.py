@@ -1,7 +1,5 @@
 """A slice of what `python -m tests.faults` tries: disks that fail or die under whole commands."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

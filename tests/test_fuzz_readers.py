@@ -1,7 +1,5 @@
 """A slice of ``make fuzz``."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.fuzz_readers import fuzz

@@ -1,7 +1,5 @@
 """A slice of the trees of ``make fuzz``."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 
 import numpy as np

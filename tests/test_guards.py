@@ -1,7 +1,5 @@
 """What comes from outside does not lead out of a folder, hang, or write where it only reads."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

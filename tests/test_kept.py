@@ -1,7 +1,5 @@
 """What is kept between checkouts is taken by its digest alone, and nothing needs it."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests import kept

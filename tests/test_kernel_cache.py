@@ -1,7 +1,5 @@
 """Compiled functions never outlive the code they were compiled from."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

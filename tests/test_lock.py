@@ -1,7 +1,5 @@
 """The lock file follows from what the package needs and from the versions the tests pass with."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

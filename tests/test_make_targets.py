@@ -1,7 +1,5 @@
 """The runs of the Makefile's tables name methods, settings and values that there are."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import subprocess

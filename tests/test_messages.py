@@ -1,7 +1,5 @@
 """Every mistake is answered as the catalogue has it: one line, a hint, nothing written, code 2."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

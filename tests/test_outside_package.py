@@ -1,7 +1,5 @@
 """The package of docs/plugins.md: built, installed on its own, used whole, and broken part by part."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Entry points by name: found once, loaded when chosen, and broken only for those who choose them."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

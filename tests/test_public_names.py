@@ -1,7 +1,5 @@
 """The names that others rely on: a change here is a change of the interface, and of CHANGELOG.md."""
 
-from __future__ import annotations
-
 import tomllib
 from inspect import signature
 from pathlib import Path

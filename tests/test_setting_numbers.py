@@ -1,7 +1,5 @@
 """No setting takes NaN or infinity: each is refused by the name that is typed, before any work is done."""
 
-from __future__ import annotations
-
 import importlib
 import math
 import re

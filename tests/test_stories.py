@@ -1,7 +1,5 @@
 """The stories of docs/stories, told by their own commands, as a reader would type them."""
 
-from __future__ import annotations
-
 import csv
 import os
 import re

@@ -1,7 +1,5 @@
 """A drawn flight over a few blocks: photos, a COLMAP model in a frame of its own, tracings, the known map."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """The tests' tiny town with speckled surfaces and ground, and photos of it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

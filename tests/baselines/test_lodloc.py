@@ -1,7 +1,5 @@
 """LoD-Loc (v1): its parts by slow counts, its search on maps drawn from the truth, and what it refuses."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Training of LoD-Loc (v1): its losses by hand, exact resume, the file it leaves, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

@@ -1,7 +1,5 @@
 """LoD-Loc v3: Dice by a slow independent count, its search on the tiny town, and what it is for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

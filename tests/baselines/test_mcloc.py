@@ -1,7 +1,5 @@
 """MC-Loc: its features by an independent count, its search on the tiny town, and what it refuses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Render and match: bounds by the oracle, answers of SIFT, and every way a query has no answer."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Views looked up over an area: where they are, which is chosen, and poses from priors far off."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

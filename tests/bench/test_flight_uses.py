@@ -1,7 +1,5 @@
 """What is measured of tracking and joint solves, on the tests' town."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """How well buildings are told apart, by the command, on views whose labels are counted by hand."""
 
-from __future__ import annotations
-
 import json
 
 import cv2

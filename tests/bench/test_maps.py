@@ -1,7 +1,5 @@
 """`lodbench bench maps`: its table, figures and picture from answers, and what it refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """IoU of a segmenter's masks: counted by hand, beside the ceiling; sets that do not belong together."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Masks of real photos: IoU by place counted by hand, empty photos by the share found."""
 
-from __future__ import annotations
-
 import json
 
 import cv2

@@ -1,7 +1,5 @@
 """Redrawn priors: who starts where, what is counted, and the command from end to end."""
 
-from __future__ import annotations
-
 import json
 import math
 

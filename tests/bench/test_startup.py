@@ -1,7 +1,5 @@
 """`lodbench bench startup`: whole commands of two builds in turns."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Maps made of traced masks: the true pose shows the mask again, a wrong map is wrong by what was asked."""
 
-from __future__ import annotations
-
 import json
 
 import cv2

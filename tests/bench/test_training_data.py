@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from lodbench.bench.training_data import TrainingDataOptions, measure_training_data

@@ -1,7 +1,5 @@
 """`lodbench bench workers`: whole runs in three ways, their bytes compared."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

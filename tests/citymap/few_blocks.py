@@ -1,7 +1,5 @@
 """A few blocks, and poses that look at them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lodbench.citymodel.scene import Scene, build_scene

@@ -1,7 +1,5 @@
 """The map draws what the renderers draw, however many poses are asked for at a time, and counts them."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import fields, replace
 

@@ -1,7 +1,5 @@
 """The map with some buildings higher or lower, drawn again by whatever drew it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Places of pixels: known ones, Jacobians by differences, ellipses by drawing errors, a laser's range."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

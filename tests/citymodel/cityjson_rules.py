@@ -1,7 +1,5 @@
 """The rules of CityJSON 2.0 that a writer of buildings can break, as a JSON schema and a few more checks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

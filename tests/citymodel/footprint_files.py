@@ -1,7 +1,5 @@
 """Vector files of footprints for the tests."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Small CityGML documents for the tests: boxes with walls, in the shapes real files come in."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 

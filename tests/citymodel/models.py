@@ -1,7 +1,5 @@
 """City models read from texts that tests write, and the codes of what was found in them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from lodbench.citymodel import read_city_model

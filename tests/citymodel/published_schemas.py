@@ -7,8 +7,6 @@ the schemas as text, and the environment variable says where one lies:
     LODBENCH_CJVALPY=cjvalpy-0.4.1-cp310-none-win_amd64.whl pytest tests/citymodel
 """
 
-from __future__ import annotations
-
 import json
 import os
 import zipfile

@@ -1,7 +1,5 @@
 """Surface models of houses on a slope, written as GeoTIFF, and OpenStreetMap extracts, for the tests."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

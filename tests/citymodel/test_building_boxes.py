@@ -1,7 +1,5 @@
 """Boxes around the buildings of a scene."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What names a scene in the cache: all that it follows from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 

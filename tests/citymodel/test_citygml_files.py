@@ -1,7 +1,5 @@
 """CityGML files as a whole: refused in one line, levels, ids, what is skipped."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

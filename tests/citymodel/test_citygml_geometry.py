@@ -1,7 +1,5 @@
 """Geometry of CityGML: notations of rings, surfaces, parts, implicit shapes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -246,9 +244,7 @@ class TestRings:
             ("", {"LB101": 1}, 1),
         ],
     )
-    def test_cleaning(
-        self, tmp_path: Path, numbers: str, expected: dict[str, int], num_polygons: int
-    ) -> None:
+    def test_cleaning(self, tmp_path, numbers, expected, num_polygons):
         model = self.ring_model(tmp_path, f"<gml:posList>{numbers}</gml:posList>")
         found = codes(model)
         assert found.pop("LB301") == 1

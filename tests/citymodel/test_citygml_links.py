@@ -1,7 +1,5 @@
 """Links of CityGML: counted once, found again, broken, long; surfaces written twice."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -66,9 +64,7 @@ class TestLinks:
         assert model.findings.counts() == {}
 
     @pytest.mark.parametrize("is_around", [True, False], ids=["envelope", "geometry"])
-    def test_a_link_across_members_keeps_the_system_of_its_target(
-        self, tmp_path: Path, is_around: bool
-    ) -> None:
+    def test_a_link_across_members_keeps_the_system_of_its_target(self, tmp_path, is_around):
         envelope = '<gml:boundedBy><gml:Envelope srsName="EPSG:4326"/></gml:boundedBy>'
         system = ' srsName="EPSG:4326" srsDimension="2"'
         plan = "50.5 9.0 50.6 9.0 50.5 9.1 50.5 9.0"
@@ -161,9 +157,7 @@ class TestLongLinks:
         assert len(model.polygons) == 12
         assert codes(model) == {}
 
-    def test_dangling_links_are_looked_for_once(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_dangling_links_are_looked_for_once(self, tmp_path, monkeypatch):
         calls = []
         plain = LinkResolver._target_id
         monkeypatch.setattr(LinkResolver, "_target_id", lambda *a: (calls.append(1), plain(*a))[1])

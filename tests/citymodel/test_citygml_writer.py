@@ -1,7 +1,5 @@
 """CityGML written: valid by the official schemas, and the same city when it is read again."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from pathlib import Path

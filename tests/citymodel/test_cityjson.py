@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -117,7 +115,7 @@ class TestReading:
         with pytest.raises(CityModelError, match="no three coordinates"):
             read(tmp_path, document({"a": building(instance)}, **{"geometry-templates": templates}))
 
-    def test_a_key_that_stands_thousands_of_times(self, tmp_path: Path) -> None:
+    def test_a_key_that_stands_thousands_of_times(self, tmp_path):
         # Square in their number these would take minutes.
         one = '"a": {"type": "Building"}'
         text = json.dumps(document({"b": building(surface([0, 1, 2]))}))

@@ -1,7 +1,5 @@
 """CityJSON written: by the rules of the specification, for another program, and the same city read again."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from dataclasses import replace

@@ -112,7 +112,7 @@ def test_faces_that_tell_nothing_leave_it_open(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("slope", [0.0, 0.2])
 @pytest.mark.parametrize("is_clockwise", [False, True])
-def test_footprints_and_roofs_alone_leave_it_open(tmp_path: Path, is_clockwise: bool, slope: float) -> None:
+def test_footprints_and_roofs_alone_leave_it_open(tmp_path, is_clockwise, slope):
     # As outlines of a Shapefile, which run clockwise, or draped over a slope.
     flat = [[(x, y, z + slope * x) for x, y, z in ring] for ring in BOX[:2]]
     faces = [ring[::-1] for ring in flat] if is_clockwise else flat
@@ -130,9 +130,7 @@ def test_what_the_user_says_goes_before_the_faces(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["urn:ogc:def:crs:EPSG::{}", "http://www.opengis.net/def/crs/EPSG/0/{}"])
 @pytest.mark.parametrize(("count", "told"), [(1, [637000.0, 486000.0]), (12, [486000.0, 637000.0])])
-def test_a_name_that_promises_an_order_yields_to_many_houses(
-    tmp_path: Path, name: str, count: int, told: list[float]
-) -> None:
+def test_a_name_that_promises_an_order_yields_to_many_houses(tmp_path, name, count, told):
     # Northing first as EPSG:2180 has it, and all faces inside: one house is drawn badly, many are mirrored.
     boxes = [box_rings(x=637000.0 + 20 * n, y=486000.0) for n in range(count)]
     text = "".join(
@@ -186,9 +184,7 @@ US_FOOT_M = 1200 / 3937
     ],
 )
 @pytest.mark.parametrize("suffix", [".gml", ".obj", ".json"])
-def test_there_and_back(
-    tmp_path: Path, crs: str, corner: tuple[float, float, float], label: str, suffix: str
-) -> None:
+def test_there_and_back(tmp_path, crs, corner, label, suffix):
     shift = np.subtract(corner, box_rings()[0][0])
     faces = [[tuple((shift + point).tolist()) for point in ring] for ring in box_rings()]
     text = city(member(solid(surface_members(polygon(face) for face in faces))), srs=crs)
@@ -214,9 +210,7 @@ def test_heights_in_feet_without_a_name_in_metres_lose_theirs() -> None:
     assert require_crs("EPSG:25832+7837").metric_label == "EPSG:25832+7837"
 
 
-def test_heights_that_stay_are_given_no_other_name(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_heights_that_stay_are_given_no_other_name(tmp_path, capsys):
     text = city(member(solid(surface_members(polygon(face) for face in box_rings()))), srs="EPSG:25832+7837")
     source, target = write(tmp_path / "a.gml", text), tmp_path / "b.gml"
     assert main(["city", "convert", str(source), str(target), "--to-crs", "EPSG:25833+5783"]) == 2

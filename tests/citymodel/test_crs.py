@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -31,9 +29,19 @@ def convert(
     return metres, label, [item.code.code for item in findings.items]
 
 
-def test_geocentric_coordinates_are_refused() -> None:
-    with pytest.raises(CityModelError, match="is geocentric"):
-        convert(points((4.0e6, 8.0e5, 4.9e6)), "urn:ogc:def:crs:EPSG::4978")
+@pytest.mark.parametrize(
+    ("rows", "name", "said", "hint"),
+    [
+        (points((4.0e6, 8.0e5, 4.9e6)), "urn:ogc:def:crs:EPSG::4978", "is geocentric", ""),
+        (points((690953, 5335962, 500)), "EPSG:4326", "no degrees", ""),
+        (np.column_stack([np.linspace(0, 250, 60)] * 3), "EPSG:4326", "no degrees", ""),
+        (points((35.7, 139.5, 0), (35.71, 139.51, 9)), None, "look like degrees", "crs="),
+    ],
+)
+def test_what_no_map_has_is_refused(rows: np.ndarray, name: str | None, said: str, hint: str) -> None:
+    with pytest.raises(CityModelError, match=said) as caught:
+        convert(rows, name)
+    assert hint in caught.value.hint
 
 
 class TestLabel:
@@ -79,43 +87,25 @@ class TestLabel:
             require_crs(name)
 
 
-class TestAxes:
-    def test_declared_and_plausible(self) -> None:
-        metres, label, codes = convert(points((690953, 5335962, 500)), "EPSG:25832")
-        assert metres.tolist() == [[690953, 5335962, 500]]
-        assert (label, codes) == ("EPSG:25832", [])
-
-    def test_gauss_kruger_east_first_against_the_declaration(self) -> None:
-        metres, _, codes = convert(points((4467593, 5334499, 500)), "EPSG:31468")
-        assert metres[0].tolist() == [4467593, 5334499, 500]
-        assert codes == ["LB304"]
-
-    def test_gauss_kruger_north_first_as_declared(self) -> None:
-        metres, _, codes = convert(points((5334499, 4467593, 500)), "EPSG:31468")
-        assert metres[0].tolist() == [4467593, 5334499, 500]
-        assert codes == []
-
-    def test_utm_north_first_against_the_declaration(self) -> None:
-        metres, _, codes = convert(points((5335962, 690953, 500)), "EPSG:25832")
-        assert metres[0].tolist() == [690953, 5335962, 500]
-        assert codes == ["LB304"]
-
-    def test_either_order_plausible(self) -> None:
-        metres, _, codes = convert(points((28000, 38000, 5)), "EPSG:3414")
-        assert metres[0].tolist() == [28000, 38000, 5]
-        assert codes == ["LB308"]
-
-    def test_wrong_declaration_is_told(self) -> None:
-        _, label, codes = convert(points((3000, 5340000, 180)), "EPSG:7415")
-        assert (label, codes) == ("EPSG:7415", ["LB303"])
-
-    def test_tile_at_the_rim_of_a_zone(self) -> None:
-        assert convert(points((280847, 5657118, 40)), "EPSG:25832")[2] == []
-
-    def test_zone_number_before_the_easting(self) -> None:
-        metres, _, codes = convert(points((32690953, 5335962, 500)), "EPSG:25832")
-        assert metres[0].tolist() == [690953, 5335962, 500]
-        assert codes == ["LB306"]
+@pytest.mark.parametrize(
+    ("name", "stated", "east", "north", "codes"),
+    [
+        ("EPSG:25832", (690953, 5335962), 690953, 5335962, []),
+        ("EPSG:25832", (280847, 5657118), 280847, 5657118, []),  # at the rim of its zone
+        ("EPSG:25832", (5335962, 690953), 690953, 5335962, ["LB304"]),  # north first against the declaration
+        ("EPSG:31468", (4467593, 5334499), 4467593, 5334499, ["LB304"]),  # east first against it
+        ("EPSG:31468", (5334499, 4467593), 4467593, 5334499, []),
+        ("EPSG:3414", (28000, 38000), 28000, 38000, ["LB308"]),  # either order is plausible
+        ("EPSG:7415", (3000, 5340000), 3000, 5340000, ["LB303"]),  # declared wrongly
+        ("EPSG:25832", (32690953, 5335962), 690953, 5335962, ["LB306"]),  # the zone's number is put before
+        ("EPSG:25833", (33392000, 5820000), 392000, 5820000, ["LB306"]),
+        ("EPSG:4647", (550000, 5800000), 32550000, 5800000, ["LB306"]),  # lacks the number its system has
+    ],
+)
+def test_axes_and_prefixes(name, stated, east, north, codes):
+    metres, label, found = convert(points((*stated, 500)), name)
+    assert metres.tolist() == [[east, north, 500]]
+    assert (label, found) == (name, codes)
 
 
 class TestDegrees:
@@ -167,12 +157,6 @@ class TestDegrees:
         declared = convert(points((8.5, 47.3, 400)), "EPSG:4326")
         assert (declared[1], declared[2]) == ("EPSG:32638", ["LB305"])
         assert convert(points((48.1, 130.0, 9)), None, "EPSG:4326")[2] == ["LB305"]  # no latitude is 130
-
-    def test_metres_declared_as_degrees(self) -> None:
-        with pytest.raises(CityModelError, match="no degrees"):
-            convert(points((690953, 5335962, 500)), "EPSG:4326")
-        with pytest.raises(CityModelError, match="no degrees"):
-            convert(np.column_stack([np.linspace(0, 250, 60)] * 3), "EPSG:4326")
 
     def test_a_stray_point_and_the_antimeridian_are_degrees(self) -> None:
         osaka = np.column_stack(
@@ -226,11 +210,6 @@ class TestOthers:
         assert (label, codes) == (None, [code])
         assert metres.tolist() == [[1, 2, 3], [900, 800, 3]]
 
-    def test_degrees_without_a_name(self) -> None:
-        with pytest.raises(CityModelError, match="look like degrees") as caught:
-            convert(points((35.7, 139.5, 0), (35.71, 139.51, 9)), None)
-        assert "crs=" in caught.value.hint
-
 
 class TestZonePrefixes:
     """EPSG:4647 and its kin put the zone number into the false easting; Germany delivers cities in them."""
@@ -246,28 +225,15 @@ class TestZonePrefixes:
         assert label == f"EPSG:{code}"
         assert codes in ([], ["LB304"])
 
-    def test_coordinates_that_lack_the_prefix(self) -> None:
-        metres, _, codes = convert(points((550000.0, 5800000.0, 1)), "EPSG:4647")
-        assert metres[0, 0] == 32550000.0
-        assert codes == ["LB306"]
-
     @pytest.mark.parametrize(
-        ("code", "longitude", "latitude"),
-        [(26906, -149.9, 61.2), (32607, -142.0, 64.0), (32707, -139.0, -21.0)],
+        ("code", "place"), [(26906, (-149.9, 61.2)), (32607, (-142.0, 64.0)), (32707, (-139.0, -21.0))]
     )
-    def test_northings_that_begin_with_the_number_of_their_zone(
-        self, code: int, longitude: float, latitude: float
-    ) -> None:
+    def test_northings_that_begin_with_the_number_of_their_zone(self, code, place):
         crs = f"EPSG:{code}"
-        east, north = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(longitude, latitude)
+        east, north = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(*place)
         metres, _, codes = convert(points((east, north, 1), (east + 9, north, 1)), crs)
         assert metres[:, :2].tolist() == [[east, north], [east + 9, north]]
         assert codes == []
-
-    def test_a_prefix_that_the_system_has_not_is_removed(self) -> None:
-        metres, _, codes = convert(points((33392000.0, 5820000.0, 1)), "EPSG:25833")
-        assert metres[0, 0] == 392000.0
-        assert codes == ["LB306"]
 
 
 class TestScale:
@@ -377,9 +343,7 @@ def test_a_file_whose_polygons_all_fall_keeps_its_system(tmp_path: Path) -> None
 
 @pytest.mark.parametrize(("code", "longitude", "latitude"), [(2048, 18.42, -33.92), (5513, 14.42, 50.09)])
 @pytest.mark.parametrize("is_swapped", [False, True])
-def test_westings_and_southings_become_eastings_and_northings(
-    code: int, longitude: float, latitude: float, is_swapped: bool
-) -> None:
+def test_westings_and_southings_become_eastings_and_northings(code, longitude, latitude, is_swapped):
     degrees = np.array([(longitude, latitude), (longitude + 1e-3, latitude), (longitude, latitude + 1e-3)])
     declared = Transformer.from_crs(4326, code).transform(degrees[:, 1], degrees[:, 0])
     rows = np.column_stack([*(declared[::-1] if is_swapped else declared), np.zeros(3)])

@@ -1,7 +1,5 @@
 """Surfaces taken out of the bytes of CityGML: the same city comes out as from the parser alone."""
 
-from __future__ import annotations
-
 import io
 import random
 from dataclasses import fields

@@ -1,7 +1,5 @@
 """What footprints are read with: WKB, rings, blocks, columns, terrain."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

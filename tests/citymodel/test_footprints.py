@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import struct
 import zipfile
@@ -147,9 +145,7 @@ class TestReading:
         assert model.polygons.points[:, 2].min() == 31.5
 
     @pytest.mark.parametrize(("column", "ground"), [(None, 31.5), ("base", 3.0)])
-    def test_a_terrain_goes_before_a_column_that_nobody_named(
-        self, tmp_path: Path, column: str | None, ground: float
-    ) -> None:
+    def test_a_terrain_goes_before_a_column_that_nobody_named(self, tmp_path, column, ground):
         """``base`` may count from anywhere; the terrain that is given does not."""
         corner = f"xllcorner {LON - 1}\nyllcorner {LAT - 1}\n"
         terrain = write(tmp_path / "d.asc", f"ncols 1\nnrows 1\n{corner}cellsize 2\n31.5\n")
@@ -205,9 +201,7 @@ class TestReading:
         ],
     )
     @pytest.mark.parametrize("crs", ["EPSG:2263", "EPSG:26918"])
-    def test_a_terrain_counts_in_its_own_unit(
-        self, tmp_path: Path, crs: str, raster_crs: str, unit: str | None, stored: float
-    ) -> None:
+    def test_a_terrain_counts_in_its_own_unit(self, tmp_path, crs, raster_crs, unit, stored):
         rasterio = pytest.importorskip("rasterio")
         east, north = Transformer.from_crs(4326, crs, always_xy=True).transform(-73.98, 40.75)
         ring = [[east + dx, north + dy] for dx, dy in ((0, 0), (30, 0), (30, 30), (0, 30), (0, 0))]

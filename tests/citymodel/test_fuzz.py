@@ -3,8 +3,6 @@
 More of it: ``make fuzz``.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path

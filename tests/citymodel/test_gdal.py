@@ -1,7 +1,5 @@
 """GDAL reads by the ending, never by what a file says of itself; what is cut off is told."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys
@@ -38,9 +36,7 @@ class TestDrivers:
         return _VRT.format(inner=inner, target=target), target
 
     @pytest.mark.parametrize("name", ["b.geojson", "b.gpkg", "b.shp", "b.fgb"])
-    def test_a_vrt_under_another_name_is_refused(
-        self, tmp_path: Path, trap: tuple[str, Path], name: str
-    ) -> None:
+    def test_a_vrt_under_another_name_is_refused(self, tmp_path, trap, name):
         text, target = trap
         (tmp_path / "tiles").mkdir()
         path = write(tmp_path / "tiles" / name, text)

@@ -1,7 +1,5 @@
 """Bridges, tunnels, trees, roads, water and terrain as CityGML: valid, and the same when read again."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 

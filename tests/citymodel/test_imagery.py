@@ -1,7 +1,5 @@
 """Orthophotos under a map: where each colour ends up, by coordinates; what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Which buildings stand at a date, whose surfaces those of extensions and storeys are."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

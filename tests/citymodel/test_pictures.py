@@ -1,7 +1,5 @@
 """Pictures of surfaces kept by conversions: every corner on the same spot of the same picture."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -254,9 +252,7 @@ def test_names_in_cityjson_are_held_likewise(tmp_path: Path, capsys: pytest.Capt
         [[{"a": 1}]] * 4,
     ],
 )
-def test_textures_that_do_not_fit_are_told(
-    values: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_textures_that_do_not_fit_are_told(values, tmp_path, capsys):
     path = convert(write_town(tmp_path), tmp_path / "json/a.city.json")
     document = json.loads(path.read_text())
     for shape in document["CityObjects"]["b0"]["geometry"]:
@@ -303,9 +299,7 @@ def wraps(path: Path) -> dict[int, str]:
     ("ending", "more"),
     [(".city.json", ()), (".city.jsonl", ()), (".gml", ()), (".gml", ("--citygml", "3.0"))],
 )
-def test_how_pictures_go_on_beyond_their_edges_is_kept(
-    ending: str, more: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_how_pictures_go_on_beyond_their_edges_is_kept(ending, more, tmp_path, capsys):
     """One picture may repeat on one surface and end on another: then it has one file and two entries."""
     source = write_town(tmp_path)
     text, one = source.read_text(), f"<app:imageURI>{JPEG}</app:imageURI>"

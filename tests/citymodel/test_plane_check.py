@@ -1,9 +1,5 @@
 """Polygons that are unsound in their plane, upright and lying, each with its code and place."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from lodbench.citymodel import read_city_model
@@ -43,13 +39,7 @@ def moved(
         (SQUARE, [HOLE[::-1]], "LB118"),
     ],
 )
-def test_codes(
-    tmp_path: Path,
-    outline: list[tuple[float, float]],
-    holes: list[list[tuple[float, float]]],
-    code: str | None,
-    is_upright: bool,
-) -> None:
+def test_codes(tmp_path, outline, holes, code, is_upright):
     text = polygon(lift(outline, is_upright), [lift(hole, is_upright) for hole in holes])
     model = read_city_model(write(tmp_path / "a.gml", city(member(multi_surface(surface_members([text]))))))
     findings = Findings()

@@ -1,7 +1,5 @@
 """What is made of a city: derived levels, reports, other formats, the cache."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

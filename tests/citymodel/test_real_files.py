@@ -68,7 +68,7 @@ def newell_areas(model: CityModel) -> list[float]:
 
 
 @pytest.mark.parametrize("row", FILES, ids=[row.path for row in FILES])
-def test_catalogued_counts(shared_data: Path, row: Row) -> None:
+def test_catalogued_counts(shared_data, row):
     # One sample has buildings demolished from 2021 to 2099.
     options = ReadOptions(date="2020-01-01")
     model = read_city_model(shared_data / "city" / row.path, options=options)
@@ -110,9 +110,7 @@ def test_area_of_every_polygon(shared_data: Path, row: Row) -> None:
         ("netherlands_other/delft-citygml2.xml", "1", "EPSG:7415", None),
     ],
 )
-def test_default_level_and_reference_system(
-    shared_data: Path, path: str, lod: str, crs: str, triangles: int | None
-) -> None:
+def test_default_level_and_reference_system(shared_data, path, lod, crs, triangles):
     scene = mesh_city(read_city_model(shared_data / "city" / path))
     assert (scene.lod, scene.crs) == (lod, crs)
     assert triangles is None or len(scene.triangles) == triangles

@@ -1,7 +1,5 @@
 """Which buildings have pitched roofs, as each kind of source tells, and that the scene knows."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

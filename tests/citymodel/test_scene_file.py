@@ -1,7 +1,5 @@
 """Scene folders: what comes back, and what is refused."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from dataclasses import replace
@@ -79,9 +77,7 @@ def bad_index(scene: Scene, value: int) -> Scene:
         (lambda s: replace(s, origin=np.full(3, 1e999)), "not"),
     ],
 )
-def test_a_stranger_s_numbers_are_refused_whatever_their_digests(
-    scene: Scene, tmp_path: Path, change, reason: str
-) -> None:
+def test_a_stranger_s_numbers_are_refused_whatever_their_digests(scene, tmp_path, change, reason):
     target = tmp_path / "b.scene"
     try:
         write_scene(change(scene), target)

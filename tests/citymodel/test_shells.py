@@ -1,7 +1,5 @@
 """Solids that leak, touch themselves or are turned: each made from a sound box, each with its code."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Solids that cut themselves or each other, lie twice or inside out of place: each with its code."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -40,7 +38,7 @@ def turned(rings: Sequence[Ring]) -> list[Ring]:
 SMALL = box_rings(X + 3, Y + 3, Z + 2, 2.0, 2.0)
 
 
-def test_sound_solids_stay_unreported(tmp_path: Path) -> None:
+def test_sound_solids_stay_unreported(tmp_path):
     # Side by side, the wall between them is one polygon, seen from both sides.
     assert list(defects(tmp_path, solids([BOX], [moved(BOX, x=10)]))) == ["LB109"]
     assert defects(tmp_path, solids([BOX, turned(SMALL)])) == {}  # a hole in its middle
@@ -56,7 +54,7 @@ def test_solids_that_cut_each_other(tmp_path: Path) -> None:
     assert list(found) == ["LB613"]
 
 
-def test_a_solid_twice(tmp_path: Path) -> None:
+def test_a_solid_twice(tmp_path):
     # Slightly off, so that the copies are no copies of polygons, and within the tolerance of corners.
     found = defects(tmp_path, solids([BOX], [moved(BOX, z=1e-5)]))
     assert "LB614" in found
@@ -75,7 +73,7 @@ def test_the_same_hole_twice(tmp_path: Path) -> None:
     assert "LB611" in defects(tmp_path, solids([BOX, turned(SMALL), turned(moved(SMALL, z=1e-5))]))
 
 
-def test_a_shell_that_cuts_itself(tmp_path: Path) -> None:
+def test_a_shell_that_cuts_itself(tmp_path):
     # A prism whose top is turned against its bottom so far that its sides pass through each other.
     angles = np.radians(np.arange(5) * 72.0)
     low = [(X + 5 * float(np.cos(a)), Y + 5 * float(np.sin(a)), Z) for a in angles]

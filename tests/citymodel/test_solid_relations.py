@@ -1,7 +1,5 @@
 """Pieces of a solid's inside, against the graph of all pairs of points that see each other."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull

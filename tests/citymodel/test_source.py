@@ -367,8 +367,6 @@ def _box() -> list[list[tuple[float, float, float]]]:
         ({"storey_height_m": 3.0, "axis_order": "east_first"}, 0),
     ],
 )
-def test_options_that_say_nothing_to_citygml_are_told(
-    tmp_path: Path, words: dict[str, Any], count: int
-) -> None:
+def test_options_that_say_nothing_to_citygml_are_told(tmp_path, words, count):
     model = read_city_model(write(tmp_path / "a.gml", box_city()), options=ReadOptions.from_mapping(words))
     assert model.findings.counts().get("LB411 OPTION_UNUSED", 0) == count

@@ -1,7 +1,5 @@
 """Scenes that were converted: what they were made with is not changed by asking again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

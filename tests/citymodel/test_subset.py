@@ -1,7 +1,5 @@
 """Parts of a city: buildings by id, place and attribute; another reference system."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Heights of footprints by a surface model, by attributes, by tags of OpenStreetMap, and what says so."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """An orthophoto over a surface model: what is green is no roof, and both are a textured mesh."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A surface model as a city: houses with walls and plane roofs, no trees, whatever the blocks and source."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

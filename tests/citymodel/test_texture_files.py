@@ -1,7 +1,5 @@
 """Textured maps of every kind: read alike, and nothing opened that a stranger should not name."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Squares of a city: every building in one of them, and an index that says where."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -77,9 +75,7 @@ def test_a_side_of_nothing(tmp_path: Path) -> None:
             cut_into_tiles(model, side)
 
 
-def test_tiles_of_an_earlier_cut_are_not_left_among_new_ones(
-    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tiles_of_an_earlier_cut_are_not_left_among_new_ones(shared_data, tmp_path, capsys):
     """Buildings stood twice in the folder, which is read as one city."""
     words = ["city", "convert", str(shared_data / NRW), str(tmp_path / "town.gml"), "--tiles"]
     assert [main([*words, "300"]) for _ in range(2)] == [0, 0]

@@ -1,7 +1,5 @@
 """Beside val3dity: its verdicts, which 3DBAG publishes with every building, and ours."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter, defaultdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A roof with a picture on it, as a mesh or a city of every kind that textured maps are read from."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

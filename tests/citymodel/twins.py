@@ -1,7 +1,5 @@
 """One small town written in every format, so that the readers can be held against each other."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Running the command line: in this process, and in one of its own where that is what is tested."""
 
-from __future__ import annotations
-
 import io
 import os
 import subprocess

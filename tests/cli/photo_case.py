@@ -1,7 +1,5 @@
 """A photo of a real city at a known pose, with mask and metadata as a drone's; what localize says of it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

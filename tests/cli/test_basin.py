@@ -1,7 +1,5 @@
 """`lodbench basin`: rows of a table, each a run of its own; cost around the truth."""
 
-from __future__ import annotations
-
 import csv
 import re
 from dataclasses import asdict

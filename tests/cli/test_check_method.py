@@ -1,7 +1,5 @@
 """`lodbench check-method`: methods that keep to the protocol, and some that break it, each in one way."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`lodbench city` in a subprocess: what it prints, what it writes, and what it refuses."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import shutil

@@ -1,7 +1,5 @@
 """`lodbench compare`: side by side from the rows, with tests over the same queries."""
 
-from __future__ import annotations
-
 import io
 import re
 from pathlib import Path

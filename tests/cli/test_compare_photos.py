@@ -1,7 +1,5 @@
 """The page of two runs, photo by photo, in a browser: order, filters, outlines, tags kept in a file."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Words complete themselves in real shells, and the answers behind them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

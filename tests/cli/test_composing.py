@@ -1,7 +1,5 @@
 """A single job's configuration is the one that Hydra's own entry composes."""
 
-from __future__ import annotations
-
 import sys
 
 import hydra

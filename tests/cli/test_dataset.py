@@ -1,7 +1,5 @@
 """`lodbench dataset list | check | prior`, as a person uses them."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`lodbench evaluate`: a pose file becomes the artefacts of a run, which verify."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A run's poses in every format, read back by the readers that import them."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

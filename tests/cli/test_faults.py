@@ -1,7 +1,5 @@
 """A fault of the command or the dataset: one line, a hint, exit code 2, and nothing written."""
 
-from __future__ import annotations
-
 import logging
 import shutil
 from pathlib import Path

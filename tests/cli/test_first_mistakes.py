@@ -1,7 +1,5 @@
 """What people may take for mistakes and what is none; mistakes themselves are in `tests/messages`."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`lodbench georeference`: a COLMAP model in a frame of its own, placed in a city by masks of its photos."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Every setting and every flag says what it means, and no slip is answered with a wall of usage."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

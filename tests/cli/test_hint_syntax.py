@@ -1,7 +1,5 @@
 """Hints of the demo's priors have the syntax of a run's settings; other hints are in `tests/messages`."""
 
-from __future__ import annotations
-
 import pytest
 
 from lodbench.cli import main

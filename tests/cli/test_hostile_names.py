@@ -1,7 +1,5 @@
 """Names that a spreadsheet, a page or a terminal would obey, through a whole run."""
 
-from __future__ import annotations
-
 import csv
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`lodbench leaderboard`: only verified runs get in, oracles stand apart, files follow from entries."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """Commands that compute little load little: what takes long to import is imported where it is used."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One photo, end to end: real city models, photos and masks made at a known pose, metadata as a drone's."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`lodbench localize` of flights: told apart, solved jointly, and what is left out named with its reason."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil

@@ -1,7 +1,5 @@
 """`lodbench localize` of many photos: a table, a map, nothing written over, what fails named."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """`lodbench.localize_photo` and `localize_flight` return what the command says, and write its files."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`lodbench localize --start`: photos that state nothing, in a city without a reference system."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

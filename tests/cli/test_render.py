@@ -1,7 +1,5 @@
 """`lodbench render`: every kind of picture, from the command line to the pixels."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`lodbench report`: one page of a run, verified on the way, in a real browser."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`lodbench run` on a small folder: artefacts, resume, determinism, faults of single queries."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

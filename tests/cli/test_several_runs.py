@@ -1,7 +1,5 @@
 """Patterns of run folders: `report` and `export` take several runs, and what is no run is passed over."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

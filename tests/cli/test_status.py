@@ -1,7 +1,5 @@
 """`lodbench status`: how far a run is, without touching it."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

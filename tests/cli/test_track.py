@@ -1,7 +1,5 @@
 """`lodbench track`: frames of a folder and of a video, what is lost, and bad input."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil

@@ -1,7 +1,5 @@
 """What comes from strangers and from full disks ends in one line, and steers no terminal."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

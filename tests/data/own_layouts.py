@@ -3,8 +3,6 @@
 Each writer returns the true poses by key, in the coordinates that the loader answers in.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

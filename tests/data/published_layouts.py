@@ -3,8 +3,6 @@
 Nothing is stored: the town, the views, the masks and every file are made from a seed.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import tempfile

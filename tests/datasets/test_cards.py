@@ -1,7 +1,5 @@
 """The cards: the files in the checkout are those that are made, complete, and valid Croissant."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """COLMAP models moved by a similarity, against COLMAP's own transform."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

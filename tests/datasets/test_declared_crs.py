@@ -1,7 +1,5 @@
 """Poses in another reference system than the city's: places and headings, and what cannot be brought."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pyproj import Transformer

@@ -1,7 +1,5 @@
 """Downloads from a server on this machine: whole, resumed, cut off, too long, wrong, missing."""
 
-from __future__ import annotations
-
 import hashlib
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Every format there and back, and against the programs the formats come from where they are installed."""
 
-from __future__ import annotations
-
 import json
 import struct
 

@@ -1,7 +1,5 @@
 """GeoPackages of features: layers, columns and types as GDAL reads them; never a city among tiles."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely

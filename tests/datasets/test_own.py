@@ -1,7 +1,5 @@
 """Writing a dataset folder: nothing of one image takes the place of another's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Metashape's, Pix4D's and ODM's text: their own numbers, there and back, and what is not meant."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

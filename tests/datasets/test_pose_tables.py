@@ -1,7 +1,5 @@
 """Tables with a head as poses: spellings, both kinds of places, lodbench's own table, and what is refused."""
 
-from __future__ import annotations
-
 import csv
 
 import pytest

@@ -1,7 +1,5 @@
 """One real flight as a dataset: its map beside it, all its photos one flight, a board of its own."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np

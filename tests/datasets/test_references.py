@@ -1,7 +1,5 @@
 """Posed pictures of the place: any folder in the text layout, told in one line where it lacks something."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

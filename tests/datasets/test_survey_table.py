@@ -1,7 +1,5 @@
 """A pose in a surveyor's terms: coordinates, compass heading, gimbal pitch, standard deviations in order."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

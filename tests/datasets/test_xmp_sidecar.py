@@ -1,7 +1,5 @@
 """XMP beside photos: read back by the reader of photos' own metadata, and never over another program's."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

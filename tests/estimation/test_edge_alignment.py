@@ -1,7 +1,5 @@
 """Poses refined by the edges of roofs: what a photo drawn from the map itself says of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

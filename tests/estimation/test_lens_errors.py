@@ -1,7 +1,5 @@
 """A camera that is not as declared: against the camera model of geometry, and finite differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

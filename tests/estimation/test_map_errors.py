@@ -1,7 +1,5 @@
 """How far a map's errors lead answers astray: against least squares on outlines that were moved."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Points on the model's lines: where a view shows them, and how they move with camera, lens and map."""
 
-from __future__ import annotations
-
 from dataclasses import astuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors told too large by an unknown factor: the factor is found where residuals tell it, and only there."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

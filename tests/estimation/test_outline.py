@@ -1,7 +1,5 @@
 """Outlines of a city and their slopes, against finite differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

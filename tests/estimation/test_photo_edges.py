@@ -1,7 +1,5 @@
 """Edges across a line: found to a tenth of a pixel wherever the line begins, but for those that cross it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The mean of the posterior, against integrals of densities whose axes are independent."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

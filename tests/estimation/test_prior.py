@@ -1,7 +1,5 @@
 """Priors of state vectors, and what products with them leave open."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Calibration against answers whose true probabilities are known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Roof edges against a photo's edges: known offsets, edges that run another way, and a real flight."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What flights say of a map, counted against what was done to it."""
 
-from __future__ import annotations
-
 from lodbench.evaluation.flight_findings import MapScore, score_map
 
 CHANGED = {"heights": {"a": 3.0, "b": -2.0, "unseen": 4.0}, "missing": ["m", "hidden"], "extra": ["x", "y"]}

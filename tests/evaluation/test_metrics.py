@@ -1,7 +1,5 @@
 """Metrics by hand, and metrics of other packages: found, shown, and left out where they fail."""
 
-from __future__ import annotations
-
 import math
 import re
 from importlib.metadata import EntryPoint

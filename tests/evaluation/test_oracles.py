@@ -1,7 +1,5 @@
 """Errors and recalls against computations that share no code with ours."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Panoptic quality: golden values, and what must hold of any labels."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

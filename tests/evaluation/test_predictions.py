@@ -1,7 +1,5 @@
 """What is stored of an answer comes back whole, and is scored by the truth alone."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bins and numbers by a benchmark's name, against slow sums; and the way from a dataset to tables."""
 
-from __future__ import annotations
-
 import json
 import math
 

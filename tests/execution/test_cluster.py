@@ -1,7 +1,5 @@
 """What goes to the workers of a Dask cluster, and between them."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable
@@ -78,9 +76,7 @@ def test_a_cluster_without_workers_says_how_they_start(caplog) -> None:
     assert caplog.text == ""
 
 
-def test_workers_that_go_are_told_once_and_a_scheduler_that_does_not_answer_is_none(
-    monkeypatch, caplog
-) -> None:
+def test_workers_that_go_are_told_once_and_a_scheduler_that_does_not_answer_is_none(monkeypatch, caplog):
     distributed = pytest.importorskip("distributed")
     client, answers = OneWorker(), [{}, {}, {"back": 1}, {}, OSError("Timed out trying to connect")]
     workers = DaskWorkers(client, "tcp://10.0.0.1:8786", nothing, (), 1, 0.0)

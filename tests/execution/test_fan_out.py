@@ -1,7 +1,5 @@
 """Workers that processes fork from leave Ctrl-C to the process that was asked."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

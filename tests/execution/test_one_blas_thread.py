@@ -1,7 +1,5 @@
 """BLAS on one thread while results are made."""
 
-from __future__ import annotations
-
 import threading
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every lens against COLMAP's own code, where pycolmap is installed, and against OpenCV's."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Heading, pitch and roll: against rotated vectors, and back to the rotation as a gimbal's angles."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rays through pixels: back through every lens, and how pixels move with a camera's parameters."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

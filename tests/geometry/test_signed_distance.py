@@ -1,7 +1,5 @@
 """The signed distance to a mask's outline: where it is 0, and against another transform."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Similarities between frames, fitted to poses of which some are far off."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """What tests of runs share: three views of the tests' town, and a cache of their own."""
 
-from __future__ import annotations
-
 import pytest
 
 from lodbench.datasets.folder import FolderParams, open_folder

@@ -1,7 +1,5 @@
 """A distorted photo of a real city as a flight of one photo, its mask, and the command that takes them."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Methods that answer as they are told, and runs of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a plug-in or a dataset does wrong is told: it ends no run without a word, and no run for ever."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

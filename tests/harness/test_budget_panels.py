@@ -1,7 +1,5 @@
 """Recall over poses drawn: which runs are one line, and which are not."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 from lodbench.harness.runs.compare import budget_panels

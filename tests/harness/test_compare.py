@@ -1,7 +1,5 @@
 """Paired tests of runs, from their rows."""
 
-from __future__ import annotations
-
 import warnings
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Parts of a dataset that contradict each other are found, and sound ones are not accused."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The doctor says what works, names what to install, and survives what it examines."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Before any work: city, priors, photos and masks of a run belong together, or one line says why not."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

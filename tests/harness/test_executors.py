@@ -1,7 +1,5 @@
 """Runs over processes and over Dask: the files of a serial run, byte for byte, whoever dies."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import signal
@@ -57,9 +55,7 @@ def test_dask(serial) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", ["process", "dask"])
-def test_the_grid_of_one_query_of_a_wide_basin_shared_by_two_workers(
-    serial, tmp_path, monkeypatch, name
-) -> None:
+def test_the_grid_of_one_query_of_a_wide_basin_shared_by_two_workers(serial, tmp_path, monkeypatch, name):
     made, shared = {}, []
     monkeypatch.setattr(SharedScorer, "_shared", counted(SharedScorer._shared, shared))
     words = [f"dataset.root={serial[0] / 'town/data'}", f"dataset.city_model={serial[0] / 'town/city.obj'}"]

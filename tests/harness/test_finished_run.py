@@ -1,7 +1,5 @@
 """A finished run given again: nothing is computed or drawn anew, and nothing out of date is left."""
 
-from __future__ import annotations
-
 import os
 import re
 

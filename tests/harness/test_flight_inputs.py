@@ -1,7 +1,5 @@
 """What a flight's photos are solved with: poses in a model whose images may be called alike."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 

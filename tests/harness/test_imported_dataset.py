@@ -1,7 +1,5 @@
 """Datasets of one's own from poses that other programs made."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """Outlines of buildings that flights doubt, on the map and on Earth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from shapely.geometry import Polygon, shape

@@ -1,7 +1,5 @@
 """Datasets of one's own: from photos and from models, undistorted, and run like any other."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import astuple

@@ -1,7 +1,5 @@
 """Which pictures below a folder are photos: no masks, however their folder is written, no results."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """What check-plugin says of segmenters and export formats: sound ones pass, each broken rule is named."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import dataclass

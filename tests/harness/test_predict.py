@@ -1,7 +1,5 @@
 """A method's life in a run: prepared once, asked, alone or in batches; faults are told and can be retried."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path

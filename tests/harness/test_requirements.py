@@ -1,7 +1,5 @@
 """What a run lacks is told in one line before any work; what it does not need is not asked for."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Runs from Python, as a notebook makes and shows them."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import linecache
 import re

@@ -1,7 +1,5 @@
 """Scores of a grid shared out over workers: those of one process, whatever comes back first."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lodbench.geometry import Camera, Pose, rotations_at_yaws

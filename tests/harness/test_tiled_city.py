@@ -1,7 +1,5 @@
 """Many tiles as one scene: the city as read at once, wherever it is made and however often it is killed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

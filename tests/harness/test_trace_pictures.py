@@ -1,7 +1,5 @@
 """What a run's page shows of a method's search: scores step by step, and evidence as what it is."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 

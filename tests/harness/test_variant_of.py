@@ -1,7 +1,5 @@
 """What rows of one method are told apart by in tables."""
 
-from __future__ import annotations
-
 import pytest
 
 from lodbench.harness.runs.artefacts import variant_of

@@ -1,7 +1,5 @@
 """Networks that match pictures, built from configurations with random weights: shapes, ways back, faults."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pose solvers: on correspondences whose pose is known, among outliers, far from zero, and where none is."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

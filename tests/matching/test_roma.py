@@ -1,7 +1,5 @@
 """RoMa: what is told where it cannot run; its matches by its own arithmetic where romatch is installed."""
 
-from __future__ import annotations
-
 import hashlib
 import sys
 from importlib.util import find_spec

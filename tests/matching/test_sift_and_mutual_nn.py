@@ -1,7 +1,5 @@
 """SIFT and mutual nearest neighbours on a photo and the same photo seen through a known homography."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Weights are where a setting says, and what it pins them to."""
 
-from __future__ import annotations
-
 import hashlib
 
 import pytest

@@ -1,7 +1,5 @@
 """XFeat and its matchers with their own weights, on a photo seen through a known homography."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -4,8 +4,6 @@
 typed in a folder of ``prepare``.
 """
 
-from __future__ import annotations
-
 import io
 import shlex
 import shutil

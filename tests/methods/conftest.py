@@ -1,7 +1,5 @@
 """Queries over the tests' tiny town."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """How far answers are trusted: by their covariance, the camera, the photo's edges and the search's bounds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

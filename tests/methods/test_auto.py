@@ -1,7 +1,5 @@
 """``method=auto``: by pixels, and by a mask where these leave the pose open."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

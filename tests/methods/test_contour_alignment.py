@@ -1,7 +1,5 @@
 """Six degrees of freedom: slopes against finite differences, poses found, the answer's certainty."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from functools import partial
 from itertools import pairwise

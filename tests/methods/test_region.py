@@ -1,7 +1,5 @@
 """Region-based localisation on pictures of the tests' tiny town: two grounds of noise, no mask anywhere."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Eaves that stand out beyond the map's walls: drawn, and told from photos."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

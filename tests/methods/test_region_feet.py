@@ -1,7 +1,5 @@
 """Walls that end higher than in the map, all alike: drawn, and told from photos."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A lens that is not as told: photos over an exact map say so, and by how much."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Starts where the map's lines lie along edges: found where regions have no top."""
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import replace
 from functools import partial

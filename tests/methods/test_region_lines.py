@@ -1,7 +1,5 @@
 """The model's lines on a photo's edges: they know the pose where the map is exact, and whether it is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

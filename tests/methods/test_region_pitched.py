@@ -1,7 +1,5 @@
 """Blocks of roofs that are told to be pitched: lower beforehand than the map has them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Roofs higher or lower than in the map, all alike or each by itself: drawn, and told from photos."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from itertools import product

@@ -1,7 +1,5 @@
 """Tracking: from the last pose and motion, lost where nothing fits, found again by search."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

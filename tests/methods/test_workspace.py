@@ -1,7 +1,5 @@
 """What a method prepares: made once, whole or not at all, and found again."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

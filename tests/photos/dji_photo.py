@@ -1,7 +1,5 @@
 """Photos as DJI's drones write them: EXIF by Pillow, and an XMP packet in a segment of its own."""
 
-from __future__ import annotations
-
 import io
 import struct
 from fractions import Fraction

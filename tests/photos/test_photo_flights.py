@@ -1,7 +1,5 @@
 """Photos told apart into flights: by folder, camera and clock; clocks that jump."""
 
-from __future__ import annotations
-
 from datetime import datetime, timedelta
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Focal lengths as real cameras and programs write them, right and wrong; every file is written here."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

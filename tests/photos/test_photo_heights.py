@@ -1,7 +1,5 @@
 """What the altitude of a photo is above, by EXIF, XMP and the maker's word."""
 
-from __future__ import annotations
-
 import pytest
 
 from lodbench.photos.map_frame import MapFrame

@@ -1,7 +1,5 @@
 """From metadata to poses and cameras: against the published prior, pyproj, and geometry done by hand."""
 
-from __future__ import annotations
-
 import math
 import os
 import struct

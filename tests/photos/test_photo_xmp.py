@@ -1,7 +1,5 @@
 """XMP of other makers than DJI, as their photos have it: what is read, and what is told but not believed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Undistorting: round trips through every lens, OpenCV as the oracle, and no pixel that the photo lacks."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

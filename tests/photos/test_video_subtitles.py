@@ -1,7 +1,5 @@
 """Subtitles as DJI's drones write them beside videos, of several years; every file is written here."""
 
-from __future__ import annotations
-
 import pytest
 
 from lodbench.photos.metadata import PhotoMetadata, find_subtitles, stated_at_start

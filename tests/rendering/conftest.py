@@ -1,7 +1,5 @@
 """Real cities, cut to what the reference renders in well under a second."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from parts import part_of

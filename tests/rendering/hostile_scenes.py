@@ -1,7 +1,5 @@
 """Scenes made to break a rasteriser, and cameras put where they hurt."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import strategies as st
 

@@ -1,7 +1,5 @@
 """Masks of a few boxes, to compare silhouettes with."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lodbench.rendering.bits import pack_mask

@@ -1,7 +1,5 @@
 """Scenes cut out of scenes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lodbench.citymodel import Scene

@@ -1,7 +1,5 @@
 """Nearest hits by brute force: every ray against every triangle, in barycentric coordinates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

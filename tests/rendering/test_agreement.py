@@ -3,8 +3,6 @@
 Engine, reference and raster agree to the bit; here the back ends stand beside the raster.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

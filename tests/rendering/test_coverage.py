@@ -1,7 +1,5 @@
 """Accumulation: sums down the columns, and the limit of its 16 bits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

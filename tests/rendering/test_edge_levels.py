@@ -1,7 +1,5 @@
 """Levels of edges by direction, and their sums along lines, against plain numpy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lodbench.geometry import Camera, EulerAngles

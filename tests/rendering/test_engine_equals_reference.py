@@ -1,7 +1,5 @@
 """The engine and the numpy reference agree on every pixel, whatever the triangles and the camera."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hostile_scenes import KINDS, SIZES, box, hostile_scenes, hostile_views, scene_of, straight_down

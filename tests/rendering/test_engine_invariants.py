@@ -1,7 +1,5 @@
 """What must not change the engine's answer: threads, batches, the order and turn of triangles."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hostile_scenes import KINDS, box, hostile_scenes, hostile_views, scene_of

@@ -1,7 +1,5 @@
 """The fits against plain numpy, pixel by pixel."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

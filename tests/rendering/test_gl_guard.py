@@ -1,7 +1,5 @@
 """A driver that hangs or crashes, played by processes that do."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

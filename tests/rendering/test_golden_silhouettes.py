@@ -1,7 +1,5 @@
 """Silhouettes worked out by hand, pixel by pixel."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hostile_scenes import box, scene_of, straight_down

@@ -1,7 +1,5 @@
 """The mean around each pixel, against the blur it stands for."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Model edges in a view, against boxes known by heart and rays cast at every place of every edge."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hostile_scenes import box, scene_of

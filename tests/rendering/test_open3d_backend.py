@@ -1,7 +1,5 @@
 """Ray casting draws the same city, but for float32 on edges; absent libraries are named."""
 
-from __future__ import annotations
-
 import builtins
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The GL back end draws the same silhouettes, but for pixels on edges (it multisamples)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hostile_scenes import box, scene_of, straight_down

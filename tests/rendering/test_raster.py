@@ -1,7 +1,5 @@
 """The raster covers the engine's pixels to the bit, and says truly what each of them shows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hostile_scenes import KINDS, SIZES, box, hostile_scenes, hostile_views, scene_of, straight_down

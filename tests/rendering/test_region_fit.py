@@ -1,7 +1,5 @@
 """The region fit against plain numpy, pixel by pixel; what makes it large and small."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The vector kernels against plain integer arithmetic."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from math import ceil
 

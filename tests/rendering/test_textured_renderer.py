@@ -1,7 +1,5 @@
 """A textured plane and box drawn by the raster, against an independent projection of the picture."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Loose triangles as a scene: the same triangles, each vertex of a group once."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """What is told of answers that nothing can be compared with."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

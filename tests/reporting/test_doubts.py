@@ -1,7 +1,5 @@
 """Why an answer is not to be trusted fully, from what its prediction stores."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lodbench.evaluation.predictions import Prediction

@@ -1,7 +1,5 @@
 """The page of a flight, in a real browser; ellipses against the covariance they are drawn from."""
 
-from __future__ import annotations
-
 import re
 
 import cv2

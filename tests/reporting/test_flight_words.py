@@ -1,7 +1,5 @@
 """What flights say, in words."""
 
-from __future__ import annotations
-
 import pytest
 
 from lodbench.reporting.flight_words import constant_rows, constants_in_words, map_in_words

@@ -1,7 +1,5 @@
 """The LaTeX tables: as many cells in every row, balanced; compiled where a LaTeX is installed."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

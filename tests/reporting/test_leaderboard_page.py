@@ -1,7 +1,5 @@
 """The committed leaderboard pages in a real browser."""
 
-from __future__ import annotations
-
 import re
 from html import unescape
 from pathlib import Path

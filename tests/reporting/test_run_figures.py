@@ -1,7 +1,5 @@
 """Figures of runs whose names mean something to whoever draws them, and of many splits."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The view of city and cameras in three dimensions, in a real browser without a network."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import hashlib

@@ -1,7 +1,5 @@
 """Buildings told apart by the photo alone: what the network learns, and what becomes of its answer."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

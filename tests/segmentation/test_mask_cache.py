@@ -1,7 +1,5 @@
 """Masks kept in the cache: damage of any kind is told, and the mask made anew."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

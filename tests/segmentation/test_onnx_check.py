@@ -1,7 +1,5 @@
 """Networks from strangers: refused before OpenCV reads them."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files that are read again must hold what they held when they were hashed."""
 
-from __future__ import annotations
-
 import hashlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path

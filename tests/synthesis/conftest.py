@@ -1,7 +1,5 @@
 """A tiny city of boxes, a renderer of it that owes nothing to the engine, and a small training set of it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

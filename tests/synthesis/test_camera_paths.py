@@ -1,7 +1,5 @@
 """Where cameras stand and which views are taken."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

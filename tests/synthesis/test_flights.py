@@ -1,7 +1,5 @@
 """`dataset=flights`: seeded flights, the errors their photos share, maps made wrong on purpose."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

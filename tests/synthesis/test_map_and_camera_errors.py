@@ -1,7 +1,5 @@
 """Worlds that differ from their map: what is seen of buildings, by which lens, and how they are told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What stands around a city that says nothing about it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Everything that can go wrong: a clear error, and finished files stay usable."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

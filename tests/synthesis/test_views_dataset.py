@@ -1,7 +1,5 @@
 """`dataset=views`: seeded views of a city, as a dataset in the cache."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Pictures of red squares on green ground: something a network learns in seconds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """What a step of training keeps, told before it is made."""
 
-from __future__ import annotations
-
 import pytest
 
 from lodbench.errors import ConfigError

@@ -1,7 +1,5 @@
 """The published layouts, written in miniature, are read back to the poses they were made from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where a published dataset's textured map and posed pictures are looked for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Loaders of own layouts: each reads its miniature, and refuses ten damaged ones in one line each."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Another Python with a method that only it has, and what to ask it."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Children that die, hang or write nonsense."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

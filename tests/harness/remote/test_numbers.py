@@ -1,7 +1,5 @@
 """No prefix, repetition or reordering of valid messages becomes another query's answer."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

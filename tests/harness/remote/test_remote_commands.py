@@ -1,7 +1,5 @@
 """Commands with ``runner=subprocess``: runs, check-method, and wrong settings in one line."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

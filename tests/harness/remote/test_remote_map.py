@@ -1,7 +1,5 @@
 """The map as a method in another process has it: portions, counts, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Methods over pipes: the same bytes as in this process."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Messages come back as they went, and nonsense is told."""
 
-from __future__ import annotations
-
 import io
 import json
 from pathlib import Path

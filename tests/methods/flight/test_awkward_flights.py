@@ -1,7 +1,5 @@
 """Flights that leave something open, and photos that do not belong: said, and the rest is solved."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Heights of buildings: what the map, outlines and pixels say, together."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

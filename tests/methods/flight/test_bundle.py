@@ -1,7 +1,5 @@
 """Bundle adjustment: a block of what photos share, right up to a similarity; wrong matches left out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """How well a flight takes its camera to be known, by where the numbers of its photos come from."""
 
-from __future__ import annotations
-
 from lodbench.geometry.camera_sigmas import CALIBRATED, MAKER, STATED, UNKNOWN, CameraSigmas
 from lodbench.methods.flight.params import FlightParams
 

@@ -1,7 +1,5 @@
 """Buildings that stand in the map only, and such that it lacks, by masks at the true poses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Flights: the joint problem against a dense one, what photos share recovered, photos that go astray."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """What a photo says of its pose and of the roofs it shows, against the same by dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Relative poses: slopes against differences, two views from points, reconstructions up to a similarity."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

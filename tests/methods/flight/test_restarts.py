@@ -1,7 +1,5 @@
 """Other starts of a flight: which photos start again, and what their ends are compared with."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

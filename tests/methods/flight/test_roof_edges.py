@@ -1,7 +1,5 @@
 """Edges of roofs: which there are, and at which height photos have them."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

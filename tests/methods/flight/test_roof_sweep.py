@@ -1,7 +1,5 @@
 """Heights of roofs by pixels: roofs moved in the map are found where the photos have them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Flights without masks: exposures told apart, looks shared by photos, poses from the masks these make."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Findings about the map: photos from different sides, and edges that contradict them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Towns for the tests of the demo, each grown once a process: that takes seconds."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests import town as towns

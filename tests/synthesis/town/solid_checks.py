@@ -1,7 +1,5 @@
 """What makes a solid sound, checked from its points and rings alone."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np
