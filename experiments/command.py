@@ -8,8 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from lodbench.bench.figures import Report
-from lodbench.bench.options import add_options, options_of
+from lodbench.bench import Report, add_options, options_of
 from lodbench.cli.bench import measured
 from lodbench.cli.console import report_fault
 from lodbench.cli.flags import in_syntax_of

@@ -156,7 +156,7 @@ def test_a_folder_the_user_has_set_is_used_and_knows_called_files_too(package, m
 
 DRAW = """
 import numpy as np
-from lodbench.citymodel.blocks import scene_of_blocks
+from lodbench.citymodel.extrude import scene_of_blocks
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.silhouette import SilhouetteRenderer
 renderer = SilhouetteRenderer(scene_of_blocks([(-6.0, -6.0, 6.0, 6.0, 0.0, 25.0)]), 1)

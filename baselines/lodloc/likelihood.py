@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError
 from lodbench.segmentation.onnx_file import read_onnx
-from lodbench.segmentation.working_size import padded_photo, resized_photo
+from lodbench.segmentation.probability import padded_photo, resized_photo
 
 Map = NDArray[np.float32]
 _STRIDE, _CHANNELS = 32, 10

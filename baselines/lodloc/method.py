@@ -15,8 +15,8 @@ from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, Pose, PoseGrid
 from lodbench.methods import Estimate, Input, Streams
-from lodbench.segmentation.photos import read_photo
-from lodbench.segmentation.working_size import working_size
+from lodbench.segmentation.masks import read_photo
+from lodbench.segmentation.probability import working_size
 
 from .cost_volume import Stage, narrowed, search_grid, volume_scores
 from .likelihood import Maps, maps_of, weights_file

@@ -17,7 +17,7 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
-from lodbench.segmentation.working_size import working_size
+from lodbench.segmentation.probability import working_size
 from lodbench.storage import random_stream
 from lodbench.storage.json_text import parse_json
 

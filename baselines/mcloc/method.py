@@ -15,7 +15,7 @@ from lodbench.geometry import rotations_at_yaws
 from lodbench.methods import Estimate, Input, Streams
 from lodbench.methods.fits import Particles
 from lodbench.methods.lodlocv2 import search
-from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.masks import read_photo
 
 from ..render_and_match import resized_photo, shaded_views
 from .features import open_features, similarities

@@ -13,7 +13,7 @@ from lodbench.errors import QueryFault
 from lodbench.geometry import Camera
 from lodbench.matching import FeatureExtractor, Matcher, open_matching
 from lodbench.matching.protocol import IMAGES
-from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.masks import read_photo
 
 from .lifting import lift
 from .params import RenderAndMatchParams

@@ -20,7 +20,7 @@ from lodbench.geometry import Camera, Pose
 from lodbench.matching.pose_solver import PoseSolver, SolvedPose, open_pose_solver
 from lodbench.matching.protocol import Retrieval, open_retrieval
 from lodbench.methods import Estimate, Input, Streams
-from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.masks import read_photo
 
 from .correspondences import (
     CorrespondenceFinder,

@@ -18,8 +18,8 @@ import numpy as np
 
 from experiments.causes.outline_limit import share_within_reach
 from experiments.command import run
-from lodbench.bench.accuracy_cities import drawable, names_of, share_found
-from lodbench.bench.figures import Figure, Progress, Report, no_progress
+from lodbench.bench import Figure, Progress, Report, no_progress
+from lodbench.bench.accuracy import drawable, names_of, share_found
 from lodbench.bench.views import Job, protocol_of, sweep
 from lodbench.cli.bench_views import add_methods, asked_methods, asked_views, seeds_of
 from lodbench.errors import ConfigError

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.command import run
-from lodbench.bench.figures import Figure, Progress, Report, no_progress
+from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.cli.bench_views import city_file, seeds
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.lines import write_lines
@@ -29,7 +29,7 @@ from lodbench.methods.registry import make_method
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.storage import random_stream
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
-from lodbench.synthesis.flights.dataset import FlightsParams, open_flights
+from lodbench.synthesis.flights import FlightsParams, open_flights
 
 # A reconstruction's own units per metre; any will do.
 _SCALE = 0.037

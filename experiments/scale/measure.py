@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from experiments.scale.grown_city import TILE_BUILDINGS, grown_city, open_grown_city
 from experiments.scale.opening import Opening, open_apart
-from lodbench.bench.figures import Figure, Progress, Report, no_progress
-from lodbench.bench.options import SEED, option
+from lodbench.bench import SEED, Figure, Progress, Report, no_progress, option
 from lodbench.bench.silhouettes import SilhouetteOptions, Swarm, make_swarm
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import read_scene

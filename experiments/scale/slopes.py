@@ -16,8 +16,7 @@ import numpy as np
 from experiments.command import run_options
 from experiments.scale.grown_city import TILE_BUILDINGS
 from experiments.scale.slope_points import Reach, points_within
-from lodbench.bench.figures import Figure, Progress, Report, no_progress
-from lodbench.bench.options import SEED, option
+from lodbench.bench import SEED, Figure, Progress, Report, no_progress, option
 from lodbench.errors import ConfigError
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.table_columns import finite_text

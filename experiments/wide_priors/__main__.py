@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from experiments.command import run
-from lodbench.bench.figures import Figure, Progress, Report, no_progress
+from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.bench.views import Job, of_seeds, protocol_of, sweep
 from lodbench.cli.bench_views import add_city, add_drawing, seeds_of, views_of
 from lodbench.evaluation import pose_error

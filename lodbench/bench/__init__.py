@@ -1,1 +1,149 @@
 """Figures anyone can make again: accuracy on a real model, and speed beside other programs."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from lodbench.reporting.aligned_text import format_columns
+from lodbench.storage import make_folder, write_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+# Called with the steps done and their total.
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One measured number.
+
+    Attributes:
+        figure: What was measured, unique within a report.
+        value: Our number.
+        unit: Its unit; "" for a count.
+        peer: Who or what the number stands beside, with the reason if it could not be measured; or "".
+        peer_value: The peer's number in the same unit, or None.
+        ratio: How many times better ours is, or None.
+    """
+
+    figure: str
+    value: float
+    unit: str
+    peer: str = ""
+    peer_value: float | None = None
+    ratio: float | None = None
+
+    def to_json(self) -> dict[str, str | float | None]:
+        """Returns a JSON object in which what is not finite is null."""
+        return {
+            "figure": self.figure,
+            "value": _finite(self.value),
+            "unit": self.unit,
+            "peer": self.peer,
+            "peer_value": _finite(self.peer_value),
+            "ratio": _finite(self.ratio),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Report:
+    """What a bench measured.
+
+    Attributes:
+        text: A table and what must be known of it, for people.
+        figures: The numbers, for machines.
+        data: The measurements behind them, a row each; None where none are kept.
+        draw: Returns pictures by file name, drawn when they are asked for.
+    """
+
+    text: str
+    figures: Sequence[Figure]
+    data: pd.DataFrame | None = None
+    draw: Callable[[], dict[str, bytes]] = dict
+
+    def write_pictures(self, folder: Path) -> None:
+        """Writes the pictures, if there are any, into a folder that is made."""
+        for name, content in self.draw().items():
+            make_folder((folder / name).parent)
+            write_bytes(folder / name, content)
+
+
+def plain_report(title: str, figures: Sequence[Figure], *notes: str) -> Report:
+    """Returns a report that is a table of figures, each beside its peer's, with lines of notes below."""
+    import pandas as pd
+
+    rows = [[title, "value", "unit", "peer", "peer's value", "ratio"]]
+    for each in figures:
+        beside = "" if each.peer_value is None else _in_words(each.peer_value)
+        ratio = "" if each.ratio is None else f"{each.ratio:.1f}x"
+        rows.append([each.figure, _in_words(each.value), each.unit, each.peer, beside, ratio])
+    return Report("\n".join([format_columns(rows), *notes]), figures, pd.DataFrame(map(asdict, figures)))
+
+
+def load_in_words() -> str:
+    """Returns how busy the machine is: ``load 1.5``, averaged over a minute."""
+    return f"load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "load unknown"
+
+
+def no_progress(done: int, total: int) -> None:
+    """Tells nobody."""
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _in_words(value: float) -> str:
+    return f"{value:,.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
+
+
+T = TypeVar("T")
+# Meaning of a seed.
+SEED = "random seed"
+
+
+def option(default: Any, meaning: str, flag: str = "", parse: Callable[[str], Any] | None = None) -> Any:
+    """Returns a dataclass field that is an option too.
+
+    Args:
+        default: Its default; where that is None the meaning says what is done then.
+        meaning: Its help.
+        flag: What it is called where that is not the field's name.
+        parse: Makes the value of a word; by default the default's type.
+    """
+    return field(default=default, metadata={"meaning": meaning, "flag": flag, "parse": parse})
+
+
+def words(text: str) -> tuple[str, ...]:
+    """Returns words separated by commas."""
+    return tuple(text.split(",")) if text else ()
+
+
+def add_options(parser: argparse.ArgumentParser, kind: type) -> None:
+    """Adds the options among a dataclass' fields to a parser."""
+    for each in fields(kind):
+        told = each.metadata
+        if told:
+            flag = told["flag"] or each.name.replace("_", "-")
+            shown = ",".join(each.default) if isinstance(each.default, tuple) else each.default
+            parser.add_argument(
+                f"--{flag}",
+                dest=each.name,
+                metavar=flag.upper().replace("-", "_"),
+                default=each.default,
+                type=told["parse"] or (str if each.default is None else type(each.default)),
+                help=told["meaning"] + ("" if each.default is None else f" ({shown})"),
+            )
+
+
+def options_of(given: argparse.Namespace, kind: type[T]) -> T:
+    """Returns the dataclass with what a parser of its options was given."""
+    return kind(**{each.name: getattr(given, each.name) for each in fields(kind) if each.metadata})  # type: ignore[arg-type]

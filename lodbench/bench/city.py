@@ -22,9 +22,8 @@ from typing import Any
 
 import numpy as np
 
+from lodbench.bench import Figure, Progress, Report, no_progress, option, plain_report
 from lodbench.bench.city_peers import naive_mesh, project_plainly, project_tuned, time_cjio
-from lodbench.bench.figures import Figure, Progress, Report, no_progress, plain_report
-from lodbench.bench.options import option
 from lodbench.citymodel import mesh_model, open_scene, read_city_model
 from lodbench.citymodel.gml.writer import CityGmlWriter
 from lodbench.citymodel.mesh.writer import obj_text

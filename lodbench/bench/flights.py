@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.figures import Figure, Progress, Report, no_progress, plain_report
+from lodbench.bench import Figure, Progress, Report, no_progress, plain_report
 from lodbench.citymap import CityMap
 from lodbench.citymap.corrected_map import corrected_map
-from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.datasets.query import Dataset, Query
 from lodbench.errors import QueryFault
 from lodbench.evaluation import pose_error
@@ -35,8 +34,8 @@ from lodbench.methods.protocol import Estimate, FlightEstimate
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.masks import read_mask
 from lodbench.storage import random_stream
-from lodbench.synthesis.flights.dataset import MAP_TRUTH_FILE, FlightsParams, drone_errors, open_flights
-from lodbench.synthesis.surroundings.surroundings import make_surroundings, standing_clutter
+from lodbench.synthesis.flights import MAP_TRUTH_FILE, FlightsParams, drone_errors, open_flights
+from lodbench.synthesis.surroundings import make_surroundings, standing_clutter
 
 Floats = NDArray[np.float64]
 

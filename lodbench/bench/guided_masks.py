@@ -13,14 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.figures import Figure, Progress, no_progress
+from lodbench.bench import Figure, Progress, no_progress
 from lodbench.bench.mask_quality import one_core
 from lodbench.bench.photo_masks import PhotoMask, labelled_photos, mean_and_interval, write_overlay
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry.signed_distance import signed_distance
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.segmentation.map_guided import MapGuided, guided_mask, without_map
-from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.masks import read_photo
 from lodbench.storage import random_stream
 from lodbench.synthesis.mask_degradation import mask_iou
 

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lodbench.bench.figures import Figure, Progress, Report, no_progress
-from lodbench.bench.options import SEED, option, words
+from lodbench.bench import SEED, Figure, Progress, Report, no_progress, option, words
 from lodbench.citymodel.mesh.texture_files import open_textured_map
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import open_scene
@@ -35,7 +34,7 @@ from lodbench.segmentation.masks import MaskFiles, MasksParams
 from lodbench.storage import make_folder
 from lodbench.synthesis.demo import DemoParams, open_demo, textured_map_of_demo
 from lodbench.synthesis.queries import written_once
-from lodbench.synthesis.survey.surface_model import write_surface_model
+from lodbench.synthesis.surface_survey import write_surface_model
 from lodbench.synthesis.town.build import CITY_FILE, FINE_CITY_FILE
 
 if TYPE_CHECKING:

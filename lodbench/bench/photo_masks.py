@@ -10,17 +10,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.figures import Figure, Progress, no_progress
-from lodbench.bench.mask_pictures import SHEET_FILE, draw_all
-from lodbench.bench.mask_quality import found_mask, name_and_weights, one_core
+from lodbench.bench import Figure, Progress, no_progress
+from lodbench.bench.mask_quality import SHEET_FILE, draw_all, found_mask, name_and_weights, one_core
 from lodbench.errors import DatasetError
 from lodbench.evaluation.statistics import Interval, bootstrap_means
 from lodbench.photos.files import traced_mask, traced_photos
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.overlays import draw_outline, write_picture
 from lodbench.segmentation import Segmenter, notes_of
-from lodbench.segmentation.masks import read_mask
-from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.masks import read_mask, read_photo
 from lodbench.storage import write_bytes
 
 Mask = NDArray[np.bool_]

@@ -14,14 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.edge_bound import EdgeBound
-from lodbench.bench.figures import Progress, Report, no_progress
-from lodbench.bench.real_report import report_real
+from lodbench.bench import Progress, Report, no_progress
+from lodbench.bench.real_report import EdgeBound, report_real
 from lodbench.citymap import CityMap
 from lodbench.citymap.place_errors import ground_errors
 from lodbench.citymap.surfaces import Surfaces
-from lodbench.citymodel.building_boxes import building_boxes
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset, Query
 from lodbench.errors import ConfigError, DatasetError, QueryFault
@@ -39,9 +37,9 @@ from lodbench.methods.timed_localize import localize_flight, localize_query
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, png_bytes
 from lodbench.segmentation import Segmenter
-from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.masks import read_photo
 from lodbench.storage import random_stream
-from lodbench.synthesis.flights.errors import SensorErrors, moved
+from lodbench.synthesis.flights import SensorErrors, moved
 
 Answer = Estimate | QueryFault
 PUBLISHED = "published"

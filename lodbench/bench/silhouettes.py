@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.figures import Figure, Progress, Report, load_in_words, no_progress
-from lodbench.bench.options import SEED, option, words
+from lodbench.bench import SEED, Figure, Progress, Report, load_in_words, no_progress, option, words
 from lodbench.citymodel import Scene, open_scene
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, RenderingError

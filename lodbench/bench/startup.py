@@ -16,8 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from lodbench.bench.figures import Figure, Progress, Report, load_in_words, no_progress
-from lodbench.bench.options import option
+from lodbench.bench import Figure, Progress, Report, load_in_words, no_progress, option
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.geometry.angles import dji_from_rotation
 from lodbench.reporting.aligned_text import format_columns

@@ -11,8 +11,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lodbench.bench.figures import Figure, Progress, Report, load_in_words, no_progress, plain_report
-from lodbench.bench.options import SEED, option
+from lodbench.bench import (
+    SEED,
+    Figure,
+    Progress,
+    Report,
+    load_in_words,
+    no_progress,
+    option,
+    plain_report,
+)
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import ConfigError, LodbenchError, require_within
@@ -21,10 +29,15 @@ from lodbench.geometry import Camera
 from lodbench.photos.pictures import encoded_mask
 from lodbench.rendering import open_renderer
 from lodbench.storage import make_folder
+from lodbench.synthesis.training_data import GenerateParams
 from lodbench.synthesis.training_data.generate import open_cities, world_parts
-from lodbench.synthesis.training_data.params import GenerateParams
-from lodbench.synthesis.training_data.plan_views import PlannedView, plan_views
-from lodbench.synthesis.training_data.view_writer import PictureParts, ViewWriter, files_of
+from lodbench.synthesis.training_data.plan_views import (
+    PictureParts,
+    PlannedView,
+    ViewWriter,
+    files_of,
+    plan_views,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap.ground import Ground
-from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.raw import take_segments
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene import Scene, building_boxes
 
 Floats = NDArray[np.float64]
 

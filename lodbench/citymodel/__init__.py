@@ -25,12 +25,12 @@ from typing import TYPE_CHECKING
 from lodbench.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from lodbench.citymodel.info import city_info as city_info
     from lodbench.citymodel.meshing import CityMesh as CityMesh
     from lodbench.citymodel.meshing import mesh_city as mesh_city
     from lodbench.citymodel.meshing import mesh_model as mesh_model
     from lodbench.citymodel.model import CityModel as CityModel
     from lodbench.citymodel.options import ReadOptions as ReadOptions
+    from lodbench.citymodel.read import city_info as city_info
     from lodbench.citymodel.read import open_scene as open_scene
     from lodbench.citymodel.read import parse_city_model as parse_city_model
     from lodbench.citymodel.read import read_city_model as read_city_model

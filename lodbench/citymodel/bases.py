@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import BASE_MOVED, GROUND_DEFAULTED, HEIGHT_NO_DATA, OPTION_UNUSED
-from lodbench.citymodel.model import Polygons
-from lodbench.citymodel.objects import TALLEST_M
+from lodbench.citymodel.model import TALLEST_M, Polygons
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity
 from lodbench.citymodel.terrain import HIGHEST_M, LOWEST_M, ground_under

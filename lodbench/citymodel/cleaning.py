@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel import small_cities
-from lodbench.citymodel.codes import DUPLICATE_POINTS, RING_NOT_CLOSED, RING_TOO_SHORT
-from lodbench.citymodel.model import Polygons
+from lodbench.citymodel.codes import (
+    DUPLICATE_POINTS,
+    DUPLICATE_POLYGON,
+    FAR_AWAY,
+    RING_NOT_CLOSED,
+    RING_TOO_SHORT,
+)
+from lodbench.citymodel.lods import group_cuts, select_polygons
+from lodbench.citymodel.model import Polygons, SurfaceKind
 from lodbench.citymodel.raw import RawCity, starts_of
-from lodbench.findings import FindingCode
+from lodbench.findings import FindingCode, Findings
 
 # Points moved at a time: a few hundred kilobytes are held besides the city.
 _CHUNK_POINTS = 1 << 14
@@ -97,3 +106,194 @@ def _report_rings(
 def _report(raw: RawCity, code: FindingCode, buildings: NDArray[np.int32]) -> None:
     for building in buildings:
         raw.findings.add(code, raw.building_ids[building])
+
+
+# Polygons compared at a time: some hundred bytes each are held meanwhile.
+_BLOCK_POLYGONS = 1 << 16
+
+
+def drop_repeats(
+    polygons: Polygons, building_ids: tuple[str, ...], findings: Findings
+) -> tuple[Polygons, NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the polygons less those that stand twice in a building at one level.
+
+    XLinks say so; some writers copy the coordinates instead, and the area would count twice. Two polygons
+    are the same when they have the same corners, whichever way round. Of a surface and the face of a
+    solid the surface is kept, whatever the part; of two faces of one kind the first, within a part:
+    walls that two parts share are walls of both. Interiors are their own.
+
+    Returns:
+        polygons: What is left.
+        kept_as: (N,) the index among them of each polygon given, or of what it repeats.
+        kept: (M,) the index among those given of each polygon left.
+    """
+    kept_as = np.arange(len(polygons))
+    building = polygons.building
+    order = np.arange(len(polygons))
+    if np.any(building[1:] < building[:-1]):
+        order = np.argsort(building, kind="stable")
+    for first, last in pairwise(group_cuts(building[order], _BLOCK_POLYGONS)):
+        _find_repeats(polygons, order[first:last], kept_as)
+    is_kept = kept_as == np.arange(len(polygons))
+    if is_kept.all():
+        return polygons, kept_as, kept_as
+    for owner in building[~is_kept].tolist():
+        findings.add(DUPLICATE_POLYGON, building_ids[owner])
+    rank = np.cumsum(is_kept) - 1
+    kept = np.flatnonzero(is_kept)
+    return select_polygons(polygons, kept), rank[kept_as], kept
+
+
+def _find_repeats(polygons: Polygons, chosen: NDArray[np.int64], kept_as: NDArray[np.int64]) -> None:
+    """Writes which polygon each of the chosen repeats, if any; the chosen are whole buildings."""
+    hashes = np.zeros((2, len(chosen)), np.uint64)
+    bits = polygons.points.view(np.uint64)
+    hash_corners = small_cities.hash_corners
+    if not small_cities.is_few(polygons.points.size):
+        from lodbench.kernels.city import hash_corners
+    hash_corners(bits, polygons.ring_starts, polygons.polygon_starts, chosen, hashes)
+    is_interior = polygons.kind[chosen] == SurfaceKind.INTERIOR
+    owner = polygons.building[chosen].astype(np.uint64)
+    # Most cities repeat nothing, which one sort of short keys tells.
+    keys = np.sort(hashes[0] ^ (owner << np.uint64(32)))
+    if not np.any(keys[1:] == keys[:-1]):
+        return
+    columns = [owner, polygons.lod[chosen].astype(np.uint64), is_interior.astype(np.uint64), *hashes]
+    number, _ = number_rows(columns)
+    sizes = np.bincount(number)
+    twice = np.flatnonzero((sizes[number] > 1) & ~is_interior)
+    if len(twice) == 0:
+        return
+    part = polygons.building if polygons.part is None else polygons.part
+    polygon, group = chosen[twice], number[twice]
+    is_surface = polygons.kind[polygon] != SurfaceKind.UNKNOWN
+    first_surface = np.full(len(sizes), -1, np.int64)
+    first_surface[group[is_surface][::-1]] = polygon[is_surface][::-1]  # the first of a group is written last
+    stand_in = first_surface[group]
+    # Among surfaces, and among faces that no surface repeats, the first of each part stays.
+    own = np.flatnonzero(is_surface | (stand_in < 0))
+    rank, first = number_rows([group[own].astype(np.uint64), part[polygon[own]].astype(np.uint64)])
+    stand_in[own] = polygon[own[first[rank]]]
+    kept_as[polygon] = stand_in
+
+
+# So far from a frame's origin float32 is 2 cm off; few countries are as wide.
+_FAR_M = 500_000.0
+
+
+def frame_origin(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns whole metres at the south-west corner of points, (P, 3), strays left out; its height is 0."""
+    is_far = far_from_most(points)
+    near = points[~is_far] if is_far.any() else points
+    return np.array([np.floor(near[:, 0].min()), np.floor(near[:, 1].min()), 0.0])
+
+
+def far_from_most(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tells which points, (P, 3), lie more than 500 km from the middle of all: a zero that was no place."""
+    plane = points[:, :2]
+    if max(np.ptp(plane[:, 0]), np.ptp(plane[:, 1])) <= _FAR_M:  # along rows it takes 20 times as long
+        return np.zeros(len(points), np.bool_)
+    middle = np.median(plane, axis=0)
+    # Of two halves the middle may be nowhere: the point next to it is somewhere.
+    middle = plane[np.argmin(np.abs(plane - middle).sum(axis=1))]
+    return np.asarray(np.abs(plane - middle).max(axis=1) > _FAR_M)
+
+
+def report_outliers(polygons: Polygons, building_ids: tuple[str, ...], findings: Findings) -> None:
+    """Adds a finding for each building with a point that lies far from most.
+
+    Args:
+        polygons: In metres of one reference system.
+        building_ids: For the findings.
+        findings: Receives ``FAR_AWAY``.
+    """
+    far = np.flatnonzero(far_from_most(polygons.points))
+    point_starts = polygons.ring_starts[polygons.polygon_starts]
+    polygon = np.searchsorted(point_starts, far, side="right") - 1
+    buildings, first = np.unique(polygons.building[polygon], return_index=True)
+    for building, n in zip(buildings.tolist(), first.tolist(), strict=True):
+        east, north, up = polygons.points[far[n]].tolist()
+        where = f"at {east:.0f}, {north:.0f}"
+        findings.add(FAR_AWAY, building_ids[building], where, place=(east, north, up))
+
+
+def number_rows(columns: list[NDArray[np.uint64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns a number for every row, equal for equal rows, and the first row of each number.
+
+    Numbers count up in the order of first occurrence.
+
+    Args:
+        columns: Arrays (N,) of bits; a row is one entry of each.
+
+    Returns:
+        numbers: (N,) int64.
+        first: (U,) int64 ascending.
+
+    Example:
+        >>> number_rows([np.array([7, 5, 7], np.uint64)])[0]
+        array([0, 1, 0])
+    """
+    key = np.zeros(len(columns[0]), np.uint64)
+    for column in columns:
+        key = (key ^ column) * _MULTIPLIER
+        key = (key ^ (key >> _SHIFT)) * _MIXER
+    order = np.argsort(key, kind="stable")
+    is_new = _changes([key], order)
+    if not np.array_equal(is_new, _changes(columns, order)):
+        # Two rows share a hash: sort by the rows themselves.
+        order = np.lexsort(columns)
+        is_new = _changes(columns, order)
+    group = np.cumsum(is_new) - 1
+    first = order[is_new]  # a stable sort keeps the earliest row of a group in front
+    by_occurrence = np.argsort(first)
+    rank = np.empty_like(by_occurrence)
+    rank[by_occurrence] = np.arange(len(first))
+    numbers = np.empty(len(order), np.int64)
+    numbers[order] = rank[group]
+    return numbers, first[by_occurrence]
+
+
+def connected_components(
+    num_nodes: int, first: NDArray[np.int64], second: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Returns the smallest node of each node's component.
+
+    Args:
+        num_nodes: Nodes are 0 .. num_nodes - 1.
+        first: (E,) one end of every edge.
+        second: (E,) the other end.
+    """
+    from scipy.sparse import coo_array, csgraph
+
+    edges = coo_array((np.ones(len(first), np.bool_), (first, second)), shape=(num_nodes, num_nodes))
+    count, labels = csgraph.connected_components(edges, directed=False)
+    smallest: NDArray[np.int64] = np.full(count, num_nodes, np.int64)
+    np.minimum.at(smallest, labels, np.arange(num_nodes))
+    return np.asarray(smallest[labels])
+
+
+# Odd constants with well spread bits (from the golden ratio and the splitmix64 finaliser).
+_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
+
+
+_MIXER = np.uint64(0xBF58476D1CE4E5B9)
+
+
+_SHIFT = np.uint64(31)
+
+
+def _changes(columns: list[NDArray[np.uint64]], order: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tells where a row differs from the one before it in the given order."""
+    is_new = np.zeros(len(order), np.bool_)
+    is_new[:1] = True
+    for column in columns:
+        ordered = column[order]
+        is_new[1:] |= ordered[1:] != ordered[:-1]
+    return is_new
+
+
+def point_bits(points: NDArray[np.floating]) -> list[NDArray[np.uint64]]:
+    """Returns the bits of points, (N, 3) of any float type, as three columns; -0.0 counts as 0.0."""
+    word = np.uint32 if points.dtype == np.float32 else np.uint64
+    bits = np.ascontiguousarray((points + points.dtype.type(0)).T).view(word)
+    return [column.astype(np.uint64) for column in bits]

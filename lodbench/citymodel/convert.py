@@ -12,23 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.citymodel.cache import open_city
+from lodbench.citymodel.cache import open_city, store_city
 from lodbench.citymodel.cityjson.writer import cityjson_text, cityjsonseq_text
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.gml.writer import CityGmlWriter
-from lodbench.citymodel.mesh.frames import MeshFrame
+from lodbench.citymodel.lods import polygon_blocks
+from lodbench.citymodel.mesh.reader import MeshFrame
 from lodbench.citymodel.mesh.texture_files import read_textured
-from lodbench.citymodel.mesh.textured_model import textured_model
-from lodbench.citymodel.mesh.textured_writer import write_pictures, write_textured
-from lodbench.citymodel.mesh.writer import glb_bytes, obj_text, ply_bytes
+from lodbench.citymodel.mesh.textured import textured_model
+from lodbench.citymodel.mesh.writer import glb_bytes, obj_text, ply_bytes, write_pictures, write_textured
 from lodbench.citymodel.meshing import CityMesh, mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions, made_with
 from lodbench.citymodel.pictures import FIRST_COLOUR, counted_lines, wraps_of
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.selection import polygon_blocks
 from lodbench.citymodel.source import TILE_INDEX, file_source, own_geojson
-from lodbench.citymodel.stored_city import store_city
 from lodbench.citymodel.subset import drop_repeats_of_mesh, footprint_boxes, keep_buildings, keep_level
 from lodbench.citymodel.triangulate import CHUNK_POLYGONS, triangulate
 from lodbench.errors import CityModelError, LodbenchError

@@ -8,14 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import LOD_DERIVED, LOD_UNDERIVABLE
-from lodbench.citymodel.extrude import extrude
-from lodbench.citymodel.flat_buildings import is_flat, raise_flat
-from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
-from lodbench.citymodel.newell import newell
-from lodbench.citymodel.objects import outer_parts
+from lodbench.citymodel.extrude import extrude, is_flat, raise_flat
+from lodbench.citymodel.lods import select_polygons
+from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind, outer_parts
 from lodbench.citymodel.raw import starts_of
-from lodbench.citymodel.selection import select_polygons
-from lodbench.citymodel.triangulate import MAX_CORNERS, triangulate
+from lodbench.citymodel.triangulate import MAX_CORNERS, newell, triangulate
 from lodbench.errors import CityModelError, ConfigError
 from lodbench.findings import Findings
 

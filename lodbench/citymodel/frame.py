@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.axis_order import Order, declares_south_and_west, settle_order, try_order
+from lodbench.citymodel.axis_order import (
+    Order,
+    declares_south_and_west,
+    is_true_to_scale,
+    settle_order,
+    try_order,
+)
 from lodbench.citymodel.codes import (
     CRS_IMPLAUSIBLE,
     CRS_MAPPED,
@@ -25,7 +31,6 @@ from lodbench.citymodel.codes import (
 )
 from lodbench.citymodel.crs import KnownCrs, is_geocentric, metric_crs, require_crs, resolve_crs
 from lodbench.citymodel.options import AxisOrder
-from lodbench.citymodel.scale import is_true_to_scale
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 

@@ -9,6 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, BinaryIO
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.crs import epsg_codes
 from lodbench.errors import CityModelError
 
 # A feature is one building with its parts; a line of this size is something else.
@@ -93,3 +97,93 @@ def _apart(pairs: list[tuple[str, Any]], repeated: list[str]) -> Json:
 
 def _refuse_constant(name: str) -> Any:
     raise ValueError(f"{name} is no JSON number")
+
+
+# Attributes that CityJSON takes a single text for.
+ONE_TEXT = ("class", "function", "usage")
+
+
+def listed(value: Any) -> list[Any]:
+    """Returns a list as it is, and anything else as a list of one."""
+    return value if isinstance(value, list) else [value]
+
+
+def list_or_empty(value: Any) -> list[Any]:
+    """Returns a list as it is, and an empty one for anything else."""
+    return value if isinstance(value, list) else []
+
+
+def fitting(key: str, value: Any) -> Any:
+    """Returns an attribute of the type that CityJSON asks for, where it asks for one and it can be."""
+    if key in ONE_TEXT:
+        return ", ".join(map(str, listed(value)))
+    if key.startswith("storeyHeights") and isinstance(value, int | float):
+        return [value]
+    if key.startswith("storeys") and str(value).isdigit():
+        return int(value)
+    return value
+
+
+def points_of(values: Any) -> NDArray[np.float64]:
+    """Returns (N, 3) coordinates.
+
+    Raises:
+        ValueError: They are no points of three numbers each; the message says which.
+        TypeError, OverflowError: One is nothing that numpy takes for a number.
+    """
+    numbers = np.asarray(values)
+    if numbers.size and numbers.dtype.kind not in "iuf":
+        raise ValueError("one is no number")  # numpy would take "1" for 1
+    if numbers.size and (numbers.ndim != 2 or numbers.shape[1] != 3):
+        raise ValueError("one has no three coordinates")
+    return numbers.astype(np.float64).reshape(-1, 3)
+
+
+def declared_system(metadata: Any, source: str) -> str | None:
+    """Returns the name of the reference system in the metadata of a file, or None.
+
+    Raises:
+        CityModelError: It is no text.
+
+    Example:
+        >>> declared_system({"crs": {"epsg": 25832}}, "city.json")
+        'EPSG:25832'
+    """
+    if isinstance(metadata, list):  # against the schema, and published all the same
+        names = (declared_system(one, source) for one in metadata if isinstance(one, dict))
+        return next(filter(None, names), None)
+    if not isinstance(metadata, dict):
+        return None
+    crs = metadata.get("crs")
+    # 0.9 and 1.0 files write the EPSG code alone, too.
+    name = metadata.get("referenceSystem") or (crs.get("epsg") if isinstance(crs, dict) else crs)
+    if isinstance(name, int):
+        return f"EPSG:{name}"
+    if not isinstance(name, str | None):
+        raise CityModelError(
+            f"{source} has a reference system that is no text: {str(name)[:60]}.",
+            "Write it as https://www.opengis.net/def/crs/EPSG/0/25832, or name it with `crs=EPSG:...`",
+        )
+    return name
+
+
+def reference_system(crs: str | None) -> tuple[str | None, str]:
+    """Returns the name in CityJSON's form, which has one code, and what of the system it cannot say.
+
+    Example:
+        >>> reference_system("EPSG:7415")
+        ('https://www.opengis.net/def/crs/EPSG/0/7415', '')
+    """
+    if crs is None:
+        return None, ""
+    codes = epsg_codes(crs)
+    if len(codes) == 1:
+        return _url(codes[0]), ""
+    if not codes:
+        return None, f"reference system {crs}, which has no EPSG code"
+    left_out = f"vertical reference system of {crs}: CityJSON names one EPSG code, and the two have none"
+    return _url(codes[0]), left_out
+
+
+def _url(code: int) -> str:
+    return f"https://www.opengis.net/def/crs/EPSG/0/{code}"

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import INTERIOR_SKIPPED, LOD_ABSENT, OPTION_UNUSED
 from lodbench.citymodel.derive import AT_EAVES, derive_lod1, require_rule
-from lodbench.citymodel.flat_buildings import FLAT, tell_flat
-from lodbench.citymodel.lods import has_lod, lod_in_words, polygons_at
+from lodbench.citymodel.extrude import FLAT, tell_flat
+from lodbench.citymodel.lods import has_lod, lod_in_words, polygon_blocks, polygons_at
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.scene import Scene, SceneBuilder
-from lodbench.citymodel.selection import polygon_blocks
 from lodbench.citymodel.triangulate import CHUNK_POLYGONS, triangulate
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings

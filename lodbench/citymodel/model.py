@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.lifespans import Period
-from lodbench.citymodel.objects import CityObjects, Solids
 from lodbench.citymodel.pictures import Pictures
 from lodbench.findings import Findings
 
@@ -133,3 +133,153 @@ class CityModel:
     def is_building(self) -> NDArray[np.bool_]:
         """Tells which of ``building_ids`` are buildings, and no objects of another layer."""
         return np.array(["Building" in name for name in self.types()], np.bool_)
+
+
+# No house is higher: heights above the sea are.
+TALLEST_M = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class CityObjects:
+    """The objects of a city as a tree, flat, parents before their children.
+
+    Attributes:
+        ids: O ids.
+        types: O names as CityJSON has them: ``Building``, ``BuildingPart``, ``BuildingInstallation``, ...
+        parents: (O,) int32 index of the object each is part of, -1 for buildings.
+        building: (O,) int32 index of the building each belongs to.
+        attributes: O mappings, or none at all where details were not asked for.
+    """
+
+    ids: tuple[str, ...]
+    types: tuple[str, ...]
+    parents: NDArray[np.int32]
+    building: NDArray[np.int32]
+    attributes: tuple[dict[str, Any], ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True, slots=True)
+class Solids:
+    """Which polygons close which volume, flat: faces belong to shells, shells to solids.
+
+    Attributes:
+        part: (S,) int32 object each solid belongs to.
+        shell_starts: (S + 1,) int64 offsets into the shells; the first of a solid is its outside.
+        face_starts: (H + 1,) int64 offsets into the faces.
+        faces: (F,) int64 polygon of each face; -1 where the polygon was dropped.
+        is_flipped: (F,) bool, whether the solid sees the polygon from behind.
+        composite: (S,) int32 composite that each solid is a part of, -1 for none.
+    """
+
+    part: NDArray[np.int32]
+    shell_starts: NDArray[np.int64]
+    face_starts: NDArray[np.int64]
+    faces: NDArray[np.int64]
+    is_flipped: NDArray[np.bool_]
+    composite: NDArray[np.int32]
+
+    def shells_of(self, solid: int) -> list[list[tuple[int, bool]]]:
+        """Returns polygon and direction of each face of each shell; faces that were dropped are left out."""
+        shells = []
+        for shell in range(self.shell_starts[solid], self.shell_starts[solid + 1]):
+            span = slice(self.face_starts[shell], self.face_starts[shell + 1])
+            faces = zip(self.faces[span].tolist(), self.is_flipped[span].tolist(), strict=True)
+            shells.append([face for face in faces if face[0] >= 0])
+        return [shell for shell in shells if shell]
+
+
+@dataclass(slots=True)
+class ObjectTable:
+    """Grows the objects and solids of a city while it is read.
+
+    Faces name polygons by serial numbers, which count all polygons met, dropped ones included.
+    """
+
+    has_details: bool
+    ids: list[str] = field(default_factory=list)
+    types: list[str] = field(default_factory=list)
+    parents: list[int] = field(default_factory=list)
+    building: list[int] = field(default_factory=list)
+    attributes: list[dict[str, Any]] = field(default_factory=list)
+    solids: list[tuple[int, list[list[tuple[int, bool]]], int]] = field(default_factory=list)
+    num_composites: int = 0
+    polygon_ids: dict[int, str] = field(default_factory=dict)
+    num_polygons: int = 0
+    roof_types: list[tuple[int, str]] = field(default_factory=list)
+    measured_m: dict[int, float] = field(default_factory=dict)
+
+    def add(
+        self,
+        object_id: str,
+        type_: str,
+        parent: int,
+        building: int,
+        attributes: dict[str, Any] | None = None,
+        roof_type: str = "",
+        height_m: float | None = None,
+    ) -> int:
+        """Returns the index of a new object; its roof type and height count for its building."""
+        if roof_type:
+            self.roof_types.append((building, roof_type))
+        if height_m is not None and 0 < height_m < TALLEST_M:  # of parts the highest
+            self.measured_m[building] = max(height_m, self.measured_m.get(building, 0.0))
+        self.ids.append(object_id)
+        self.types.append(type_)
+        self.parents.append(parent)
+        self.building.append(building)
+        if self.has_details:
+            self.attributes.append(attributes or {})
+        return len(self.ids) - 1
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether there are buildings only, of which nothing but their ids is told."""
+        return not self.has_details and self.types.count("Building") == len(self.types)
+
+    def heights(self, count: int) -> NDArray[np.float64] | None:
+        """Returns (count,) measured heights of buildings, metres, NaN for none; None where no one has any."""
+        heights = [self.measured_m.get(building, np.nan) for building in range(count)]
+        return np.asarray(heights) if self.measured_m else None
+
+    def finish(self) -> CityObjects:
+        """Returns the objects."""
+        return CityObjects(
+            tuple(self.ids),
+            tuple(self.types),
+            np.asarray(self.parents, np.int32),
+            np.asarray(self.building, np.int32),
+            tuple(self.attributes),
+        )
+
+    def finish_solids(self, serials: NDArray[np.int64]) -> tuple[Solids, tuple[str, ...]]:
+        """Returns the solids, and an id or "" for each polygon.
+
+        Args:
+            serials: (N,) serial number of each polygon that is there; -1 for copies.
+        """
+        size = int(serials.max(initial=-1)) + 1
+        index = np.full(size + 1, -1, np.int64)
+        index[serials[serials >= 0]] = np.flatnonzero(serials >= 0)
+        shells = [shell for _, solid, _ in self.solids for shell in solid]
+        faces = np.asarray([number for shell in shells for number, _ in shell], np.int64)
+        solids = Solids(
+            np.asarray([part for part, _, _ in self.solids], np.int32),
+            np.cumsum([0, *(len(solid) for _, solid, _ in self.solids)]).astype(np.int64),
+            np.cumsum([0, *map(len, shells)]).astype(np.int64),
+            index[np.where(faces < size, faces, size)],
+            np.asarray([is_flipped for shell in shells for _, is_flipped in shell], np.bool_),
+            np.asarray([composite for _, _, composite in self.solids], np.int32),
+        )
+        return solids, tuple(self.polygon_ids.get(number, "") for number in serials.tolist())
+
+
+def outer_parts(objects: CityObjects) -> NDArray[np.int32]:
+    """Returns (O,) the building or part each object stands with: itself, or what it hangs on."""
+    result = np.arange(len(objects), dtype=np.int32)
+    for n, (type_, parent) in enumerate(zip(objects.types, objects.parents.tolist(), strict=True)):
+        if type_ not in ("Building", "BuildingPart") and 0 <= parent < n:
+            result[n] = result[parent]
+    return result

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import date
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from lodbench.citymodel.layers import require_layers
 from lodbench.errors import ConfigError, nearest_names, require_within
 
 AxisOrder = Literal["auto", "east_first", "north_first"]
@@ -179,3 +178,62 @@ _TYPE_NAMES = {float: "a number", str: "text", bool: "true or false"}
 _WORDS = {
     name: get_args(hint) for name, hint in get_type_hints(ReadOptions).items() if get_origin(hint) is Literal
 }
+
+
+# The objects of each layer, by their names in CityGML and CityJSON. Installations hang on what they belong
+# to and come with it; rooms are the inside of what is read anyway.
+LAYERS: dict[str, tuple[str, ...]] = {
+    "bridges": ("Bridge",),
+    "tunnels": ("Tunnel",),
+    "constructions": ("OtherConstruction",),
+    "vegetation": ("SolitaryVegetationObject", "PlantCover"),
+    "furniture": ("CityFurniture",),
+    "relief": ("ReliefFeature", "TINRelief"),
+    "roads": ("Road", "Railway", "Square", "Track", "Waterway", "TransportSquare", "TransportationComplex"),
+    "water": ("WaterBody",),
+    "land_use": ("LandUse",),
+    "generic": ("GenericCityObject", "GenericOccupiedSpace"),
+    "interiors": (),
+}
+INTERIORS = "interiors"
+# Folders of PLATEAU's deliveries, one per layer.
+FOLDERS = {
+    "bridges": ("brid",),
+    "tunnels": ("tun",),
+    "constructions": ("cons",),
+    "vegetation": ("veg",),
+    "furniture": ("frn",),
+    "relief": ("dem",),
+    "roads": ("tran", "rwy", "trk", "squr", "wwy"),
+    "water": ("wtr",),
+    "land_use": ("luse",),
+    "generic": ("gen",),
+    "interiors": (),
+}
+
+
+def require_layers(names: Sequence[str]) -> tuple[str, ...]:
+    """Returns the names of layers, each once.
+
+    Raises:
+        ConfigError: One is unknown.
+    """
+    for name in names:
+        if name not in LAYERS:
+            raise ConfigError(f"There is no layer {name!r}.", nearest_names(name, LAYERS))
+    return tuple(dict.fromkeys(names))
+
+
+def types_of(layers: Sequence[str]) -> frozenset[str]:
+    """Returns the names of the objects to read: buildings, and those of some layers.
+
+    Example:
+        >>> sorted(types_of(["bridges"]))
+        ['Bridge', 'Building']
+    """
+    return frozenset(["Building", *(name for layer in layers for name in LAYERS[layer])])
+
+
+def folders_of(layers: Sequence[str]) -> frozenset[str]:
+    """Returns the names of the folders that hold them, where a delivery has a folder for each kind."""
+    return frozenset(["bldg", *(name for layer in layers for name in FOLDERS[layer])])

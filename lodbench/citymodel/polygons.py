@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -10,22 +12,18 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.axis_order import faces_tell_north_first
 from lodbench.citymodel.bases import mend_heights, move_bases, tell_unused
-from lodbench.citymodel.cleaning import clean_polygons
-from lodbench.citymodel.codes import CRS_MIXED
+from lodbench.citymodel.cleaning import clean_polygons, drop_repeats, frame_origin, report_outliers
+from lodbench.citymodel.codes import CRS_MIXED, DUPLICATE_ID
 from lodbench.citymodel.crs import require_crs
-from lodbench.citymodel.duplicates import drop_repeats
 from lodbench.citymodel.frame import bring_to, brought_note, require_no_degrees, to_metres
-from lodbench.citymodel.layers import INTERIORS
-from lodbench.citymodel.model import CityModel, Polygons
-from lodbench.citymodel.naming import unique_ids, unique_objects
-from lodbench.citymodel.newell import newell
-from lodbench.citymodel.objects import Solids
-from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.outliers import frame_origin, report_outliers
+from lodbench.citymodel.lods import select_polygons
+from lodbench.citymodel.model import CityModel, CityObjects, Polygons, Solids
+from lodbench.citymodel.options import INTERIORS, ReadOptions
 from lodbench.citymodel.pictures import Pictures
 from lodbench.citymodel.raw import RawCity
-from lodbench.citymodel.selection import select_polygons
+from lodbench.citymodel.triangulate import newell
 from lodbench.errors import CityModelError
+from lodbench.findings import Findings
 from lodbench.geometry.frames import ShiftedEcef
 
 # Far more than any false easting; float32 and projections stay sound below it.
@@ -257,3 +255,43 @@ def _told_by_faces(
         return None
     chosen = polygons if is_chosen is None else select_polygons(polygons, np.flatnonzero(is_chosen))
     return faces_tell_north_first(chosen, least_buildings)
+
+
+def unique_ids(ids: Sequence[str], findings: Findings) -> tuple[str, ...]:
+    """Returns ids of which no two are equal: what repeats an earlier one gets ``~2``, ``~3`` and so on.
+
+    An export that merged two buildings of one id would lose one of them.
+
+    Args:
+        ids: As the file has them.
+        findings: Receives ``DUPLICATE_ID``, once per id that repeats.
+
+    Example:
+        >>> unique_ids(["a", "b", "a"], Findings())
+        ('a', 'b', 'a~2')
+    """
+    if len(set(ids)) == len(ids):
+        return tuple(ids)
+    counts = Counter(ids)
+    for name, count in counts.items():
+        if count > 1:
+            findings.add(DUPLICATE_ID, name, f"names {count} objects; the later get ~2 and so on")
+    taken, met, unique = set(ids), Counter[str](), []
+    for name in ids:
+        met[name] += 1
+        own = name
+        while met[name] > 1 and own in taken:
+            own = f"{name}~{met[name]}"
+            met[name] += own in taken
+        taken.add(own)
+        unique.append(own)
+    return tuple(unique)
+
+
+def unique_objects(objects: CityObjects, building_ids: tuple[str, ...], findings: Findings) -> CityObjects:
+    """Returns objects of which no two have one id; buildings are called as ``building_ids`` says."""
+    ids = list(objects.ids)
+    for n, building in enumerate(objects.building.tolist()):
+        if objects.parents[n] < 0:
+            ids[n] = building_ids[building]
+    return replace(objects, ids=unique_ids(ids, findings))

@@ -20,7 +20,7 @@ from pathlib import Path, PurePath, PurePosixPath
 from typing import BinaryIO, TypeVar
 
 from lodbench.citymodel.formats import SURFACE_SUFFIXES, suffixes_of
-from lodbench.citymodel.layers import folders_of
+from lodbench.citymodel.options import folders_of
 from lodbench.citymodel.raw import NotACity
 from lodbench.citymodel.scene_file import is_scene
 from lodbench.errors import CityModelError

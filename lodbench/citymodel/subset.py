@@ -8,15 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.axis_order import require_true_to_scale
+from lodbench.citymodel.cleaning import drop_repeats, frame_origin
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.derive import derive_lod1
-from lodbench.citymodel.duplicates import drop_repeats
-from lodbench.citymodel.lods import has_lod, polygons_at
+from lodbench.citymodel.lods import has_lod, polygons_at, select_polygons
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.outliers import frame_origin
 from lodbench.citymodel.raw import take_segments
-from lodbench.citymodel.scale import require_true_to_scale
-from lodbench.citymodel.selection import select_polygons
 from lodbench.errors import CityModelError, nearest_names
 from lodbench.findings import Findings
 

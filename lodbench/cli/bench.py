@@ -10,15 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from lodbench.bench import Report, add_options, options_of
 from lodbench.bench.city import CityOptions, measure_city
-from lodbench.bench.evaluation import EvaluationOptions, measure_evaluation
-from lodbench.bench.figures import Report
+from lodbench.bench.evaluation import EvaluationOptions, WorkerOptions, measure_evaluation, measure_workers
 from lodbench.bench.maps import MapsOptions, measure_maps
-from lodbench.bench.options import add_options, options_of
 from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
 from lodbench.bench.startup import StartupOptions, measure_startup
 from lodbench.bench.training_data import TrainingDataOptions, measure_training_data
-from lodbench.bench.workers import WorkerOptions, measure_workers
 from lodbench.cli import bench_flights, bench_real, bench_segmentation, bench_views
 from lodbench.cli.bench_views import add_city, city_file
 from lodbench.cli.parser import Parser

@@ -7,11 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from lodbench.bench.figures import Report
+from lodbench.bench import Report, add_options, options_of
 from lodbench.bench.flights import measure_flights
-from lodbench.bench.joint_solves import measure_joint_solves
-from lodbench.bench.options import add_options, options_of
-from lodbench.bench.tracking import TrackingOptions, measure_tracking
+from lodbench.bench.tracking import TrackingOptions, measure_joint_solves, measure_tracking
 from lodbench.cli.bench_views import city_file, seeds, whole_numbers
 from lodbench.cli.segmenters import require_frames_looked_at, segmenter_of
 from lodbench.errors import ConfigError, require_within
@@ -19,7 +17,7 @@ from lodbench.execution import ProgressCallback
 from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.flight.params import RELATIVE_POSES
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
-from lodbench.synthesis.flights.dataset import FlightsParams
+from lodbench.synthesis.flights import FlightsParams
 from lodbench.synthesis.view_photos import PHOTO_SIZE
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
 

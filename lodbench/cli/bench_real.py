@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from lodbench.bench.figures import Report
+from lodbench.bench import Report
 from lodbench.bench.real_query import RealOptions, RealSet, measure_real
 from lodbench.bench.traced_photos import TracedOptions, open_traced_photos
 from lodbench.citymodel.scene import Scene

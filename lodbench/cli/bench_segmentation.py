@@ -6,10 +6,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from lodbench.bench.figures import Report
+from lodbench.bench import Report
 from lodbench.bench.guided_masks import Disturbance, GuidedOptions, measure_guided_masks
-from lodbench.bench.instance_quality import measure_instances
-from lodbench.bench.iou_recall import measure_iou_recall
+from lodbench.bench.iou_recall import measure_instances, measure_iou_recall
 from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks
 from lodbench.bench.photo_masks import measure_photo_masks
 from lodbench.cli.segmenters import segmenter_of
@@ -17,9 +16,9 @@ from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method
 from lodbench.segmentation import Segmenter
-from lodbench.segmentation.choice import FOR_PHOTOS
 from lodbench.segmentation.map_guided import MapGuided
 from lodbench.segmentation.photo_segmenter import require_photo_segmenter
+from lodbench.segmentation.registry import FOR_PHOTOS
 from lodbench.synthesis.views_dataset import ViewsParams
 
 _VIEWS_OF_TOWN, _VIEWS_OF_CITY, _DRAWS = 80, 50, 4

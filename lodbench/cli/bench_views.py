@@ -7,10 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from lodbench.bench.accuracy import measure_accuracy
-from lodbench.bench.accuracy_cities import measure_cities
-from lodbench.bench.figures import Report
-from lodbench.bench.options import SEED
+from lodbench.bench import SEED, Report
+from lodbench.bench.accuracy import measure_accuracy, measure_cities
 from lodbench.datasets.inputs import Input
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import ProgressCallback

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.formats import formats_in_words
-from lodbench.citymodel.layers import LAYERS
-from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.options import LAYERS, ReadOptions
 from lodbench.cli.parser import Parser
 from lodbench.cli.source_profiles import DATE_HELP, load_profile
 from lodbench.errors import CityModelError, ConfigError, require_choice
@@ -64,7 +63,7 @@ def _info(wanted: argparse.Namespace, options: ReadOptions) -> int:
 
 
 def _check(wanted: argparse.Namespace, options: ReadOptions) -> int:
-    from lodbench.citymodel.checks.report import check_city, findings_geojson, format_report
+    from lodbench.citymodel.checks import check_city, findings_geojson, format_report
     from lodbench.citymodel.source import OWN_GEOJSON, file_source, own_geojson
     from lodbench.storage import write_bytes
 

@@ -15,7 +15,7 @@ from lodbench.cli.place_options import add_height_options, add_map_options, city
 from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.reporting.aligned_text import plain_text
-from lodbench.segmentation.choice import FOR_PHOTOS
+from lodbench.segmentation.registry import FOR_PHOTOS
 
 if TYPE_CHECKING:
     from lodbench.harness.georeference import Georeferenced

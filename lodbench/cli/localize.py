@@ -29,7 +29,7 @@ from lodbench.cli.source_profiles import option_pairs
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.photos.pose import START_OF_EACH
-from lodbench.segmentation.choice import FOR_PHOTOS
+from lodbench.segmentation.registry import FOR_PHOTOS
 
 if TYPE_CHECKING:
     from lodbench.harness.photo.many import Answers

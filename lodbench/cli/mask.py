@@ -56,8 +56,8 @@ def main(argv: Sequence[str]) -> int:
         require_untouched(out, options.photo, formats, polygons)
     segmenter = None
     if mask is None and polygons is None:
-        from lodbench.segmentation.choice import FOR_PHOTOS
         from lodbench.segmentation.photo_segmenter import require_photo_segmenter
+        from lodbench.segmentation.registry import FOR_PHOTOS
 
         made = segmenter_of(options.segmenter or FOR_PHOTOS, options.segmenter_option)
         segmenter = require_photo_segmenter(made)

@@ -18,8 +18,8 @@ from lodbench.harness.render import RenderParams, render_poses
 from lodbench.params import to_params
 from lodbench.reporting.aligned_text import already_there
 from lodbench.synthesis.photo import LookRanges
+from lodbench.synthesis.training_data import GenerateParams
 from lodbench.synthesis.training_data.generate import Generated, generate_training_data
-from lodbench.synthesis.training_data.params import GenerateParams
 
 
 def main(argv: Sequence[str]) -> int:

@@ -12,8 +12,7 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError
 from lodbench.segmentation import Segmenter
-from lodbench.segmentation.choice import AUTO, FOR_PHOTOS, chosen_segmenter
-from lodbench.segmentation.registry import make_segmenter
+from lodbench.segmentation.registry import AUTO, FOR_PHOTOS, chosen_segmenter, make_segmenter
 
 # A segmenter and its parameters.
 Made = tuple[Segmenter, Any]

@@ -20,7 +20,7 @@ from lodbench.cli.place_options import (
 from lodbench.cli.segmenters import require_frames_looked_at, require_one_mask_source, segmenter_of
 from lodbench.errors import DatasetError, require_within
 from lodbench.reporting.aligned_text import plain_text
-from lodbench.segmentation.choice import FOR_PHOTOS
+from lodbench.segmentation.registry import FOR_PHOTOS
 
 if TYPE_CHECKING:
     from lodbench.harness.track import Track

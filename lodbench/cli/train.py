@@ -15,9 +15,8 @@ from lodbench.params import to_params
 from lodbench.plugins import blaming, load_plugin
 from lodbench.reporting.aligned_text import already_there, plain_text
 from lodbench.segmentation.registry import make_segmenter
-from lodbench.training.samples import LEAST_SHARE
+from lodbench.training.samples import LEAST_SHARE, TrainParams
 from lodbench.training.train import Trained, train_network
-from lodbench.training.train_params import TrainParams
 
 T = TypeVar("T")
 

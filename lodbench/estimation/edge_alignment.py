@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.pitched_blocks import pitched_blocks
+from lodbench.citymodel.extrude import pitched_blocks
 from lodbench.estimation.lens import LensErrors
 from lodbench.estimation.model_lines import CAMERA, ModelLines, Projected, lines_in_view, project_lines
 from lodbench.estimation.normal_equations import Quadratic

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.building_boxes import floors_and_rises
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene import Scene, floors_and_rises
 from lodbench.estimation.lens import LensErrors, project, projection_slopes
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.building_boxes import floors_and_rises
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene import Scene, floors_and_rises
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.pose_vector import pose_from_vector, rotation_derivatives
 from lodbench.kernels.arguments import EdgeArrays

@@ -30,7 +30,7 @@ from lodbench.kernels.edges import building_sums, measure_distances
 from lodbench.kernels.projection import visible_buildings
 from lodbench.rendering.projection import view_planes
 from lodbench.segmentation import binary_mask
-from lodbench.segmentation.mapped_overlap import mapped_overlap
+from lodbench.segmentation.masks import mapped_overlap
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from lodbench.citymodel.cache import open_cached_city
+from lodbench.citymodel.cache import OpenCity, open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.stored_city import OpenCity
 from lodbench.errors import DatasetError
 from lodbench.execution import ProgressCallback
 from lodbench.geometry import Pose

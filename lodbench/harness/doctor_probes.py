@@ -40,7 +40,7 @@ def try_numba() -> str:
 
 def try_renderer(name: str) -> str:
     """Draws a tower and compares it with the reference; returns what there is to say."""
-    from lodbench.citymodel.blocks import scene_of_blocks
+    from lodbench.citymodel.extrude import scene_of_blocks
     from lodbench.geometry import Camera, EulerAngles, Pose
     from lodbench.rendering import open_renderer
     from lodbench.rendering.gl_guard import trust_driver

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
+from lodbench.citymodel.cache import OpenCity
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.stored_city import OpenCity
 from lodbench.datasets.exchange.colmap import read_colmap
 from lodbench.datasets.exchange.colmap_moved import write_moved_colmap
 from lodbench.datasets.exchange.geojson import camera_feature, footprint_feature, view_feature, write_geojson

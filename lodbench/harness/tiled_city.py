@@ -23,9 +23,8 @@ from lodbench.citymodel.lifespans import Period, common_period, holds_on, period
 from lodbench.citymodel.lods import COARSEST, FINEST, choose_lod, has_lod
 from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.naming import unique_ids
 from lodbench.citymodel.options import ReadOptions, made_with
-from lodbench.citymodel.polygons import finish_model
+from lodbench.citymodel.polygons import finish_model, unique_ids
 from lodbench.citymodel.raw import NotACity
 from lodbench.citymodel.read import read_source
 from lodbench.citymodel.scene import Scene

@@ -6,9 +6,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.inputs import Input
+from lodbench.datasets.instance_labels import masks_of_labels
+from lodbench.datasets.query import Entry
 from lodbench.errors import require_within
 from lodbench.segmentation.packaged_network import PackagedNetwork, packaged_file
-from lodbench.segmentation.probability import check_normalise
+from lodbench.segmentation.probability import check_normalise, probability_of
+from lodbench.segmentation.protocol import BUILDING_THRESHOLD
+from lodbench.storage import digest_of
+from lodbench.synthesis.instance_degradation import filled
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,3 +76,126 @@ class Compact(PackagedNetwork):
 def packaged_weights() -> Path:
     """Returns the weights of ``compact`` that come with the package."""
     return packaged_file("compact.onnx")
+
+
+# How far inside its outline the interior of a building begins, pixels of the size a network works at.
+_REACH_PX = 2
+# Interiors of fewer pixels are no building's: a corner, a gap between two borders.
+_LEAST_PX = 12
+
+
+@dataclass(frozen=True, slots=True)
+class CompactInstancesParams:
+    """Settings of ``segmenter=compact_instances``.
+
+    Attributes:
+        name: Name to report.
+        size: Long side that photos are brought to, pixels.
+        interior: Least probability of the inside of a building.
+        weights: ONNX file of ``lodbench train segmenter=compact_instances``; None for the package's.
+        mask_weights: As ``segmenter.weights`` of ``compact``, which says where buildings are.
+
+    Raises:
+        ConfigError: A setting is out of range.
+    """
+
+    name: str = "compact_instances"
+    size: int = 512
+    interior: float = 0.7
+    weights: str | None = None
+    mask_weights: str | None = None
+
+    def __post_init__(self) -> None:
+        require_within("segmenter.size", self.size, 32, 4096)
+        require_within("segmenter.interior", self.interior, 0, 1, "()")
+
+
+class CompactInstances(PackagedNetwork):
+    """The mask of ``compact``, parted by a network of the same kind that sees the insides of buildings.
+
+    What it answers is how probably a pixel lies at least two pixels within the outline of one building:
+    what is coherent of that is one building, and the rest of the mask goes to the nearest.
+    """
+
+    params_type = CompactInstancesParams
+    provides = frozenset({Input.MASK, Input.INSTANCES})
+    weights_name = "compact_instances"
+    domain = "synthetic"
+    stores_half = True
+    # What `lodbench train` shows it: the interiors of labelled buildings.
+    learns = "interiors"
+
+    def __init__(self, params: CompactInstancesParams) -> None:
+        super().__init__(params)
+        self._compact = Compact(CompactParams(size=params.size, weights=params.mask_weights))
+
+    def segment(self, entry: Entry) -> NDArray[np.float32]:
+        """Returns the mask of ``compact``.
+
+        Raises:
+            ConfigError: The weights hold no network of this kind: told before they are needed.
+        """
+        if self.params.weights:
+            self._net  # noqa: B018 - read once, and kept
+        return self._compact.segment(entry)
+
+    def probability(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Returns the (h, w) float32 probability of building that ``compact`` gives a (H, W, 3) RGB photo."""
+        return self._compact.probability(photo)
+
+    def interior(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Returns the (h, w) float32 probability of the inside of a building, of a (H, W, 3) RGB photo."""
+        return probability_of(self.logits(photo), "none")
+
+    def segment_instances(self, entry: Entry) -> NDArray[np.bool_]:
+        """Returns (N, h, w) bool, a mask of each building, at the working size.
+
+        Raises:
+            QueryFault: There is no photo, or it cannot be read.
+        """
+        mask = self.segment(entry) >= BUILDING_THRESHOLD
+        inside = self.cached(entry, self.interior, ("interior", "mask_weights")) >= self.params.interior
+        return masks_of_labels(told_apart(mask, inside))
+
+    def fingerprint(self, entries: tuple[Entry, ...]) -> str:
+        """Returns a digest of the photos' contents, the settings and the weights of both networks."""
+        return digest_of([super().fingerprint(entries), self._compact.fingerprint(entries)])
+
+    def notes(self) -> tuple[str, ...]:
+        """Returns what both networks have seen."""
+        if self.params.weights:
+            own = f"weights of {Path(self.params.weights).name}"
+        else:
+            views = self.packaged_training().get("views", {}).get("train")
+            own = f"domain: {self.domain}: trained on {views} rendered views; real photos look different"
+        return (*self._compact.notes(), f"segmenter {self.name}, {own}")
+
+    def new_net(self, is_filled: bool) -> Any:
+        """Returns the torch network with random weights."""
+        return self._compact.new_net(is_filled)
+
+
+def interiors(labels: NDArray[Any]) -> NDArray[np.bool_]:
+    """Returns (H, W), where a building's label is the only one within two pixels: what the network learns.
+
+    Args:
+        labels: (H, W) at the size a network works at, 0 for no building.
+    """
+    square = np.ones((2 * _REACH_PX + 1, 2 * _REACH_PX + 1), np.uint8)
+    alone: NDArray[np.bool_] = cv2.erode(labels, square) == cv2.dilate(labels, square)
+    return alone & (labels > 0)
+
+
+def told_apart(mask: NDArray[np.bool_], inside: NDArray[np.bool_]) -> NDArray[np.uint16]:
+    """Returns (H, W) labels 1, 2, ... that fill a mask: each pixel goes to the nearest building's inside.
+
+    Patches of the mask with no inside of their own are a building each.
+
+    Args:
+        mask: (H, W), where buildings are.
+        inside: (H, W), well within one building.
+    """
+    _, parts, sizes, _ = cv2.connectedComponentsWithStats((mask & inside).astype(np.uint8), connectivity=4)
+    is_building = sizes[:, cv2.CC_STAT_AREA] >= _LEAST_PX
+    is_building[0] = False
+    return filled(np.where(is_building[parts], parts, -1).astype(np.int32), mask)

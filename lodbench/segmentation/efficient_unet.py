@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from lodbench.errors import ConfigError, require_within
 from lodbench.extras import require
 from lodbench.segmentation.packaged_network import PackagedNetwork
-from lodbench.segmentation.probability import check_normalise
-from lodbench.segmentation.working_size import resized_photo, working_size
+from lodbench.segmentation.probability import check_normalise, resized_photo, working_size
 
 Logits = NDArray[np.float32]
 

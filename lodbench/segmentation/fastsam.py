@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault, require_numbers
+from lodbench.segmentation.masks import read_photo
 from lodbench.segmentation.onnx_file import read_onnx
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
-from lodbench.segmentation.photos import read_photo
-from lodbench.segmentation.working_size import resized_photo, working_size
+from lodbench.segmentation.probability import resized_photo, working_size
 from lodbench.storage import file_digest
 
 Floats = NDArray[np.float32]

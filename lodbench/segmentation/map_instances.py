@@ -16,9 +16,9 @@ from lodbench.errors import QueryFault, require_numbers, require_within
 from lodbench.geometry import AxisRange, Pose, PoseGrid, rotations_at_yaws
 from lodbench.rendering import IouFit
 from lodbench.segmentation.compact import Compact, CompactParams
-from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.masks import read_photo
+from lodbench.segmentation.probability import resized_photo
 from lodbench.segmentation.protocol import BUILDING_THRESHOLD
-from lodbench.segmentation.working_size import resized_photo
 from lodbench.storage import digest_of
 from lodbench.synthesis.instance_degradation import filled
 

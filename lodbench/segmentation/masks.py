@@ -6,14 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.inputs import Input
+from lodbench.datasets.instance_labels import masks_of_labels, read_labels
 from lodbench.datasets.own import find_mask
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
-from lodbench.photos.pictures import decoded, has_too_many_pixels
+from lodbench.photos.pictures import decoded, has_too_many_pixels, in_8_bits
 from lodbench.storage import digest_of
 from lodbench.storage.digest import content_digest, read_content
 from lodbench.storage.paths import require_regular
@@ -142,3 +144,143 @@ class NoMask:
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns nothing: there is nothing that answers could depend on."""
         return ""
+
+
+# Masks of buildings are handed over at most this long, pixels: a photo has hundreds.
+_LONGER_SIDE = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class InstanceFilesParams:
+    """Settings of ``segmenter=instances``: none."""
+
+    name: str = "instances"
+
+
+class InstanceFiles:
+    """Reads each query's labels of buildings from the dataset; the mask is where there is one."""
+
+    params_type = InstanceFilesParams
+    name = "instances"
+    requires = frozenset({Input.INSTANCES})
+    provides = frozenset({Input.MASK, Input.INSTANCES})
+
+    def __init__(self, params: InstanceFilesParams) -> None:
+        self.params = params
+
+    def segment(self, entry: Entry) -> NDArray[np.float32]:
+        """Returns the (H, W) float32 mask, 0 or 1.
+
+        Raises:
+            QueryFault: There are no labels for this query, or they cannot be read.
+        """
+        return np.asarray(self._labels(entry) > 0, dtype=np.float32)
+
+    def segment_instances(self, entry: Entry) -> NDArray[np.bool_]:
+        """Returns (N, h, w) bool, at most 1024 pixels on the longer side.
+
+        Raises:
+            QueryFault: As for ``segment``, or there are more labels than masks of 1 GB together hold.
+        """
+        labels = self._labels(entry)
+        height, width = labels.shape
+        scale = _LONGER_SIDE / max(height, width)
+        if scale < 1:
+            size = (max(1, round(width * scale)), max(1, round(height * scale)))
+            labels = np.asarray(cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST_EXACT), np.uint16)
+        return masks_of_labels(labels)
+
+    def fingerprint(self, entries: tuple[Entry, ...]) -> str:
+        """Returns a digest of the label files' names and contents."""
+        return digest_of([[entry.key, content_digest(entry.instances)] for entry in entries])
+
+    def _labels(self, entry: Entry) -> NDArray[np.uint16]:
+        if entry.instances is None:
+            raise QueryFault("no labels in the instances folder")
+        return read_labels(entry.instances)
+
+
+Mask = NDArray[np.bool_]
+
+# Every so many pixels are looked at: shares of areas need no more.
+_STRIDE = 3
+
+
+def mapped_overlap(silhouette: Mask, mask: Mask) -> float:
+    """Returns how much more of the mapped buildings than of their surroundings a mask holds.
+
+    Eq. (C15) of docs/methods/contour_alignment.md.
+
+    1 where both agree around the map's buildings, 0 where they do by chance; the surroundings are the pixels
+    nearest to the silhouette, as many as it has. Buildings further off, which the map may lack, do not count.
+    For masks that err little it is the IoU; an empty silhouette has 0.
+
+    Args:
+        silhouette: (H, W) of the map's buildings.
+        mask: (H, W) of all buildings of the photo.
+    """
+    mapped = np.ascontiguousarray(silhouette[::_STRIDE, ::_STRIDE])
+    shown = mask[::_STRIDE, ::_STRIDE]
+    inside = int(np.count_nonzero(mapped))
+    if inside == 0:
+        return 0.0
+    held = np.count_nonzero(shown & mapped) / inside
+    away = cv2.distanceTransform((~mapped).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[~mapped]
+    if len(away) == 0:
+        return held
+    near = away <= np.partition(away, min(inside, len(away)) - 1)[min(inside, len(away)) - 1]
+    return held - float(np.mean(shown[~mapped][near]))
+
+
+def read_photo(path: str | Path) -> NDArray[np.uint8]:
+    """Returns an image file as (H, W, 3) uint8 RGB, in the order of its pixels in the file.
+
+    16 bits are brought to 8 over the range in use, grey is repeated, transparent pixels show black.
+    A turn that EXIF asks for is not made: the camera and its pose are those of the file's pixels.
+
+    Raises:
+        QueryFault: The file is missing or no image, has too many pixels, or neither 8 nor 16 bits.
+    """
+    name = Path(path).name
+    try:
+        content = read_content(Path(path))
+    except OSError as error:
+        raise QueryFault(f"photo {name} cannot be read: {error.strerror}", "Check the path.") from error
+    return photo_of(content, name)
+
+
+def photo_of(content: bytes, name: str) -> NDArray[np.uint8]:
+    """Returns the bytes of an image file as `read_photo` does.
+
+    Raises:
+        QueryFault: They are no image, have too many pixels, or neither 8 nor 16 bits nor, without alpha,
+            floating-point numbers.
+    """
+    if has_too_many_pixels(content):
+        raise QueryFault(f"photo {name} has too many pixels", "Scale it down.")
+    image = decoded(content, as_stored=True)
+    if image is None or not _is_photo(image):
+        raise QueryFault(f"photo {name} is not a readable 8 or 16 bit image", "Is it a JPEG, PNG or TIFF?")
+    return as_rgb(image)
+
+
+def _is_photo(image: NDArray[Any]) -> bool:
+    """Tells whether pixels can be brought to 8 bits; radiometric thermal photos have 32, floating-point."""
+    has_alpha = image.ndim == 3 and image.shape[2] in (2, 4)
+    return str(image.dtype) in ("uint8", "uint16") or (str(image.dtype) == "float32" and not has_alpha)
+
+
+def as_rgb(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """Returns a decoded image, (H, W) or (H, W, 1 to 4) in OpenCV's order, as RGB; float32 has no alpha."""
+    if image.ndim == 2:
+        image = image[:, :, None]
+    has_alpha = image.shape[2] in (2, 4)
+    colours, alpha = (image[:, :, :-1], image[:, :, -1:]) if has_alpha else (image, None)
+    colours = in_8_bits(colours)
+    if alpha is not None:
+        share = alpha.astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
+        colours = (colours * share + 0.5).astype(np.uint8)
+    image = colours
+    if image.shape[2] == 1:
+        return np.ascontiguousarray(np.repeat(image, 3, axis=2))
+    return np.ascontiguousarray(image[:, :, ::-1])

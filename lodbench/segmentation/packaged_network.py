@@ -16,9 +16,14 @@ from numpy.typing import NDArray
 from lodbench.errors import ConfigError
 from lodbench.segmentation.onnx_file import read_onnx
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
-from lodbench.segmentation.probability import without_unsure_parts
-from lodbench.segmentation.tiles import MemoryTiles, is_out_of_memory
-from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
+from lodbench.segmentation.probability import (
+    MemoryTiles,
+    is_out_of_memory,
+    padded_photo,
+    resized_photo,
+    without_unsure_parts,
+    working_size,
+)
 from lodbench.storage import file_digest
 
 # What a file calls the answer of a network, by what that has learnt: networks may be alike in all else.

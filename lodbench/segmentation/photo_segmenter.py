@@ -20,10 +20,10 @@ from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.geometry import Camera
-from lodbench.segmentation.choice import FOR_PHOTOS
-from lodbench.segmentation.photos import photo_of, read_photo
+from lodbench.segmentation.masks import photo_of, read_photo
 from lodbench.segmentation.probability import probability_of
 from lodbench.segmentation.protocol import Segmenter, check_mask
+from lodbench.segmentation.registry import FOR_PHOTOS
 from lodbench.storage import digest_of, make_folder, write_bytes
 from lodbench.storage.digest import content_digest, digest_of_code, read_content
 from lodbench.storage.paths import cache_root

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -203,3 +204,35 @@ def no_wider(probability: NDArray[np.float32], width: int, camera: Camera) -> ND
 def binary_mask(probability: NDArray[np.float32], width: int, height: int) -> NDArray[np.bool_]:
     """Returns the (height, width) mask: averaged over each target pixel's area, then thresholded."""
     return np.asarray(resized(probability, width, height) >= BUILDING_THRESHOLD)
+
+
+class TrainableSegmenter(Protocol):
+    """Builds its network and stores its weights.
+
+    Attributes:
+        params: Its settings, a frozen dataclass.
+        stride: Sides of pictures are padded to multiples of this.
+        learns: Optional: ``masks``, which is meant where it is missing, or ``interiors`` of single buildings.
+    """
+
+    params: Any
+    stride: int
+
+    def build(self, init: str | None) -> Any:
+        """Returns the network as a torch module, from a weights file or with random weights.
+
+        It takes (B, 3, H, W) float32 RGB in [0, 1] and returns a tuple of logits (B, 1, H, W), the
+        answer first.
+
+        Raises:
+            LodbenchError: The file does not hold weights of this network.
+        """
+        ...
+
+    def packaged_weights(self) -> Path | None:
+        """Returns the weights in the package, or None where there are none."""
+        ...
+
+    def store(self, net: Any, folder: Path) -> Path:
+        """Writes a network's weights as ``segment`` loads them and returns the file."""
+        ...

@@ -152,7 +152,7 @@ class Semantic(TorchSegmenter):
             ConfigError: The folder holds no such checkpoint or not all of its weights, it has no class of
                 these names or no other, or asks for photos that are not made.
         """
-        from lodbench.segmentation.nets.semantic import OneAgainstRest
+        from lodbench.segmentation.nets.sam2_unet import OneAgainstRest
 
         model = self._model()
         labels = {int(index): str(label) for index, label in model.config.id2label.items()}

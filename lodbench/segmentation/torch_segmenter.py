@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError
 from lodbench.extras import require
-from lodbench.segmentation.memory import require_memory
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
-from lodbench.segmentation.tiles import MemoryTiles
-from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
+from lodbench.segmentation.probability import MemoryTiles, padded_photo, resized_photo, working_size
 from lodbench.storage import file_digest
 
 RANDOM = "random"
@@ -224,3 +222,37 @@ def hub_folder(identity: str, pattern: str = "*.safetensors") -> Path:
             hint,
         )
     return folder
+
+
+_MEMINFO = Path("/proc/meminfo")
+_GIB = float(1 << 30)
+
+
+def free_bytes() -> int | None:
+    """Returns the memory that can be had without swapping; None where the system does not say."""
+    try:
+        for line in _MEMINFO.read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return 1024 * int(line.split()[1])
+    except (OSError, ValueError, IndexError):
+        return None
+    return None
+
+
+def require_memory(what: str, needed: float, smaller: str = "a smaller segmenter.encoder") -> None:
+    """Makes sure that something fits into memory.
+
+    Args:
+        what: Needs it, in the plural: ``The weights of sam2_unet``.
+        needed: Bytes.
+        smaller: What needs less.
+
+    Raises:
+        ConfigError: They do not.
+    """
+    free = free_bytes()
+    if free is not None and needed > free:
+        raise ConfigError(
+            f"{what} need {needed / _GIB:.1f} GiB of memory, {free / _GIB:.1f} GiB are free.",
+            f"Take {smaller}, or a machine with more memory.",
+        )

@@ -20,8 +20,8 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler
 from lodbench.storage import random_stream
-from lodbench.synthesis.surroundings.ground import Ground
-from lodbench.synthesis.training_data.params import MOST_VIEWS, GenerateParams
+from lodbench.synthesis.land_cover import Ground
+from lodbench.synthesis.training_data import MOST_VIEWS, GenerateParams
 from lodbench.synthesis.view_sampling import target_near, view_of
 
 Floats = NDArray[np.float64]

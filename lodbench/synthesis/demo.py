@@ -89,7 +89,7 @@ def textured_map_of_demo(root: Path, seed: int, look: str) -> Path:
     """Returns the textured map of a demo's town, made first if it is not there: minutes, once."""
 
     def write(folder: Path) -> None:
-        from lodbench.synthesis.survey.textured_map import write_textured_map
+        from lodbench.synthesis.textured_survey import write_textured_map
 
         scene = open_scene(root / CITY_FILE, lod="1")
         write_textured_map(folder / MAP_FILE, grow_town(seed, look), scene)

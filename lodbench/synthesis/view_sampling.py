@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.building_boxes import building_boxes
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler

@@ -32,10 +32,9 @@ from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import digest_of, random_stream, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.instance_degradation import degraded_instances
-from lodbench.synthesis.lens_pictures import draw_through_lens
 from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.queries import SyntheticQuery, write_queries, written_once
-from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer
+from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer, draw_through_lens
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 
 # Raised whenever the same settings would draw something else.

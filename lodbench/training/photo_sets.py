@@ -25,10 +25,9 @@ from lodbench.geometry import Camera, Pose
 from lodbench.photos.files import PHOTO_SUFFIXES, traced_photos
 from lodbench.photos.pictures import encoded, encoded_mask
 from lodbench.rendering.silhouette import SilhouetteRenderer
-from lodbench.segmentation.masks import read_mask
+from lodbench.segmentation.masks import read_mask, read_photo
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
-from lodbench.segmentation.photos import read_photo
-from lodbench.segmentation.working_size import resized_photo, working_size
+from lodbench.segmentation.probability import resized_photo, working_size
 from lodbench.storage import make_folder, write_bytes
 from lodbench.training.samples import Sample
 

@@ -14,7 +14,7 @@ from lodbench import __version__
 from lodbench.errors import ConfigError
 from lodbench.extras import require
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
-from lodbench.segmentation.trainable import TrainableSegmenter
+from lodbench.segmentation.protocol import TrainableSegmenter
 from lodbench.storage import digest_of, file_digest, make_folder, write_bytes, write_text
 from lodbench.storage.digest import digest_of_code, package_files
 from lodbench.storage.json_text import finite, parse_json
@@ -26,8 +26,7 @@ from lodbench.training.photo_sets import (
     repeated,
     traced_samples,
 )
-from lodbench.training.samples import MASKS, Sample, find_samples, samples_digest, split_samples
-from lodbench.training.train_params import TrainParams
+from lodbench.training.samples import MASKS, Sample, TrainParams, find_samples, samples_digest, split_samples
 
 
 def write_curves(history: list[dict[str, float]], path: Path) -> None:

@@ -22,7 +22,7 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation.errors import pose_error
 from lodbench.geometry import AxisRange, EulerAngles, Pose, PoseGrid, rotations_at_yaws
 from lodbench.methods import Input
-from lodbench.segmentation.working_size import working_size
+from lodbench.segmentation.probability import working_size
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 

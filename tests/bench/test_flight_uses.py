@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from lodbench.bench.flights import _roofs_shown
-from lodbench.bench.joint_solves import measure_joint_solves
-from lodbench.bench.tracking import TrackingOptions, measure_tracking
+from lodbench.bench.tracking import TrackingOptions, measure_joint_solves, measure_tracking
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Query
@@ -13,7 +12,7 @@ from lodbench.errors import ConfigError
 from lodbench.geometry import EulerAngles
 from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.protocol import FlightEstimate
-from lodbench.synthesis.flights.dataset import FlightsParams
+from lodbench.synthesis.flights import FlightsParams
 from lodbench.synthesis.view_sampling import view_of
 from tests.town import CAMERA, box_obj
 

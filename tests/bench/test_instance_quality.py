@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lodbench.bench.instance_quality import measure_instances
+from lodbench.bench.iou_recall import measure_instances
 from lodbench.cli import main
 from lodbench.datasets.inputs import Input
 from lodbench.errors import ConfigError

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from lodbench.bench import workers
-from lodbench.bench.workers import WorkerOptions, measure_workers
+from lodbench.bench import evaluation
+from lodbench.bench.evaluation import WorkerOptions, measure_workers
 from lodbench.cli import main
 from lodbench.errors import ConfigError, LodbenchError
 
@@ -34,7 +34,7 @@ def fake_run(monkeypatch, content) -> None:
         whole_s = 5.0 if "executor=process" in command else 8.0 if "executor.threads=2" in command else 9.0
         return 1.0 if again else whole_s
 
-    monkeypatch.setattr(workers, "_seconds", seconds)
+    monkeypatch.setattr(evaluation, "_seconds", seconds)
 
 
 def test_the_queries_are_the_command_less_what_it_takes_when_all_is_there(monkeypatch) -> None:

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from lodbench.citymodel.building_boxes import building_boxes
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene import Scene, building_boxes
 
 # A roof of three corners, a building that was lost, and another roof.
 SCENE = Scene(

@@ -11,7 +11,7 @@ import pytest
 
 from lodbench.citymodel import ReadOptions, mesh_model, read_city_model
 from lodbench.citymodel.convert import convert_city
-from lodbench.citymodel.layers import LAYERS
+from lodbench.citymodel.options import LAYERS
 
 from .cityjson_rules import FEATURE, assert_keeps_the_rules
 from .gml_text import box_rings, city, member, multi_surface, polygon, surface_members, write

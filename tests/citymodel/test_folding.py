@@ -9,7 +9,7 @@ import pytest
 
 from lodbench.citymodel.gml import folding, xml
 from lodbench.citymodel.gml.reader import read_citygml
-from lodbench.citymodel.layers import LAYERS
+from lodbench.citymodel.options import LAYERS
 from lodbench.errors import CityModelError
 from tests.citymodel.gml_text import city, member, multi_surface, polygon, solid, surface_members
 

@@ -8,7 +8,7 @@ import pytest
 
 from lodbench.citymodel import CityModel, ReadOptions, parse_city_model, read_city_model
 from lodbench.citymodel.convert import convert_city
-from lodbench.citymodel.layers import LAYERS
+from lodbench.citymodel.options import LAYERS
 
 from .gml_text import box_rings, city, member, polygon, surface_members
 from .test_citygml_writer import assert_valid

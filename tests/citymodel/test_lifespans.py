@@ -6,11 +6,10 @@ import pytest
 
 from lodbench.citymodel import ReadOptions, city_info, mesh_model, read_city_model
 from lodbench.citymodel import lifespans as module
-from lodbench.citymodel.cache import open_cached_city
+from lodbench.citymodel.cache import load_city, open_cached_city
 from lodbench.citymodel.convert import convert_city
 from lodbench.citymodel.lifespans import date_in
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.stored_city import load_city
 from lodbench.errors import CityModelError, ConfigError
 
 from .gml_text import (

@@ -9,7 +9,7 @@ import pytest
 
 from lodbench.citymodel import ReadOptions, read_city_model
 from lodbench.citymodel.convert import convert_city
-from lodbench.citymodel.mesh.frames import frame_of_comments, frame_of_extras
+from lodbench.citymodel.mesh.reader import frame_of_comments, frame_of_extras
 from lodbench.citymodel.mesh.texture_files import read_textured
 from lodbench.cli import main
 from lodbench.errors import CityModelError, DatasetError

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import mesh_model, open_scene, read_city_model
+from lodbench.citymodel.checks import check_city
 from lodbench.citymodel.checks.planes import check_planes
-from lodbench.citymodel.checks.report import check_city
-from lodbench.citymodel.info import city_info
 from lodbench.citymodel.mesh.obj import read_obj
 from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.read import city_info
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 

@@ -6,13 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lodbench.citymodel.growing import GrowingArray
-from lodbench.citymodel.identity import connected_components, number_rows, point_bits
-from lodbench.citymodel.lods import choose_lod, polygons_at
+from lodbench.citymodel.cleaning import connected_components, number_rows, point_bits
+from lodbench.citymodel.lods import choose_lod, group_cuts, polygons_at
 from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
+from lodbench.citymodel.raw import GrowingArray
 from lodbench.citymodel.scene import build_scene
-from lodbench.citymodel.selection import group_cuts
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -26,7 +25,7 @@ class TestNumberRows:
         assert [rows[i] for i in first] == list(known)
 
     def test_colliding_hashes(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("lodbench.citymodel.identity._MULTIPLIER", np.uint64(0))
+        monkeypatch.setattr("lodbench.citymodel.cleaning._MULTIPLIER", np.uint64(0))
         rows = np.random.default_rng(1).integers(0, 5, (200, 3)).astype(np.uint64)
         numbers, _ = number_rows(list(rows.T))
         _, expected = np.unique(rows, axis=0, return_inverse=True)

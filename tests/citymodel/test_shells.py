@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lodbench.citymodel import ReadOptions, read_city_model
-from lodbench.citymodel.checks.report import check_city
+from lodbench.citymodel.checks import check_city
 from lodbench.cli import main
 
 from .gml_text import (

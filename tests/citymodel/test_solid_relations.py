@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from lodbench.citymodel.checks.solids import _inside_points, _is_free, _num_pieces
-from lodbench.citymodel.identity import connected_components
+from lodbench.citymodel.cleaning import connected_components
 
 
 def ball(count: int, radius: float, seed: int, *, is_hole: bool = False) -> np.ndarray:

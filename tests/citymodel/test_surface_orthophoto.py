@@ -11,7 +11,7 @@ from lodbench.citymodel import ReadOptions, open_scene, read_city_model
 from lodbench.citymodel.mesh.texture_files import open_textured_map
 from lodbench.citymodel.surface.orthophoto import read_textured_surface, square_corners
 from lodbench.errors import CityModelError, DatasetError
-from lodbench.synthesis.survey.surface_model import orthophoto, seen_from_above
+from lodbench.synthesis.surface_survey import orthophoto, seen_from_above
 
 from .surface_case import CELL_M, NORTH, WEST, heights_of, write_raster
 

@@ -9,8 +9,8 @@ from PIL import Image
 
 from lodbench.citymodel import ReadOptions, open_scene, read_city_model
 from lodbench.citymodel.mesh.texture_files import open_textured_map, read_textured
-from lodbench.citymodel.mesh.textured_model import textured_model
-from lodbench.citymodel.texture_pictures import TextureFolder
+from lodbench.citymodel.mesh.textured import textured_model
+from lodbench.citymodel.pictures import TextureFolder
 from lodbench.errors import CityModelError, DatasetError
 
 from .textured_case import (

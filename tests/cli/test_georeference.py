@@ -24,7 +24,7 @@ from lodbench.harness.georeference import GeoreferenceRequest
 from lodbench.harness.georeference_start import rough_start
 from lodbench.methods.registry import make_method
 from lodbench.photos.map_frame import MapFrame
-from lodbench.synthesis.flights.dataset import FlightsParams, open_flights
+from lodbench.synthesis.flights import FlightsParams, open_flights
 from tests.cli.photo_case import stated
 from tests.photos.dji_photo import write_photo, xmp_packet
 

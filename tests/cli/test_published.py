@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 
 from lodbench.cli import main
 from lodbench.datasets.folder import FolderParams, open_folder
-from lodbench.segmentation.choice import chosen_segmenter
+from lodbench.segmentation.registry import chosen_segmenter
 from tests.data.published_layouts import write_lodlocv2, write_swiss
 from tests.town import write_dataset
 

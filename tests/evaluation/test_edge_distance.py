@@ -10,7 +10,7 @@ from lodbench.citymodel import open_scene
 from lodbench.datasets.real_flights import RealFlightParams, open_real_flight
 from lodbench.evaluation.edge_distance import PhotoEdges, median_and_share, roof_edges
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.masks import read_photo
 from tests.town import box_obj
 
 OCHOTA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real_flights" / "ochota"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lodbench.citymap import CityMap
+from lodbench.citymodel.extrude import pitched_blocks
 from lodbench.citymodel.meshing import mesh_model
-from lodbench.citymodel.pitched_blocks import pitched_blocks
 from lodbench.citymodel.read import read_city_model
 from lodbench.errors import ConfigError
 from lodbench.methods.region import RegionParams

@@ -10,7 +10,7 @@ from lodbench.cli.flags import in_syntax_of
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.segmentation.compact import Compact, CompactParams
-from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
+from lodbench.segmentation.probability import padded_photo, resized_photo, working_size
 
 torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
 

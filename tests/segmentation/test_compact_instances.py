@@ -7,7 +7,7 @@ import pytest
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.segmentation import InstanceSegmenter
-from lodbench.segmentation.compact_instances import (
+from lodbench.segmentation.compact import (
     CompactInstances,
     CompactInstancesParams,
     interiors,

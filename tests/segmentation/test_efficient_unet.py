@@ -5,7 +5,7 @@ import pytest
 
 from lodbench.errors import ConfigError
 from lodbench.segmentation.efficient_unet import EfficientUnet, EfficientUnetParams, encoder_file
-from lodbench.segmentation.working_size import padded_photo, resized_photo
+from lodbench.segmentation.probability import padded_photo, resized_photo
 
 torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
 

@@ -17,11 +17,10 @@ from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.requirements import required_inputs
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.segmentation.choice import chosen_segmenter
-from lodbench.segmentation.instance_files import InstanceFiles, InstanceFilesParams
 from lodbench.segmentation.map_instances import MapInstances, MapInstancesParams, parted
-from lodbench.segmentation.mapped_overlap import mapped_overlap
+from lodbench.segmentation.masks import InstanceFiles, InstanceFilesParams, mapped_overlap
 from lodbench.segmentation.oracle import NoisyOracle, NoisyOracleParams, Oracle, OracleParams
+from lodbench.segmentation.registry import chosen_segmenter
 from lodbench.synthesis.mask_degradation import mask_iou
 from tests.town import CAMERA, write_dataset
 

@@ -12,9 +12,16 @@ from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.segmentation import MapGuidedSegmenter, notes_of
-from lodbench.segmentation.map_guided import MapGuided, MapGuidedParams, guided_mask, margin_px, without_map
+from lodbench.segmentation.map_guided import (
+    MapGuided,
+    MapGuidedParams,
+    aligned,
+    guided_mask,
+    margin_px,
+    moved,
+    without_map,
+)
 from lodbench.segmentation.region_cut import cut, exactness, held_out_evidence
-from lodbench.segmentation.silhouette_alignment import aligned, moved
 from tests.town import box_obj
 
 SHAPE = (225, 300)

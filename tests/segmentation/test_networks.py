@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lodbench.errors import ConfigError, QueryFault
-from lodbench.segmentation import memory
-from lodbench.segmentation.tiles import MemoryTiles, tiled
+from lodbench.segmentation import torch_segmenter
+from lodbench.segmentation.probability import MemoryTiles, tiled
 
 torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
 pytest.importorskip("transformers", reason="transformers is not installed (extra [models])")
@@ -122,11 +122,11 @@ def test_a_missing_encoder_is_told_by_its_own_setting(small):
 
 
 def test_what_does_not_fit_into_memory_is_told_before_it_is_built(monkeypatch):
-    monkeypatch.setattr(memory, "free_bytes", lambda: 500 << 20)
+    monkeypatch.setattr(torch_segmenter, "free_bytes", lambda: 500 << 20)
     with pytest.raises(ConfigError, match=r"need 0\.8 GiB of memory, 0\.5 GiB are free"):
         Sam2UNetSegmenter(Sam2UNetParams(encoder="large")).build(None)
-    monkeypatch.setattr(memory, "free_bytes", lambda: None)
-    memory.require_memory("any", 1 << 60)
+    monkeypatch.setattr(torch_segmenter, "free_bytes", lambda: None)
+    torch_segmenter.require_memory("any", 1 << 60)
 
 
 def test_wrong_weights_get_a_report_of_shapes(small, tmp_path):

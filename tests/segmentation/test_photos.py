@@ -12,8 +12,8 @@ from PIL import Image
 from lodbench.errors import QueryFault
 from lodbench.photos.metadata import read_photo_metadata
 from lodbench.photos.pictures import picture_size, read_picture
-from lodbench.segmentation.photos import as_rgb, read_photo
-from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
+from lodbench.segmentation.masks import as_rgb, read_photo
+from lodbench.segmentation.probability import padded_photo, resized_photo, working_size
 
 
 def written(path, image):

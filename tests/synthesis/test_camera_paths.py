@@ -8,15 +8,14 @@ import cv2
 import numpy as np
 import pytest
 
-from lodbench.citymodel.building_boxes import building_boxes
+from lodbench.citymodel.scene import building_boxes
 from lodbench.datasets.pose_text import format_pose, lines_to_text, read_poses
 from lodbench.errors import ConfigError
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.synthesis.camera_paths import CAMERA_PATHS, Place
-from lodbench.synthesis.surroundings.ground import Ground, ground_from_bases
-from lodbench.synthesis.surroundings.land_cover import look_down
+from lodbench.synthesis.land_cover import Ground, ground_from_bases, look_down
+from lodbench.synthesis.training_data import MOST_VIEWS, GenerateParams
 from lodbench.synthesis.training_data.generate import generate_training_data
-from lodbench.synthesis.training_data.params import MOST_VIEWS, GenerateParams
 from lodbench.synthesis.training_data.plan_views import (
     BELOW_GROUND,
     IN_BUILDING,

@@ -23,14 +23,16 @@ from lodbench.methods.flight.tracks import relative_poses
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation.masks import read_mask
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
-from lodbench.synthesis.flights.dataset import (
+from lodbench.synthesis.flights import (
     MAP_TRUTH_FILE,
     FlightsParams,
+    MapErrors,
+    SensorErrors,
     _silhouette,
+    change_map,
     drone_errors,
     open_flights,
 )
-from lodbench.synthesis.flights.errors import MapErrors, SensorErrors, change_map
 from lodbench.synthesis.mask_degradation import mask_iou
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
 from tests.town import box_obj

@@ -13,7 +13,7 @@ from lodbench.geometry import Camera
 from lodbench.geometry.camera_sigmas import MAKER
 from lodbench.geometry.lens import distort
 from lodbench.segmentation.masks import read_mask
-from lodbench.synthesis.lens_pictures import draw_through_lens
+from lodbench.synthesis.view_photos import draw_through_lens
 from lodbench.synthesis.view_sampling import RGB_CAMERA
 from lodbench.synthesis.views_dataset import ViewsParams, World, open_views
 from tests.town import box_obj

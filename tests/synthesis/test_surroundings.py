@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lodbench.citymodel.building_boxes import building_boxes
+from lodbench.citymodel.scene import building_boxes
 from lodbench.errors import DatasetError
 from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
-from lodbench.synthesis.objects.mesh_builder import MeshBuilder
-from lodbench.synthesis.surroundings.ground import Ground
-from lodbench.synthesis.surroundings.surroundings import CLUTTER, Spot, make_surroundings, standing_clutter
+from lodbench.synthesis.land_cover import Ground
+from lodbench.synthesis.objects import MeshBuilder
+from lodbench.synthesis.surroundings import CLUTTER, Spot, make_surroundings, standing_clutter
 
 SLOPE = Ground(-100.0, -100.0, 10.0, np.fromfunction(lambda row, column: 2.0 * column, (21, 21)))
 

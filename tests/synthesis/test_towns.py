@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lodbench.synthesis.survey import textured_map as baking
 
 import lodbench
 from lodbench.cli import main
@@ -15,11 +16,10 @@ from lodbench.datasets.inputs import Input, inputs_of, with_inputs
 from lodbench.datasets.query import Dataset
 from lodbench.synthesis import demo
 from lodbench.synthesis.demo import LABEL_CODE, MAP_CODE, DemoParams, open_demo
-from lodbench.synthesis.survey import textured_map as baking
-from lodbench.synthesis.survey.textured_map import baked, corner_light, lay_out_faces, lay_out_ground
+from lodbench.synthesis.textured_survey import baked, corner_light, lay_out_faces, lay_out_ground
 from lodbench.synthesis.town import build
 from lodbench.synthesis.town.build import DEMO_CODE, code_digest
-from lodbench.synthesis.training_data.params import GenerateParams
+from lodbench.synthesis.training_data import GenerateParams
 
 
 @pytest.fixture
@@ -149,10 +149,10 @@ def test_ground_lies_as_a_map_does_and_what_hangs_over_is_left_out():
 
 
 def shading_of(corners, surface):
-    from lodbench.synthesis.objects.scene_props import SceneProps
-    from lodbench.synthesis.photo.render_scene import make_skin
-    from lodbench.synthesis.photo.shading import plain_shading
-    from lodbench.synthesis.survey.textured_map import survey_look
+    from lodbench.synthesis.objects import SceneProps
+    from lodbench.synthesis.photo.light import plain_shading
+    from lodbench.synthesis.photo.renderer import make_skin
+    from lodbench.synthesis.textured_survey import survey_look
 
     count = len(corners)
     props = SceneProps(
@@ -203,7 +203,7 @@ def test_the_map_is_the_town_as_it_was_the_same_each_time(tmp_path, monkeypatch)
     from lodbench.citymap import CityMap
     from lodbench.citymodel import open_scene
     from lodbench.citymodel.mesh.texture_files import open_textured_map
-    from lodbench.synthesis.survey.textured_map import write_textured_map
+    from lodbench.synthesis.textured_survey import write_textured_map
     from tests.town import town_of
 
     dataset = open_demo(DemoParams(num_queries=9))

@@ -17,10 +17,9 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.cli import main
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.synthesis.photo import LookRanges, look_ranges
+from lodbench.synthesis.training_data import GenerateParams, plan_views
 from lodbench.synthesis.training_data import generate as manifest
-from lodbench.synthesis.training_data import view_writer
 from lodbench.synthesis.training_data.generate import generate_training_data
-from lodbench.synthesis.training_data.params import GenerateParams
 from tests.synthesis.conftest import SMALL, WHOLE
 from tests.synthesis.test_generate import files_in
 
@@ -65,7 +64,7 @@ def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tm
         path.write_bytes(content)
 
     with monkeypatch.context() as patched:
-        patched.setattr(view_writer, "write_bytes", write)
+        patched.setattr(plan_views, "write_bytes", write)
         with pytest.raises(DatasetError, match=r"full after 1 of \d+ views") as caught:
             generate_training_data(params)
     assert "goes on" in caught.value.hint

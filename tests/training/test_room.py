@@ -3,7 +3,7 @@
 import pytest
 
 from lodbench.errors import ConfigError
-from lodbench.segmentation import memory
+from lodbench.segmentation import torch_segmenter
 
 torch = pytest.importorskip("torch")
 
@@ -49,7 +49,7 @@ def test_a_step_that_does_not_fit_is_refused_before_it_is_made(monkeypatch):
 
     net = small_net()
     require_room(net, (2, 3, 16, 24))
-    monkeypatch.setattr(memory, "free_bytes", lambda: 1 << 30)
+    monkeypatch.setattr(torch_segmenter, "free_bytes", lambda: 1 << 30)
     with pytest.raises(
         ConfigError, match=r"steps over 4096 pictures of 1024 x 1024 need [\d.]+ GiB"
     ) as fault:

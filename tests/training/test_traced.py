@@ -7,7 +7,7 @@ import pytest
 from lodbench.errors import DatasetError
 from lodbench.training.nets.batches import batches
 from lodbench.training.photo_sets import repeated, traced_samples
-from lodbench.training.train_params import TrainParams
+from lodbench.training.samples import TrainParams
 
 
 @pytest.fixture

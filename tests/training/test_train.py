@@ -13,9 +13,8 @@ import pytest
 
 from lodbench.errors import ConfigError
 from lodbench.segmentation.compact import Compact, CompactParams
-from lodbench.training.samples import find_samples
+from lodbench.training.samples import TrainParams, find_samples
 from lodbench.training.train import train_network
-from lodbench.training.train_params import TrainParams
 from tests.training.squares import train
 
 torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
@@ -46,7 +45,7 @@ def test_training_learns_and_leaves_weights_curves_and_a_record(views, tmp_path,
     assert f"{record['history'][-1]['mean_iou']:.4f}" in printed
     assert cv2.imread(str(tmp_path / "a" / "curves.png")) is not None
     # The weights run where there is no torch.
-    from lodbench.segmentation.photos import read_photo
+    from lodbench.segmentation.masks import read_photo
 
     segmenter = Compact(CompactParams(weights=str(tmp_path / "a" / "compact.onnx"), size=96))
     found = segmenter.probability(read_photo(views / "val" / "images" / "0.png"))
@@ -179,8 +178,8 @@ def test_the_mean_of_two_trainings_is_stored(views, tmp_path, capsys):
     from lodbench.segmentation.compact import Compact
     from lodbench.segmentation.nets.compact import CompactNet
     from lodbench.segmentation.nets.weights import load_own
+    from lodbench.training.nets.batches import validation_iou
     from lodbench.training.nets.run import average_into
-    from lodbench.training.nets.validate import validation_iou
 
     assert train(views, tmp_path / "a", "schedule.epochs=1") == 0
     assert train(views, tmp_path / "b", "schedule.epochs=1", "seed=1") == 0

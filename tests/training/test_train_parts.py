@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lodbench.errors import ConfigError
-from lodbench.training.train_params import TrainParams
+from lodbench.training.samples import TrainParams
 
 torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
 pytest.importorskip("onnx", reason="onnx is not installed (extra [torch])")

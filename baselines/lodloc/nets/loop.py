@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch import nn
 
+from lodbench.segmentation.masks import read_photo
 from lodbench.segmentation.nets.compact import STRIDE
-from lodbench.segmentation.photos import read_photo
-from lodbench.segmentation.working_size import padded_photo, resized_photo
+from lodbench.segmentation.probability import padded_photo, resized_photo
 from lodbench.storage import random_stream
 from lodbench.training.nets.checkpoints import load_checkpoint, save_checkpoint
 

@@ -20,10 +20,15 @@ from lodbench.citymodel.codes import (
     RINGS_INTERSECT,
 )
 from lodbench.citymodel.derive import part_blocks
+from lodbench.citymodel.lods import select_polygons
 from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
-from lodbench.citymodel.newell import newell
-from lodbench.citymodel.selection import select_polygons
-from lodbench.citymodel.triangulate import CHUNK_POLYGONS, MAX_CORNERS, PLANAR_TOLERANCE_M, triangulate
+from lodbench.citymodel.triangulate import (
+    CHUNK_POLYGONS,
+    MAX_CORNERS,
+    PLANAR_TOLERANCE_M,
+    newell,
+    triangulate,
+)
 from lodbench.findings import FindingCode, Findings
 
 # What GEOS says is wrong, by the beginning of its reason.

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.cleaning import connected_components, number_rows
 from lodbench.citymodel.codes import (
     FACE_TURNED,
     NON_MANIFOLD_EDGE,
@@ -21,11 +22,9 @@ from lodbench.citymodel.codes import (
     SHELL_NOT_CLOSED,
     SHELL_TOO_FEW_FACES,
 )
-from lodbench.citymodel.identity import connected_components, number_rows
-from lodbench.citymodel.model import CityModel, Polygons
-from lodbench.citymodel.objects import Solids
+from lodbench.citymodel.lods import select_polygons
+from lodbench.citymodel.model import CityModel, Polygons, Solids
 from lodbench.citymodel.raw import take_segments
-from lodbench.citymodel.selection import select_polygons
 from lodbench.citymodel.triangulate import triangulate
 from lodbench.findings import FindingCode, Findings
 

@@ -22,6 +22,7 @@ from lodbench.citymodel.checks.shells import (
     passes,
     winding,
 )
+from lodbench.citymodel.cleaning import connected_components
 from lodbench.citymodel.codes import (
     INTERIOR_DISCONNECTED,
     SHELL_OUTSIDE,
@@ -32,9 +33,7 @@ from lodbench.citymodel.codes import (
     SOLIDS_EQUAL,
     SOLIDS_INTERSECT,
 )
-from lodbench.citymodel.identity import connected_components
-from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.objects import Solids
+from lodbench.citymodel.model import CityModel, Solids
 from lodbench.findings import Findings
 
 # Two faces are one on the other where they share this much.

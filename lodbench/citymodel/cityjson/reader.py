@@ -11,18 +11,22 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.cityjson.geometry import GeometryReader
 from lodbench.citymodel.cityjson.textures import TextureReader
-from lodbench.citymodel.cityjson.values import declared_system, list_or_empty, points_of
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
-from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.crs import crs_label, is_in_degrees
 from lodbench.citymodel.gml.details import overall_height
 from lodbench.citymodel.gml.names import INTERIOR_NAMES, STOREYS
-from lodbench.citymodel.json_documents import documents_of, paused_collector
-from lodbench.citymodel.layers import types_of
+from lodbench.citymodel.json_documents import (
+    declared_system,
+    documents_of,
+    list_or_empty,
+    paused_collector,
+    points_of,
+)
 from lodbench.citymodel.lifespans import Lifespans
-from lodbench.citymodel.objects import ObjectTable
+from lodbench.citymodel.model import ObjectTable
+from lodbench.citymodel.options import types_of
 from lodbench.citymodel.pictures import PictureTable
-from lodbench.citymodel.raw import NotACity, RawCity
+from lodbench.citymodel.raw import NotACity, PolygonCollector, RawCity
 from lodbench.citymodel.roof_types import roof_type_of
 from lodbench.errors import CityModelError
 

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from lodbench.citymodel.cityjson.textures import TextureWriter
-from lodbench.citymodel.cityjson.values import ONE_TEXT, fitting, listed, reference_system
-from lodbench.citymodel.model import CityModel, SurfaceKind
-from lodbench.citymodel.objects import CityObjects
+from lodbench.citymodel.json_documents import ONE_TEXT, fitting, listed, reference_system
+from lodbench.citymodel.model import CityModel, CityObjects, SurfaceKind
 from lodbench.citymodel.pictures import counted_lines, wraps_of
 from lodbench.citymodel.raw import buildings_only, group_by
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.gml.names import GML_IDS
 from lodbench.citymodel.gml.xml import Element, local_name
-from lodbench.citymodel.pictures import NO_PICTURE, PictureTable, blank
-from lodbench.citymodel.texture_pictures import TextureFolder
+from lodbench.citymodel.pictures import NO_PICTURE, PictureTable, TextureFolder, blank
 from lodbench.errors import DatasetError
 
 Floats = NDArray[np.float64]

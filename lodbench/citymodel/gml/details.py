@@ -20,7 +20,7 @@ from lodbench.citymodel.gml.names import (
 )
 from lodbench.citymodel.gml.walk import GeometryWalk
 from lodbench.citymodel.gml.xml import Element, NotFolded, local_name
-from lodbench.citymodel.objects import ObjectTable
+from lodbench.citymodel.model import ObjectTable
 
 
 @dataclass(slots=True)

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.gml.dialect import Dialect, tag
-from lodbench.citymodel.gml.properties_writer import Property, text_of
+from lodbench.citymodel.gml.properties_writer import Dialect, Property, tag, text_of
+from lodbench.citymodel.lods import select_polygons
 from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
 from lodbench.citymodel.pictures import wraps_of
 from lodbench.citymodel.raw import group_by
-from lodbench.citymodel.selection import select_polygons
 from lodbench.citymodel.triangulate import triangulate
 from lodbench.findings import Findings
 

@@ -28,13 +28,12 @@ from lodbench.citymodel.gml.links import LinkResolver
 from lodbench.citymodel.gml.names import MEMBERS, NESTED_TYPES, is_building_tag, is_citygml
 from lodbench.citymodel.gml.walk import GeometryWalk
 from lodbench.citymodel.gml.xml import Element, NotFolded, XmlMembers, local_name, namespace_of
-from lodbench.citymodel.growing import GrowingArray
 from lodbench.citymodel.json_documents import paused_collector
-from lodbench.citymodel.layers import types_of
 from lodbench.citymodel.lifespans import Lifespans
-from lodbench.citymodel.objects import ObjectTable, Solids
+from lodbench.citymodel.model import ObjectTable, Solids
+from lodbench.citymodel.options import types_of
 from lodbench.citymodel.pictures import PictureTable
-from lodbench.citymodel.raw import NotACity, RawCity, starts_of
+from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity, starts_of
 from lodbench.citymodel.roof_types import ATTRIBUTES, pitched_buildings, roof_type_of
 from lodbench.findings import Findings
 

@@ -14,9 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from lodbench.citymodel.crs import epsg_codes
-from lodbench.citymodel.gml.dialect import CITYGML_2, CITYGML_3, Dialect, tag
 from lodbench.citymodel.gml.geometry_writer import GeometryXml, LevelShapes
-from lodbench.citymodel.gml.properties_writer import Property, properties_of
+from lodbench.citymodel.gml.properties_writer import (
+    CITYGML_2,
+    CITYGML_3,
+    Dialect,
+    Property,
+    properties_of,
+    tag,
+)
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.raw import buildings_only, group_by
 

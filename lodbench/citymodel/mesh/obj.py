@@ -14,11 +14,10 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.cleaning import connected_components, number_rows, point_bits
 from lodbench.citymodel.codes import ELEMENT_IGNORED
 from lodbench.citymodel.coordinates import parse_rings
-from lodbench.citymodel.identity import connected_components, number_rows, point_bits
-from lodbench.citymodel.mesh.frames import frame_of_comments
-from lodbench.citymodel.mesh.reader import turned_up
+from lodbench.citymodel.mesh.reader import frame_of_comments, turned_up
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of
 from lodbench.errors import CityModelError

@@ -14,14 +14,19 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.gml.reader import read_citygml
 from lodbench.citymodel.mesh.reader import load_parts, turned_up
-from lodbench.citymodel.mesh.textured import TexturedMesh, join_textured, offset_to_city
-from lodbench.citymodel.mesh.textured_model import textured_model
+from lodbench.citymodel.mesh.textured import TexturedMesh, join_textured, offset_to_city, textured_model
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.pictures import PictureTable, counted_lines
+from lodbench.citymodel.pictures import (
+    MAX_ALL_PIXELS,
+    PictureTable,
+    TextureFolder,
+    check_picture,
+    counted_lines,
+    pixels_of,
+)
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import is_surface
-from lodbench.citymodel.texture_pictures import MAX_ALL_PIXELS, TextureFolder, check_picture, pixels_of
 from lodbench.errors import DatasetError
 from lodbench.findings import Severity
 from lodbench.storage.json_text import parse_json

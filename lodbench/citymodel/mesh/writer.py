@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import io
+import re
+from collections.abc import Iterator
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lodbench.citymodel.mesh.frames import MeshFrame
+from lodbench.citymodel.mesh.reader import MeshFrame
+from lodbench.citymodel.mesh.textured import TexturedMesh
+from lodbench.citymodel.model import CityModel
+from lodbench.citymodel.pictures import TextureFolder
 from lodbench.citymodel.scene import Scene
+from lodbench.errors import DatasetError
+from lodbench.storage import make_folder, write_bytes, write_text
 
 
 def obj_text(scene: Scene) -> str:
@@ -54,3 +64,143 @@ def glb_bytes(scene: Scene) -> bytes:
             graph.add_geometry(mesh, node_name=building_id, geom_name=building_id)
     content: bytes = graph.export(file_type="glb")
     return content
+
+
+def write_textured(mesh: TexturedMesh, frame: MeshFrame, target: Path) -> None:
+    """Writes a textured mesh as ``.glb`` or ``.obj``, in the local frame; origin and system stand in it.
+
+    Args:
+        mesh: In the coordinates of the frame's reference system.
+        frame: What to subtract, and what the coordinates are in.
+        target: An OBJ gets ``NAME.mtl`` and a folder ``NAME_pictures`` beside it.
+
+    Raises:
+        OSError: The folder is missing or the disk full.
+    """
+    local = mesh.shifted(-frame.origin)
+    if target.suffix.lower() == ".glb":
+        write_bytes(target, _glb(local, frame))
+    else:
+        _write_obj(local, frame, target)
+
+
+def _groups(mesh: TexturedMesh) -> Iterator[tuple[int, NDArray[np.int64]]]:
+    """Yields each picture's number, -1 for none, and its triangles."""
+    for number in np.unique(mesh.picture).tolist():
+        yield number, np.flatnonzero(mesh.picture == number)
+
+
+def _glb(mesh: TexturedMesh, frame: MeshFrame) -> bytes:
+    """Returns binary glTF with one node per picture; glTF looks along -z with y up."""
+    trimesh: Any = import_module("trimesh")  # half typed, which is worse than not at all
+    image: Any = import_module("PIL.Image")
+    graph = trimesh.Scene()
+    graph.metadata.update(frame.extras())
+    for number, own in _groups(mesh):
+        points = mesh.corners[own].reshape(-1, 3)[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
+        faces = np.arange(len(points)).reshape(-1, 3)
+        if number < 0:
+            colours = mesh.colours[own].reshape(-1, 3)
+            part = trimesh.Trimesh(points, faces, vertex_colors=colours, process=False)
+        else:
+            picture = image.fromarray(mesh.pictures[number])
+            picture.format = "PNG"  # what was decoded is lost no second time
+            material = trimesh.visual.material.PBRMaterial(baseColorTexture=picture, metallicFactor=0.0)
+            visual = trimesh.visual.TextureVisuals(uv=mesh.uv[own].reshape(-1, 2), material=material)
+            part = trimesh.Trimesh(points, faces, visual=visual, process=False)
+        name = "plain" if number < 0 else f"picture_{number}"
+        graph.add_geometry(part, node_name=name, geom_name=name)
+    content: bytes = graph.export(file_type="glb")
+    return content
+
+
+def _write_obj(mesh: TexturedMesh, frame: MeshFrame, target: Path) -> None:
+    image: Any = import_module("PIL.Image")
+    lines = [*(f"# {line}" for line in frame.comments()), f"mtllib {target.stem}.mtl"]
+    materials, first = [], 1
+    pictures = target.with_name(f"{target.stem}_pictures")
+    for number, own in _groups(mesh):
+        name = "plain" if number < 0 else f"picture_{number}"
+        lines += [f"o {name}", f"usemtl {name}"]
+        corners = mesh.corners[own].reshape(-1, 3)
+        lines += ["v {:.4f} {:.4f} {:.4f}".format(*corner) for corner in corners.tolist()]
+        lines += ["vt {:.6f} {:.6f}".format(*place) for place in mesh.uv[own].reshape(-1, 2).tolist()]
+        lines += ["f {0}/{0} {1}/{1} {2}/{2}".format(n, n + 1, n + 2)
+                  for n in range(first, first + len(corners), 3)]  # fmt: skip
+        first += len(corners)
+        if number < 0:
+            red, green, blue = (mesh.colours[own].reshape(-1, 3).mean(axis=0) / 255).tolist()
+            materials += [f"newmtl {name}", f"Kd {red:.4f} {green:.4f} {blue:.4f}"]
+        else:
+            content = io.BytesIO()
+            image.fromarray(mesh.pictures[number]).save(content, "PNG")
+            make_folder(pictures)
+            write_bytes(pictures / f"{number}.png", content.getvalue())
+            materials += [f"newmtl {name}", "Kd 1 1 1", f"map_Kd {pictures.name}/{number}.png"]
+    write_text(target.with_suffix(".mtl"), "\n".join(materials) + "\n")
+    write_text(target, "\n".join(lines) + "\n")
+
+
+_SUFFIXES = {"JPEG": ".jpg", "PNG": ".png"}
+_NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9_-]+")
+_MAX_STEM = 40
+
+
+def write_pictures(model: CityModel, target: Path) -> tuple[dict[int, str], tuple[str, ...]]:
+    """Writes the pictures that a city's polygons use into a folder beside a file, before that is written.
+
+    JPEG and PNG are copied byte by byte, other formats saved as PNG, which every target knows. Names are a
+    number and what is harmless of the name they had.
+
+    Args:
+        model: The city.
+        target: The file; the folder is called after it, ``NAME_pictures``.
+
+    Returns:
+        names: Where each picture lies, as a link from the file, by number.
+        notes: A line for each that cannot be read.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
+    names: dict[int, str] = {}
+    written: dict[Path, str] = {}
+    notes: list[str] = []
+    picture = model.polygons.picture
+    if model.pictures is None or picture is None:
+        return names, ()
+    folder = target.with_name(f"{target.name.partition('.')[0]}_pictures")
+    for number in np.unique(picture[picture >= 0]).tolist():
+        path = model.pictures.files[number]
+        if path in written:
+            names[number] = written[path]
+            continue
+        try:
+            content, suffix = _portable(path)
+        except DatasetError as error:
+            notes.append(f"picture that is not taken: {error.message}")
+            continue
+        stem = _NOT_IN_NAMES.sub("_", path.stem)[:_MAX_STEM].strip("_")
+        name = "_".join(filter(None, (f"{len(written) + 1:04d}", stem))) + suffix
+        make_folder(folder)
+        write_bytes(folder / name, content)
+        # As a link, in which % begins a code.
+        names[number] = written[path] = f"{folder.name}/{name}".replace("%", "%25")
+    return names, tuple(notes)
+
+
+def _portable(path: Path) -> tuple[bytes, str]:
+    """Returns a picture as JPEG or PNG, and the ending that it gets.
+
+    Raises:
+        DatasetError: It is none, or too large.
+    """
+    folder = TextureFolder(path.parent, path.parent)
+    content = folder.read(path.name)
+    kind = folder.kind(path.name)
+    if kind in _SUFFIXES:
+        return content, _SUFFIXES[kind]
+    image: Any = import_module("PIL.Image")
+    saved = io.BytesIO()
+    image.fromarray(folder.picture(path.name)).save(saved, "PNG")
+    return saved.getvalue(), ".png"

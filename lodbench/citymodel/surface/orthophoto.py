@@ -13,9 +13,9 @@ from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.imagery import orthophoto_driver
 from lodbench.citymodel.mesh.textured import TexturedMesh, join_textured
 from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.pictures import MAX_ALL_PIXELS
 from lodbench.citymodel.surface.files import open_surface
 from lodbench.citymodel.surface.grid import Floats, Span, SurfaceGrid
-from lodbench.citymodel.texture_pictures import MAX_ALL_PIXELS
 from lodbench.citymodel.vector.gdal import opened_raster
 from lodbench.errors import CityModelError, DatasetError
 

@@ -8,9 +8,8 @@ import numpy as np
 
 from lodbench.citymodel.codes import SURFACE_NO_DATUM, SURFACE_PLANTS, SURFACE_SIMPLIFIED
 from lodbench.citymodel.crs import resolve_crs
-from lodbench.citymodel.growing import GrowingArray
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.raw import NotACity, RawCity, starts_of
+from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity, starts_of
 from lodbench.citymodel.surface.files import open_surface
 from lodbench.citymodel.surface.grid import SurfaceGrid
 from lodbench.citymodel.surface.ground import find_ground

@@ -23,8 +23,7 @@ from lodbench.citymodel.codes import (
 )
 from lodbench.citymodel.crs import resolve_crs
 from lodbench.citymodel.extrude import clean_rings, extrude
-from lodbench.citymodel.model import SurfaceKind
-from lodbench.citymodel.objects import TALLEST_M, CityObjects
+from lodbench.citymodel.model import TALLEST_M, CityObjects, SurfaceKind
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of, take_segments
 from lodbench.citymodel.roof_types import pitched_buildings

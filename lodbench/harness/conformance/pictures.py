@@ -26,7 +26,7 @@ from lodbench.segmentation import (
     check_instances,
     check_mask,
 )
-from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.masks import read_photo
 from lodbench.storage import file_digest, random_stream
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from lodbench.checks import FAULT, OK, Check, fault_of
-from lodbench.citymodel.blocks import scene_of_blocks
+from lodbench.citymodel.extrude import scene_of_blocks
 from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.polygons import finish_model

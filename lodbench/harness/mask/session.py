@@ -15,9 +15,8 @@ from lodbench.harness.tracebacks import told_as_fault
 from lodbench.photos.metadata import read_photo_metadata
 from lodbench.reporting.overlays import write_picture
 from lodbench.segmentation import Segmenter, binary_mask
-from lodbench.segmentation.masks import read_mask
+from lodbench.segmentation.masks import read_mask, read_photo
 from lodbench.segmentation.photo_segmenter import photo_probability
-from lodbench.segmentation.photos import read_photo
 from lodbench.segmentation.polygon_files import polygon_file, polygon_text, read_polygons
 from lodbench.storage import write_text
 

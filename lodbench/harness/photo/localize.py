@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from lodbench.citymodel.cache import OpenCity
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.stored_city import OpenCity
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.datasets.inputs import Input, declared_inputs, require_inputs
 from lodbench.evaluation import pose_error

@@ -28,7 +28,7 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.harness.local_page import LocalServer, saved_or_why
 from lodbench.harness.tracing.solve import Building, Model, TracedMap
 from lodbench.harness.tracing.tracing import parse_tracing, write_tracing
-from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.masks import read_photo
 from lodbench.storage import random_stream
 
 # A building of another map is the same where the footprints overlap by so much of their union.

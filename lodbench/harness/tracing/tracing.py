@@ -18,7 +18,7 @@ from lodbench.geometry import Camera, Pose
 from lodbench.geometry.lens import distort
 from lodbench.geometry.similarity import Similarity
 from lodbench.photos.pose import HeightOptions
-from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.masks import read_photo
 from lodbench.storage import write_text
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.blocks import scene_of_blocks
+from lodbench.citymodel.extrude import scene_of_blocks
 from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.inputs import Input, declared_inputs

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.citymap.corrected_map import corrected_map
-from lodbench.citymodel.pitched_blocks import pitched_blocks
+from lodbench.citymodel.extrude import pitched_blocks
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.building_boxes import floors_and_rises
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene import Scene, floors_and_rises
 from lodbench.methods.flight.aligning import Aligned
 from lodbench.methods.flight.joint import covariance_of, precisions_of
 from lodbench.methods.flight.params import FlightParams

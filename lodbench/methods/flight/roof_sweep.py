@@ -18,8 +18,7 @@ import scipy
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.building_boxes import building_boxes
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.methods.flight.roof_edges import EdgeEvidence, SweepPicture, edge_evidence
 
 Floats = NDArray[np.float64]

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.building_boxes import building_boxes
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.datasets.query import Query
 from lodbench.estimation.lens import LensErrors
 from lodbench.estimation.model_lines import ModelLines, lines_in_view, project_lines

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.building_boxes import floors_and_rises
-from lodbench.citymodel.pitched_blocks import pitched_blocks
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.extrude import pitched_blocks
+from lodbench.citymodel.scene import Scene, floors_and_rises
 from lodbench.kernels.arguments import EdgeFaces
 
 Floats = NDArray[np.float64]

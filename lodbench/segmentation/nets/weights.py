@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lodbench.errors import ConfigError
@@ -134,3 +135,27 @@ def save_weights(net: nn.Module, path: Path) -> None:
     from lodbench.storage import write_bytes
 
     write_bytes(path, save({name: value.contiguous() for name, value in net.state_dict().items()}))
+
+
+class Padding(nn.Module):
+    """A network that takes pictures of any size: they are padded for it, and its answers cut back.
+
+    Args:
+        net: Takes (B, C, H, W) and returns a tuple of (B, 1, H, W).
+        stride: What its H and W are multiples of.
+    """
+
+    def __init__(self, net: nn.Module, stride: int) -> None:
+        super().__init__()
+        self.net, self.stride = net, stride
+
+    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
+        """Returns the network's answers, (B, 1, H, W) each, to pictures (B, C, H, W)."""
+        height, width = images.shape[-2:]
+        return tuple(answer[..., :height, :width] for answer in self.net(_padded(images, self.stride)))
+
+
+def _padded(images: Tensor, stride: int) -> Tensor:
+    """Returns (B, C, H, W) with its last row and column repeated up to multiples of a stride."""
+    below, right = (-side % stride for side in images.shape[-2:])
+    return F.pad(images, (0, right, 0, below), mode="replicate") if below or right else images

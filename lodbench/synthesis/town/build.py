@@ -27,13 +27,12 @@ from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import digest_of, file_digest, random_stream, write_text
 from lodbench.storage.json_text import parse_json
 from lodbench.synthesis.mask_degradation import degrade_mask
-from lodbench.synthesis.objects.scene_props import SceneProps, write_props
+from lodbench.synthesis.objects import SceneProps, write_props
 from lodbench.synthesis.photo import LookRanges, PhotoRenderer, draw_look
 from lodbench.synthesis.queries import SyntheticQuery, write_queries, written_once
-from lodbench.synthesis.town.looks import look_named
 from lodbench.synthesis.town.props import demo_props
-from lodbench.synthesis.town.shapes import Points
-from lodbench.synthesis.town.terrain import Terrain
+from lodbench.synthesis.town.shapes import Points, look_named
+from lodbench.synthesis.town.streets import Terrain
 from lodbench.synthesis.town.town import CRS_NAME, OLD_TOWN_RADIUS_M, ORIGIN_M, TOWN_VERSION, Town, grow_town
 from lodbench.synthesis.view_sampling import (
     FINE_SIZE,

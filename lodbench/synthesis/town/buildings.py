@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 from lodbench.storage import random_stream
 from lodbench.synthesis.town.extrusion import Body, Strip, Wall
 from lodbench.synthesis.town.fittings import STOREY_M, Annex, Detail, RoofBox, balconies, chance, chimneys
-from lodbench.synthesis.town.looks import TownLook
 from lodbench.synthesis.town.roofs import Roof, half_hipped, shed
-from lodbench.synthesis.town.shapes import Points, area, left_of
-from lodbench.synthesis.town.solid import Solid, prism
-from lodbench.synthesis.town.terrain import NOBODY, Occupancy, Terrain
+from lodbench.synthesis.town.shapes import Points, Solid, TownLook, area, left_of, prism
+from lodbench.synthesis.town.streets import NOBODY, Occupancy, Terrain
 
 # Openings keep this far from corners, eaves and the ground.
 _MARGIN_M = 0.45

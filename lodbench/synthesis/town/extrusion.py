@@ -13,8 +13,7 @@ import numpy as np
 
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.synthesis.town.roofs import Roof
-from lodbench.synthesis.town.shapes import Points, edge_directions, left_of, parallel
-from lodbench.synthesis.town.solid import SolidBuilder
+from lodbench.synthesis.town.shapes import Points, SolidBuilder, edge_directions, left_of, parallel
 
 
 class Strip(NamedTuple):

@@ -12,8 +12,14 @@ import numpy as np
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.synthesis.town.extrusion import Body, Strip
 from lodbench.synthesis.town.roofs import Roof, flat, gabled, hipped, mansard
-from lodbench.synthesis.town.shapes import Points, edge_directions, left_of, rectangles
-from lodbench.synthesis.town.solid import Solid, prism
+from lodbench.synthesis.town.shapes import (
+    Points,
+    Solid,
+    edge_directions,
+    left_of,
+    prism,
+    rectangles,
+)
 
 STOREY_M = 3.1
 _SUNK_M = 0.6  # how deep a chimney reaches into the roof

@@ -14,7 +14,7 @@ import scipy
 
 from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
-from lodbench.synthesis.objects.mesh_builder import MeshBuilder, Triangles, grid_triangles, palette
+from lodbench.synthesis.objects import MeshBuilder, Triangles, grid_triangles, palette
 from lodbench.synthesis.town.shapes import (
     Points,
     along_line,

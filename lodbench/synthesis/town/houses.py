@@ -7,19 +7,90 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lodbench.synthesis.town.buildings import Plan
 from lodbench.synthesis.town.extrusion import Strip
-from lodbench.synthesis.town.fittings import Detail, annex, chance, dormers, eaves, house_roof, town_roof
-from lodbench.synthesis.town.roofs import Roof, flat, gabled
+from lodbench.synthesis.town.fittings import (
+    Detail,
+    annex,
+    chance,
+    dormers,
+    eaves,
+    house_roof,
+    lift_houses,
+    town_roof,
+)
+from lodbench.synthesis.town.roofs import Roof, flat, gabled, hipped, mansard, serrated
 from lodbench.synthesis.town.shapes import (
     Points,
     area,
+    box_of,
+    contains,
     corner_angles_deg,
     edge_directions,
     edge_lengths,
     inset,
+    keeps_apart,
     left_of,
 )
-from lodbench.synthesis.town.site import Site
+
+
+class Site:
+    """The land of one block inside its building line, (N, 2), the plans placed on it, and their chances."""
+
+    def __init__(self, ring: Points, district: str, chances: np.random.Generator) -> None:
+        self.ring, self.district, self.chances = ring, district, chances
+        self.along, _, _ = box_of(ring)  # (2,) unit, along the longer side of the smallest box around it
+        self.plans: list[Plan] = []  # what was placed, in order
+        self._pieces = np.empty((0, 4, 2))
+
+    def place(
+        self,
+        strip: Strip,
+        roof: Roof,
+        function: str = "residential",
+        details: Sequence[Detail] = (),
+        *,
+        gap_m: float = 0.0,
+        yard: Points | None = None,
+        on_line: bool = False,
+    ) -> bool:
+        """Places a building inside the building line, a gap from all others; returns whether there was room.
+
+        A gap of 0 lets walls touch. What is laid out along the building line need not be tested against it;
+        with a ``yard``, (N, 2), it must lie inside of that part of the block.
+        """
+        plan = Plan(strip, roof, function, self.district, tuple(details))
+        ring, pieces = self.ring if yard is None else yard, plan.pieces
+        # Corners and edge middles are enough to test against a nearly convex ring.
+        outlines = [np.concatenate([piece, 0.5 * (piece + np.roll(piece, -1, axis=0))]) for piece in pieces]
+        if not on_line and not all(contains(ring, outline).all() for outline in outlines):
+            return False
+        if not all(self._is_free(piece, gap_m) for piece in pieces):
+            return False
+        self.plans.append(plan)
+        self._pieces = np.concatenate([self._pieces, pieces])
+        return True
+
+    def _is_free(self, piece: Points, gap_m: float) -> bool:
+        """Returns whether a convex piece keeps a gap to all that stands; of most, circles around tell."""
+        pieces = np.concatenate([[piece], self._pieces])
+        middles = pieces.mean(axis=1)
+        radii = np.linalg.norm(pieces - middles[:, None], axis=2).max(axis=1)
+        distance = np.linalg.norm(middles - middles[0], axis=1)
+        near = np.flatnonzero(distance[1:] < radii[1:] + radii[0] + gap_m)
+        return all(keeps_apart(piece, self._pieces[k], gap_m) for k in near)
+
+    def places(self, spacing_m: float) -> list[Points]:
+        """Returns places to try, in random order: a jittered grid along its own directions."""
+        axes = np.stack([self.along, left_of(self.along)])
+        spans = self.ring @ axes.T
+        steps = [
+            np.arange(low + 1.0, high, spacing_m)
+            for low, high in zip(spans.min(axis=0), spans.max(axis=0), strict=True)
+        ]
+        grid = np.stack([axis.ravel() for axis in np.meshgrid(*steps)], axis=1)
+        grid += self.chances.uniform(0.0, 4.0, size=grid.shape)
+        return list(self.chances.permutation(grid) @ axes)
 
 
 class Style(NamedTuple):
@@ -221,3 +292,96 @@ class _ClosedBlock(NamedTuple):
             roof = flat(height) if chance(chances, 0.6) else gabled(height, 28.0, width)
             strip = Strip.bar(corner, site.along, length, width)
             site.place(strip, roof, "commercial", gap_m=1.2, yard=yard)
+
+
+def add_church(site: Site) -> bool:
+    """Adds a church with its tower; returns whether the square had room for both."""
+    chances, along = site.chances, site.along
+    middle = 0.5 * (site.ring.min(axis=0) + site.ring.max(axis=0))
+    length, width, side = float(chances.uniform(28, 38)), float(chances.uniform(13, 16)), 8.0
+    corner = middle - along * (length - side) / 2 - left_of(along) * width / 2
+    nave = hipped(float(chances.uniform(11, 14)), 52.0, width, length, (False, True))
+    spire = Roof("pavilion", ((0.0, 30.0), (0.5, 48.0), (1.0, 30.0)), (side / 2, side / 2))
+    tower = Strip.bar(corner - along * side + left_of(along) * (width - side) / 2, along, side, side)
+    return site.place(Strip.bar(corner, along, length, width), nave, "church") and site.place(
+        tower, spire, "church"
+    )
+
+
+def add_town_hall(site: Site) -> None:
+    """Adds the town hall at one side of the market square, the rest left open."""
+    lengths = edge_lengths(site.ring)
+    k = int(np.argmax(lengths))
+    along, length, depth = edge_directions(site.ring)[k], float(min(34.0, 0.6 * lengths[k])), 15.0
+    corner = site.ring[k] + along * (lengths[k] - length) / 2 + left_of(along) * 2.0
+    strip, roof = Strip.bar(corner, along, length, depth), mansard(11.0, depth)
+    site.place(strip, roof, "public", dormers(strip, roof, site.chances))
+
+
+def add_courtyard_house(site: Site) -> None:
+    """Adds one building around a courtyard (a convent, a court of justice), or nothing without room."""
+    depth = float(site.chances.uniform(11.0, 13.5))
+    if len(site.ring) > 6 or inset(site.ring, depth + COURTYARD_M / 2) is None:
+        return
+    strip = Strip.bent(site.ring, [depth] * len(site.ring), closed=True)
+    roof = gabled(eaves(3, site.chances), float(site.chances.uniform(32, 42)), depth)
+    site.place(strip, roof, "public", dormers(strip, roof, site.chances), on_line=True)
+
+
+def add_school(site: Site) -> None:
+    """Adds a school with two or three wings around a yard, or nothing without room."""
+    chances = site.chances
+    along, *size = box_of(site.ring)
+    wings, depth = chances.uniform(0.45, 0.6, size=2) * size, 13.0
+    if wings.min() < 2 * depth + 4:
+        return
+    inward = left_of(along)
+    for corner in site.places(6.0):
+        turn = corner + along * wings[0]
+        line = [corner, turn, turn + inward * wings[1]]
+        if chance(chances, 0.6):
+            line.insert(0, corner + inward * wings[1] * float(chances.uniform(0.7, 1.0)))
+        strip = Strip.bent(np.stack(line), [depth] * (len(line) - 1))
+        if site.place(strip, gabled(eaves(3, chances), float(chances.uniform(25, 38)), depth), "public"):
+            return
+
+
+def add_pavilion(site: Site) -> None:
+    """Adds a pavilion in the green."""
+    corner = 0.5 * (site.ring.min(axis=0) + site.ring.max(axis=0)) - 4.0
+    strip = Strip.bar(corner, np.array([1.0, 0.0]), 8.0, 8.0)
+    site.place(strip, hipped(3.2, 25.0, 8.0, 8.0), "public")
+
+
+def add_flats(site: Site) -> None:
+    """Adds slabs and towers of flats, all turned the same way."""
+    chances = site.chances
+    for corner in site.places(20.0):
+        tower = chance(chances, 0.3)
+        sizes = ((18.0, 18.0), (24.0, 24.0)) if tower else ((38.0, 11.0), (64.0, 13.0))
+        length, depth = chances.uniform(*sizes).tolist()
+        storeys = int(chances.integers(9, 16) if tower else chances.integers(4, 8))
+        strip, roof = Strip.bar(corner, site.along, length, depth), flat(eaves(storeys, chances))
+        details = lift_houses(strip, roof, 1 if tower else 2, chances)
+        site.place(strip, roof, details=details, gap_m=13.0)
+
+
+def add_works(site: Site) -> None:
+    """Adds halls, and an office or two."""
+    chances = site.chances
+    for k, corner in enumerate(site.places(16.0)):
+        office = k % 4 == 3
+        sizes = ((14.0, 9.0), (24.0, 14.0)) if office else ((26.0, 18.0), (70.0, 38.0))
+        length, depth = chances.uniform(*sizes).tolist()
+        strip = Strip.bar(corner, site.along, length, depth)
+        roof = flat(eaves(3, chances)) if office else _hall_roof(depth, chances)
+        details = lift_houses(strip, roof, 1, chances) if roof.name == "flat" else []
+        site.place(strip, roof, "commercial" if office else "industrial", details, gap_m=7.0)
+
+
+def _hall_roof(depth: float, generator: np.random.Generator) -> Roof:
+    """Returns a flat, low gabled or serrated roof."""
+    eave, draw = float(generator.uniform(6.0, 11.0)), float(generator.random())
+    if draw < 0.45:
+        return flat(eave)
+    return gabled(eave, 12.0, depth) if draw < 0.75 else serrated(eave, 2.2, max(2, round(depth / 8)))

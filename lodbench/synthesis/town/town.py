@@ -13,15 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from lodbench.storage import random_stream
-from lodbench.synthesis.town import landmarks
+from lodbench.synthesis.town import houses
 from lodbench.synthesis.town.buildings import Age, Building, Plan, construct_all
 from lodbench.synthesis.town.fittings import chance
-from lodbench.synthesis.town.houses import OLD_LANES, SUBURB, VILLAS, add_closed_block, add_houses
-from lodbench.synthesis.town.looks import TownLook, look_named
-from lodbench.synthesis.town.shapes import Points, area, inset
-from lodbench.synthesis.town.site import Site
-from lodbench.synthesis.town.streets import Block, StreetPlan, draw_streets
-from lodbench.synthesis.town.terrain import Occupancy, Terrain
+from lodbench.synthesis.town.houses import OLD_LANES, SUBURB, VILLAS, Site, add_closed_block, add_houses
+from lodbench.synthesis.town.shapes import Points, TownLook, area, inset, look_named
+from lodbench.synthesis.town.streets import Block, Occupancy, StreetPlan, Terrain, draw_streets
 
 # Raise it whenever a seed gives another town, queries included: results of two versions do not compare.
 TOWN_VERSION = "2"
@@ -81,7 +78,7 @@ def grow_town(seed: int, look_name: str = "test") -> Town:
         site = _site_of(block, district, random_stream(seed, "demo", "block", number))
         if number not in blocks and site is not None:
             if district == "inner town" and number % _PARK_EVERY == _PARK_FIRST:
-                landmarks.add_pavilion(site)
+                houses.add_pavilion(site)
             else:
                 _BUILD_UP[district](site)
             blocks[number] = site.plans
@@ -100,11 +97,11 @@ def _landmarks(seed: int, streets: StreetPlan) -> dict[int, list[Plan]]:
     market = _site_of(streets.blocks[0], "old town", random_stream(seed, "demo", "town hall"))
     if market is None:
         return {}
-    landmarks.add_town_hall(market)
+    houses.add_town_hall(market)
     blocks = {0: market.plans}
     for number in _CHURCH_BLOCKS:
         square = _site_of(streets.blocks[number], "old town", random_stream(seed, "demo", "church"))
-        if square is not None and landmarks.add_church(square):
+        if square is not None and houses.add_church(square):
             blocks[number] = square.plans
             break
     return blocks
@@ -137,7 +134,7 @@ def _site_of(block: Block, district: str, chances: np.random.Generator) -> Site 
 def _build_old_town(site: Site) -> None:
     """Adds a courtyard building, a closed block, or lanes of houses where neither has room."""
     if chance(site.chances, 0.12):
-        landmarks.add_courtyard_house(site)
+        houses.add_courtyard_house(site)
     if not site.plans:
         add_closed_block(site, storeys=3)
     if not site.plans:
@@ -147,7 +144,7 @@ def _build_old_town(site: Site) -> None:
 def _build_inner_town(site: Site) -> None:
     """Adds a school, a closed block or villas."""
     if chance(site.chances, 0.16):
-        landmarks.add_school(site)
+        houses.add_school(site)
     if not site.plans and chance(site.chances, 0.45):
         add_closed_block(site, storeys=4)
     if not site.plans:
@@ -158,7 +155,7 @@ def _build_inner_town(site: Site) -> None:
 _BUILD_UP: dict[str, Callable[[Site], None]] = {
     "old town": _build_old_town,
     "inner town": _build_inner_town,
-    "estate": landmarks.add_flats,
-    "works": landmarks.add_works,
+    "estate": houses.add_flats,
+    "works": houses.add_works,
     "garden suburb": partial(add_houses, style=SUBURB),
 }

@@ -47,17 +47,20 @@ from lodbench.storage import (
 )
 from lodbench.storage.digest import digest_of_code
 from lodbench.storage.json_text import parse_json
-from lodbench.synthesis.objects.scene_props import read_props
-from lodbench.synthesis.surroundings.ground import Land
-from lodbench.synthesis.surroundings.surroundings import make_surroundings
-from lodbench.synthesis.training_data.params import GenerateParams
-from lodbench.synthesis.training_data.plan_views import SPLITS, PlannedView, ViewPlan, plan_views
-from lodbench.synthesis.training_data.view_writer import (
+from lodbench.synthesis.land_cover import Land
+from lodbench.synthesis.objects import read_props
+from lodbench.synthesis.surroundings import make_surroundings
+from lodbench.synthesis.training_data import GenerateParams
+from lodbench.synthesis.training_data.plan_views import (
     MOST_LABELS,
+    SPLITS,
     PictureParts,
+    PlannedView,
+    ViewPlan,
     ViewWriter,
     files_of,
     is_written,
+    plan_views,
 )
 
 MANIFEST_FILE, SHEET_FILE = "manifest.json", "overview.png"

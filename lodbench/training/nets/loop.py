@@ -15,13 +15,10 @@ from torch import Tensor, nn
 
 from lodbench.errors import ConfigError
 from lodbench.execution import Progress
-from lodbench.segmentation.nets.working import Padding
-from lodbench.training.nets.batches import batches, steps_per_epoch
-from lodbench.training.nets.checkpoints import save_checkpoint
-from lodbench.training.nets.distributed import Place
-from lodbench.training.nets.validate import validation_iou
-from lodbench.training.samples import Sample
-from lodbench.training.train_params import TrainParams
+from lodbench.segmentation.nets.weights import Padding
+from lodbench.training.nets.batches import batches, steps_per_epoch, validation_iou
+from lodbench.training.nets.checkpoints import Place, save_checkpoint
+from lodbench.training.samples import Sample, TrainParams
 
 # Side of the window that says how near an outline is, pixels.
 _WINDOW = 31

@@ -11,17 +11,13 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from lodbench.extras import require
-from lodbench.segmentation.memory import require_memory
-from lodbench.segmentation.nets.weights import fill, read_weights, save_weights
-from lodbench.segmentation.nets.working import Padding
-from lodbench.segmentation.trainable import TrainableSegmenter
-from lodbench.training.nets.batches import batch_shape, batches
-from lodbench.training.nets.checkpoints import load_checkpoint
-from lodbench.training.nets.distributed import joined
+from lodbench.segmentation.nets.weights import Padding, fill, read_weights, save_weights
+from lodbench.segmentation.protocol import TrainableSegmenter
+from lodbench.segmentation.torch_segmenter import require_memory
+from lodbench.training.nets.batches import batch_shape, batches, validation_iou
+from lodbench.training.nets.checkpoints import joined, load_checkpoint
 from lodbench.training.nets.loop import fit, make_state
-from lodbench.training.nets.validate import validation_iou
-from lodbench.training.samples import Sample
-from lodbench.training.train_params import TrainParams
+from lodbench.training.samples import Sample, TrainParams
 
 
 @torch.no_grad()

@@ -14,7 +14,7 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.flight import FlightParams, aligning
 from lodbench.methods.flight.photo_terms import flight_terms
-from lodbench.synthesis.flights.errors import MapErrors, change_map
+from lodbench.synthesis.flights import MapErrors, change_map
 from tests.methods.flight.test_method import flight, localize
 from tests.town import CAMERA
 

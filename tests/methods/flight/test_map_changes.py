@@ -13,7 +13,7 @@ from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.flight.gone_buildings import gone_buildings, views_of
 from lodbench.methods.flight.missing_buildings import _grid, _shares, missing_buildings
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
-from lodbench.synthesis.flights.errors import MapErrors, change_map
+from lodbench.synthesis.flights import MapErrors, change_map
 from lodbench.synthesis.mask_degradation import degrade_mask
 from tests.town import CAMERA, box_obj
 

@@ -19,7 +19,7 @@ from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.state import State
 from lodbench.methods.protocol import SupportsFlights
 from lodbench.storage import random_stream
-from lodbench.synthesis.flights.errors import MapErrors, change_map
+from lodbench.synthesis.flights import MapErrors, change_map
 from tests.town import CAMERA, true_poses
 
 SHARED = np.array([4.0, -5.0, 12.0, 0.6, -0.5, 3.0])

@@ -15,7 +15,7 @@ from lodbench.methods.flight.missing_buildings import missing_buildings
 from lodbench.methods.flight.roof_edges import open_pictures
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, roof_points, sweep_roofs
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
-from lodbench.synthesis.flights.errors import MapErrors, change_map
+from lodbench.synthesis.flights import MapErrors, change_map
 from tests.town import CAMERA, box_obj
 
 LENS = np.zeros(2)

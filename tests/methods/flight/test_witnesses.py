@@ -14,7 +14,7 @@ from lodbench.methods.flight.building_heights import BuildingHeight
 from lodbench.methods.flight.findings import _sigmas_of_doubt
 from lodbench.methods.flight.witnesses import apart_deg, without_contradicted
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
-from lodbench.synthesis.flights.errors import MapErrors, change_map
+from lodbench.synthesis.flights import MapErrors, change_map
 from tests.town import CAMERA, box_obj
 
 # Wide enough to show edges of a single roof.

@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 
-from lodbench.synthesis.town.solid import Solid
+from lodbench.synthesis.town.shapes import Solid
 
 
 def ring_normal(points: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from lodbench.synthesis.town.fittings import Annex, RoofBox
 from lodbench.synthesis.town.ground import filled, refined
 from lodbench.synthesis.town.props import demo_props
 from lodbench.synthesis.town.roofs import Roof, flat, gabled, hipped, mansard, serrated
-from lodbench.synthesis.town.solid import prism
+from lodbench.synthesis.town.shapes import prism
 from lodbench.synthesis.town.town import ORIGIN_M
 
 SQUARE = np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 30.0], [0.0, 30.0]])

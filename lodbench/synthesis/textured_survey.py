@@ -22,18 +22,14 @@ from lodbench.kernels.looks import Shading, SurfaceClass
 from lodbench.kernels.shading import bake, light_corners
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import random_stream, write_bytes
-from lodbench.synthesis.objects.mesh_builder import MeshBuilder
-from lodbench.synthesis.objects.scene_props import SceneProps
+from lodbench.synthesis.objects import MeshBuilder, SceneProps
 from lodbench.synthesis.photo import CameraResponse, Look, LookRanges, draw_look
-from lodbench.synthesis.photo.render_scene import ON_GROUND, make_render_scene, make_skin
-from lodbench.synthesis.photo.renderer import apply_camera_response
-from lodbench.synthesis.photo.shading import plain_shading
-from lodbench.synthesis.photo.sunlight import draw_sun_map
+from lodbench.synthesis.photo.light import draw_sun_map, plain_shading
+from lodbench.synthesis.photo.renderer import ON_GROUND, apply_camera_response, make_render_scene, make_skin
 from lodbench.synthesis.town.buildings import Age
 from lodbench.synthesis.town.ground import add_ground
-from lodbench.synthesis.town.props import add_buildings, building_colours, fine_bodies
+from lodbench.synthesis.town.props import add_buildings, add_greenery, building_colours, fine_bodies
 from lodbench.synthesis.town.town import ORIGIN_M, Town
-from lodbench.synthesis.town.trees_and_cars import add_greenery
 
 Floats = NDArray[np.float64]
 

@@ -1,8 +1,4 @@
-"""The surroundings of a city without any: ground, land cover, trees, cars and clutter from its footprints.
-
-What networks take for buildings and is none: containers, tents, heaps, car parks, courts, yards, tracks. A
-new kind is a function and a line in ``CLUTTER``.
-"""
+"""What stands around a city model's buildings: land cover, relief, trees and cars."""
 
 from __future__ import annotations
 
@@ -15,21 +11,28 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
-from lodbench.synthesis.objects.mesh_builder import (
+from lodbench.synthesis.land_cover import (
+    Ground,
+    Land,
+    draw_land_cover,
+    ground_from_bases,
+    ground_from_raster,
+    look_down,
+)
+from lodbench.synthesis.objects import (
     BLOCK_FACES,
     MeshBuilder,
     Points,
+    SceneProps,
     Tint,
+    add_cars,
+    add_trees,
     grid_triangles,
     palette,
     pick,
     ring_walls,
 )
-from lodbench.synthesis.objects.scene_props import SceneProps
-from lodbench.synthesis.objects.trees_and_cars import add_cars, add_trees
 from lodbench.synthesis.photo import LAND_COVER
-from lodbench.synthesis.surroundings.ground import Ground, Land, ground_from_bases, ground_from_raster
-from lodbench.synthesis.surroundings.land_cover import draw_land_cover, look_down
 
 Floats = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""The look of one picture: sun, air, season, surfaces and camera, drawn from seeded ranges."""
+"""What decides the light of triangles where nothing else is given: palettes, grass, no shadows."""
 
 from __future__ import annotations
 
@@ -12,8 +12,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError, nearest_names
-from lodbench.kernels.looks import CameraResponse, Look, Triple
+from lodbench.geometry import Camera, Pose
+from lodbench.kernels.looks import (
+    CameraResponse,
+    LandCover,
+    Look,
+    Palettes,
+    Shading,
+    Skin,
+    SunMap,
+    SurfaceClass,
+    Triple,
+)
 from lodbench.params import read_settings, to_params
+from lodbench.rendering.raster import RasterRenderer
+from lodbench.rendering.texture_charts import make_charts
+from lodbench.synthesis.objects import palette
+
+_GRASSLAND = np.full((1, 1), int(SurfaceClass.GRASS), dtype=np.uint8)
+_FAR, _EAST = np.full((1, 1), 1e6, dtype=np.float32), np.zeros((1, 1), dtype=np.float32)
+# One cell of grass, for scenes whose triangles all say what they are.
+NO_LAND_COVER = LandCover(_GRASSLAND, _FAR, _EAST, 0.0, 0.0, 1.0, 3.0, 1.5)
+
+
+def linear(colours: object) -> NDArray[np.float64]:
+    """Returns linear RGB, 0 to 1, of 8-bit colours: a square, which the camera response undoes."""
+    return (np.asarray(colours, dtype=np.float64) / 255.0) ** 2
+
+
+_WALLS = "e1dacb d0ceca e4cdac bca48e eeebe4 a66e58 d6be96 b4b2ac 965c4a cad6d6 787674 e8d6be"
+_TILES = "9e543e 8a4e40 b06a4c 685c56 545254 784034 92705c 464242 be7c5c 6e7074 603c32 807a70"
+_TILES += " 9ea09e 48505c 46608c 587062 d6d6d2"  # fibre cement, slate, painted sheets
+_FLATS = "969490 6e6e70 bcbab4 847c70 d6d4d0 5c5c5c 7a826c a8a094 8e969c 524e4a"
+_FLATS += " 607446 b6ae9e 2c364e 688096 e4e4e2"  # planted, gravel, solar panels, sheet metal: as over halls
+_PAINTS = "e6e6e6 1e2024 787a7e aaacb0 8c181a 22366e 3c3e42 cdc8be 18422c d6d6d2"
+PALETTES = Palettes(*(linear(palette(codes)) for codes in (_WALLS, _TILES, _FLATS, _PAINTS)))
+
+
+def plain_shading(skin: Skin, look: Look) -> Shading:
+    """Returns the shading of triangles that all say what they are: no land cover, no textures; no shadows."""
+    return Shading(skin, look, NO_LAND_COVER, NO_SUN_MAP, PALETTES, make_charts(None))
+
 
 Range = tuple[float, float]
 
@@ -124,3 +163,63 @@ def _triple(values: NDArray[np.float64]) -> Triple:
     # Not an array: the kernel would count references to it at every pixel.
     red, green, blue = values.tolist()
     return red, green, blue
+
+
+Floats = NDArray[np.float64]
+
+# The sun as a camera this far away: its rays are parallel to within a hundredth of a degree per metre.
+_DISTANCE_M = 60_000.0
+# Beyond this distance from the middle of what is seen, nothing casts a shadow.
+REACH_M = 450.0
+
+
+_LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+# Nothing casts a shadow.
+NO_SUN_MAP = SunMap(np.zeros((1, 1), dtype=np.float32), _LEVEL, (0.0, 0.0, 0.0), 1.0, 0.0)
+
+
+def ground_in_view(camera: Camera, pose: Pose, low_m: float, high_m: float) -> Floats:
+    """Returns places, (N, 3), where a view meets the lowest and the highest level of a scene.
+
+    Nothing further than ``2 * REACH_M`` is among them: its shadows are too small to be seen.
+    """
+    share = np.linspace(0.0, 1.0, 9)
+    u, v = (axis.ravel() for axis in np.meshgrid(share * camera.width, share * camera.height))
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
+    rays = rays @ pose.rotation
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    drop = np.where(np.abs(rays[:, 2]) > 1e-6, rays[:, 2], 1e-6)
+    distance = (np.array([[low_m], [high_m]]) - pose.center[2]) / drop
+    distance = np.where(distance > 0, np.minimum(distance, 2.0 * REACH_M), 2.0 * REACH_M)
+    points = (pose.center + rays * distance[..., None]).reshape(-1, 3)
+    points[:, 2] = np.clip(points[:, 2], low_m, high_m)
+    return np.asarray(points)
+
+
+def draw_sun_map(raster: RasterRenderer, sun: Floats, seen: Floats, size: int) -> SunMap:
+    """Returns the depth map, so many pixels wide, of the part of a scene that can be seen.
+
+    The raster draws what casts shadows; ``sun``, (3,), leads towards the sun; ``seen``, (N, 3) local metres,
+    are points that a picture shows.
+    """
+    rotation = _looking_along(-sun)
+    middle = np.median(seen, axis=0)
+    near = seen[np.linalg.norm(seen - middle, axis=1) <= REACH_M]
+    plan = (near - middle) @ rotation.T
+    radius = float(np.abs(plan[:, :2]).max()) + 2.0 if len(near) else 10.0
+    center = middle + sun * _DISTANCE_M
+    focal = 0.5 * size * _DISTANCE_M / radius
+    camera = Camera(size, size, focal, focal, 0.5 * size, 0.5 * size)
+    depth = raster.depth(camera, Pose.from_center(rotation, center))
+    # Tuples, not arrays: the kernel would count references to arrays at every pixel.
+    rows = tuple((float(x), float(y), float(z)) for x, y, z in rotation)
+    x, y, z = (float(value) for value in center)
+    return SunMap(depth, rows, (x, y, z), focal, 2.0 * radius / size)
+
+
+def _looking_along(axis: Floats) -> Floats:
+    """Returns the (3, 3) rotation of a camera that looks along a unit vector."""
+    aside = np.array([0.0, 1.0, 0.0]) if abs(axis[2]) > 0.9 else np.array([0.0, 0.0, 1.0])
+    right = np.cross(axis, aside)
+    right /= np.linalg.norm(right)
+    return np.ascontiguousarray(np.stack([right, np.cross(axis, right), axis]))

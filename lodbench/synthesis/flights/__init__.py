@@ -1,1 +1,0 @@
-"""Seeded flights over any city, along paths of ``camera_paths``; what drone and map are wrong about."""
