@@ -3,19 +3,18 @@
 Names are loaded when first used, so that importing this package costs nothing. The way of a file, and where
 each thing goes:
 
-- its bytes: ``source`` (archives, folders of tiles), ``streams``, ``xml``, ``json_documents``, ``gdal``;
+- its bytes: ``source`` (files, archives, folders of tiles), ``gml/xml``, ``json_documents``, ``vector/gdal``;
   what nobody but the user knows of them: ``options``;
-- which reader: ``read``, ``readers``; a format each in ``citygml``, ``cityjson``, ``footprints``, ``obj``,
-  ``mesh_reader``. How a publisher writes CityGML that its schema does not say: names in ``gml_names``, what
-  is borrowed from elsewhere in ``gml_links``, geometry in ``gml_walk``, attributes in ``gml_details``;
-- what readers hand over: ``raw``; then ``cleaning``, and ``crs``, ``axis_order``, ``handedness``, ``frame``
-  (metres, east, north), ``polygons``: a ``model`` with its ``objects``. All that is wrong or left out has one
-  of ``codes``;
+- which reader: ``read``, ``formats``; a format each in ``gml``, ``cityjson``, ``mesh``, ``vector``, ``surface``.
+  How a publisher writes CityGML that its schema does not say: names in ``gml/names``, what is borrowed from
+  elsewhere in ``gml/links``, geometry in ``gml/walk``, attributes in ``gml/details``;
+- what readers hand over: ``raw``; then ``cleaning``, and ``crs``, ``axis_order``, ``frame`` (metres, east,
+  north), ``bases``, ``polygons``: a ``model``. All that is wrong or left out has one of ``codes``;
 - from a model to a ``scene``: ``lods``, ``derive`` and ``extrude`` (levels), ``triangulate``, ``meshing``;
-  kept by ``cache``, ``scene_file``; many tiles: ``tiling``, ``scene_join``;
-- told: ``info``, ``check`` (``plane_check``, ``shells``, ``solid_check``);
-- written: ``convert``, ``citygml_writer`` with ``gml_dialect``, ``cityjson_writer``, ``mesh_writer``;
-- photographed surfaces: ``pictures`` of a model, ``textured_mesh`` of a textured map.
+  kept by ``cache`` and ``scene_file``;
+- reported: ``city_info`` in ``read``, ``checks``;
+- written: ``convert``, with ``gml/writer``, ``cityjson/writer``, ``mesh/writer``;
+- photographed surfaces: ``pictures`` of a model, ``mesh/textured`` of a textured map.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ __all__, __getattr__, __dir__ = lazy_names(
         "CityModel": "model",
         "ReadOptions": "options",
         "Scene": "scene",
-        "city_info": "info",
+        "city_info": "read",
         "mesh_city": "meshing",
         "mesh_model": "meshing",
         "open_scene": "read",
