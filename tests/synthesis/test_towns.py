@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lodbench.synthesis.survey import textured_map as baking
+from lodbench.synthesis import textured_survey as baking
 
 import lodbench
 from lodbench.cli import main
