@@ -3,9 +3,9 @@
 Names are loaded when first used, so that importing this package costs nothing. The way of a file, and where
 each thing goes:
 
-- its bytes: ``source`` (files, archives, folders of tiles), ``gml/xml``, ``json_documents``, ``vector/gdal``;
+- its bytes: ``source`` (files, archives, folders), ``gml/xml``, ``json_documents``, ``vector/gdal``;
   what nobody but the user knows of them: ``options``;
-- which reader: ``read``, ``formats``; a format each in ``gml``, ``cityjson``, ``mesh``, ``vector``, ``surface``.
+- which reader: ``read``, ``formats``; formats in ``gml``, ``cityjson``, ``mesh``, ``vector``, ``surface``.
   How a publisher writes CityGML that its schema does not say: names in ``gml/names``, what is borrowed from
   elsewhere in ``gml/links``, geometry in ``gml/walk``, attributes in ``gml/details``;
 - what readers hand over: ``raw``; then ``cleaning``, and ``crs``, ``axis_order``, ``frame`` (metres, east,

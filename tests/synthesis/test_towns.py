@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lodbench.synthesis import textured_survey as baking
 
 import lodbench
 from lodbench.cli import main
@@ -15,6 +14,7 @@ from lodbench.cli.render import with_demo
 from lodbench.datasets.inputs import Input, inputs_of, with_inputs
 from lodbench.datasets.query import Dataset
 from lodbench.synthesis import demo
+from lodbench.synthesis import textured_survey as baking
 from lodbench.synthesis.demo import LABEL_CODE, MAP_CODE, DemoParams, open_demo
 from lodbench.synthesis.textured_survey import baked, corner_light, lay_out_faces, lay_out_ground
 from lodbench.synthesis.town import build
