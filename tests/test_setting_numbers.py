@@ -31,7 +31,7 @@ _SECTIONS = {
     "lodbench.harness.remote.": "runner.",
 }
 # Settings that are not called as their neighbours; of a training, `lodbench train` adds schedule.
-_GROUPS = {"LodLocTraining": "", "World": "world.", "LookRanges": "look."}
+_GROUPS = {"LodLocTraining": "", "Perturbation": "world.", "LookRanges": "look."}
 # What is an option with dashes, where the option is not the field's name.
 _OPTIONS = {
     ("TracedOptions", "map_error_m"): "--map-error",

@@ -61,7 +61,7 @@ class Report:
         text: A table and what must be known of it, for people.
         figures: The numbers, for machines.
         data: The measurements behind them, a row each; None where none are kept.
-        draw: Returns pictures by file name, drawn when they are asked for.
+        draw: Returns pictures by file name, drawn when they are requested.
     """
 
     text: str
@@ -130,17 +130,17 @@ def words(text: str) -> tuple[str, ...]:
 def add_options(parser: argparse.ArgumentParser, kind: type) -> None:
     """Adds the options among a dataclass' fields to a parser."""
     for each in fields(kind):
-        told = each.metadata
-        if told:
-            flag = told["flag"] or each.name.replace("_", "-")
+        stated = each.metadata
+        if stated:
+            flag = stated["flag"] or each.name.replace("_", "-")
             shown = ",".join(each.default) if isinstance(each.default, tuple) else each.default
             parser.add_argument(
                 f"--{flag}",
                 dest=each.name,
                 metavar=flag.upper().replace("-", "_"),
                 default=each.default,
-                type=told["parse"] or (str if each.default is None else type(each.default)),
-                help=told["meaning"] + ("" if each.default is None else f" ({shown})"),
+                type=stated["parse"] or (str if each.default is None else type(each.default)),
+                help=stated["meaning"] + ("" if each.default is None else f" ({shown})"),
             )
 
 

@@ -267,7 +267,7 @@ def share_rejected(queries: pd.DataFrame) -> float:
 def share_rejectable(queries: pd.DataFrame) -> float:
     """Returns what ``share_rejected`` is expected to be if every probability is exact; nan if all are 0 or 1.
 
-    How far apart right and wrong answers can be told is limited by how sure the answers are: of those
+    How well right and wrong answers can be separated is limited by how sure the answers are: of those
     that all say one half no more wrong ones go than right ones, however true that is.
     """
     given = np.sort(queries["probability"].fillna(0.0).to_numpy())

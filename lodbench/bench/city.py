@@ -1,7 +1,7 @@
 """How fast, and in how little memory, cities are read, beside the naive way and other readers.
 
 Each job is timed several times in one run and the fastest counts, for peers as for us. The memory
-of a large file is that of a process of its own: the peak of what is resident (which Linux tells)
+of a large file is that of a process of its own: the peak of what is resident (which Linux states)
 above what is resident after a small file, when everything is loaded and compiled.
 """
 
@@ -141,14 +141,14 @@ def _beside_build(city: Path, options: CityOptions) -> Figure:
         str(Path(options.beside or "").absolute()): [],
     }
     for _ in range(options.repeats):
-        for python, told in builds.items():
+        for python, stated in builds.items():
             cpu_s, digest = _json_of(
                 _TURN_SCRIPT, [str(city.resolve()), options.lod or "", str(_PASSES_IN_TURN)], python
             )
-            told.append((float(cpu_s), str(digest)))
-    if len({digest for told in builds.values() for _, digest in told}) > 1:
+            stated.append((float(cpu_s), str(digest)))
+    if len({digest for stated in builds.values() for _, digest in stated}) > 1:
         raise CityModelError("The two builds make different scenes of this city.")
-    own, other = (min(cpu_s for cpu_s, _ in told) for told in builds.values())
+    own, other = (min(cpu_s for cpu_s, _ in stated) for stated in builds.values())
     name = "read and mesh, CPU time"
     return Figure(name, own * 1e3, "ms", "the other build, in turns", other * 1e3, other / own)
 
@@ -266,14 +266,14 @@ def measure_tiles(model: CityModel, tiles: int, folder: Path, workers: int | Non
     scene = folder / "city.scene"
     words = [] if workers is None else ["--workers", str(workers)]
     seconds = _run("city", "convert", str(folder / "tiles"), str(scene), *words)
-    # Linux tells kilobytes: the largest of the processes, the one that joins included.
+    # Linux states kilobytes: the largest of the processes, the one that joins included.
     peak_mb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
-    told = f"{tiles:,} tiles, {size_mb:,.0f} MB, {tiles * len(own.building_ids):,} buildings"
+    stated = f"{tiles:,} tiles, {size_mb:,.0f} MB, {tiles * len(own.building_ids):,} buildings"
     start = time.perf_counter()
     opened, _ = read_scene(scene)
     open_seconds = time.perf_counter() - start
     return [
-        Figure(f"{told}: into one scene", seconds, "s"),
+        Figure(f"{stated}: into one scene", seconds, "s"),
         Figure("tiles", tiles / seconds, "1/s"),
         Figure("peak memory of the largest process", peak_mb, "MB"),
         Figure("triangles of the scene", len(opened.triangles), ""),

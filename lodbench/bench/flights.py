@@ -153,9 +153,9 @@ def queries_of(
 
 
 def _constants_off(params: FlightsParams, flight: int, found: FlightEstimate) -> Floats:
-    """Returns by how much pitch, roll (degrees), height (metres) and focal length (share) are told wrong."""
-    errors, told = drone_errors(params, flight), found.findings["constants"]
-    # What is told is to be added to what sensors say.
+    """Returns by how much pitch, roll (degrees), height (metres) and focal length (share) are off."""
+    errors, stated = drone_errors(params, flight), found.findings["constants"]
+    # What is reported is to be added to what sensors say.
     wrong = {
         "pitch": -errors.sensors[3],
         "roll": -errors.sensors[4],
@@ -163,7 +163,7 @@ def _constants_off(params: FlightsParams, flight: int, found: FlightEstimate) ->
         "focal length": errors.focal - 1.0,
     }
     return np.array(
-        [told[name]["value"] - value if name in told else -value for name, value in wrong.items()]
+        [stated[name]["value"] - value if name in stated else -value for name, value in wrong.items()]
     )
 
 

@@ -26,7 +26,7 @@ from lodbench.synthesis.mask_degradation import mask_iou
 
 Mask = NDArray[np.bool_]
 
-# Shifts are told in pixels of a photo this wide, whatever its size.
+# Shifts are stated in pixels of a photo this wide, whatever its size.
 REFERENCE_PX = 1200.0
 # Buildings as blocks: squares of this side along each building's own axes; and how many are gone or added.
 _BLOCK_PX, _CHANGED_SHARE = 30.0, 0.1
@@ -109,7 +109,7 @@ def _moved(mask: Mask, right: float, down: float, turn_deg: float) -> Mask:
     return np.asarray(cv2.warpAffine(mask.astype(np.uint8) * 255, matrix, (width, height)) >= 128)
 
 
-# GrabCut's working size and rounds; it is told how far off the silhouette is, and trusts it beyond.
+# GrabCut's working size and rounds; it is reported how far off the silhouette is, and trusts it beyond.
 _GRABCUT_PX, _GRABCUT_ROUNDS, _SURE = 600, 5, 1.5
 
 
@@ -142,7 +142,7 @@ class GuidedPhoto(NamedTuple):
         name: Of the photo.
         guide: Of the silhouettes.
         found: Of the segmenter's masks.
-        grabcut: Of GrabCut's; empty where it was not asked.
+        grabcut: Of GrabCut's; empty where it was not requested.
         seconds: CPU time per mask.
     """
 

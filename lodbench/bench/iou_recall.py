@@ -157,7 +157,7 @@ def measure_instances(segmenter: Segmenter, data: Path, progress: Progress = no_
         progress: Called after each view.
 
     Raises:
-        LodbenchError: The segmenter tells no buildings apart, or a set is missing or has no labels.
+        LodbenchError: The segmenter separates no buildings, or a set is missing or has no labels.
     """
     if not isinstance(segmenter, InstanceSegmenter) or declared_inputs(segmenter, "requires") != {
         Input.IMAGE

@@ -39,7 +39,7 @@ Picture = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 SHEET_FILE = "masks.png"
 _PER_GROUP, _TILE = 4, 448
-# BGR: told apart with any colour vision, on roofs and on green.
+# BGR: distinguished with any colour vision, on roofs and on green.
 _EXTRA, _MISSED, _OUTLINE = (30, 120, 255), (255, 60, 190), (255, 255, 255)
 _INK, _PAPER = (235, 235, 235), (32, 28, 26)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX

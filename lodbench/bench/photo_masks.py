@@ -23,7 +23,7 @@ from lodbench.storage import write_bytes
 
 Mask = NDArray[np.bool_]
 _WIDTH = 900
-# BGR: told apart with any colour vision.
+# BGR: distinguished with any colour vision.
 _EXTRA, _MISSED, _OUTLINE = (30, 120, 255), (255, 60, 190), (255, 255, 255)
 
 
@@ -47,7 +47,7 @@ class PhotoMask:
 
     @property
     def is_empty(self) -> bool:
-        """Tells whether the photo shows no building."""
+        """Returns whether the photo shows no building."""
         return not self.truth.any()
 
     @property
@@ -153,14 +153,14 @@ def write_overlay(photo: PhotoMask, folder: Path) -> None:
     write_picture(folder / photo.place / f"{photo.photo.stem}.png", np.asarray(small, dtype=np.uint8))
 
 
-# Of masks traced by hand: white is building, grey is what could not be told.
+# Of masks traced by hand: white is building, grey is what could not be decided.
 _BUILDING, _NOTHING = 0.75, 0.25
 
 
 def labelled_photos(folder: Path) -> list[tuple[Path, Mask]]:
     """Returns the photos of a folder with their traced masks, (H, W) bool of the photo's size.
 
-    What could not be told counts as no building.
+    What could not be decided counts as no building.
 
     Raises:
         DatasetError: There are no photos, or one has no mask or one of another size.

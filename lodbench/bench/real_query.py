@@ -52,7 +52,7 @@ class RealOptions:
     """What to measure.
 
     Attributes:
-        priors: How many are drawn of each photo; none if only the published ones are asked for.
+        priors: How many are drawn of each photo; none if only the published ones are requested.
         prior: Half widths of their errors.
         is_shared: Whether photos of a flight err together, see ``shared_and_own``.
         is_published_too: Whether the set's own priors are measured besides.
@@ -232,7 +232,7 @@ def _shots(
     for entry in dataset.entries:
         if entry.key in dataset.truth:
             truth = preparation.local(dataset.truth[entry.key])
-            # Priors are drawn around the truth: that the set has some is not asked for.
+            # Priors are drawn around the truth: that the set has some is not requested.
             own = entry if entry.prior is not None else replace(entry, prior=dataset.truth[entry.key])
             flight, height_m = (entry.split, entry.sequence), float(truth.center[2]) - ground
             query = preparation.query(own)

@@ -40,14 +40,14 @@ class Job:
         views: Of which city, drawn how.
         tilt: ``truth`` or ``prior``.
         labels: Columns of the sweep's table that tell this run from others.
-        told: How far off the method is told that priors may be; None for as far as they are.
+        told: How far off the method is given that priors may be; None for as far as they are.
     """
 
     method: Method
     views: ViewsParams
     tilt: str = "prior"
     labels: Mapping[str, Any] = field(default_factory=dict)
-    told: UniformPrior | None = None
+    stated: UniformPrior | None = None
 
 
 def sweep(jobs: Sequence[Job], progress: Progress = no_progress, threads: int | None = None) -> pd.DataFrame:
@@ -57,7 +57,7 @@ def sweep(jobs: Sequence[Job], progress: Progress = no_progress, threads: int | 
     None), ``is_any_kept_found`` (whether that or one of its alternatives lies within (2 m, 2 deg)),
     ``map_lod``, ``mask_lod``, ``rejections`` and the jobs' labels. A ``score`` below ``mask_iou``, what the
     true pose would score, is a failure of the search; a higher one says that the mask fits a wrong pose
-    better. A method that can is told how far off the priors may be, tilt included (0 with the true one);
+    better. A method that can is given how far off the priors may be, tilt included (0 with the true one);
     never whether they are.
 
     Args:
@@ -77,8 +77,8 @@ def sweep(jobs: Sequence[Job], progress: Progress = no_progress, threads: int | 
     return pd.concat(tables)
 
 
-def told_width(method: Method, prior: UniformPrior) -> Method:
-    """Returns a method told how far off priors may be, if it is one that can be."""
+def with_prior_range(method: Method, prior: UniformPrior) -> Method:
+    """Returns a method that is given how far off priors may be, if it is one that can be."""
     if not isinstance(method, SupportsPriorWidth):
         return method
     with blaming("methods", method.name, "take the width of priors"):
@@ -112,7 +112,7 @@ def protocol_of(views: ViewsParams, seeds: Sequence[int]) -> str:
 
 def _queries_of(job: Job, threads: int | None) -> pd.DataFrame:
     dataset = open_views(job.views)
-    method = told_width(job.method, job.told or job.views.prior(job.tilt))
+    method = with_prior_range(job.method, job.stated or job.views.prior(job.tilt))
     with tempfile.TemporaryDirectory() as scratch:
         settings = RunSettings(Path(scratch), threads=threads, tilt=job.tilt, seed=job.views.views_seed)
         settings = replace(settings, stream_names=_stream_names)

@@ -49,28 +49,30 @@ def settle_order(
         known: Their reference system.
         srs_name: Under which the file itself names it, or None.
         findings: Receives what is decided against the declaration, or not at all.
-        tells_north_first: Asked, with the least number of buildings, where both orders are plausible; None
+        tells_north_first: Called with the least number of buildings, where both orders are plausible; None
             for no answer.
     """
     axes = [axis.direction.lower() for axis in known.horizontal.axis_info[:2]]
     is_declared_north_first = axes[0].startswith("north") or axes[0] == "south"
     declared = try_order(middle, known, is_declared_north_first)
     swapped = try_order(middle, known, not is_declared_north_first)
-    told = None
+    stated = None
     if declared.is_plausible != swapped.is_plausible:
-        told = declared.is_north_first if declared.is_plausible else swapped.is_north_first
+        stated = declared.is_north_first if declared.is_plausible else swapped.is_north_first
     elif declared.is_plausible and is_declared_north_first:
-        told = tells_north_first(1)
-        if told is False and srs_name is not None and _promises_order(srs_name):
-            told = tells_north_first(_MANY_BUILDINGS) is not False
+        stated = tells_north_first(1)
+        if stated is False and srs_name is not None and _promises_order(srs_name):
+            stated = tells_north_first(_MANY_BUILDINGS) is not False
             taken = (
-                "north first, as declared, though walls face inwards" if told else "east first, as walls show"
+                "north first, as declared, though walls face inwards"
+                if stated
+                else "east first, as walls show"
             )
             findings.add(AXES_AMBIGUOUS, "", f"{known.label}: taken as {taken}; say axis_order")
-    if told == is_declared_north_first:
+    if stated == is_declared_north_first:
         return declared
-    if told is not None:
-        findings.add(AXES_SWAPPED, "", f"{known.label}: {'north' if told else 'east'} first")
+    if stated is not None:
+        findings.add(AXES_SWAPPED, "", f"{known.label}: {'north' if stated else 'east'} first")
         return swapped
     if not declared.is_plausible:
         where = f"({middle[0]:.6g}, {middle[1]:.6g})"
@@ -92,7 +94,7 @@ def _promises_order(srs_name: str) -> bool:
 
 
 def declares_south_and_west(known: KnownCrs) -> bool:
-    """Tells whether a system has southings before westings."""
+    """Returns whether a system has southings before westings."""
     return known.counts_west and known.horizontal.axis_info[0].direction.lower() == "south"
 
 
@@ -122,25 +124,25 @@ def _longitude_within(longitude_deg: float, west_deg: float, east_deg: float) ->
     return (longitude_deg - west_deg + _AREA_MARGIN_DEG) % 360.0 <= width + 2 * _AREA_MARGIN_DEG
 
 
-# So many buildings are enough to tell.
+# So many buildings are enough to decide.
 _SAMPLE_BUILDINGS = 4096
 # A wall covers less of the square around it in plan. Roofs and footprints are drawn this way and that.
 _WALL_SHARE = 0.1
 # Of walls that all look outside each adds to the area of the plan; of walls drawn at random they cancel out.
 _LEAST_SHARE = 0.5
-# So many of the buildings that tell anything must tell the same.
+# So many of the buildings with a result must agree.
 _LEAST_AGREEING = 0.9
 
 
 def faces_tell_north_first(polygons: Polygons, least_buildings: int = 1) -> bool | None:
-    """Tells whether northings stand first: exchanged columns mirror houses, whose walls then look inside.
+    """Returns whether northings stand first: exchanged columns mirror houses, whose walls then look inside.
 
     Args:
         polygons: In the coordinates of the file.
-        least_buildings: So many have to tell something.
+        least_buildings: So many must have a result.
 
     Returns:
-        None where walls do not tell: footprints have none, some publishers draw them at random.
+        None where walls do not decide: footprints have none, some publishers draw them at random.
     """
     step = 1 + int(polygons.building.max(initial=0)) // _SAMPLE_BUILDINGS
     chosen = select_polygons(polygons, np.flatnonzero(polygons.building % step == 0))
@@ -170,7 +172,7 @@ _MAX_KEPT_SCALE_ERROR = 1e-2
 
 
 def is_true_to_scale(known: KnownCrs, middle: NDArray[np.float64], findings: Findings) -> bool:
-    """Tells whether the metres of a system are metres at a place (east, north), to a hundredth.
+    """Returns whether the metres of a system are metres at a place (east, north), to a hundredth.
 
     What is off by more than a thousandth is told, and what is off by a hundredth, as Mercator of the whole
     world is, does for no measuring: it is projected anew.
@@ -188,7 +190,7 @@ def is_true_to_scale(known: KnownCrs, middle: NDArray[np.float64], findings: Fin
 def require_true_to_scale(target: KnownCrs, middle: NDArray[np.float64], findings: Findings) -> None:
     """Makes sure that a system can be measured in where a city, (east, north), is brought to.
 
-    What is off by more than a thousandth is told, as is a place outside of the system's area.
+    What is off by more than a thousandth is reported, as is a place outside of the system's area.
 
     Raises:
         CityModelError: Its metres are off by more than a hundredth.

@@ -12,13 +12,13 @@ from lodbench.citymodel.raw import RawCity
 from lodbench.citymodel.terrain import HIGHEST_M, LOWEST_M, ground_under
 from lodbench.findings import Findings
 
-# What formats of footprints alone are read by, and what sets buildings on the ground where that is asked for.
+# What formats of footprints alone are read by, and what sets buildings on the ground where that is requested.
 _FOOTPRINTS = ("footprints", "surfaces")
 _OF_FOOTPRINTS = (
     "layer", "height_column", "storeys_column", "storey_height_m", "ground_column", "default_height_m",
 )  # fmt: skip
 _OF_GROUND = ("ground_m", "terrain")
-# What has its heights in z, whatever is asked for.
+# What has its heights in z, whatever is requested.
 _UPRIGHT = (*_FOOTPRINTS, "CityGML", "CityJSON", "CityJSONSeq")
 
 
@@ -46,7 +46,7 @@ def move_bases(
     options: ReadOptions,
     findings: Findings,
 ) -> None:
-    """Moves the bottoms of buildings, in place, as ``options.base`` asks.
+    """Moves the bottoms of buildings, in place, as ``options.base`` says.
 
     ``ground`` adds the terrain height under each building's middle (or ``ground_m``) to all its
     heights: for sources such as Open City Model whose buildings all stand at 0. ``sunk`` lifts
@@ -139,7 +139,7 @@ def mend_heights(polygons: Polygons, raw: RawCity, label: str | None) -> None:
 
 
 def _are_buildings(raw: RawCity) -> Flags:
-    """Tells which of a city's objects are buildings, and no terrain or bridge."""
+    """Returns which of a city's objects are buildings, and no terrain or bridge."""
     is_building = np.ones(len(raw.building_ids), np.bool_)
     if raw.objects is not None:
         for number in np.flatnonzero(raw.objects.parents < 0).tolist():
@@ -148,7 +148,7 @@ def _are_buildings(raw: RawCity) -> Flags:
 
 
 def _wrong_ends(z: Floats, group: NDArray[np.integer], is_off: Flags) -> Flags:
-    """Tells which heights are the wrong end of a building, a group, that is taller than any.
+    """Returns which heights are the wrong end of a building, a group, that is taller than any.
 
     Without another one to compare with it is the lower end: the ground is more often lost than the roof.
     """

@@ -237,10 +237,10 @@ def store_city(
 def open_scene_folder(
     folder: Path, lod: str | None, options: ReadOptions, roof_height: str | None
 ) -> OpenCity:
-    """Returns a scene that was converted: what was asked for then stays.
+    """Returns a scene that was converted: what was requested then stays.
 
     Raises:
-        CityModelError: It is damaged, of another level of detail or reference system than asked for, made
+        CityModelError: It is damaged, of another level of detail or reference system than requested, made
             with other options, or was written when Mercator of the whole world was taken as metres.
     """
     city, made = _load_told(folder)
@@ -264,13 +264,13 @@ def open_scene_folder(
     return city
 
 
-def _require_made_so(folder: Path, made: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
-    """Makes sure that a scene was made with all that is asked for now (``made_with``).
+def _require_made_so(folder: Path, made: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """Makes sure that a scene was made with all that is requested now (``made_with``).
 
     Raises:
         CityModelError: It was not, and is what it is.
     """
-    for name, value in asked.items():
+    for name, value in wanted.items():
         # A level that was there needed no rule.
         if value != made.get(name, value if name == "roof_height" else None):
             how = f"with {name}={_text(made[name])}" if name in made else f"without {name}"

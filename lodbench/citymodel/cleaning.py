@@ -84,7 +84,7 @@ def _move_up(points: NDArray[np.float64], is_kept: NDArray[np.bool_]) -> NDArray
 
 
 def _lost_polygons(raw: RawCity, is_short: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tells which polygons have no outline left."""
+    """Returns which polygons have no outline left."""
     is_lost: NDArray[np.bool_] = np.diff(raw.polygon_starts) == 0
     has_rings = np.flatnonzero(~is_lost)
     is_lost[has_rings] = is_short[raw.polygon_starts[has_rings]]
@@ -189,7 +189,7 @@ def frame_origin(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def far_from_most(points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tells which points, (P, 3), lie more than 500 km from the middle of all: a zero that was no place."""
+    """Returns which points, (P, 3), lie more than 500 km from the middle of all: a zero that was no place."""
     plane = points[:, :2]
     if max(np.ptp(plane[:, 0]), np.ptp(plane[:, 1])) <= _FAR_M:  # along rows it takes 20 times as long
         return np.zeros(len(points), np.bool_)
@@ -283,7 +283,7 @@ _SHIFT = np.uint64(31)
 
 
 def _changes(columns: list[NDArray[np.uint64]], order: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tells where a row differs from the one before it in the given order."""
+    """Returns where a row differs from the one before it in the given order."""
     is_new = np.zeros(len(order), np.bool_)
     is_new[:1] = True
     for column in columns:

@@ -3,7 +3,7 @@
 LB1xx rings and polygons, LB2xx the structure of a file, LB3xx coordinate reference systems and
 heights, LB4xx buildings and levels of detail, LB6xx solids, LB7xx surface models (LB5xx are of
 datasets). A code never changes its meaning and is never reused; new kinds get the next free number. An
-ERROR lost data, a WARNING changed it or doubts it, INFO tells what was decided.
+ERROR lost data, a WARNING changed it or doubts it, INFO states what was decided.
 """
 
 from __future__ import annotations

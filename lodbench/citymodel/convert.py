@@ -185,7 +185,7 @@ class Conversion:
 
 
 def keeps_details(target: Path) -> bool:
-    """Tells whether a format has room for attributes and solids, so that they are worth reading."""
+    """Returns whether a format has room for attributes and solids, so that they are worth reading."""
     return target.suffix.lower() in (*_CITYJSON_WRITERS, *_CITYGML_SUFFIXES)
 
 
@@ -202,7 +202,7 @@ def convert_city(
 
     ``.obj``, ``.ply``, ``.glb`` and ``.scene`` hold one level of detail, in the local frame; origin and
     reference system are written beside it. ``.json`` is CityJSON 2.0, ``.jsonl`` CityJSONSeq and ``.gml``
-    CityGML, with all levels or the one asked for, in the model's reference system, to the millimetre: parts,
+    CityGML, with all levels or the one requested, in the model's reference system, to the millimetre: parts,
     attributes and solids too, where the model was read with ``ReadOptions(has_details=True)``.
 
     Args:
@@ -272,7 +272,7 @@ def _unwritable(target: Path, error: OSError) -> CityModelError:
 
 
 def has_room_for_pictures(target: Path) -> bool:
-    """Tells whether a format can say which picture lies on a surface."""
+    """Returns whether a format can say which picture lies on a surface."""
     return keeps_details(target) or target.suffix.lower() in _TEXTURED_SUFFIXES
 
 

@@ -200,13 +200,13 @@ def _plane_of(label: str) -> tuple[str, str]:
 
 
 def is_in_degrees(name: str | None) -> bool:
-    """Tells whether a name is known to stand for coordinates in degrees."""
+    """Returns whether a name is known to stand for coordinates in degrees."""
     known = None if name is None else resolve_crs(name)
     return known is not None and bool(known.horizontal.is_geographic)
 
 
 def is_geocentric(name: str) -> bool:
-    """Tells whether a name stands for coordinates from the middle of the Earth (EPSG:4978)."""
+    """Returns whether a name stands for coordinates from the middle of the Earth (EPSG:4978)."""
     from pyproj import CRS
     from pyproj.exceptions import CRSError
 
@@ -217,7 +217,7 @@ def is_geocentric(name: str) -> bool:
 
 
 def require_crs(name: str) -> KnownCrs:
-    """Returns the reference system a user asked for.
+    """Returns the reference system a user requested.
 
     Raises:
         CityModelError: Nobody knows the name, or it is no horizontal reference system.
@@ -312,7 +312,7 @@ def _plane_zones(first_code: int) -> tuple[_PlaneZone, ...]:
 
 
 def is_same_plane(first: str, second: str) -> bool:
-    """Tells whether two reference systems have the same horizontal part.
+    """Returns whether two reference systems have the same horizontal part.
 
     Raises:
         CityModelError: One of them is unknown.

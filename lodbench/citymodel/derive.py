@@ -48,7 +48,7 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
     one height, taken over the area of its roofs: ``max`` the highest point, ``median`` and ``p70`` the
     height that half and 70 % of the roof area stay below, ``eave`` the lowest point of the roofs.
     A building of which there is no more than a footprint or the edge of its roof (LoD0) is a block of the
-    height that its source tells, whatever the rule.
+    height that its source states, whatever the rule.
 
     Returns:
         Polygons whose ``lod`` is 0: the only level of a model with ``lods=("1",)``.
@@ -154,7 +154,7 @@ def _block_of(
 def _are_roofs(
     polygons: Polygons, block: NDArray[np.int64], slope: NDArray[np.float64], count: int
 ) -> NDArray[np.bool_]:
-    """Tells which polygons are roofs: by their kind, and in blocks without such those that look up."""
+    """Returns which polygons are roofs: by their kind, and in blocks without such those that look up."""
     is_roof = polygons.kind == SurfaceKind.ROOF
     has_roof = np.bincount(block[is_roof], minlength=count) > 0
     result: NDArray[np.bool_] = is_roof | (~has_roof[block] & (slope > _MIN_SLOPE))

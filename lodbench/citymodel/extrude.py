@@ -163,7 +163,7 @@ FLAT = "0"  # what names of levels without walls begin with
 
 
 def is_flat(model: CityModel) -> NDArray[np.bool_]:
-    """Tells which buildings have a known height, and outlines at level 0 alone; (B,)."""
+    """Returns which buildings have a known height, and outlines at level 0 alone; (B,)."""
     if model.measured_m is None:
         return np.zeros(len(model.building_ids), np.bool_)
     polygons = model.polygons
@@ -241,27 +241,27 @@ _SLANTED_SHARE = 0.05
 
 
 def pitched_blocks(scene: Scene) -> NDArray[np.bool_]:
-    """Returns (B,) which buildings of a scene are blocks, where the source tells of pitched roofs.
+    """Returns (B,) which buildings of a scene are blocks, where the source states pitched roofs.
 
     Roofs are the faces above half a building's height that are no walls: floors may follow the ground.
     """
     if scene.pitched is None:
         return np.zeros(scene.num_buildings, np.bool_)
-    told = np.flatnonzero(scene.pitched & (np.diff(scene.triangle_starts) > 0))
-    faces, _ = take_segments(scene.triangle_starts, told)
-    owner = np.repeat(np.arange(len(told)), np.diff(scene.triangle_starts)[told])
+    stated = np.flatnonzero(scene.pitched & (np.diff(scene.triangle_starts) > 0))
+    faces, _ = take_segments(scene.triangle_starts, stated)
+    owner = np.repeat(np.arange(len(stated)), np.diff(scene.triangle_starts)[stated])
     corners = scene.vertices[scene.triangles[faces]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas, rises = np.linalg.norm(normals, axis=1), np.abs(normals[:, 2])
     lowest, highest = corners[..., 2].min(axis=1), corners[..., 2].max(axis=1)
-    low, high = np.full(len(told), np.inf), np.full(len(told), -np.inf)
+    low, high = np.full(len(stated), np.inf), np.full(len(stated), -np.inf)
     np.minimum.at(low, owner, lowest)
     np.maximum.at(high, owner, highest)
     is_roof = (rises > _LEAST_RISE * areas) & (lowest + highest > (low + high)[owner])
     covered, slanted = (
-        np.bincount(owner, weights=areas * chosen, minlength=len(told))
+        np.bincount(owner, weights=areas * chosen, minlength=len(stated))
         for chosen in (is_roof, is_roof & (rises < _LEVEL * areas))
     )
     blocks = np.zeros(scene.num_buildings, np.bool_)
-    blocks[told] = slanted <= _SLANTED_SHARE * covered
+    blocks[stated] = slanted <= _SLANTED_SHARE * covered
     return blocks

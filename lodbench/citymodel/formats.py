@@ -2,7 +2,7 @@
 
 A format is an entry point of the group ``lodbench.city_readers``, lodbench's own and those of other packages
 alike: an object with ``label``, ``suffixes``, ``identify`` and ``read``. A function of a source and options
-alone reads what a profile or ``reader`` names it for, and is asked for nothing else.
+alone reads what a profile or ``reader`` names it for, and is requested nothing else.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def suffixes_of(*, needs_path: bool) -> tuple[str, ...]:
 def identify(head: bytes, suffix: str) -> CityFormat | None:
     """Returns the format of a file, None for none.
 
-    Formats with the file's ending are asked first, then all others, for endings may be wrong.
+    Formats with the file's ending are tried first, then all others, for endings may be wrong.
 
     Args:
         head: Its first bytes.

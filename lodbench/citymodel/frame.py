@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 # Points moved or projected at a time: pyproj copies what it is given.
 _CHUNK_POINTS = 1 << 16
-# Where a city lies is judged by the median of at most twice so many points, evenly spread over the file.
+# Where a city lies is decided by the median of at most twice so many points, evenly spread over the file.
 _SAMPLE_POINTS = 1 << 15
 # Nobody's city is wider, whatever the outermost points are, in percent.
 _WIDEST_DEG, _WITHOUT_STRAYS = 60.0, (1.0, 99.0)
@@ -61,7 +61,7 @@ def to_metres(
         override: What the user says instead, or None.
         findings: Receives every decision that the declaration alone does not settle.
         axis_order: What is known of the order of the columns.
-        tells_north_first: Asked, with the least number of buildings, where both orders are plausible, whether
+        tells_north_first: Called with the least number of buildings, where both orders are plausible, whether
             northings stand first; None for no answer.
 
     Returns:
@@ -246,7 +246,7 @@ def _project(points: NDArray[np.float64], known: KnownCrs, order: Order, finding
 
 
 def brought_note(label: str, target: str) -> str:
-    """Returns what is told of a city that is brought from one reference system to another: heights stay.
+    """Returns what is stated of a city that is brought from one reference system to another: heights stay.
 
     Example:
         >>> brought_note("EPSG:25832+7837", "EPSG:25833+5783")

@@ -1,4 +1,4 @@
-"""JSON in city models: one document, or one to a line; strict, and with keys that stand twice told."""
+"""JSON in city models: one document, or one to a line; strict, and with keys that stand twice reported."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def list_or_empty(value: Any) -> list[Any]:
 
 
 def fitting(key: str, value: Any) -> Any:
-    """Returns an attribute of the type that CityJSON asks for, where it asks for one and it can be."""
+    """Returns an attribute of the type that CityJSON requires, where it asks for one and it can be."""
     if key in ONE_TEXT:
         return ", ".join(map(str, listed(value)))
     if key.startswith("storeyHeights") and isinstance(value, int | float):

@@ -104,7 +104,7 @@ def common_period(periods: Iterable[Period | None]) -> Period | None:
 
 
 def holds_on(period: Period | None, day: str | None) -> bool:
-    """Tells whether what stands in a period stands on a day, None for today."""
+    """Returns whether what stands in a period stands on a day, None for today."""
     return period is None or period[0] <= (day or today()) < period[1]
 
 

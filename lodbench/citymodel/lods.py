@@ -81,7 +81,7 @@ def _units(
 
 
 def _own_level(model: CityModel, name: str, is_other: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tells which polygons are of objects that lack a level, at the level that stands in for it."""
+    """Returns which polygons are of objects that lack a level, at the level that stands in for it."""
     polygons = model.polygons
     order = {other: rank for rank, other in enumerate(sorted(model.lods))}
     ranks = np.array([order[other] for other in model.lods], np.int64)
@@ -116,9 +116,9 @@ def choose_lod(
 
     Args:
         present: Level names of the file.
-        wanted: The level asked for, or None.
-        findings: Receives ``LOD_SUBSTITUTED`` where the name taken is not the name asked for.
-        has_heights: Whether the source tells heights of buildings.
+        wanted: The level requested, or None.
+        findings: Receives ``LOD_SUBSTITUTED`` where the name taken is not the name requested.
+        has_heights: Whether the source states heights of buildings.
 
     Raises:
         CityModelError: The level is absent; the message names those that are there.
@@ -150,7 +150,7 @@ def choose_lod(
 
 
 def has_lod(present: Sequence[str], wanted: str) -> bool:
-    """Tells whether ``choose_lod`` would find a level.
+    """Returns whether ``choose_lod`` would find a level.
 
     Example:
         >>> has_lod(["0", "2.2"], "2"), has_lod(["0", "2.2"], "1")

@@ -66,7 +66,7 @@ def mesh_model(
         model: The city as read.
         lod: Level name, ``finest`` or ``coarsest`` for each building's own (see ``polygons_at``), or None
             for the lowest that has walls.
-        roof_height: Rule by which level 1 is derived where it is asked for and absent; None makes
+        roof_height: Rule by which level 1 is derived where it is requested and absent; None makes
             that an error.
         stands_in: Whether objects that are no buildings and lack the level come with one of theirs.
 

@@ -45,7 +45,7 @@ class Polygons:
         lod: (N,) int16 index into ``CityModel.lods``.
         kind: (N,) uint8 ``SurfaceKind``.
         part: (N,) int32 index into ``CityModel.objects``; None where buildings are all there is.
-        picture: (N,) int32 index into ``CityModel.pictures``, -1 for none; None where none were asked for.
+        picture: (N,) int32 index into ``CityModel.pictures``, -1 for none; None where none were requested.
         uv: (P, 2) float64 place of each point on its polygon's picture, (0, 0) the lower left corner; NaN
             where there is none. With ``picture``.
     """
@@ -88,10 +88,10 @@ class CityModel:
         polygon_ids: The source's id of each polygon, or ""; likewise, else empty.
         has_textures: Whether the source has pictures or materials of its surfaces.
         pictures: Those; only with ``ReadOptions(has_textures=True)``.
-        has_interiors: Whether rooms and furniture are asked for.
-        pitched: (B,) which buildings have pitched roofs, as the source tells; None where it tells of none.
-        measured_m: (B,) heights of buildings above the ground, as the source tells, NaN where it does not;
-            None where it tells of none.
+        has_interiors: Whether rooms and furniture are requested.
+        pitched: (B,) which buildings have pitched roofs, as the source states; None where it states none.
+        measured_m: (B,) heights of buildings above the ground, as the source states, NaN where it does not;
+            None where it states none.
         period: First day, and the day after the last, between which the same buildings stand; None where no
             building has an end.
     """
@@ -131,7 +131,7 @@ class CityModel:
         return tuple(types.get(n, "Building") for n in range(len(self.building_ids)))
 
     def is_building(self) -> NDArray[np.bool_]:
-        """Tells which of ``building_ids`` are buildings, and no objects of another layer."""
+        """Returns which of ``building_ids`` are buildings, and no objects of another layer."""
         return np.array(["Building" in name for name in self.types()], np.bool_)
 
 
@@ -148,7 +148,7 @@ class CityObjects:
         types: O names as CityJSON has them: ``Building``, ``BuildingPart``, ``BuildingInstallation``, ...
         parents: (O,) int32 index of the object each is part of, -1 for buildings.
         building: (O,) int32 index of the building each belongs to.
-        attributes: O mappings, or none at all where details were not asked for.
+        attributes: O mappings, or none at all where details were not requested.
     """
 
     ids: tuple[str, ...]
@@ -236,7 +236,7 @@ class ObjectTable:
 
     @property
     def is_plain(self) -> bool:
-        """Whether there are buildings only, of which nothing but their ids is told."""
+        """Whether there are buildings only, of which nothing but their ids is reported."""
         return not self.has_details and self.types.count("Building") == len(self.types)
 
     def heights(self, count: int) -> NDArray[np.float64] | None:

@@ -51,7 +51,7 @@ class ReadOptions:
         has_textures: Whether pictures of surfaces are kept too, as ``city convert --textures`` writes them;
             with ``has_details``.
         layers: What to read besides buildings: ``bridges``, ``vegetation`` and so on, see ``LAYERS``.
-        date: Day on which objects must stand that tell of their end, ``YYYY-MM-DD``; None for today.
+        date: Day on which objects must stand whose end is stated, ``YYYY-MM-DD``; None for today.
     """
 
     reader: str | None = None
@@ -129,7 +129,7 @@ PATH_OPTIONS = ("terrain", "surface", "orthophoto")
 _SHAPING = {field.name for field in fields(ReadOptions)} - {"crs", "is_strict", "has_details", "has_textures"}
 
 
-def told_options(options: ReadOptions) -> dict[str, Any]:
+def changed_options(options: ReadOptions) -> dict[str, Any]:
     """Returns the options that are not their defaults, as ``ReadOptions.from_mapping`` takes them back."""
     default = asdict(ReadOptions())
     return {name: value for name, value in asdict(options).items() if value != default[name]}
@@ -140,14 +140,16 @@ def made_with(options: ReadOptions, roof_height: str | None) -> dict[str, Any]:
 
     The reference system is the scene's own; of other files (``PATH_OPTIONS``) their names must do.
     """
-    told: dict[str, Any] = {name: value for name, value in told_options(options).items() if name in _SHAPING}
-    told = {name: list(value) if isinstance(value, tuple) else value for name, value in told.items()}
-    told |= {name: Path(told[name]).name for name in PATH_OPTIONS if name in told}
-    return told if roof_height is None else told | {"roof_height": roof_height}
+    stated: dict[str, Any] = {
+        name: value for name, value in changed_options(options).items() if name in _SHAPING
+    }
+    stated = {name: list(value) if isinstance(value, tuple) else value for name, value in stated.items()}
+    stated |= {name: Path(stated[name]).name for name in PATH_OPTIONS if name in stated}
+    return stated if roof_height is None else stated | {"roof_height": roof_height}
 
 
 def _fitting(name: str, value: Any, hint: Any) -> Any:
-    """Returns a value as the type its option has: whole numbers become what is asked for.
+    """Returns a value as the type its option has: whole numbers become what is requested.
 
     Raises:
         ConfigError: It has another type, is not finite, or is none of the known words.

@@ -276,7 +276,7 @@ def _look_at(content: bytes, name: str, look: Callable[[Any], T]) -> T:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        # Its own limit is told in other words, and far lower.
+        # Its own limit is reported in other words, and far lower.
         with warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning):
             with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
                 return look(image)

@@ -150,7 +150,7 @@ def _lost_pictures(
 
 
 def _is_turned(polygons: Polygons, stand_in: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tells which polygons look the other way than the one of the same corners that is kept for them."""
+    """Returns which polygons look the other way than the one of the same corners that is kept for them."""
     is_turned = np.zeros(len(polygons), np.bool_)
     dropped = np.flatnonzero(stand_in != np.arange(len(polygons)))
     if len(dropped):
@@ -250,7 +250,7 @@ def _bring_to_metres(
 def _told_by_faces(
     raw: RawCity, polygons: Polygons, is_chosen: NDArray[np.bool_] | None, least_buildings: int
 ) -> bool | None:
-    """Tells whether northings stand first in polygons of a reference system; meshes have x to the east."""
+    """Returns whether northings stand first in polygons of a reference system; meshes have x to the east."""
     if raw.lods == ("",):
         return None
     chosen = polygons if is_chosen is None else select_polygons(polygons, np.flatnonzero(is_chosen))

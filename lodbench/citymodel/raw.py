@@ -48,7 +48,7 @@ class RawCity:
         lod: (N,) int16.
         kind: (N,) uint8 ``SurfaceKind``.
         srs: (N,) int16 index into ``srs_names``.
-        has_closing_points: Rings end with their first point again, as GML asks; (R,) where the tiles of
+        has_closing_points: Rings end with their first point again, as GML requires; (R,) where the tiles of
             a city differ.
         findings: What was met while reading.
         axis_orders: For each of ``srs_names``, which of the first two columns is the easting, where the
@@ -196,18 +196,20 @@ def _merge_objects(
     part = _counted_on(parts, firsts)
     if all(city.solids is None for city in cities):
         return part, objects, None, ()
-    told = [
+    stated = [
         (city.solids, n, f)
         for city, n, f in zip(cities, polygons, firsts, strict=True)
         if city.solids is not None
     ]
     solids = Solids(
-        np.concatenate([s.part + f for s, _, f in told]).astype(np.int32),
-        starts_of(np.concatenate([np.diff(s.shell_starts) for s, _, _ in told])),
-        starts_of(np.concatenate([np.diff(s.face_starts) for s, _, _ in told])),
-        np.concatenate([np.where(s.faces < 0, -1, s.faces + n) for s, n, _ in told]),
-        np.concatenate([s.is_flipped for s, _, _ in told]),
-        np.concatenate([np.where(s.composite < 0, -1, s.composite + n) for s, n, _ in told]).astype(np.int32),
+        np.concatenate([s.part + f for s, _, f in stated]).astype(np.int32),
+        starts_of(np.concatenate([np.diff(s.shell_starts) for s, _, _ in stated])),
+        starts_of(np.concatenate([np.diff(s.face_starts) for s, _, _ in stated])),
+        np.concatenate([np.where(s.faces < 0, -1, s.faces + n) for s, n, _ in stated]),
+        np.concatenate([s.is_flipped for s, _, _ in stated]),
+        np.concatenate([np.where(s.composite < 0, -1, s.composite + n) for s, n, _ in stated]).astype(
+            np.int32
+        ),
     )
     ids = (city.polygon_ids or ("",) * len(city.building) for city in cities)
     return part, objects, solids, tuple(chain.from_iterable(ids))

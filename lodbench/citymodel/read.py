@@ -105,7 +105,7 @@ def parse_city_model(data: bytes, name: str = "city", options: ReadOptions | Non
 
 
 def _read_tiles(name: str, sources: tuple[Source, ...], options: ReadOptions) -> RawCity:
-    """Returns the tiles of a folder or archive as one city; files without a building are told of."""
+    """Returns the tiles of a folder or archive as one city; files without a building are stated of."""
     tiles: list[RawCity] = []
     skipped = Findings()
     for source in sources:
@@ -155,7 +155,7 @@ def city_info(model: CityModel) -> dict[str, Any]:
     Returns:
         ``format, version, crs, center_lat_lon`` (degrees, or None without a reference system),
         ``buildings, parts, objects`` (of opted-in layers, type to count), ``pitched_roofs`` (buildings that
-        the source tells to have one), ``extent_m`` (x, y, z lengths), ``lods``: level name to
+        the source states to have one), ``extent_m`` (x, y, z lengths), ``lods``: level name to
         ``polygons`` (as in the file), ``triangles``, ``area_m2`` (of the polygons), ``meshed_m2`` and
         ``lost_m2``; and ``findings``: code and name to count, meshing included; ``finding_objects``: to
         how many buildings they were met in.

@@ -1,4 +1,4 @@
-"""Pitched roofs, by the words and codes under which sources tell of roofs."""
+"""Pitched roofs, by the words and codes under which sources describe roofs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _LEVEL_WORDS = ("flat", "unpitched", "not pitched")
 
 
 def is_pitched(roof_type: str) -> bool:
-    """Tells whether a word or code says that a roof is pitched; of unknown ones nothing is known.
+    """Returns whether a word or code says that a roof is pitched; of unknown ones nothing is known.
 
     Example:
         >>> is_pitched("3100"), is_pitched("SATTELDACH"), is_pitched("multiple horizontal")
@@ -43,7 +43,7 @@ def is_pitched(roof_type: str) -> bool:
 
 
 def roof_type_of(attributes: Mapping[str, Any]) -> str:
-    """Returns the word or code under which an object's attributes tell of its roof, or ""."""
+    """Returns the word or code under which an object's attributes describe its roof, or ""."""
     return next(filter(None, (word_of(attributes.get(name)) for name in ATTRIBUTES)), "")
 
 
@@ -54,17 +54,17 @@ def word_of(value: object) -> str:
     return str(value).strip() if isinstance(value, str | int) and not isinstance(value, bool) else ""
 
 
-def pitched_buildings(told: Iterable[tuple[int, str]], count: int) -> NDArray[np.bool_] | None:
-    """Returns (B,) which buildings have pitched roofs: at least half of what is told of them says so.
+def pitched_buildings(stated: Iterable[tuple[int, str]], count: int) -> NDArray[np.bool_] | None:
+    """Returns (B,) which buildings have pitched roofs: at least half of what is stated of them says so.
 
     None where no building has.
 
     Args:
-        told: Buildings and words or codes; of those with parts, of each.
+        stated: Buildings and words or codes; of those with parts, of each.
         count: Number of buildings, B.
     """
     balance, is_any = np.zeros(count, np.int64), np.zeros(count, np.bool_)
-    for building, roof_type in told:
+    for building, roof_type in stated:
         has_pitch = is_pitched(roof_type)
         balance[building] += 1 if has_pitch else -1
         is_any[building] |= has_pitch

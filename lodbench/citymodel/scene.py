@@ -35,8 +35,8 @@ class Scene:
         lod: The level of detail meshed, or "" where the source has none.
         crs: CRS of ``vertices + origin``, or None for a local frame.
         origin: (3,) float64.
-        pitched: (B,) which buildings have pitched roofs, as the source tells, whatever shape they are drawn
-            with; None where it tells of none.
+        pitched: (B,) which buildings have pitched roofs, as the source states, whatever shape they are drawn
+            with; None where it states none.
         stored_digest: ``digest`` as the folder says from which the arrays are mapped; "" in memory.
     """
 

@@ -69,7 +69,7 @@ def scene_folder(
 
     Args:
         folder: As for ``write_scene``.
-        about: What is told of the scene: ``building_ids``, ``pitched``, ``lod``, ``crs``, ``origin`` and
+        about: What is stated of the scene: ``building_ids``, ``pitched``, ``lod``, ``crs``, ``origin`` and
             ``extra``.
         write: Writes the arrays into a folder, and returns their digests by name.
         survives_power_cut: As for ``write_bytes``.
@@ -86,12 +86,12 @@ def scene_folder(
 
 
 def is_scene(path: Path) -> bool:
-    """Tells whether a path is a folder that ``write_scene`` wrote."""
+    """Returns whether a path is a folder that ``write_scene`` wrote."""
     return (path / _META).is_file()
 
 
 def _is_ours(folder: Path) -> bool:
-    """Tells whether a folder holds nothing but parts of a scene, so that it may be replaced."""
+    """Returns whether a folder holds nothing but parts of a scene, so that it may be replaced."""
     known = {_META, *(f"{name}.npy" for name in (*_ARRAYS, *_FORMER_ARRAYS))}
     return folder.is_dir() and {path.name for path in folder.iterdir()} <= known
 
@@ -127,10 +127,10 @@ def read_scene(folder: Path) -> tuple[Scene, dict[str, Any]]:
 
 
 def read_about(folder: Path) -> dict[str, Any]:
-    """Returns what is told of a scene, without a look at its arrays: ids, level, system, origin, extra.
+    """Returns what is stated of a scene, without a look at its arrays: ids, level, system, origin, extra.
 
     Raises:
-        CityModelError: The folder holds no scene, one of another version, or what is told is damaged.
+        CityModelError: The folder holds no scene, one of another version, or what is reported is damaged.
     """
     try:
         text = (folder / _META).read_text(encoding="utf-8")
@@ -147,7 +147,7 @@ def read_about(folder: Path) -> dict[str, Any]:
 
 
 def scene_info(folder: Path) -> dict[str, Any]:
-    """Returns what is told of a scene, without a look at its arrays: cheap, however large the city.
+    """Returns what is stated of a scene, without a look at its arrays: cheap, however large the city.
 
     Returns:
         ``format, crs, lod, buildings, pitched_roofs, triangles, tiles, extent_m, area_m2, lost_m2, findings,
@@ -172,17 +172,17 @@ def scene_info(folder: Path) -> dict[str, Any]:
     }
 
 
-def _pitched(told: list[int], count: int) -> NDArray[np.bool_] | None:
+def _pitched(stated: list[int], count: int) -> NDArray[np.bool_] | None:
     """Returns (count,) which buildings have pitched roofs, given their numbers; None where none has.
 
     Raises:
         ValueError: One is no building's number.
     """
-    if not all(type(number) is int and 0 <= number < count for number in told):
+    if not all(type(number) is int and 0 <= number < count for number in stated):
         raise ValueError("a pitched roof has no building")
     pitched = np.zeros(count, np.bool_)
-    pitched[np.asarray(told, np.int64)] = True
-    return pitched if told else None
+    pitched[np.asarray(stated, np.int64)] = True
+    return pitched if stated else None
 
 
 def _check(scene: Scene) -> None:

@@ -38,7 +38,7 @@ class _StreamOver(io.RawIOBase):
         self._stream = stream
 
     def readable(self) -> bool:
-        """Tells that the stream can be read."""
+        """Returns that the stream can be read."""
         return True
 
     def close(self) -> None:
@@ -284,7 +284,7 @@ def _sources_among(file: Path, layers: Sequence[str]) -> tuple[Source, ...]:
 
 
 def _refused(name: str, path: Path, fault: NotACity, stamp: tuple[int, ...] = ()) -> Source:
-    """Returns what is passed over among tiles, and told."""
+    """Returns what is passed over among tiles, and reported."""
 
     def refuse() -> BinaryIO:
         raise fault
@@ -322,7 +322,7 @@ def own_geojson(source: Source) -> str | None:
 
 
 def is_own_geopackage(path: Path) -> bool:
-    """Tells whether a file is a GeoPackage of poses that lodbench wrote."""
+    """Returns whether a file is a GeoPackage of poses that lodbench wrote."""
     if path.suffix.lower() != ".gpkg":
         return False
     try:

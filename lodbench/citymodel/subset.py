@@ -66,7 +66,7 @@ def choose_buildings(
     """Returns a city with the buildings that fulfil all conditions.
 
     Args:
-        model: The city; read with ``ReadOptions(has_details=True)`` where attributes are asked for.
+        model: The city; read with ``ReadOptions(has_details=True)`` where attributes are requested.
         ids: Ids to keep, all where empty.
         bbox: West, south, east, north in the model's reference system: buildings whose middle lies inside.
         where: Attributes and their values as text; the building or one of its parts has them.

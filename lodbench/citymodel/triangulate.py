@@ -127,13 +127,13 @@ def _with_knots(
     normals: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Returns the areas with those of outlines among the flat ones whose parts cancel each other out."""
-    told = areas.copy()
+    stated = areas.copy()
     is_asked = is_flat & (np.linalg.norm(normals, axis=1) < 2 * _MIN_AREA_M2)
     for n in np.flatnonzero(is_asked).tolist():
         ring = polygons.polygon_starts[n]
         outline = polygons.points[polygons.ring_starts[ring] : polygons.ring_starts[ring + 1]]
-        told[n] = max(told[n], enclosed_area(outline))
-    return told
+        stated[n] = max(stated[n], enclosed_area(outline))
+    return stated
 
 
 def _sum_by(owner: NDArray[np.int64], weights: NDArray[np.float64], size: int) -> NDArray[np.float64]:

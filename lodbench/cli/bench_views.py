@@ -16,7 +16,7 @@ from lodbench.geometry.camera_sigmas import CALIBRATED
 from lodbench.methods import Method
 from lodbench.methods.registry import make_method
 from lodbench.synthesis.photo import look_ranges
-from lodbench.synthesis.views_dataset import AREAS, CAMERA_SOURCES, ViewsParams, World
+from lodbench.synthesis.views_dataset import AREAS, CAMERA_SOURCES, Perturbation, ViewsParams
 
 _WORLD = (
     "how the views differ from the map and the stated camera: shared_roofs and hidden_feet in metres, focal "
@@ -66,14 +66,14 @@ def add_drawing(parser: argparse.ArgumentParser, num_views: int) -> None:
     add("--world", default="", metavar="NAME=VALUE,...", help=_WORLD)
 
 
-def _world(text: str) -> World:
+def _world(text: str) -> Perturbation:
     """Returns the world of ``--world``.
 
     Raises:
         ConfigError: There is none, in the words that were typed.
     """
     try:
-        return World.parse(text)
+        return Perturbation.parse(text)
     except ConfigError as fault:
         message, hint = (words.marked.replace("world.", "") for words in (fault.message, fault.hint))
         raise ConfigError(f"--world {text}: {message}", hint) from fault

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from lodbench.datasets.exchange.posed import FoundPose, Place, read_json
+from lodbench.datasets.exchange.posed import FoundPose, LayoutGuard, read_json
 from lodbench.datasets.own import find_photo, shared_files
 from lodbench.datasets.pose_files import brought, read_pose_file
 from lodbench.errors import DatasetError, LodbenchError
@@ -129,7 +129,7 @@ def _by_name(images: Sequence[FoundPose], listed: Sequence[FoundPose]) -> dict[s
 
 
 def _stated_similarity(values: object, path: Path) -> Similarity:
-    with Place(str(path), "a similarity: scale, rotation, translation"):
+    with LayoutGuard(str(path), "a similarity: scale, rotation, translation"):
         if not isinstance(values, Mapping):
             raise ValueError("it is no object")
         scale, turn = float(values["scale"]), np.array(values["rotation"], dtype=np.float64)

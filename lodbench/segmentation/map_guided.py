@@ -178,7 +178,7 @@ class GuidedMask(NamedTuple):
         probability: (h, w) float32 of building, at the working size.
         second: The same of the next best place of the silhouette; None where there is no other.
         evidence: Nats per pixel that the photo's looks tell of the best silhouette's sides, each half of the
-            photo judged by the other: 0 or less where the silhouette has nothing to do with the photo.
+            photo measured by the other: 0 or less where the silhouette has nothing to do with the photo.
         ahead: By how much its fit is better than the second's, nats per pixel; 0 without one.
     """
 

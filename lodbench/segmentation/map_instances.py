@@ -1,4 +1,4 @@
-"""``segmenter=map_instances``: a network finds buildings, map and photo's edges tell them apart."""
+"""``segmenter=map_instances``: a network finds buildings, map and photo's edges separate them."""
 
 from __future__ import annotations
 

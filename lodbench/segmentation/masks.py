@@ -265,7 +265,7 @@ def photo_of(content: bytes, name: str) -> NDArray[np.uint8]:
 
 
 def _is_photo(image: NDArray[Any]) -> bool:
-    """Tells whether pixels can be brought to 8 bits; radiometric thermal photos have 32, floating-point."""
+    """Returns whether pixels can be brought to 8 bits; radiometric thermal photos have 32, floating-point."""
     has_alpha = image.ndim == 3 and image.shape[2] in (2, 4)
     return str(image.dtype) in ("uint8", "uint16") or (str(image.dtype) == "float32" and not has_alpha)
 

@@ -284,7 +284,7 @@ def _image_of(images: list[dict[str, Any]], path: Path, photo: str) -> dict[str,
 
 
 def _means(named: str, photo: str) -> bool:
-    """Tells whether a file names a photo: in whatever folder, format and case of letters."""
+    """Returns whether a file names a photo: in whatever folder, format and case of letters."""
     return PurePosixPath(_name_of(named)).stem.lower() == PurePosixPath(_name_of(photo)).stem.lower()
 
 
@@ -386,8 +386,8 @@ def _check_labels(known: Collection[str], used: Collection[str], path: Path) -> 
         )
     others = Counter(label for label in used if not _is_one_of(label))
     if others:
-        told = ", ".join(f"{label} ({count})" for label, count in sorted(others.items()))
-        _LOGGER.warning("%s: left out, for they are no buildings: %s.", path.name, told)
+        stated = ", ".join(f"{label} ({count})" for label, count in sorted(others.items()))
+        _LOGGER.warning("%s: left out, for they are no buildings: %s.", path.name, stated)
 
 
 def _check_size(path: Path, width: int, height: int, photo_width: int, photo_height: int) -> None:

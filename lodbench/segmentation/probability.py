@@ -117,8 +117,8 @@ class MemoryTiles:
 
 def is_out_of_memory(error: BaseException) -> bool:
     """Returns whether an error says that memory ran out, on whatever device, in whatever library."""
-    told = str(error).lower()
-    return isinstance(error, MemoryError) or any(words in told for words in _OUT_OF_MEMORY)
+    stated = str(error).lower()
+    return isinstance(error, MemoryError) or any(words in stated for words in _OUT_OF_MEMORY)
 
 
 def tiled(photo: Photo, parts: int, stride: int, run: Callable[[Photo], Floats]) -> Floats:

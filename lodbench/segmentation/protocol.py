@@ -85,7 +85,7 @@ class MapGuidedSegmenter(Protocol):
 
 @runtime_checkable
 class InstanceSegmenter(Protocol):
-    """A segmenter that tells buildings apart; it provides ``instances``."""
+    """A segmenter that separates buildings; it provides ``instances``."""
 
     name: str
 
@@ -100,7 +100,7 @@ class InstanceSegmenter(Protocol):
 
 @runtime_checkable
 class MapGuidedInstanceSegmenter(Protocol):
-    """A segmenter that tells buildings apart by the map too; it requires ``map``, provides ``instances``.
+    """A segmenter that separates buildings by the map too; it requires ``map``, provides ``instances``.
 
     Runs call this in place of ``segment_instances``.
     """
@@ -120,10 +120,10 @@ def notes_of(segmenter: object) -> tuple[str, ...]:
     """Returns what a reader of results must know about a segmenter; none where it says nothing."""
     notes = getattr(segmenter, "notes", None)
     with blaming("segmenters", str(getattr(segmenter, "name", "")), "tell its notes"):
-        told = tuple(of_kind(note, str) for note in notes()) if notes is not None else ()
+        stated = tuple(of_kind(note, str) for note in notes()) if notes is not None else ()
     if isinstance(segmenter, MapGuidedSegmenter):
-        told = (f"segmenter {segmenter.name}: guided by the map from the prior", *told)
-    return told
+        stated = (f"segmenter {segmenter.name}: guided by the map from the prior", *stated)
+    return stated
 
 
 def check_mask(mask: ArrayLike, camera: Camera) -> NDArray[np.float32]:

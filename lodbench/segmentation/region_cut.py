@@ -13,7 +13,7 @@ from lodbench.rendering import appearance_bins
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]
 
-# Halves of a chequerboard of this side, pixels, are judged by what the other half looks like.
+# Halves of a chequerboard of this side, pixels, are measured by what the other half looks like.
 _BLOCK_PX = 16
 # Of what a pixel looks like against the silhouette, and the largest that it may say: nats.
 _COLOUR_WEIGHT, _COLOUR_LIMIT = 0.5, 2.5
@@ -43,8 +43,8 @@ def cut(photo: NDArray[np.uint8], silhouette: Mask, looks: NDArray[np.floating] 
         silhouette: (H, W).
         looks: (H, W) nats by which each pixel looks like the inside, where more than this photo tells them.
     """
-    told = cross_fitted(photo, silhouette) if looks is None else looks
-    colours = np.clip(told, -_COLOUR_LIMIT, _COLOUR_LIMIT)
+    stated = cross_fitted(photo, silhouette) if looks is None else looks
+    colours = np.clip(stated, -_COLOUR_LIMIT, _COLOUR_LIMIT)
     reach_px = float(np.interp(exactness(photo, silhouette), _EXACTNESS, _SHAPE_PX))
     shape = np.clip(signed_distance(silhouette) / reach_px, -1.0, 1.0)
     against = -(_COLOUR_WEIGHT * colours + _SHAPE_NATS * shape)
@@ -72,12 +72,12 @@ def cross_fitted(photo: NDArray[np.uint8], silhouette: Mask) -> Floats:
 
 
 def held_out_evidence(photo: NDArray[np.uint8], silhouette: Mask) -> float:
-    """Returns nats per pixel that a photo's looks tell of a silhouette's sides, judged by other pixels."""
+    """Returns nats per pixel that a photo's looks tell of a silhouette's sides, measured by other pixels."""
     nats = cross_fitted(photo, silhouette).astype(np.float64)
     share = min(max(float(silhouette.mean()), 1e-6), 1.0 - 1e-6)
     inside, outside = np.log(share), np.log(1.0 - share)
-    told = np.where(silhouette, inside + nats, outside) - np.logaddexp(inside + nats, outside)
-    return float(told.mean() - share * inside - (1.0 - share) * outside)
+    stated = np.where(silhouette, inside + nats, outside) - np.logaddexp(inside + nats, outside)
+    return float(stated.mean() - share * inside - (1.0 - share) * outside)
 
 
 def exactness(photo: NDArray[np.uint8], silhouette: Mask) -> float:

@@ -47,10 +47,10 @@ def masks_digest(segmenter: Segmenter, entries: tuple[Entry, ...]) -> str:
     Raises:
         LodbenchError: It has no fingerprint.
     """
-    told = fingerprint_of(segmenter, entries)
-    is_whole = told != "" and type(segmenter).__module__.startswith("lodbench.")
+    stated = fingerprint_of(segmenter, entries)
+    is_whole = stated != "" and type(segmenter).__module__.startswith("lodbench.")
     settings = {} if is_whole else _settings(segmenter)
-    return digest_of([segmenter.name, settings, told]) if settings else told
+    return digest_of([segmenter.name, settings, stated]) if settings else stated
 
 
 def _settings(segmenter: Segmenter) -> dict[str, str]:
@@ -86,8 +86,8 @@ def chosen_segmenter(
         DatasetError: Masks are needed, and the splits have neither masks nor photos.
         ConfigError: A split is not one of the dataset.
     """
-    asked = select_splits(dataset, splits)
-    entries = [entry for entry in dataset.entries if entry.split in asked]
+    requested = select_splits(dataset, splits)
+    entries = [entry for entry in dataset.entries if entry.split in requested]
     total = len(entries)
     if Input.INSTANCES in wanted:
         labelled = sum(entry.instances is not None for entry in entries)

@@ -184,7 +184,7 @@ class Semantic(TorchSegmenter):
 
         require_own_safetensors(self._folder)
         logging.disable_progress_bar()
-        logging.set_verbosity_error()  # what is missing is told below
+        logging.set_verbosity_error()  # what is missing is reported below
         try:
             # A checkpoint that brings code is refused: otherwise whoever sits there is asked to let it run.
             with _offline():
@@ -221,13 +221,13 @@ def _offline() -> Iterator[None]:
 
 def _first_line(error: Exception) -> str:
     """Returns the first line of what an error says, or its kind where it says nothing."""
-    told = str(error)
+    stated = str(error)
     # Both name settings that nobody can reach from here.
-    if "ignore_mismatched_sizes" in told:
+    if "ignore_mismatched_sizes" in stated:
         return "its weights are of other shapes than its config.json says"
-    if "trust_remote_code" in told:
+    if "trust_remote_code" in stated:
         return "it holds code of its own, which is never run"
-    return (told.strip().splitlines() or [type(error).__name__])[0][:100]
+    return (stated.strip().splitlines() or [type(error).__name__])[0][:100]
 
 
 def _normalisation(folder: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:

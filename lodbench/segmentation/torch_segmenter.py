@@ -84,13 +84,13 @@ class TorchSegmenter(PhotoSegmenter):
     def _net(self) -> Any:
         import torch
 
-        device = self._device  # told before anything is built
+        device = self._device  # checked before anything is built
         torch.manual_seed(0)
         return self.build(self._init()).to(device).eval()
 
     def _init(self) -> str | None:
         """Returns the file that the network's weights are in, or None for random ones."""
-        # Told first: nobody shall take a random network for one that has learnt.
+        # Reported first: nobody shall take a random network for one that has learnt.
         is_random = self.weights_digest == RANDOM
         return None if is_random else str(weights_file(self.params.weights, self.name))
 

@@ -30,7 +30,7 @@ _STEPS_M = range(1, 100_000)
 Pair = tuple[float, float]
 
 
-class Place(NamedTuple):
+class SurveyArea(NamedTuple):
     """What a path is laid out over, in the frame of a scene."""
 
     bases: Floats  # (B, 3) middle of each building's base, local metres
@@ -38,16 +38,16 @@ class Place(NamedTuple):
     origin: Floats  # (3,) of the frame, coordinates of the city's CRS
 
 
-def _on_grid(params: GenerateParams, place: Place) -> Iterator[Pose]:
+def _on_grid(params: GenerateParams, area: SurveyArea) -> Iterator[Pose]:
     """Yields the poses of a grid over the buildings, its spacing half the height, as UAVD4L has it."""
-    low, high = place.bases[:, :2].min(axis=0), place.bases[:, :2].max(axis=0)
+    low, high = area.bases[:, :2].min(axis=0), area.bases[:, :2].max(axis=0)
     yaws = params.yaw if params.yaw is not None else range(0, 360, 45)
     spacings = [params.spacing_m or max(1.0, height // 2) for height in params.height]
     _require_laid_out(low, high, spacings, len(yaws) * len(params.pitch))
     for height, spacing in zip(params.height, spacings, strict=True):
         axes = [_steps(low[k], high[k], spacing) for k in (0, 1)]
         spots = np.stack([axis.ravel() for axis in np.meshgrid(*axes)], axis=1)
-        centers = np.column_stack([spots, place.ground.at(spots) + height])
+        centers = np.column_stack([spots, area.ground.at(spots) + height])
         for pitch, center, yaw in product(params.pitches_from_nadir(), centers, yaws):
             yield Pose.from_euler(EulerAngles(pitch, 0.0, float(yaw)), center)
 
@@ -85,11 +85,11 @@ def _steps(low: float, high: float, spacing: float) -> Floats:
     return np.linspace(low, high, number) if number > 1 else np.array([0.5 * (low + high)])
 
 
-def _at_random(params: GenerateParams, place: Place) -> Iterator[Pose]:
+def _at_random(params: GenerateParams, area: SurveyArea) -> Iterator[Pose]:
     """Yields poses that look at places near buildings, from any side."""
     for index in range(params.count):
         generator = random_stream(params.seed, "training", "camera", index)
-        yield _looking_at(target_near(place.bases, generator), params, generator)
+        yield _looking_at(target_near(area.bases, generator), params, generator)
 
 
 def _looking_at(target: Floats, params: GenerateParams, generator: np.random.Generator) -> Pose:
@@ -101,55 +101,55 @@ def _looking_at(target: Floats, params: GenerateParams, generator: np.random.Gen
     return view_of(target, height, EulerAngles(pitch, 0.0, float(generator.uniform(-180.0, 180.0))))
 
 
-def _anywhere(params: GenerateParams, place: Place) -> Iterator[Pose]:
+def _anywhere(params: GenerateParams, area: SurveyArea) -> Iterator[Pose]:
     """Yields poses that look at any place of the land, buildings or none: negatives with min_buildings=0."""
-    rows, columns = place.ground.heights_m.shape
-    size = np.array([columns - 1, rows - 1]) * place.ground.cell_m
+    rows, columns = area.ground.heights_m.shape
+    size = np.array([columns - 1, rows - 1]) * area.ground.cell_m
     for index in range(params.count):
         generator = random_stream(params.seed, "training", "anywhere", index)
-        spot = np.array([place.ground.west, place.ground.south]) + generator.uniform(0.0, size)
-        target = np.append(spot, place.ground.at(spot[None])[0])
+        spot = np.array([area.ground.west, area.ground.south]) + generator.uniform(0.0, size)
+        target = np.append(spot, area.ground.at(spot[None])[0])
         yield _looking_at(target, params, generator)
 
 
-def _around_priors(params: GenerateParams, place: Place) -> Iterator[Pose]:
+def _around_priors(params: GenerateParams, area: SurveyArea) -> Iterator[Pose]:
     """Yields draws around each given pose."""
     errors = UniformPrior(*params.prior_m, *params.prior_deg)
-    for number, pose in enumerate(_given(params, place)):
+    for number, pose in enumerate(_given(params, area)):
         for draw in range(params.count):
             yield errors.draw(pose, random_stream(params.seed, "training", "prior", number, draw))
 
 
-def _along_trajectory(params: GenerateParams, place: Place) -> Iterator[Pose]:
+def _along_trajectory(params: GenerateParams, area: SurveyArea) -> Iterator[Pose]:
     """Yields poses along the straight lines between given centres, looking ahead; half their height apart."""
     yaws = params.yaw if params.yaw is not None else (0.0,)
-    for start, end in pairwise(pose.center for pose in _given(params, place)):
+    for start, end in pairwise(pose.center for pose in _given(params, area)):
         way = end - start
         length = float(np.hypot(way[0], way[1]))
         if length == 0.0:
             continue
         ahead = math.degrees(math.atan2(-way[0], way[1]))
-        height_m = float(start[2] - place.ground.at(start[None])[0])
+        height_m = float(start[2] - area.ground.at(start[None])[0])
         spacing = params.spacing_m or max(1.0, height_m // 2)
         shares = np.arange(0.0, 1.0, min(1.0, spacing / length))
         for share, pitch, yaw in product(shares, params.pitches_from_nadir(), yaws):
             yield Pose.from_euler(EulerAngles(pitch, 0.0, ahead + yaw), start + share * way)
 
 
-def _given(params: GenerateParams, place: Place) -> list[Pose]:
+def _given(params: GenerateParams, area: SurveyArea) -> list[Pose]:
     """Returns the poses of ``params.poses``, in the scene's frame.
 
     Raises:
         DatasetError: The file cannot be read or is empty.
     """
-    given = [pose.shifted(-place.origin) for pose in read_poses(params.poses or "").values()]
+    given = [pose.shifted(-area.origin) for pose in read_poses(params.poses or "").values()]
     if not given:
         raise DatasetError(f"{params.poses} has no poses.", "Each line reads: name qw qx qy qz tx ty tz")
     return given
 
 
-# Each yields poses in the scene's frame, before any is judged.
-CAMERA_PATHS: dict[str, Callable[[GenerateParams, Place], Iterator[Pose]]] = {
+# Each yields poses in the scene's frame, before any is checked.
+CAMERA_PATHS: dict[str, Callable[[GenerateParams, SurveyArea], Iterator[Pose]]] = {
     "grid": _on_grid,
     "random": _at_random,
     "anywhere": _anywhere,

@@ -30,7 +30,7 @@ LABEL_CODE = ("synthesis/demo.py", "synthesis/instance_degradation.py", "synthes
 
 @dataclass(frozen=True, slots=True)
 class DemoParams:
-    """Settings of ``dataset=demo``, the town to test on; told in ``conf/dataset/demo.yaml``."""
+    """Settings of ``dataset=demo``, the town to test on; described in ``conf/dataset/demo.yaml``."""
 
     name: str = "demo"
     num_queries: int = 40
@@ -52,7 +52,7 @@ def open_demo(params: DemoParams) -> Dataset:
     """Returns the demo dataset; builds it first if the cache does not hold it yet.
 
     Raises:
-        DatasetError: Fewer than two queries are asked for, the look is unknown, or the cache holds
+        DatasetError: Fewer than two queries are requested, the look is unknown, or the cache holds
             something else.
     """
     root = demo_folder(params)

@@ -39,7 +39,7 @@ _MOST_TRIES = 200
 
 @dataclass(frozen=True, slots=True)
 class FlightsParams:
-    """Settings of ``dataset=flights``, told in its ``conf``; errors are half widths of uniform draws."""
+    """Settings of ``dataset=flights``; described in its ``conf``; errors are half widths of uniform draws."""
 
     city_model: str
     num_flights: int = 4
@@ -125,8 +125,10 @@ def open_flights(params: FlightsParams) -> Dataset:
     if params.look is None:
         left_out.add("photo_width")
     drawn = {key: value for key, value in asdict(params).items() if key not in left_out}
-    told = [] if world.pitched is None or not params.map_errors() else np.flatnonzero(world.pitched).tolist()
-    key = digest_of([FLIGHTS_VERSION, drawn, world.digest(), world.origin.tolist(), *told])
+    stated = (
+        [] if world.pitched is None or not params.map_errors() else np.flatnonzero(world.pitched).tolist()
+    )
+    key = digest_of([FLIGHTS_VERSION, drawn, world.digest(), world.origin.tolist(), *stated])
 
     def write(folder: Path) -> None:
         # A level that the file lacks is said before photos are drawn, not after.
@@ -149,18 +151,18 @@ def _draw(params: FlightsParams, world: Scene, folder: Path) -> None:
     """Writes all flights as one split of a folder."""
     renderer = make_renderer("silhouette", world, None)
     width, height = params.photo_width, round(params.photo_width * PHOTO_SIZE[1] / PHOTO_SIZE[0])
-    told = RGB_CAMERA if params.look is None else RGB_CAMERA.scaled(width, height)
+    stated = RGB_CAMERA if params.look is None else RGB_CAMERA.scaled(width, height)
     photographer = None if params.look is None else Photographer(world, params.look, params.flights_seed)
     queries, sequences = [], {}
     for flight in range(params.num_flights):
         name, taken = f"flight_{flight:02d}", draw_flight(params, world, renderer, flight)
         if photographer is not None:
-            taken = photographer.flight(taken, drone_errors(params, flight).camera(told), flight)
+            taken = photographer.flight(taken, drone_errors(params, flight).camera(stated), flight)
         if params.reconstruct:
-            reconstruct(taken, told, folder / SPLIT / RECONSTRUCTION_FOLDER / name)
+            reconstruct(taken, stated, folder / SPLIT / RECONSTRUCTION_FOLDER / name)
         queries += taken
         sequences.update({query.file_name: name for query in taken})
-    write_queries(folder / SPLIT, queries, told, world.origin)
+    write_queries(folder / SPLIT, queries, stated, world.origin)
     lines = [f"{name} {flight}" for name, flight in sequences.items()]
     write_text(folder / SPLIT / SEQUENCE_FILE, "\n".join(lines) + "\n", False)
 
@@ -188,12 +190,12 @@ class DroneErrors(NamedTuple):
     """What a flight's drone is wrong about in all photos."""
 
     sensors: NDArray[np.float64]  # (6,) by which priors are off, metres and degrees
-    focal: float  # the focal length over what is told of it
+    focal: float  # the focal length over what is stated of it
     distortion: float  # radial distortion k1
 
-    def camera(self, told: Camera) -> Camera:
-        """Returns the pinhole that photos are taken with, of the size of the one that is told."""
-        return replace(told, fx=told.fx * self.focal, fy=told.fy * self.focal)
+    def camera(self, stated: Camera) -> Camera:
+        """Returns the pinhole that photos are taken with, of the size of the one that is stated."""
+        return replace(stated, fx=stated.fx * self.focal, fy=stated.fy * self.focal)
 
 
 def drone_errors(params: FlightsParams, flight: int) -> DroneErrors:
@@ -310,8 +312,8 @@ def change_map(
     kept = [(ids[b], b, np.zeros(3)) for b in range(scene.num_buildings) if b not in missing]
     places = [(b, _free_place(boxes, b, generator)) for b in twice.tolist()]
     extra = [(f"{ids[b]}-extra", b, shift) for b, shift in places if shift is not None]
-    told = {"missing": sorted(ids[b] for b in missing), "extra": sorted(name for name, *_ in extra)}
-    return _assembled(scene, vertices, [*kept, *extra]), {"heights": heights, **told}
+    stated = {"missing": sorted(ids[b] for b in missing), "extra": sorted(name for name, *_ in extra)}
+    return _assembled(scene, vertices, [*kept, *extra]), {"heights": heights, **stated}
 
 
 def _raise(points: NDArray[np.float64], generator: np.random.Generator) -> float:

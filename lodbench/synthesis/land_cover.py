@@ -114,7 +114,7 @@ Grid = NDArray[np.float32]
 
 MARGIN_M = 220.0  # land beyond the outermost buildings
 _LEAST_CELL_M, _MAX_SIDE = 0.5, 3000
-_MAX_SPAN_M = 60_000.0  # cells of 20 m: no street is told on wider ones, and trees take the memory
+_MAX_SPAN_M = 60_000.0  # cells of 20 m: no street is reported on wider ones, and trees take the memory
 _ABOVE_M = 20_000.0  # the camera that looks down on the city, so far that its rays are parallel
 
 _JOINED_M = 11.0  # buildings nearer than this share a block

@@ -20,7 +20,7 @@ from lodbench.storage import random_stream
 RGB_CAMERA = Camera(width=5280, height=3956, fx=3778.423, fy=3767.392, cx=2663.624, cy=1919.721)
 FINE_SIZE = (602, 448)
 
-# The share of buildings is judged on a picture of this width: 0.1 % finer than it matters.
+# The share of buildings is measured on a picture of this width: 0.1 % finer than it matters.
 _PREVIEW_WIDTH = 150
 # A camera keeps this far from buildings, sideways and above, metres.
 _CLEARANCE_M = 15.0
@@ -128,7 +128,7 @@ def view_of(target: NDArray[np.float64], height_m: float, angles: EulerAngles) -
 
 
 class ViewCheck:
-    """Tells which views of a city will do: clear of buildings, and with enough of them in the picture."""
+    """Returns which views of a city will do: clear of buildings, and with enough of them in the picture."""
 
     def __init__(
         self, scene: Scene, renderer: Renderer, camera: Camera, building_share: tuple[float, float]
@@ -148,7 +148,7 @@ class ViewCheck:
         return np.flatnonzero((x >= west) & (x <= east) & (y >= south) & (y <= north))
 
     def accepts(self, pose: Pose) -> bool:
-        """Returns whether a view is clear of buildings and shows the share of them that is asked for."""
+        """Returns whether a view is clear of buildings and shows the share of them that is requested."""
         if not self.boxes.are_clear_of(pose.center, _CLEARANCE_M):
             return False
         low, high = self._share

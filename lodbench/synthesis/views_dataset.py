@@ -52,8 +52,8 @@ CAMERA_SOURCES = {sigmas.source: sigmas for sigmas in (CALIBRATED, MAKER, UNKNOW
 
 
 @dataclass(frozen=True, slots=True)
-class World:
-    """How what is seen differs from the map that is searched and from what is told, in all views alike.
+class Perturbation:
+    """How what is seen differs from the map that is searched and from what is reported, in all views alike.
 
     Raises:
         ConfigError: A value is not finite or beyond what there is.
@@ -61,9 +61,9 @@ class World:
 
     shared_roofs_m: float = 0.0  # every building reaches so much higher than in the map; below 0 less high
     hidden_feet_m: float = 0.0  # so much of the lowest part of every wall is hidden, by hedges or cars
-    # The lens is longer than told by this share of its focal length, in every second view shorter.
+    # The lens is longer than stated by this share of its focal length, in every second view shorter.
     focal: float = 0.0
-    tilt: float = 1.0  # pitch and roll of the priors err so many times as far as told
+    tilt: float = 1.0  # pitch and roll of the priors err so many times as far as stated
     center: float = (
         0.0  # the principal point is aside by this share of the width: right, down, left, up in turn
     )
@@ -74,7 +74,7 @@ class World:
             require_within(f"world.{name}", getattr(self, name), *bounds)
 
     @classmethod
-    def parse(cls, text: str) -> World:
+    def parse(cls, text: str) -> Perturbation:
         """Returns the world of ``NAME=VALUE,NAME=VALUE``; the unit ``_m`` may be left out of a name.
 
         Raises:
@@ -106,7 +106,7 @@ class World:
         return replace(scene, vertices=vertices, stored_digest="")
 
     def lens(self, camera: Camera, view: int) -> Camera:
-        """Returns the camera that takes the view of a number, given the one that is told."""
+        """Returns the camera that takes the view of a number, given the one that is stated."""
         stretch = 1.0 + (self.focal if view % 2 == 0 else -self.focal)
         right, down = ((1, 0), (0, 1), (-1, 0), (0, -1))[view % 4]
         aside_px = self.center * camera.width
@@ -122,7 +122,7 @@ class World:
 
 @dataclass(frozen=True, slots=True)
 class ViewsParams:
-    """Settings of ``dataset=views``, told in ``conf/dataset/views.yaml``."""
+    """Settings of ``dataset=views``; described in ``conf/dataset/views.yaml``."""
 
     city_model: str
     num_views: int = 100
@@ -141,7 +141,7 @@ class ViewsParams:
     roof_height: str | None = None
     name: str = "views"
     layers: list[str] = field(default_factory=list)
-    world: World = field(default_factory=World)
+    world: Perturbation = field(default_factory=Perturbation)
     camera_source: str = CALIBRATED.source
 
     def __post_init__(self) -> None:
@@ -161,7 +161,7 @@ class ViewsParams:
             require_within(f"dataset.{name}", high, low, most)
 
     def prior(self, tilt: str = "prior") -> UniformPrior:
-        """Returns what is told of the priors' errors: the published ones, with this tilt and range.
+        """Returns what is stated of the priors' errors: the published ones, with this tilt and range.
 
         With a tilt of ``truth`` that has no error.
         """
@@ -186,11 +186,11 @@ def draw_queries(scene: Scene, renderer: Renderer, params: ViewsParams) -> tuple
     area_m = _area_m(scene, params.area)
     sampling = ViewSampling(heights_m, building_share=share, area_m=area_m, seed=seed)
     views = sample_views(scene, renderer, camera, sampling, params.num_views, "accuracy")
-    world, told = params.world, params.prior()
+    world, noted = params.world, params.prior()
     seen = world.seen(scene)
     photographed = renderer if seen is scene else make_renderer("silhouette", seen, None)
     raster = RasterRenderer(seen)
-    prior = replace(told, pitch_deg=world.tilt * told.pitch_deg, roll_deg=world.tilt * told.roll_deg)
+    prior = replace(noted, pitch_deg=world.tilt * noted.pitch_deg, roll_deg=world.tilt * noted.roll_deg)
     queries = []
     for index, truth in enumerate(views.poses):
         name = f"view_{index:04d}"
@@ -232,7 +232,7 @@ def open_views(params: ViewsParams) -> Dataset:
         name: value for name, value in drawn["world"].items() if name not in ("center", "k1") or value
     }
     world = params.world
-    # Photos once showed the map's world, whatever was told.
+    # Photos once showed the map's world, whatever was stated.
     shown = ["shown"] if params.look is not None and world.describe() else []
     key = digest_of([VIEWS_VERSION, "instances", drawn, scene.digest(), scene.origin.tolist(), *shown])
 

@@ -164,7 +164,7 @@ class _Posed:
 
 
 def is_posed(folder: Path) -> bool:
-    """Tells whether a folder is a dataset of posed photos, as ``dataset=folder`` has it."""
+    """Returns whether a folder is a dataset of posed photos, as ``dataset=folder`` has it."""
     return any(
         (place / name).is_file()
         for place in (folder, *(child for child in folder.glob("*") if child.is_dir()))

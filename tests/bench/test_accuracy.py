@@ -3,7 +3,7 @@ import json
 import pytest
 
 from lodbench.bench.accuracy import blocks_of, measure_accuracy, report_accuracy
-from lodbench.bench.views import told_width
+from lodbench.bench.views import with_prior_range
 from lodbench.errors import ConfigError
 from lodbench.evaluation import PoseError
 from lodbench.evaluation.errors import FAILED
@@ -92,10 +92,10 @@ class TestSeveral:
         assert not (tmp_path / "none").exists()
 
     def test_methods_are_told_the_width_of_the_tilt(self):
-        told = told_width(ContourAlignment(), ViewsParams("city.obj", tilt_deg=0.3).prior())
+        told = with_prior_range(ContourAlignment(), ViewsParams("city.obj", tilt_deg=0.3).prior())
         assert told.params.range_tilt_deg == pytest.approx(0.6)
         wide = ViewsParams("city.obj", range_m=50.0).prior()
-        assert told_width(told, wide).params.range_z_m == 100
+        assert with_prior_range(told, wide).params.range_z_m == 100
 
 
 def test_masks_of_one_level_are_found_in_the_map_of_another(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from lodbench.citymap import CityMap
 from lodbench.estimation.state_vector import ALL, BASE_OFFSET
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs
-from lodbench.synthesis.views_dataset import World
+from lodbench.synthesis.views_dataset import Perturbation
 from tests.methods.test_region_lines import line_fit, shaded_photo, with_roofs
 from tests.methods.test_region_roofs import FAST, mean_errors
 from tests.town import CAMERA
@@ -21,7 +21,7 @@ def lifted(roofs, feet_m):
 @pytest.mark.parametrize("feet_m", [0.5, 2.0])
 def test_lifted_feet_are_those_of_a_town_whose_walls_are_hidden_so_far(scene, roofs, truths, feet_m):
     """Against the worlds of ``dataset=views``, which were written for another purpose."""
-    expected = CityMap(World(hidden_feet_m=feet_m).seen(scene), threads=1)
+    expected = CityMap(Perturbation(hidden_feet_m=feet_m).seen(scene), threads=1)
     for truth in truths:
         seen = lifted(roofs, feet_m).at(0).render(CAMERA, truth)
         np.testing.assert_array_equal(seen, expected.render(CAMERA, truth))

@@ -12,7 +12,7 @@ from lodbench.citymodel.scene import building_boxes
 from lodbench.datasets.pose_text import format_pose, lines_to_text, read_poses
 from lodbench.errors import ConfigError
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.synthesis.camera_paths import CAMERA_PATHS, Place
+from lodbench.synthesis.camera_paths import CAMERA_PATHS, SurveyArea
 from lodbench.synthesis.land_cover import Ground, ground_from_bases, look_down
 from lodbench.synthesis.training_data import MOST_VIEWS, GenerateParams
 from lodbench.synthesis.training_data.generate import generate_training_data
@@ -31,7 +31,7 @@ from tests.synthesis.conftest import SMALL, WHOLE, box_city
 def town():
     scene = box_city()
     ground = ground_from_bases(look_down(scene))
-    return scene, Place(building_boxes(scene).bases, ground, scene.origin)
+    return scene, SurveyArea(building_boxes(scene).bases, ground, scene.origin)
 
 
 def params(**settings):
@@ -181,7 +181,7 @@ def test_occluders_are_cut_out_of_masks_only_when_asked(box_file, tmp_path):
 
 def test_the_spacing_that_is_advised_is_enough_for_all_heights():
     bases = np.array([[0.0, 0.0, 0.0], [20_000.0, 15_000.0, 0.0]])
-    place = Place(bases, Ground(0.0, 0.0, 1000.0, np.zeros((16, 21))), np.zeros(3))
+    place = SurveyArea(bases, Ground(0.0, 0.0, 1000.0, np.zeros((16, 21))), np.zeros(3))
     asked = params(sampling="grid", height=[100.0, 120.0, 150.0], spacing_m=5.0)
     with pytest.raises(ConfigError) as told:
         next(CAMERA_PATHS["grid"](asked, place))

@@ -15,7 +15,7 @@ from lodbench.geometry.lens import distort
 from lodbench.segmentation.masks import read_mask
 from lodbench.synthesis.view_photos import draw_through_lens
 from lodbench.synthesis.view_sampling import RGB_CAMERA
-from lodbench.synthesis.views_dataset import ViewsParams, World, open_views
+from lodbench.synthesis.views_dataset import Perturbation, ViewsParams, open_views
 from tests.town import box_obj
 
 
@@ -40,22 +40,22 @@ def heights(scene):
 def test_roofs_rise_together_and_feet_are_cut(city):
     scene = open_scene(city)
     before = heights(scene)
-    after = heights(World(shared_roofs_m=1.5, hidden_feet_m=2.0).seen(scene))
+    after = heights(Perturbation(shared_roofs_m=1.5, hidden_feet_m=2.0).seen(scene))
     np.testing.assert_allclose(after - before, np.broadcast_to([2.0, 1.5], before.shape), atol=1e-4)
-    assert World().seen(scene) is scene
+    assert Perturbation().seen(scene) is scene
 
 
 def test_lenses_are_longer_and_shorter_in_turn():
-    world = World(focal=0.03)
+    world = Perturbation(focal=0.03)
     stretches = [world.lens(RGB_CAMERA, view).fx / RGB_CAMERA.fx for view in range(4)]
     assert stretches == pytest.approx([1.03, 0.97, 1.03, 0.97])
 
 
 def test_a_world_is_told_in_short():
-    world = World.parse("shared_roofs=1.5,hidden_feet_m=2,focal=0.01,tilt=5")
-    assert world == World(1.5, 2.0, 0.01, 5.0)
+    world = Perturbation.parse("shared_roofs=1.5,hidden_feet_m=2,focal=0.01,tilt=5")
+    assert world == Perturbation(1.5, 2.0, 0.01, 5.0)
     assert world.describe() == "shared_roofs_m=1.5, hidden_feet_m=2, focal=0.01, tilt=5"
-    assert World.parse("") == World()
+    assert Perturbation.parse("") == Perturbation()
 
 
 @pytest.mark.parametrize(
@@ -64,14 +64,14 @@ def test_a_world_is_told_in_short():
 )
 def test_what_is_no_world(text, words):
     with pytest.raises(ConfigError, match=words):
-        World.parse(text)
+        Perturbation.parse(text)
 
 
 def test_views_of_a_world_stand_where_those_of_the_map_do(city):
     plain = open_views(ViewsParams(str(city), num_views=2, mask_iou=1.0))
     wrong = open_views(
         ViewsParams(
-            str(city), num_views=2, mask_iou=1.0, world=World(hidden_feet_m=1.0, focal=0.02, tilt=5.0)
+            str(city), num_views=2, mask_iou=1.0, world=Perturbation(hidden_feet_m=1.0, focal=0.02, tilt=5.0)
         )
     )
     for before, after in zip(plain.entries, wrong.entries, strict=True):
@@ -85,7 +85,7 @@ def test_views_of_a_world_stand_where_those_of_the_map_do(city):
 
 
 def test_principal_points_are_aside_in_turn():
-    world = World(center=0.01)
+    world = Perturbation(center=0.01)
     aside = [
         (lens.cx - RGB_CAMERA.cx, lens.cy - RGB_CAMERA.cy)
         for lens in (world.lens(RGB_CAMERA, i) for i in range(4))

@@ -13,7 +13,13 @@ from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation.masks import read_mask
 from lodbench.synthesis.mask_degradation import mask_iou
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
-from lodbench.synthesis.views_dataset import ViewsParams, World, draw_queries, drawing_facts, open_views
+from lodbench.synthesis.views_dataset import (
+    Perturbation,
+    ViewsParams,
+    draw_queries,
+    drawing_facts,
+    open_views,
+)
 from tests.town import box_obj
 
 
@@ -121,7 +127,7 @@ def test_photos_show_the_city_and_change_nothing_else(city):
 
 def test_photos_show_the_world_that_is_told(city):
     """A lens a third longer shows the buildings larger: of what both show one part only is roof and wall."""
-    world = World(focal=0.3)
+    world = Perturbation(focal=0.3)
     longer = open_views(ViewsParams(str(city), num_views=1, look="hard", world=world))
     plain = open_views(ViewsParams(str(city), num_views=1, look="hard"))
     (entry,), scene = longer.entries, open_scene(city)

@@ -88,7 +88,7 @@ class CityReport:
 
     @property
     def has_errors(self) -> bool:
-        """Tells whether anything was lost: then `city check` exits with 1."""
+        """Returns whether anything was lost: then `city check` exits with 1."""
         return any(row.code.severity is Severity.ERROR for row in self.rows)
 
     def to_json(self) -> dict[str, Any]:

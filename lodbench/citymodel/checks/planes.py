@@ -76,7 +76,7 @@ def check_planes(model: CityModel, findings: Findings) -> None:
     import shapely
 
     is_outer = model.polygons.kind != SurfaceKind.INTERIOR
-    # Larger ones are told as not cut; crossings of a million edges would take hours.
+    # Larger ones are reported as not cut; crossings of a million edges would take hours.
     corners = np.diff(model.polygons.ring_starts[model.polygons.polygon_starts])
     outer = np.flatnonzero(is_outer & (corners <= MAX_CORNERS))
     polygons = select_polygons(model.polygons, outer)

@@ -290,7 +290,7 @@ def faces_of(model: CityModel, solids: Solids) -> SolidFaces:
 def passes(
     start: Floats, end: Floats, corners: Floats, unit: Floats, rim_m: float = TOUCH_M
 ) -> NDArray[np.bool_]:
-    """Tells which edges pass through their triangles, (N,), further from the rim than ``rim_m``."""
+    """Returns which edges pass through their triangles, (N,), further from the rim than ``rim_m``."""
     before = np.einsum("ij,ij->i", start - corners[:, 0], unit)
     after = np.einsum("ij,ij->i", end - corners[:, 0], unit)
     is_cut: NDArray[np.bool_] = before * after < 0

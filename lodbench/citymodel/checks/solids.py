@@ -82,7 +82,7 @@ def check_composites(
 
 
 def _share_a_face(first: Floats, second: Floats) -> bool:
-    """Tells whether two sets of triangles lie on each other somewhere, face to face."""
+    """Returns whether two sets of triangles lie on each other somewhere, face to face."""
     import shapely
 
     gap = np.maximum(first.min(axis=(0, 1)) - second.max(axis=(0, 1)),
@@ -120,7 +120,7 @@ def check_insides(report: ShellReport, faces: SolidFaces, solids: Solids, cut: s
         report: Receives a finding per solid.
         faces: Of all shells.
         solids: Of the city.
-        cut: Pairs of shells that cut each other, which are told already.
+        cut: Pairs of shells that cut each other, which are reported already.
     """
     for solid in np.flatnonzero(np.diff(solids.shell_starts) > 1).tolist():
         shells = range(int(solids.shell_starts[solid]), int(solids.shell_starts[solid + 1]))
@@ -136,7 +136,7 @@ def check_insides(report: ShellReport, faces: SolidFaces, solids: Solids, cut: s
 
 
 def _touch(corners: Floats, shell: Ints) -> bool:
-    """Tells whether a corner of one shell lies on a face of another."""
+    """Returns whether a corner of one shell lies on a face of another."""
     unit = _unit_normals(corners)
     for own in np.unique(shell):
         points = corners[shell == own].reshape(-1, 3)
@@ -201,7 +201,7 @@ def _num_pieces(points: Floats, corners: Floats) -> int:
 
 
 def _seen_from(points: Floats, others: Floats, corners: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Tells which other points some of the points see; the first of them that see any are enough."""
+    """Returns which other points some of the points see; the first of them that see any are enough."""
     seen = np.zeros(len(others), np.bool_)
     step = max(1, _MOST_PAIRS // max(1, len(others)))
     for k in range(0, len(points), step):
@@ -214,7 +214,7 @@ def _seen_from(points: Floats, others: Floats, corners: Floats) -> np.ndarray[tu
 
 
 def _is_free(start: Floats, end: Floats, corners: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Tells which ways pass through no triangle."""
+    """Returns which ways pass through no triangle."""
     unit = _unit_normals(corners)
     is_free = np.ones(len(start), np.bool_)
     for triangle, normal in zip(corners, unit, strict=True):
@@ -310,8 +310,8 @@ def _check_twins(report: ShellReport, faces: SolidFaces, shell_solid: Ints, part
     for shell, own, corners in zip(
         shells.tolist(), np.split(order, firsts[1:]), np.split(snapped, firsts[1:]), strict=True
     ):
-        told = b"".join(sorted({point.tobytes() for point in corners.reshape(-1, 3)}))
-        other = known.setdefault((int(part[shell]), int(lod[shell]), told), shell)
+        stated = b"".join(sorted({point.tobytes() for point in corners.reshape(-1, 3)}))
+        other = known.setdefault((int(part[shell]), int(lod[shell]), stated), shell)
         if other != shell:
             is_one = shell_solid[other] == shell_solid[shell]
             code, words = (SHELLS_EQUAL, "shells") if is_one else (SOLIDS_EQUAL, "solids")
@@ -319,7 +319,7 @@ def _check_twins(report: ShellReport, faces: SolidFaces, shell_solid: Ints, part
 
 
 def _check_inner(report: ShellReport, faces: SolidFaces, solids: Solids, cut: set[tuple[int, int]]) -> None:
-    """Reports inner shells that lie outside of the outer one; those that cut it are told already."""
+    """Reports inner shells that lie outside of the outer one; those that cut it are reported already."""
     for solid in np.flatnonzero(np.diff(solids.shell_starts) > 1).tolist():
         outer = int(solids.shell_starts[solid])
         around = faces.corners[faces.shell == outer]

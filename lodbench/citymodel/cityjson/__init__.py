@@ -20,7 +20,7 @@ class CityJson:
 
     @staticmethod
     def identify(head: bytes, suffix: str) -> bool:
-        """Tells whether a file begins as JSON does."""
+        """Returns whether a file begins as JSON does."""
         return text_of(head).startswith((b"{", b"["))
 
     @staticmethod

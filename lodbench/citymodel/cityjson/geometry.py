@@ -69,7 +69,7 @@ def _labels(values: Any, boundaries: list[Any], depth: int) -> tuple[list[Any], 
 
 
 def _align(values: Any, boundaries: list[Any], depth: int, flat: list[Any]) -> bool:
-    """Appends one label per surface, None for those below a null; tells whether the nesting agrees."""
+    """Appends one label per surface, None for those below a null; returns whether the nesting agrees."""
     if values is None:
         flat += [None] * len(flatten(boundaries, depth))
         return True

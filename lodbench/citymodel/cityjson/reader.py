@@ -44,8 +44,8 @@ def parents_of(objects: dict[str, Json]) -> dict[str, str]:
         for child in item.get("children") or ():
             parents.setdefault(str(child), object_id)
     for object_id, item in objects.items():
-        told = (str(parent) for parent in item.get("parents") or ())
-        own = next((one for one in told if objects.get(one, {}).get("type") != _GROUP), None)
+        given = (str(parent) for parent in item.get("parents") or ())
+        own = next((one for one in given if objects.get(one, {}).get("type") != _GROUP), None)
         if own is not None:
             parents[object_id] = own
     return {child: parent for child, parent in parents.items() if parent in objects}
@@ -71,7 +71,7 @@ HINT = (
 
 
 def is_tileset(document: Any) -> bool:
-    """Tells whether a JSON document is the index of 3D Tiles."""
+    """Returns whether a JSON document is the index of 3D Tiles."""
     return isinstance(document, dict) and {"asset", "root", "geometricError"} <= document.keys()
 
 
@@ -135,7 +135,7 @@ def read_cityjson(
         has_details: Whether attributes and solids are kept as well.
         layers: Names of ``LAYERS``: what to read besides buildings.
         pictures: Receives those of surfaces, which are kept then.
-        day: Date on which objects must stand that tell of their end; None for today.
+        day: Date on which objects must stand whose end is stated; None for today.
 
     Raises:
         CityModelError: The file is no JSON, no CityJSON, or breaks its structure; the message names

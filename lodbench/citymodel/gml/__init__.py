@@ -20,7 +20,7 @@ class CityGml:
 
     @staticmethod
     def identify(head: bytes, suffix: str) -> bool:
-        """Tells whether a file begins as XML does."""
+        """Returns whether a file begins as XML does."""
         return text_of(head).startswith(b"<")
 
     @staticmethod

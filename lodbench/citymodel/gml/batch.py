@@ -332,7 +332,7 @@ def _flip(arrays: PolygonArrays, flipped: list[int]) -> None:
 
 
 def _select(arrays: PolygonArrays, batch: PolygonBatch, faulty: NDArray[np.int64]) -> PolygonArrays:
-    """Drops faulty polygons and appends the copies that references ask for."""
+    """Drops faulty polygons and appends the copies that references need."""
     if len(faulty) == 0 and not batch.copies and not batch.placed:
         return arrays
     copies = np.asarray([copy[:4] for copy in batch.copies], np.int64).reshape(-1, 4)

@@ -69,7 +69,7 @@ def surface_kind(prop: Element, building: Element) -> int:
 
 
 def is_in_ring(element: Element) -> bool:
-    """Tells whether a curve or point belongs to a ring (``curveMember``, ``pointProperty``)."""
+    """Returns whether a curve or point belongs to a ring (``curveMember``, ``pointProperty``)."""
     node = element.getparent()
     while node is not None:
         name = local_name(node.tag)
@@ -107,7 +107,7 @@ def relief_lod(surface: Element) -> str:
 
 
 def is_inside(element: Element, met: list[tuple[Element, dict[Element, int], int]]) -> bool:
-    """Tells whether an element stands inside of one that was met, as terrain does inside of terrain."""
+    """Returns whether an element stands inside of one that was met, as terrain does inside of terrain."""
     above = set(element.iterancestors())
     return any(other in above for other, _, _ in met)
 

@@ -113,8 +113,8 @@ def read_attributes(element: Element) -> dict[str, Any]:
 
 def _take_measured_height(values: dict[str, Any]) -> None:
     """Puts what measuredHeight became in CityGML 3 under its name: of several heights that with its ends."""
-    told = values.get("height")
-    heights = told if isinstance(told, list) else [told]
+    given = values.get("height")
+    heights = given if isinstance(given, list) else [given]
     inner = [one.get("Height") if isinstance(one, dict) else None for one in heights]
     measured = [one for one in inner if isinstance(one, dict) and one.get("status") == "measured"]
     if not measured:
@@ -259,8 +259,8 @@ def _leaves(element: Element) -> dict[str, Any]:
         name, parent = local_name(node.tag), node.getparent()
         if len(node) == 0 and text and name not in ("pos", "posList"):
             around = "" if parent is None else local_name(parent.tag)
-            told = next((v for key, v in node.items() if local_name(str(key)) == "Type"), None)
-            _put(values, str(told or _ADDRESS_NAMES.get((around, name), name)), text)
+            given = next((v for key, v in node.items() if local_name(str(key)) == "Type"), None)
+            _put(values, str(given or _ADDRESS_NAMES.get((around, name), name)), text)
     return values
 
 

@@ -87,7 +87,7 @@ def _plain_boundaries(city: bytes, gml: bytes) -> re.Pattern[bytes]:
 
 
 def _is_single_bytes(head: bytes) -> bool:
-    """Tells whether a document's first bytes name an encoding where every "<" begins a tag, or none."""
+    """Returns whether a document's first bytes name an encoding where every "<" begins a tag, or none."""
     declaration, end, _ = head[:256].partition(b"?>")
     encoding = _ENCODING.search(declaration)
     is_known = encoding is None or encoding[1].lower().startswith(_SINGLE_BYTES)
@@ -121,7 +121,7 @@ class Folding:
         self._is_on: bool | None = None if is_on else False
         self._unread: set[str] = (
             set()
-        )  # keys that nobody has asked for, who would find fault with the numbers
+        )  # keys that nobody has requested, who would find fault with the numbers
         self._gml: bytes | None = None
         self._city: bytes | None = None
         self._held = self._tail = b""

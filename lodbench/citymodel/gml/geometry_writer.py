@@ -115,7 +115,7 @@ def level_of(name: str, dialect: Dialect) -> int:
 
 
 def left_out(model: CityModel, levels: list[int], notes: Counter[str]) -> NDArray[np.bool_]:
-    """Tells which polygons are left out as their object has finer ones: CityGML has whole levels only."""
+    """Returns which polygons are left out as their object has finer ones: CityGML has whole levels only."""
     polygons = model.polygons
     own = (polygons.building if polygons.part is None else polygons.part).astype(np.int64)
     # The names of levels ascend, so the finest of a whole level has the largest number.
@@ -350,7 +350,7 @@ class GeometryXml:
             closed = np.concatenate([points, points[:1]]) + self._origin
             text = " ".join(["%.4f"] * closed.size) % tuple(closed.ravel().tolist())
             ring_id = self.appearance.add(polygon, self._ids[polygon], ring - first, slice(*ends))
-            told = {} if ring_id is None else {"gml__id": ring_id}
-            line = tag("gml:LinearRing", tag("gml:posList", text, srsDimension="3"), **told)
+            stated = {} if ring_id is None else {"gml__id": ring_id}
+            line = tag("gml:LinearRing", tag("gml:posList", text, srsDimension="3"), **stated)
             sides.append(tag("gml:exterior" if ring == first else "gml:interior", line))
         return tag("gml:Polygon", "".join(sides), gml__id=self._ids[polygon])

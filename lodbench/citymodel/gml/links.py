@@ -92,7 +92,7 @@ class LinkResolver:
                 self._follow(index, target, reference, building_ids)
 
     def begin_second_pass(self, building_ids: list[str]) -> None:
-        """Sorts the unresolved references by the id they name, so that each member is asked once."""
+        """Sorts the unresolved references by the id they name, so that each member is read once."""
         self._copied.clear()
         self._visited.clear()
         self._is_second_pass = True
@@ -101,7 +101,7 @@ class LinkResolver:
             self._wanted.setdefault(target or "", []).append(number)
 
     def resolve_elsewhere(self, member: Element, building_ids: list[str], srs_name: str | None) -> bool:
-        """Second pass: adds what ``member`` holds of the unresolved references; tells if any are left.
+        """Second pass: adds what ``member`` holds of the unresolved references; returns whether any are left.
 
         ``srs_name`` is the reference system of what declares none in it.
         """

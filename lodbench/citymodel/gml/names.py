@@ -197,13 +197,13 @@ def property_lod(tag: str) -> str | None:
 
 @lru_cache(maxsize=256)
 def is_citygml(tag: str) -> bool:
-    """Tells whether a tag is of CityGML itself, of any version, and of no extension."""
+    """Returns whether a tag is of CityGML itself, of any version, and of no extension."""
     return "opengis.net/citygml" in namespace_of(tag)
 
 
 @lru_cache(maxsize=1024)
 def is_extension(tag: str) -> bool:
-    """Tells whether a tag is a property by which an extension (ADE) hangs on what is CityGML's.
+    """Returns whether a tag is a property by which an extension (ADE) hangs on what is CityGML's.
 
     Example:
         >>> is_extension("{http://www.sig3d.org/citygml/2.0/energy/1.0}thermalZone")
@@ -220,5 +220,5 @@ def is_extension(tag: str) -> bool:
 
 @lru_cache(maxsize=256)
 def is_building_tag(tag: str) -> bool:
-    """Tells whether a tag is the ``Building`` of any version of CityGML."""
+    """Returns whether a tag is the ``Building`` of any version of CityGML."""
     return local_name(tag) == "Building" and is_citygml(tag)

@@ -116,8 +116,8 @@ def _measure(name: str, value: Any) -> str | None:
 
 def _heights(name: str, value: Any) -> str | None:
     numbers = [_number(one) for one in (value if isinstance(value, list) else [value])]
-    told = [number for number in numbers if number is not None]
-    return tag(name, " ".join(told), uom="m") if told and len(told) == len(numbers) else None
+    stated = [number for number in numbers if number is not None]
+    return tag(name, " ".join(stated), uom="m") if stated and len(stated) == len(numbers) else None
 
 
 def _height(value: Any) -> str | None:
@@ -130,10 +130,14 @@ def _height(value: Any) -> str | None:
 
 def _reference(value: Any, dialect: Dialect) -> str | None:
     """Returns a reference to another register, as CityGML 2 tells it."""
-    told = value.get("externalObject") if isinstance(value, dict) else None
-    if not isinstance(told, dict) or set(value) - {"informationSystem", "externalObject"} or len(told) != 1:
+    stated = value.get("externalObject") if isinstance(value, dict) else None
+    if (
+        not isinstance(stated, dict)
+        or set(value) - {"informationSystem", "externalObject"}
+        or len(stated) != 1
+    ):
         return None
-    (key, name), system = next(iter(told.items())), value.get("informationSystem")
+    (key, name), system = next(iter(stated.items())), value.get("informationSystem")
     if key not in ("name", "uri") or isinstance(name, dict | list):
         return None
     where = "" if system is None else tag("core:informationSystem", text_of(system))
@@ -178,28 +182,28 @@ def _generic(name: str, value: Any, dialect: Dialect, depth: int) -> Iterator[st
 
 def _address(values: dict[str, Any], dialect: Dialect) -> str:
     """Returns an address; what its standard has no element for becomes a line of that type."""
-    told = {key: text_of(value) for key, value in values.items() if not isinstance(value, dict | list)}
+    stated = {key: text_of(value) for key, value in values.items() if not isinstance(value, dict | list)}
     if dialect.version == "3.0":
-        return tag("core:xalAddress", tag("xAL:Address", _address_3(told)))
-    return tag("core:xalAddress", tag("xAL:AddressDetails", tag("xAL:Country", _address_2(told))))
+        return tag("core:xalAddress", tag("xAL:Address", _address_3(stated)))
+    return tag("core:xalAddress", tag("xAL:AddressDetails", tag("xAL:Country", _address_2(stated))))
 
 
-def _address_2(told: dict[str, str]) -> str:
+def _address_2(stated: dict[str, str]) -> str:
     known = ("CountryName", "LocalityName", *_PLACE, "PostalCodeNumber")
     lines = "".join(
         f"<xAL:AddressLine Type={quoteattr(key)}>{value}</xAL:AddressLine>"
-        for key, value in told.items() if key not in known
+        for key, value in stated.items() if key not in known
     )  # fmt: skip
-    street = "".join(tag(f"xAL:{key}", told[key]) for key in _PLACE if key in told)
-    locality = tag("xAL:LocalityName", told["LocalityName"]) if "LocalityName" in told else ""
+    street = "".join(tag(f"xAL:{key}", stated[key]) for key in _PLACE if key in stated)
+    locality = tag("xAL:LocalityName", stated["LocalityName"]) if "LocalityName" in stated else ""
     locality += tag("xAL:Thoroughfare", street, Type="Street") if street else ""
-    if "PostalCodeNumber" in told:
-        locality += tag("xAL:PostalCode", tag("xAL:PostalCodeNumber", told["PostalCodeNumber"]))
-    country = tag("xAL:CountryName", told["CountryName"]) if "CountryName" in told else ""
+    if "PostalCodeNumber" in stated:
+        locality += tag("xAL:PostalCode", tag("xAL:PostalCodeNumber", stated["PostalCodeNumber"]))
+    country = tag("xAL:CountryName", stated["CountryName"]) if "CountryName" in stated else ""
     return lines + country + (tag("xAL:Locality", locality, Type="Town") if locality else "")
 
 
-def _address_3(told: dict[str, str]) -> str:
+def _address_3(stated: dict[str, str]) -> str:
     parts = {
         "CountryName": ("xAL:Country", "xAL:NameElement"),
         "LocalityName": ("xAL:Locality", "xAL:NameElement"),
@@ -209,12 +213,12 @@ def _address_3(told: dict[str, str]) -> str:
     }
     lines = "".join(
         f"<xAL:AddressLine xAL:Type={quoteattr(key)}>{value}</xAL:AddressLine>"
-        for key, value in told.items() if key not in parts
+        for key, value in stated.items() if key not in parts
     )  # fmt: skip
     grouped: dict[str, str] = {}
     for key, (outer, inner) in parts.items():
-        if key in told:
-            grouped[outer] = grouped.get(outer, "") + tag(inner, told[key])
+        if key in stated:
+            grouped[outer] = grouped.get(outer, "") + tag(inner, stated[key])
     free = tag("xAL:FreeTextAddress", lines) if lines else ""
     return free + "".join(tag(outer, content) for outer, content in grouped.items())
 
@@ -347,5 +351,5 @@ def tag(name: str, content: str = "", **attributes: str) -> str:
         >>> tag("gml:name", "a &amp; b"), tag("gml:surfaceMember", xlink__href="#p1")
         ('<gml:name>a &amp; b</gml:name>', '<gml:surfaceMember xlink:href="#p1"/>')
     """
-    told = "".join(f' {key.replace("__", ":")}="{value}"' for key, value in attributes.items())
-    return f"<{name}{told}>{content}</{name}>" if content else f"<{name}{told}/>"
+    stated = "".join(f' {key.replace("__", ":")}="{value}"' for key, value in attributes.items())
+    return f"<{name}{stated}>{content}</{name}>" if content else f"<{name}{stated}/>"

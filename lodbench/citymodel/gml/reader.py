@@ -71,7 +71,7 @@ def read_citygml(
         has_details: Whether attributes, solids and ids of polygons are read as well.
         layers: Names of ``LAYERS``: what to read besides buildings.
         pictures: Receives those of surfaces, which are kept then; with ``has_details``.
-        day: Date on which objects must stand that tell of their end; None for today.
+        day: Date on which objects must stand whose end is stated; None for today.
 
     Raises:
         CityModelError: The XML is not well-formed or not CityGML, or a coordinate is bad.
@@ -336,9 +336,9 @@ class _Reader:
 
 
 def _roof_type(noted: dict[str, list[Element]]) -> str:
-    """Returns the word or code under which an object tells of its roof, as CityJSON converted may, or ""."""
+    """Returns the word or code under which an object describes its roof, as CityJSON converted may, or ""."""
     generic = noted.get("stringAttribute", ())
-    told = {name: each.findtext("{*}value") for each in generic if (name := each.get("name")) in ATTRIBUTES}
+    stated = {name: each.findtext("{*}value") for each in generic if (name := each.get("name")) in ATTRIBUTES}
     if "roofType" in noted:
-        told["roofType"] = noted["roofType"][0].text
-    return roof_type_of(told) if told else ""
+        stated["roofType"] = noted["roofType"][0].text
+    return roof_type_of(stated) if stated else ""

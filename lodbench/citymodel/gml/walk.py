@@ -229,7 +229,7 @@ class GeometryWalk:
         return element not in self.left_out
 
     def stands(self, element: Element, noted: dict[str, list[Element]]) -> bool:
-        """Tells whether a city object stands at the date that counts; one that does not is a finding.
+        """Returns whether a city object stands at the date that counts; one that does not is a finding.
 
         Args:
             element: The object.
@@ -239,7 +239,7 @@ class GeometryWalk:
         return not dates or self._lifespans.stands(gml_id(element) or local_name(element.tag), dates)
 
     def _walk_property(self, prop: Element, building: int, lod: int, kind: int, srs: int) -> bool:
-        """Adds the polygons and references of one geometry property; tells whether there were any."""
+        """Adds the polygons and references of one geometry property; returns whether there were any."""
         href = prop.get(XLINK_HREF)
         if href is not None:
             self.references.append(Reference(href, building, lod, kind, False, None, self.part))

@@ -280,8 +280,8 @@ class CityGmlWriter:
         srs = srs_name(self._model.crs)
         if srs is None and self._model.crs is not None:
             self.notes[f"reference system {self._model.crs}, which has no EPSG code"] += 1
-        told = {} if srs is None else {"srsName": srs}
-        return head + tag("gml:boundedBy", tag("gml:Envelope", corners, srsDimension="3", **told)) + "\n"
+        stated = {} if srs is None else {"srsName": srs}
+        return head + tag("gml:boundedBy", tag("gml:Envelope", corners, srsDimension="3", **stated)) + "\n"
 
     def _object(self, n: int, parent_type: str, children: dict[int, list[int]]) -> str:
         """Returns an object and all that belongs to it, its properties in the order of the schema."""
@@ -319,8 +319,8 @@ class CityGmlWriter:
         element = element_of(type_, dialect)
         found: list[Property] = list(layer_geometry(self._geometry, n, self._ids[n], type_, dialect))
         if table.attributes:
-            told = table.attributes[n].items()
-            own = {key: value for key, value in told if (type_, key) != ("TINRelief", "lod")}
+            stated = table.attributes[n].items()
+            own = {key: value for key, value in stated if (type_, key) != ("TINRelief", "lod")}
             found += properties_of(own, type_, dialect)
         found.sort(key=lambda one: dialect.rank.get(one[0], len(dialect.rank)))
         xml = tag(element, "".join(xml for _, xml in found), gml__id=self._ids[n])

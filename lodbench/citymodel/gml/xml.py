@@ -77,7 +77,7 @@ class Folder(Protocol):
 
 
 class XmlMembers:
-    """Iterates over the members of a document, each as a tree that is freed when the next is asked for.
+    """Iterates over the members of a document, each as a tree that is freed when the next is requested.
 
     A member is an element with one of the given local names that is a child of the root, or of a
     ``CityModel`` below it. Memory does not grow with the file.
@@ -89,7 +89,7 @@ class XmlMembers:
         findings: Receives ``UNDECLARED_PREFIX`` where a prefix is not declared; every other fault
             of the XML is an error.
         folding: What to send the bytes through; None for nothing. It holds what it took out of a member
-            until the next one is asked for.
+            until the next one is requested.
 
     Attributes:
         root: The root element, known once the first member is out or the iteration has ended.

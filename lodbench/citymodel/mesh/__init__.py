@@ -20,7 +20,7 @@ class Obj:
 
     @staticmethod
     def identify(head: bytes, suffix: str) -> bool:
-        """Tells whether a file is called so, or its lines begin as points and faces do."""
+        """Returns whether a file is called so, or its lines begin as points and faces do."""
         text = text_of(head)
         if text.startswith((b"<", b"{", b"[")):
             return False
@@ -44,7 +44,7 @@ class Mesh:
 
     @staticmethod
     def identify(head: bytes, suffix: str) -> bool:
-        """Tells whether a file is called as these are."""
+        """Returns whether a file is called as these are."""
         return suffix in MESH_FORMATS
 
     @staticmethod

@@ -152,8 +152,8 @@ def textured_model(model: CityModel, hint: str = "Leave out --textures.") -> Tex
     polygons = select_polygons(model.polygons, np.flatnonzero(is_finest))
     picture, uv = polygons.picture, polygons.uv
     if model.pictures is None or picture is None or uv is None or not (picture >= 0).any():
-        told = "" if model.pictures is None else "; ".join(model.pictures.notes)
-        raise DatasetError(f"{model.source} has no surface with a picture.", told or hint)
+        stated = "" if model.pictures is None else "; ".join(model.pictures.notes)
+        raise DatasetError(f"{model.source} has no surface with a picture.", stated or hint)
     is_seen = (picture >= 0) | ~_lies_on_a_picture(polygons, picture)
     polygons = select_polygons(polygons, np.flatnonzero(is_seen))
     picture, uv = picture[is_seen], np.asarray(polygons.uv)

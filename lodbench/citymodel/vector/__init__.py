@@ -19,7 +19,7 @@ class Footprints:
 
     @staticmethod
     def identify(head: bytes, suffix: str) -> bool:
-        """Tells whether a file is called as those that GDAL reads."""
+        """Returns whether a file is called as those that GDAL reads."""
         return suffix in Footprints.suffixes
 
     @staticmethod

@@ -17,7 +17,7 @@ _HEIGHTS = (
     "height", "hgt", "buildingheight", "bldgheight", "bldheight", "measuredheight", "heightmedian",
     "heightmean", "heightmea", "heightmax", "meanheight", "hoehe", "hauteur", "altura", "h",
 )  # fmt: skip
-# Of houses in some sources, and of the ground in others: taken where nothing else tells.
+# Of houses in some sources, and of the ground in others: taken where nothing else decides.
 _HEIGHTS_PERHAPS = ("elevation",)
 _ROOFS = ("b3hdak70p", "b3hdak50p", "b3hdakmax", "hdak70p", "hdak50p", "roof", "rooftop", "zroof", "hroof")
 _GROUNDS = ("b3hmaaiveld", "hmaaiveld", "ground", "groundheight", "groundz", "groundelev", "base", "zground")
@@ -65,7 +65,7 @@ class Columns:
             unit_m: Metres per unit.
 
         Raises:
-            CityModelError: A column asked for is not there, or none holds heights or storeys.
+            CityModelError: A column requested is not there, or none holds heights or storeys.
         """
         parted = self._roof_and_ground(options)
         if parted is not None:
@@ -172,7 +172,7 @@ class Columns:
         )
 
     def has_heights(self, options: ReadOptions) -> bool:
-        """Tells whether ``heights`` finds any."""
+        """Returns whether ``heights`` finds any."""
         try:
             self.heights(options)
         except CityModelError:
@@ -201,11 +201,11 @@ class Columns:
         width = len(str(self._count))
         return [f"footprint-{i + 1:0{width}d}" for i in range(self._count)]
 
-    def _asked_or_known(self, asked: str | None, known: Sequence[str]) -> str | None:
+    def _asked_or_known(self, wanted: str | None, known: Sequence[str]) -> str | None:
         names = list(self._table)
-        if asked is not None and asked not in names:
-            raise CityModelError(f"{self._source} has no column {asked!r}.", nearest_names(asked, names))
-        return asked or find_column(names, known)
+        if wanted is not None and wanted not in names:
+            raise CityModelError(f"{self._source} has no column {wanted!r}.", nearest_names(wanted, names))
+        return wanted or find_column(names, known)
 
     def _numbers(self, name: str) -> NDArray[np.float64]:
         values = self._table[name]

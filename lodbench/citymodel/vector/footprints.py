@@ -76,7 +76,7 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
     """Returns blocks of level 1 over the footprints of a vector file.
 
     A file whose polygons stand upright (the MultiPatches of a FileGDB) holds the buildings' surfaces
-    themselves; they come back as they are, as level 2. So do slanting ones where nothing tells heights:
+    themselves; they come back as they are, as level 2. So do slanting ones where nothing states heights:
     with heights they are footprints draped over the ground. Ground heights come from
     ``options.ground_column``, else ``options.terrain``, else a column that looks like one, else
     ``options.ground_m``.
@@ -179,7 +179,7 @@ def _blocks(
     objects = None
     if options.has_details:
         first = np.unique(owner, return_index=True)[1]
-        told = [
+        stated = [
             {
                 "measuredHeight": round(float(heights[n]) * unit_m, 3),
                 "height_from": str(height_from[n]),
@@ -190,7 +190,7 @@ def _blocks(
         ]
         named = tuple(ids[n] for n in used)
         lone = np.full(len(used), -1, np.int32), np.arange(len(used), dtype=np.int32)
-        objects = CityObjects(named, ("Building",) * len(used), *lone, tuple(told))
+        objects = CityObjects(named, ("Building",) * len(used), *lone, tuple(stated))
     return RawCity(
         source=source,
         format="footprints",
@@ -344,7 +344,7 @@ def _read_table(
     if path.lower().endswith((".parquet", ".geoparquet")):
         return _read_parquet(path, source)
     try:
-        (meta, _, geometries, values), told = read_vector(path, source, options.layer)
+        (meta, _, geometries, values), stated = read_vector(path, source, options.layer)
     except CityModelError:
         raise
     except Exception as error:  # pyogrio has a dozen kinds, and GDAL's messages are the useful part
@@ -352,7 +352,7 @@ def _read_table(
             f"{source} cannot be read as a vector file: {str(error).rstrip('.')}.",
             "Try to open it in a GIS, or export it again as GeoPackage.",
         ) from None
-    for text in told:
+    for text in stated:
         findings.add(READER_WARNING, source, text)
     table = {str(name): np.asarray(column) for name, column in zip(meta["fields"], values, strict=True)}
     if path.lower().endswith((".pbf", ".osm")):

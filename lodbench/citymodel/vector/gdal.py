@@ -82,16 +82,16 @@ def read_vector(path: str, source: str, layer: str | None) -> tuple[Any, list[st
         place = f"GeoJSON:{place}"
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        told: list[str] = []
+        stated: list[str] = []
         if layer is not None or suffix in _LAYERED:
-            layer, told = _choose_layer(pyogrio, place, source, layer)
+            layer, stated = _choose_layer(pyogrio, place, source, layer)
         if VECTOR_DRIVERS.get(suffix) == "OSM":
             # Else what belongs to other layers is kept in memory.
             pyogrio.set_gdal_config_options({"OGR_INTERLEAVED_READING": "YES"})
             table = pyogrio.raw.read(place, layer=layer or LAYER, where=IS_BUILDING)
         else:
             table = pyogrio.raw.read(place, layer=layer)
-    return table, told + list(dict.fromkeys(str(item.message) for item in caught))
+    return table, stated + list(dict.fromkeys(str(item.message) for item in caught))
 
 
 def _choose_layer(

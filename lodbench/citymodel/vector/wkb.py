@@ -39,11 +39,11 @@ class WkbPolygons:
     ignored: set[int] = field(default_factory=set)
 
     def has_uneven_rings(self) -> bool:
-        """Tells whether some ring leaves the horizontal: surfaces, or footprints draped over the ground."""
+        """Returns whether some ring leaves the horizontal: surfaces, or footprints draped over the ground."""
         return any(_is_uneven(ring) for ring in self.rings)
 
     def has_upright_rings(self) -> bool:
-        """Tells whether some ring stands upright: the polygons are surfaces, no footprints."""
+        """Returns whether some ring stands upright: the polygons are surfaces, no footprints."""
         return any(_is_uneven(ring) and _is_thin(ring[:, :2]) for ring in self.rings)
 
     def add(self, data: bytes, owner: int) -> None:
@@ -112,7 +112,7 @@ def _is_uneven(ring: NDArray[np.float64]) -> bool:
 
 
 def _is_thin(ring: NDArray[np.float64]) -> bool:
-    """Tells whether a ring has no area as seen from above, in metres or in degrees."""
+    """Returns whether a ring has no area as seen from above, in metres or in degrees."""
     x, y = (ring - ring[0]).T
     area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
     length = float(np.sum(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T)))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lodbench.datasets.exchange.colmap_rigs import BYTES_PER_POINT, RIG_FILES, PosedImage, lone_cameras
 from lodbench.datasets.exchange.posed import (
     FoundPose,
-    Place,
+    LayoutGuard,
     content,
     numbers_of,
     require_plain_names,
@@ -112,7 +112,7 @@ def read_colmap_points(folder: Path) -> NDArray[np.float64]:
         return np.zeros((0, 3))
     found = []
     for where, line in content(path):
-        with Place(where, "POINT3D_ID X Y Z R G B ERROR TRACK[]"):
+        with LayoutGuard(where, "POINT3D_ID X Y Z R G B ERROR TRACK[]"):
             _, x, y, z, *_ = line.split()
             found.append([float(x), float(y), float(z)])
     return np.array(found, np.float64).reshape(-1, 3)
@@ -170,7 +170,7 @@ def _text_cameras(path: Path) -> dict[int, Camera | str]:
     """Returns cameras by number, or why one cannot be had."""
     cameras: dict[int, Camera | str] = {}
     for where, line in content(path):
-        with Place(where, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"):
+        with LayoutGuard(where, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"):
             words = line.split()
             if len(words) < 5:
                 raise LodbenchError(f"{len(words)} values, too few for a camera")
@@ -190,14 +190,14 @@ def _text_images(path: Path, cameras: _Cameras | None) -> Iterator[FoundPose]:
     for where, line in lines:
         if not line.strip():
             continue
-        with Place(where, _IMAGE_LAYOUT):
+        with LayoutGuard(where, _IMAGE_LAYOUT):
             words = line.split(maxsplit=9)
             if len(words) != 10:
                 raise LodbenchError(f"{len(words)} values instead of 10")
             pose = parse_pose(words[1:8])
             camera, fault = _camera_of(cameras, int(words[8]))
         points_at, points = next(lines, (where, ""))
-        with Place(points_at, "X Y POINT3D_ID of each point; the line may be empty, but is there"):
+        with LayoutGuard(points_at, "X Y POINT3D_ID of each point; the line may be empty, but is there"):
             # A file without these lines would lose every second image in silence.
             if len(points.split()) % 3:
                 raise LodbenchError(f"{len(points.split())} values are no list of points")
@@ -255,7 +255,7 @@ def _binary_cameras(path: Path) -> dict[int, Camera | str]:
     data, cameras = _Bytes(path), dict[int, Camera | str]()
     (count,) = data.take("<Q")
     for _ in range(count):
-        with Place(data.where, "a camera of COLMAP's binary format"):
+        with LayoutGuard(data.where, "a camera of COLMAP's binary format"):
             number, model, width, height = data.take("<iiQQ")
             if model not in _MODEL_NAMES:
                 return _Lost(cameras | {number: _lacking(f"number {model}")}, model)
@@ -284,7 +284,7 @@ def _binary_images(path: Path, cameras: _Cameras | None) -> Iterator[FoundPose]:
     (count,) = data.take("<Q")
     for _ in range(count):
         where = data.where
-        with Place(where, "an image of COLMAP's binary format"):
+        with LayoutGuard(where, "an image of COLMAP's binary format"):
             _, *numbers, camera_number = data.take("<i7di")
             name = data.take_text()
             pose = Pose.from_quaternion(numbers[:4], numbers[4:])

@@ -18,7 +18,7 @@ from lodbench.datasets.exchange.colmap_rigs import (
     movers,
     posed_images,
 )
-from lodbench.datasets.exchange.posed import Place
+from lodbench.datasets.exchange.posed import LayoutGuard
 from lodbench.errors import DatasetError
 from lodbench.geometry.similarity import Similarity
 from lodbench.storage import make_folder, write_bytes
@@ -52,7 +52,7 @@ def write_moved_colmap(model: Path, similarity: Similarity, folder: Path) -> Non
     for name, move in (("images", move_images), ("points3D", move_points)):
         file = model / f"{name}.{ending}"
         if name == "images" or file.is_file():
-            with Place(str(file), f"{name} of a COLMAP model"):
+            with LayoutGuard(str(file), f"{name} of a COLMAP model"):
                 write_bytes(folder / file.name, _moved(file, move, similarity))
     _write_rigs(model, similarity, folder, ending)
     shutil.copyfile(model / f"cameras.{ending}", folder / f"cameras.{ending}")
@@ -63,7 +63,7 @@ def _write_rigs(model: Path, similarity: Similarity, folder: Path, ending: str) 
     files = [model / f"{name}.{ending}" for name in RIG_FILES]
     if all(file.is_file() for file in files):
         for file, move in zip(files, movers(ending), strict=True):
-            with Place(str(file), f"{file.stem} of a COLMAP model"):
+            with LayoutGuard(str(file), f"{file.stem} of a COLMAP model"):
                 write_bytes(folder / file.name, _moved(file, move, similarity))
         return
     images = (folder / f"images.{ending}").read_bytes()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from lodbench.datasets.exchange.posed import FoundPose, Place, content, numbers_of, require_plain_names
+from lodbench.datasets.exchange.posed import FoundPose, LayoutGuard, content, numbers_of, require_plain_names
 from lodbench.datasets.pose_text import lines_to_text, parse_pose
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
@@ -37,7 +37,7 @@ def read_kapture(path: Path) -> Iterator[FoundPose]:
     cameras = _read_cameras(path / _SENSORS)
     poses = _read_poses(path / _TRAJECTORIES)
     for where, timestamp, device, name in _records(path):
-        with Place(where, "a camera of sensors.txt"):
+        with LayoutGuard(where, "a camera of sensors.txt"):
             if device not in cameras:
                 raise LodbenchError(f"there is no camera {device!r}")
         pose = poses.get((timestamp, device))
@@ -92,7 +92,7 @@ def write_kapture(images: Sequence[FoundPose], folder: Path) -> None:
 def _records(path: Path) -> Iterator[tuple[str, str, str, str]]:
     """Yields the place, timestamp, device and name of each image."""
     for where, line in content(path / _RECORDS):
-        with Place(where, "timestamp, device_id, image_path"):
+        with LayoutGuard(where, "timestamp, device_id, image_path"):
             timestamp, device, name = _cells(line, 3)
         yield where, timestamp, device, name
 
@@ -108,7 +108,7 @@ def _read_cameras(path: Path) -> dict[str, Camera | None]:
     """Returns cameras by device; None for those whose intrinsics are not known."""
     cameras: dict[str, Camera | None] = {}
     for where, line in content(path):
-        with Place(where, "sensor_id, name, camera, MODEL, WIDTH, HEIGHT, PARAMS"):
+        with LayoutGuard(where, "sensor_id, name, camera, MODEL, WIDTH, HEIGHT, PARAMS"):
             cells = [cell.strip() for cell in line.split(",")]
             if len(cells) < 3:
                 raise LodbenchError(f"{len(cells)} values, too few for a sensor")
@@ -127,7 +127,7 @@ def _read_cameras(path: Path) -> dict[str, Camera | None]:
 def _read_poses(path: Path) -> dict[tuple[str, str], Pose]:
     poses: dict[tuple[str, str], Pose] = {}
     for where, line in content(path):
-        with Place(where, "timestamp, device_id, qw, qx, qy, qz, tx, ty, tz"):
+        with LayoutGuard(where, "timestamp, device_id, qw, qx, qy, qz, tx, ty, tz"):
             timestamp, device, *numbers = _cells(line, 9)
             # Half a pose, which kapture allows, is no pose.
             if all(numbers):

@@ -13,7 +13,7 @@ import numpy as np
 from lodbench.datasets.exchange.posed import (
     DEGREES_CRS,
     FoundPose,
-    Place,
+    LayoutGuard,
     content,
     inverted,
     read_text,
@@ -33,7 +33,7 @@ def read_lines(path: Path) -> Iterator[FoundPose]:
         DatasetError: A line is malformed.
     """
     for where, line in content(path):
-        with Place(where, "name qw qx qy qz tx ty tz"):
+        with LayoutGuard(where, "name qw qx qy qz tx ty tz"):
             # From the right: a name may hold spaces.
             name, *numbers = line.rsplit(maxsplit=7)
             pose = parse_pose(numbers)
@@ -57,7 +57,7 @@ def read_matrices(path: Path) -> Iterator[FoundPose]:
         DatasetError: A file is no such matrix.
     """
     for file in sorted(path.glob("*.txt")):
-        with Place(str(file), "four rows of four numbers, camera to world"):
+        with LayoutGuard(str(file), "four rows of four numbers, camera to world"):
             rows = [[float(word) for word in line.split()] for _, line in content(file)]
             if [len(row) for row in rows] != [4, 4, 4, 4]:
                 raise LodbenchError("not four rows of four numbers")
@@ -78,7 +78,7 @@ def read_tum(path: Path) -> Iterator[FoundPose]:
     """
     names = dict(_NAME_COMMENT.findall(read_text(path)))
     for where, line in content(path):
-        with Place(where, "timestamp tx ty tz qx qy qz qw, camera to world"):
+        with LayoutGuard(where, "timestamp tx ty tz qx qy qz qw, camera to world"):
             words = line.split()
             if len(words) != 8:
                 raise LodbenchError(f"{len(words)} values instead of 8")
@@ -149,7 +149,7 @@ def read_table(path: Path) -> Iterator[FoundPose]:
     lines = content(path)
     where, head = next(lines, (str(path), ""))
     columns = table_columns(head)
-    with Place(where, TABLE_LAYOUT):
+    with LayoutGuard(where, TABLE_LAYOUT):
         twice = {name for name in columns if name and columns.count(name) > 1}
         if twice:
             raise LodbenchError(f"several columns hold {' and '.join(sorted(twice))}")
@@ -158,7 +158,7 @@ def read_table(path: Path) -> Iterator[FoundPose]:
         if missing:
             raise LodbenchError(f"there is no column for {', '.join(missing)}")
     for where, line in lines:
-        with Place(where, TABLE_LAYOUT):
+        with LayoutGuard(where, TABLE_LAYOUT):
             cells = [cell.strip() for cell in _cells(line.rstrip("\r"), _separator(head))]
             if any(cells[len(columns) :]):
                 raise LodbenchError(f"{len(cells)} values for {len(columns)} columns")

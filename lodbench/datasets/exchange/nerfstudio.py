@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.exchange.posed import FoundPose, Place, inverted, read_json, require_plain_names
+from lodbench.datasets.exchange.posed import FoundPose, LayoutGuard, inverted, read_json, require_plain_names
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import blender_from_opencv
@@ -32,14 +32,14 @@ def read_nerfstudio(path: Path) -> Iterator[FoundPose]:
     """
     path = path / "transforms.json" if path.is_dir() else path
     values = read_json(path)
-    with Place(str(path), "a list of frames"):
+    with LayoutGuard(str(path), "a list of frames"):
         frames = values["frames"]
         if not isinstance(frames, list):
             raise LodbenchError("the frames are no list")
         back, scale = _undoing(values)
     for number, frame in enumerate(frames):
         where = f"{path}, frame {number}"
-        with Place(where, _LAYOUT):
+        with LayoutGuard(where, _LAYOUT):
             name = str(frame["file_path"])
             world_from_cam = np.array(frame["transform_matrix"], dtype=np.float64)
             if world_from_cam.shape == (3, 4):

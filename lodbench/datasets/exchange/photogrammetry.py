@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from lodbench import __version__
 from lodbench.citymodel.crs import KnownCrs, require_crs, resolve_crs
-from lodbench.datasets.exchange.posed import FoundPose, Place, content, read_text, require_plain_names
+from lodbench.datasets.exchange.posed import FoundPose, LayoutGuard, content, read_text, require_plain_names
 from lodbench.datasets.pose_text import lines_to_text
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose
@@ -64,7 +64,7 @@ def read_metashape(path: Path) -> Iterator[FoundPose]:
         elif line.startswith(("#Markers", "#Scalebars")):
             return
         elif line.strip() and not line.startswith("#"):
-            with Place(where, ",".join(_METASHAPE_HEAD)):
+            with LayoutGuard(where, ",".join(_METASHAPE_HEAD)):
                 if not columns:
                     raise LodbenchError("no line #Label,... stands before it")
                 cells = next(csv.reader([line]))
@@ -81,7 +81,7 @@ def read_metashape(path: Path) -> Iterator[FoundPose]:
 def _metashape_columns(where: str, line: str) -> dict[str, int]:
     """Returns where label, x, y, z and yaw, pitch, roll stand."""
     heads = [head.strip().lower() for head in next(csv.reader([line.removeprefix("#")]))]
-    with Place(where, ",".join(_METASHAPE_HEAD)):
+    with LayoutGuard(where, ",".join(_METASHAPE_HEAD)):
         if any("longitude" in head for head in heads):
             raise DatasetError(f"{where}: the coordinates are in degrees.", _PROJECTED_HINT)
         found = {"label": heads.index("label")}
@@ -107,7 +107,7 @@ def read_pix4d(path: Path) -> Iterator[FoundPose]:
     for number, line in enumerate(rest.splitlines(), start=2):
         where = f"{path}, line {number}"
         if line.strip():
-            with Place(where, _PIX4D_HEAD):
+            with LayoutGuard(where, _PIX4D_HEAD):
                 # From the right: a name may hold spaces.
                 yield _of_omega_phi_kappa(where, line.replace(",", " ").rsplit(maxsplit=6))
 
@@ -123,7 +123,7 @@ def read_odm(path: Path) -> Iterator[FoundPose]:
     where, head = next(lines, (str(path), ""))
     crs = _odm_crs(where, head.strip())
     for place, line in lines:
-        with Place(place, "image_name geo_x geo_y geo_z omega phi kappa"):
+        with LayoutGuard(place, "image_name geo_x geo_y geo_z omega phi kappa"):
             yield _of_omega_phi_kappa(place, line.split())._replace(crs=crs)
 
 

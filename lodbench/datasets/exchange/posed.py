@@ -51,7 +51,7 @@ def numbers_of(pose: Pose) -> list[float]:
     return [*pose.quat_wxyz, *(float(v) for v in pose.translation)]
 
 
-class Place:
+class LayoutGuard:
     """Names the place and the layout in whatever goes wrong inside a ``with`` block."""
 
     def __init__(self, where: str, layout: str) -> None:
@@ -106,7 +106,7 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises:
         DatasetError: The file cannot be read, or is not a JSON object of finite numbers.
     """
-    with Place(str(path), "a JSON object"):
+    with LayoutGuard(str(path), "a JSON object"):
         value = parse_json(read_text(path), is_strict=True)
         if not isinstance(value, dict):
             raise ValueError("no JSON object")

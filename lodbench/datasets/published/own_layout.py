@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.codes import READING_INFERRED, READING_UNFIT
-from lodbench.datasets.exchange.posed import Place, content
+from lodbench.datasets.exchange.posed import LayoutGuard, content
 from lodbench.datasets.pose_text import lines_to_text, parse_camera
 from lodbench.datasets.published.layout import Survey, advice, require_data, survey
 from lodbench.datasets.published.spec import PublishedSpec
@@ -122,7 +122,7 @@ def read_pose_rows(path: Path) -> dict[str, PoseRow]:
     """
     rows: dict[str, PoseRow] = {}
     for where, line in content(path):
-        with Place(where, "name qw qx qy qz x y z"):
+        with LayoutGuard(where, "name qw qx qy qz x y z"):
             name, *words = [word for word in re.split(r"[,\s]+", line.strip()) if word]
             if len(words) != 7:
                 raise ValueError(f"{len(words)} values after the name instead of 7")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.exchange.posed import FoundPose, Place, read_json
+from lodbench.datasets.exchange.posed import FoundPose, LayoutGuard, read_json
 from lodbench.datasets.own import find_photo
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, Pose
@@ -72,13 +72,13 @@ def parse_tracing(values: Mapping[str, Any], where: str, photos: Collection[str]
     Raises:
         DatasetError: Something is malformed; the message names the item.
     """
-    with Place(where, _LAYOUT):
+    with LayoutGuard(where, _LAYOUT):
         listed = values["traced"]
         if not isinstance(listed, list):
             raise ValueError("traced is not a list")
     found = []
     for number, item in enumerate(listed, start=1):
-        with Place(f"{where}, item {number}", _LAYOUT):
+        with LayoutGuard(f"{where}, item {number}", _LAYOUT):
             found.append(_parsed(item, photos))
     names = [item.name for item in found if item.kind == "roof"]
     twice = next((name for name in names if names.count(name) > 1), None)

@@ -57,7 +57,7 @@ def read_weights(path: Path) -> Weights:
 
 
 def _is_complete(value: Any) -> bool:
-    """Tells whether something is a tensor of numbers, each written down: neither sparse nor without any."""
+    """Returns whether something is a tensor of numbers, each written down: neither sparse nor without any."""
     return isinstance(value, Tensor) and value.layout is torch.strided and not value.is_meta
 
 
@@ -109,7 +109,7 @@ def fill(net: nn.Module, weights: Weights, source: str) -> None:
 
 
 def _is_whole(given: Tensor | None, wanted: Tensor) -> bool:
-    """Tells whether weights are whole numbers where others are wanted: quantised, without their scale."""
+    """Returns whether weights are whole numbers where others are wanted: quantised, without their scale."""
     return given is not None and wanted.is_floating_point() and not given.is_floating_point()
 
 

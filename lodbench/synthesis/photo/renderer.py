@@ -233,7 +233,7 @@ def _casters(loose: _Loose) -> Scene | None:
 
 
 def _of_scene(scene: Scene) -> _Loose:
-    """Returns a city's triangles: walls, pitched and flat roofs told apart by their slope."""
+    """Returns a city's triangles: walls, pitched and flat roofs distinguished by their slope."""
     corners = scene.vertices[scene.triangles].astype(np.float64)
     building = np.repeat(np.arange(scene.num_buildings), np.diff(scene.triangle_starts))
     up = np.abs(_normals(corners)[:, 2])

@@ -229,15 +229,15 @@ def build_demo(root: Path, *, num_queries: int = 40, seed: int = 0, look: str = 
     """
     if num_queries < 2:
         raise DatasetError(f"The demo has two splits, so it needs at least 2 queries, not {num_queries}.")
-    asked = {
+    wanted = {
         "town_version": TOWN_VERSION,
         "look": look_named(look).name,
         "seed": seed,
         "num_queries": num_queries,
     }
-    if root.exists() and _is_same_demo(root, asked):
+    if root.exists() and _is_same_demo(root, wanted):
         return root
-    return written_once(root, partial(_write_demo, asked))
+    return written_once(root, partial(_write_demo, wanted))
 
 
 @cache
@@ -248,7 +248,7 @@ def code_digest(*patterns: str) -> str:
     return digest_of([file_digest(file) for file in files], length=8)
 
 
-def _is_same_demo(root: Path, asked: dict[str, Any]) -> bool:
+def _is_same_demo(root: Path, wanted: dict[str, Any]) -> bool:
     """Returns whether a finished demo with these parameters stands at a path.
 
     Raises:
@@ -256,20 +256,20 @@ def _is_same_demo(root: Path, asked: dict[str, Any]) -> bool:
     """
     try:
         manifest = parse_json((root / MANIFEST_FILE).read_text(encoding="utf-8"))
-        found = {key: manifest[key] for key in asked}
+        found = {key: manifest[key] for key in wanted}
     except (OSError, ValueError, KeyError, TypeError):
         raise DatasetError(
             f"{root} exists and is no demo dataset.", "Name another folder, or remove it."
         ) from None
-    if found != asked:
+    if found != wanted:
         raise DatasetError(
-            f"{root} holds another demo: {found} instead of {asked}.", "Name another folder, or remove it."
+            f"{root} holds another demo: {found} instead of {wanted}.", "Name another folder, or remove it."
         )
     return True
 
 
-def _write_demo(asked: dict[str, Any], folder: Path) -> None:
-    town = grow_town(asked["seed"], asked["look"])
+def _write_demo(wanted: dict[str, Any], folder: Path) -> None:
+    town = grow_town(wanted["seed"], wanted["look"])
     props = demo_props(town)
     texts = {
         CITY_FILE: citygml_text(town),
@@ -282,10 +282,10 @@ def _write_demo(asked: dict[str, Any], folder: Path) -> None:
     write_props(props, folder / PROPS_FILE)
     # The queries see the town as a reader does: through the file, in the frame it gives the scene.
     scene = open_scene(folder / FINE_CITY_FILE, lod="3")
-    splits = make_splits(town, scene, props, asked["num_queries"])
+    splits = make_splits(town, scene, props, wanted["num_queries"])
     for split in splits:
         write_queries(folder / split.name, split.queries, QUERY_CAMERA, scene.origin, _POSE_DECIMALS)
-    manifest = asked | _manifest(town, splits)
+    manifest = wanted | _manifest(town, splits)
     text = json.dumps(manifest, indent=1, sort_keys=True, allow_nan=False)
     write_text(folder / MANIFEST_FILE, text + "\n", survives_power_cut=False)
 

@@ -299,7 +299,7 @@ def look_named(name: str) -> TownLook:
     looks = read_settings((files("lodbench.synthesis.town") / "looks.yaml").read_text(encoding="utf-8"))
     if name not in looks:
         raise DatasetError(f"The demo town has no look {name!r}.", nearest_names(name, looks))
-    told = dict(looks[name])
-    days = to_params(told.pop("days"), LookRanges, "days")
-    colours = {key: palette(value) for key, value in told.items() if isinstance(value, str)}
-    return TownLook(name=name, days=days, **told | colours)
+    stated = dict(looks[name])
+    days = to_params(stated.pop("days"), LookRanges, "days")
+    colours = {key: palette(value) for key, value in stated.items() if isinstance(value, str)}
+    return TownLook(name=name, days=days, **stated | colours)

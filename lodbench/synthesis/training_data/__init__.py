@@ -28,10 +28,10 @@ def _setting(
     paths: tuple[str, ...] = SAMPLINGS,
 ) -> Any:
     """Returns a field: its default, bounds or names, and the camera paths that do not leave it unheard."""
-    told = {"default": default, "within": within, "among": among, "paths": paths}
+    stated = {"default": default, "within": within, "among": among, "paths": paths}
     if isinstance(default, list):
-        return field(default_factory=lambda: list(default), metadata=told)
-    return field(default=default, metadata=told)
+        return field(default_factory=lambda: list(default), metadata=stated)
+    return field(default=default, metadata=stated)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,19 +108,19 @@ class GenerateParams:
         Raises:
             ConfigError: It is not, or they do not.
         """
-        name, told = entry.name, entry.metadata
-        if told["among"]:
-            require_choice(name, value, told["among"])
+        name, stated = entry.name, entry.metadata
+        if stated["among"]:
+            require_choice(name, value, stated["among"])
         if value == []:
-            raise ConfigError(f"{name} is empty.", f"Give it as a list: {name}='[{told['within'][0]:g}]'.")
-        if told["within"]:
-            require_within(name, value, *told["within"])
-        if self.sampling not in told["paths"] and _plain(value) != _plain(told["default"]):
+            raise ConfigError(f"{name} is empty.", f"Give it as a list: {name}='[{stated['within'][0]:g}]'.")
+        if stated["within"]:
+            require_within(name, value, *stated["within"])
+        if self.sampling not in stated["paths"] and _plain(value) != _plain(stated["default"]):
             raise ConfigError(
                 f"{name} means nothing to `sampling={self.sampling}`.",
                 "limit=N takes N views of any sampling."
                 if name == "count"
-                else f"Leave it out, or set `sampling={' or '.join(told['paths'])}`.",
+                else f"Leave it out, or set `sampling={' or '.join(stated['paths'])}`.",
             )
 
     def pitches_from_nadir(self) -> list[float]:

@@ -20,7 +20,7 @@ from lodbench import __version__
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.mesh.texture_files import files_of_textured, read_textured
 from lodbench.citymodel.mesh.textured import offset_to_city
-from lodbench.citymodel.options import PATH_OPTIONS, ReadOptions, told_options
+from lodbench.citymodel.options import PATH_OPTIONS, ReadOptions, changed_options
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import open_sources
 from lodbench.datasets.folder import RENDERED_TRUTH_FILE, write_poses
@@ -135,7 +135,7 @@ def _manifest(
         "digest": digest_of(identity),
         "code": identity["code"],
         "settings": settings,
-        "source": told_options(options),
+        "source": changed_options(options),
         "inputs": inputs,
         "versions": {"lodbench": __version__} | {name: version(name) for name in _LIBRARIES},
         "city": dict(buildings=scene.num_buildings, lod=scene.lod, crs=scene.crs, scene=scene.digest()),
@@ -242,7 +242,7 @@ class Generated(NamedTuple):
 def generate_training_data(
     params: GenerateParams, options: ReadOptions | None = None, executor: ExecutorParams | None = None
 ) -> Generated:
-    """Writes a training set, or what is still missing of it; by processes of this machine if not told.
+    """Writes a training set, or what is still missing of it; by processes of this machine if not given.
 
     Every file of a view depends on the settings, the inputs and its name only, not on the workers or on where
     an earlier run was stopped. ``params.crs`` goes before that of ``options``.

@@ -24,7 +24,7 @@ from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import digest_of, random_stream, write_bytes
-from lodbench.synthesis.camera_paths import CAMERA_PATHS, Place
+from lodbench.synthesis.camera_paths import CAMERA_PATHS, SurveyArea
 from lodbench.synthesis.land_cover import Ground
 from lodbench.synthesis.objects import SceneProps
 from lodbench.synthesis.photo import LandCover, PhotoRenderer, draw_look
@@ -33,7 +33,7 @@ from lodbench.synthesis.photo.renderer import apply_camera_response, photo_file
 from lodbench.synthesis.training_data import MOST_VIEWS, GenerateParams
 
 SPLITS = ("train", "val", "test")
-# Views are judged on pictures this wide: a building of three pixels there has some 40 in full size.
+# Views are checked on pictures this wide: a building of three pixels there has some 40 in full size.
 _PREVIEW_WIDTH = 256
 _CLEARANCE_M = 2.0
 
@@ -86,7 +86,7 @@ def plan_views(
         DatasetError: No view is left, or the file of poses cannot be read or is empty.
     """
     view_filter = _ViewFilter(params, scene, ground)
-    place = Place(view_filter.boxes.bases, ground, scene.origin)
+    place = SurveyArea(view_filter.boxes.bases, ground, scene.origin)
     poses = list(islice(CAMERA_PATHS[params.sampling](params, place), MOST_VIEWS + 1))
     if len(poses) > MOST_VIEWS:
         raise ConfigError(
@@ -263,7 +263,7 @@ class ViewWriter:
 
 
 def is_written(path: Path) -> bool:
-    """Tells whether a file is there and not empty."""
+    """Returns whether a file is there and not empty."""
     try:
         return path.stat().st_size > 0
     except FileNotFoundError:

@@ -66,7 +66,7 @@ def load_checkpoint(folder: Path, identity: str) -> dict[str, Any] | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class TrainingProcess:
     """Where this process stands.
 
     Attributes:
@@ -97,7 +97,7 @@ class Place:
 
 
 @contextmanager
-def joined(wanted: str) -> Iterator[Place]:
+def joined(wanted: str) -> Iterator[TrainingProcess]:
     """Gives the place of this process among those that ``torchrun`` started; alone without it.
 
     Raises:
@@ -109,7 +109,7 @@ def joined(wanted: str) -> Iterator[Place]:
     if ranks > 1:
         distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
-        yield Place(rank, ranks, device)
+        yield TrainingProcess(rank, ranks, device)
     finally:
         if ranks > 1:
             distributed.destroy_process_group()

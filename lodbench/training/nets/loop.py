@@ -17,7 +17,7 @@ from lodbench.errors import ConfigError
 from lodbench.execution import Progress
 from lodbench.segmentation.nets.weights import Padding
 from lodbench.training.nets.batches import batches, steps_per_epoch, validation_iou
-from lodbench.training.nets.checkpoints import Place, save_checkpoint
+from lodbench.training.nets.checkpoints import TrainingProcess, save_checkpoint
 from lodbench.training.samples import Sample, TrainParams
 
 # Side of the window that says how near an outline is, pixels.
@@ -214,7 +214,7 @@ def fit(
     train: list[Sample],
     val: list[Sample],
     stride: int,
-    place: Place,
+    place: TrainingProcess,
     identity: str,
     after_epoch: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> None:
@@ -263,7 +263,7 @@ def _epoch(
     train: list[Sample],
     epoch: int,
     steps: int,
-    place: Place,
+    place: TrainingProcess,
     progress: Progress,
 ) -> float:
     """Trains one epoch and returns the mean loss of this process.
