@@ -4,8 +4,11 @@ import json
 import runpy
 import sys
 
+import cv2
+import numpy as np
 import pytest
 
+from experiments.guided_masks.__main__ import Disturbance, disturbed
 from experiments.scale import slope_points
 from tests.town import box_obj
 
@@ -76,3 +79,73 @@ def test_a_fault_is_one_line_and_a_hint(monkeypatch, capsys):
         runpy.run_module("experiments.causes", run_name="__main__")
     assert left.value.code == 2
     assert "hint: Write --limit 200." in capsys.readouterr().err
+
+
+@pytest.fixture
+def experiment(monkeypatch):
+    """Runs an experiment with some words; returns its exit code."""
+
+    def run(name, *words):
+        monkeypatch.setattr(sys, "argv", [name, *words])
+        with pytest.raises(SystemExit) as left:
+            runpy.run_module(f"experiments.{name}", run_name="__main__")
+        return left.value.code
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [("20", "is not PX,DEG"), ("2000,1", "is not within"), ("20,2 --draws 0", "--draws 0")],
+)
+def test_silhouettes_that_cannot_be(experiment, tmp_path, capsys, value, words):
+    assert experiment("guided_masks", "--photos", str(tmp_path), "--guided-by", *value.split()) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.fixture
+def farm(tmp_path):
+    """A photo of two houses on grass, 240 x 180, and one without any."""
+    folder = tmp_path / "farm"
+    (folder / "photos").mkdir(parents=True)
+    (folder / "masks").mkdir()
+    mask = np.zeros((180, 240), np.uint8)
+    mask[40:90, 50:110], mask[100:150, 140:180] = 255, 255
+    for name, shown in (("houses", mask), ("meadow", 0 * mask)):
+        photo = np.where(shown[..., None] > 0, (60, 70, 170), (60, 120, 90))
+        photo = photo + np.random.default_rng(0).normal(0, 10, photo.shape)
+        cv2.imwrite(str(folder / "photos" / f"{name}.png"), np.clip(photo, 0, 255).astype(np.uint8))
+        cv2.imwrite(str(folder / "masks" / f"{name}.png"), shown)
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_guided_masks_mend_what_their_silhouettes_got_wrong(farm, experiment, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ["--photos", str(farm), "--guided-by", "60,4", "--blocks", "--draws", "2", "--grabcut"]
+    assert experiment("guided_masks", *words, "--json", "--pictures", str(out)) == 0
+    figures = {row["figure"]: row for row in map(json.loads, capsys.readouterr().out.splitlines())}
+    moved = figures["IoU guided by 60 px, 4 deg, mean over photos"]
+    assert moved["value"] > 0.93
+    assert 0.3 < moved["peer_value"] <= 1.0
+    assert figures["IoU guided by 60 px, 4 deg, blocks, mean over places"]["value"] > 0.75
+    assert len(list(out.glob("*/farm/houses.png"))) == 2
+    assert experiment("guided_masks", *words[:-4], "--draws", "1") == 0
+    assert "1 photos without buildings left out" in capsys.readouterr().out
+
+
+def test_silhouettes_are_off_by_what_was_requested():
+    mask = np.zeros((300, 400), bool)
+    mask[100:200, 150:250] = True
+    (still,) = disturbed(mask, Disturbance(0.0, 0.0), 1, 0, "photo")
+    assert np.array_equal(still, mask)
+    first, second = disturbed(mask, Disturbance(60.0, 0.0), 2, 0, "photo")
+    for guide in (first, second):
+        away = np.argwhere(guide).mean(axis=0) - np.argwhere(mask).mean(axis=0)
+        assert np.hypot(*away) == pytest.approx(20.0, abs=0.7)  # 60 px of 1200 are 20 of 400
+    assert not np.array_equal(first, second)
+    blocks = list(disturbed(mask, Disturbance(0.0, 0.0, is_blocks=True), 40, 0, "photo"))
+    gone = sum(not guide.any() for guide in blocks)
+    added = sum(guide.sum() > 1.3 * mask.sum() for guide in blocks)
+    assert 0 < gone < 10
+    assert 0 < added < 10

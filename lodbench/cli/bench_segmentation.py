@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.bench import Report
-from lodbench.bench.guided_masks import Disturbance, GuidedOptions, measure_guided_masks
 from lodbench.bench.iou_recall import measure_instances, measure_iou_recall
 from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks
 from lodbench.bench.photo_masks import measure_photo_masks
@@ -16,18 +15,15 @@ from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method
 from lodbench.segmentation import Segmenter
-from lodbench.segmentation.map_guided import MapGuided
 from lodbench.segmentation.photo_segmenter import require_photo_segmenter
 from lodbench.segmentation.registry import FOR_PHOTOS
 from lodbench.synthesis.views_dataset import ViewsParams
 
-_VIEWS_OF_TOWN, _VIEWS_OF_CITY, _DRAWS = 80, 50, 4
+_VIEWS_OF_TOWN, _VIEWS_OF_CITY = 80, 50
 _MORE = """\
   lodbench bench segmentation                                the shipped network on an unseen town
   lodbench bench segmentation --segmenter-option weights=compact.onnx --pictures DIR
   lodbench bench segmentation --photos DIR --pictures OUT    real photos with masks traced by hand, by place
-  lodbench bench segmentation --photos DIR --guided-by 20,2 --guided-by 60,4 --blocks
-                                                             guided by the traced masks, moved and turned
   lodbench bench segmentation --data SET --visible SET2      views of `lodbench generate-training-data`
   lodbench bench segmentation --data SET --instances         single buildings, of sets with labels=true
   lodbench bench segmentation --city CITY --pictures DIR     recall over the IoU of masks, no network at all
@@ -46,40 +42,19 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
     add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated")
     add("--data", type=Path, metavar="SET", help="training set, or folder of sets; else a town")
     add("--photos", type=Path, metavar="DIR", help="real photos with traced masks: PLACE/photos, PLACE/masks")
-    add(
-        "--guided-by",
-        action="append",
-        default=[],
-        type=_disturbance,
-        metavar="PX,DEG",
-        help="of --photos: segmenter=map_guided with a silhouette so far off (px of 1200); may be repeated",
-    )
-    add(
-        "--blocks",
-        action="store_true",
-        help="also simplified to blocks, a tenth of the buildings gone or added",
-    )
-    add("--draws", type=int, help="of --guided-by: silhouettes of each photo (4)")
-    add("--grabcut", action="store_true", help="measure OpenCV's GrabCut beside it")
     add("--instances", action="store_true", help="of --data: how well single buildings are separated")
     add("--visible", type=Path, metavar="SET", help="the same with occluders_in_mask=true")
     add("--town", help="test or train: views made on first use (test)")
     add("--city", type=Path, help="measure recall over the IoU of masks on views of it")
     add("--method", help="methods of --city, comma-separated (lodlocv2)")
     add("--views", type=int, help="of the town (80), or of the city (50)")
-    add("--seed", type=int, help="of the views of --city, or the silhouettes of --guided-by (0)")
+    add("--seed", type=int, help="of the views of --city (0)")
     add("--pictures", type=Path, metavar="DIR", help="folder for a picture")
     return parser
 
 
 def measure_segmentation(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     """Returns what was requested."""
-    if options.guided_by:
-        return _guided(options, steps)
-    if options.blocks or options.grabcut:
-        raise ConfigError(
-            "--blocks and --grabcut are for silhouettes.", "Say how far they are off: --guided-by 20,2."
-        )
     if options.photos is not None:
         others = ("city", "data", "visible", "views")
         if options.instances or any(getattr(options, name) is not None for name in others):
@@ -105,7 +80,7 @@ def _require_read(options: argparse.Namespace, asked_for: str, *read: str) -> No
     Raises:
         ConfigError: One is: a figure would be taken for what it is not.
     """
-    for name in ("city", "data", "visible", "views", "draws", "town", "method", "seed"):
+    for name in ("city", "data", "visible", "views", "town", "method", "seed"):
         if name not in read and getattr(options, name) is not None:
             raise ConfigError(f"--{name} is not used with {asked_for}.", f"Leave --{name} out.")
 
@@ -120,35 +95,6 @@ def _photos(options: argparse.Namespace, steps: ProgressCallback) -> Report:
 
 def _segmenter(options: argparse.Namespace, default: str) -> Segmenter:
     return require_photo_segmenter(segmenter_of(options.segmenter or default, options.segmenter_option))
-
-
-def _guided(options: argparse.Namespace, steps: ProgressCallback) -> Report:
-    if options.photos is None:
-        raise ConfigError(
-            "--guided-by moves the traced masks of real photos.", "Name their folder: --photos DIR."
-        )
-    _require_read(options, "--guided-by", "draws", "seed")
-    name = options.segmenter or "map_guided"
-    segmenter = segmenter_of(name, options.segmenter_option)
-    if not isinstance(segmenter, MapGuided):
-        raise ConfigError(f"segmenter {name} is not guided by silhouettes.", "--segmenter map_guided is.")
-    disturbances = list(options.guided_by)
-    if options.blocks:
-        disturbances += [given._replace(is_blocks=True) for given in options.guided_by]
-    draws = _DRAWS if options.draws is None else options.draws
-    wanted = GuidedOptions(tuple(dict.fromkeys(disturbances)), draws, options.seed or 0, options.grabcut)
-    found = measure_guided_masks(segmenter, options.photos, wanted, steps, options.pictures)
-    return Report(found.to_text(), found.figures())
-
-
-def _disturbance(text: str) -> Disturbance:
-    try:
-        shift_px, turn_deg = (float(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text} is not PX,DEG, as in 20,2") from None
-    if not (0 <= shift_px <= 1200 and 0 <= turn_deg <= 180):
-        raise argparse.ArgumentTypeError(f"{text} is not within 0 to 1200 px and 0 to 180 deg")
-    return Disturbance(shift_px, turn_deg)
 
 
 def _curve(options: argparse.Namespace, steps: ProgressCallback) -> Report:

@@ -1,12 +1,9 @@
 """Masks of real photos: IoU by place counted by hand, empty photos by the share found."""
 
-import json
-
 import cv2
 import numpy as np
 import pytest
 
-from lodbench.bench.guided_masks import Disturbance, disturbed
 from lodbench.bench.photo_masks import measure_photo_masks
 from lodbench.cli import main
 from lodbench.cli.bench import MEASURES
@@ -76,9 +73,6 @@ def test_what_is_refused(folder, capsys):
         ([str(folder), "--views", "3"], "by themselves"),
         ([str(folder), "--instances"], "by themselves"),
         ([str(folder), "--segmenter", "masks"], "looks at no photo alone"),
-        ([str(folder), "--blocks"], "--guided-by 20,2"),
-        ([str(folder), "--guided-by", "20,2", "--segmenter", "masks"], "is not guided"),
-        ([str(folder), "--guided-by", "20,2", "--draws", "0"], "--draws 0"),
     ):
         assert main(["bench", "segmentation", "--photos", *wrong]) == 2
         assert words in capsys.readouterr().err
@@ -97,60 +91,6 @@ def test_pictures_that_cannot_be_kept_are_told_before_the_work(folder, capsys, m
     assert main(words) == 2
     assert "file: File exists" in capsys.readouterr().err
     assert asked == []
-
-
-@pytest.mark.parametrize(("value", "words"), [("20", "is not PX,DEG"), ("2000,1", "is not within")])
-def test_silhouettes_that_cannot_be(folder, capsys, value, words):
-    assert main(["bench", "segmentation", "--photos", str(folder), "--guided-by", value]) == 2
-    assert words in capsys.readouterr().err
-
-
-@pytest.fixture
-def farm(tmp_path):
-    """A photo of two houses on grass, 240 x 180, and one without any."""
-    folder = tmp_path / "farm"
-    (folder / "photos").mkdir(parents=True)
-    (folder / "masks").mkdir()
-    mask = np.zeros((180, 240), np.uint8)
-    mask[40:90, 50:110], mask[100:150, 140:180] = 255, 255
-    for name, shown in (("houses", mask), ("meadow", 0 * mask)):
-        photo = np.where(shown[..., None] > 0, (60, 70, 170), (60, 120, 90))
-        photo = photo + np.random.default_rng(0).normal(0, 10, photo.shape)
-        cv2.imwrite(str(folder / "photos" / f"{name}.png"), np.clip(photo, 0, 255).astype(np.uint8))
-        cv2.imwrite(str(folder / "masks" / f"{name}.png"), shown)
-    return tmp_path
-
-
-@pytest.mark.slow
-def test_guided_masks_mend_what_their_silhouettes_got_wrong(farm, tmp_path, capsys):
-    out = tmp_path / "out"
-    asked = ["--photos", str(farm), "--guided-by", "60,4", "--blocks", "--draws", "2", "--grabcut"]
-    assert main(["bench", "segmentation", *asked, "--json", "--pictures", str(out)]) == 0
-    figures = {row["figure"]: row for row in map(json.loads, capsys.readouterr().out.splitlines())}
-    moved = figures["IoU guided by 60 px, 4 deg, mean over photos"]
-    assert moved["value"] > 0.93
-    assert 0.3 < moved["peer_value"] <= 1.0
-    assert figures["IoU guided by 60 px, 4 deg, blocks, mean over places"]["value"] > 0.75
-    assert len(list(out.glob("*/farm/houses.png"))) == 2
-    assert main(["bench", "segmentation", *asked[:-4], "--draws", "1"]) == 0
-    assert "1 photos without buildings left out" in capsys.readouterr().out
-
-
-def test_silhouettes_are_off_by_what_was_asked():
-    mask = np.zeros((300, 400), bool)
-    mask[100:200, 150:250] = True
-    (still,) = disturbed(mask, Disturbance(0.0, 0.0), 1, 0, "photo")
-    assert np.array_equal(still, mask)
-    first, second = disturbed(mask, Disturbance(60.0, 0.0), 2, 0, "photo")
-    for guide in (first, second):
-        away = np.argwhere(guide).mean(axis=0) - np.argwhere(mask).mean(axis=0)
-        assert np.hypot(*away) == pytest.approx(20.0, abs=0.7)  # 60 px of 1200 are 20 of 400
-    assert not np.array_equal(first, second)
-    blocks = list(disturbed(mask, Disturbance(0.0, 0.0, is_blocks=True), 40, 0, "photo"))
-    gone = sum(not guide.any() for guide in blocks)
-    added = sum(guide.sum() > 1.3 * mask.sum() for guide in blocks)
-    assert 0 < gone < 10
-    assert 0 < added < 10
 
 
 @pytest.mark.slow

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench import Figure, Progress, no_progress
+from experiments.command import run
+from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.bench.mask_quality import one_core
 from lodbench.bench.photo_masks import PhotoMask, labelled_photos, mean_and_interval, write_overlay
+from lodbench.cli.segmenters import segmenter_of
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry.signed_distance import signed_distance
 from lodbench.reporting.aligned_text import format_columns
@@ -305,3 +309,39 @@ def _place_means(photos: list[GuidedPhoto], what: str) -> list[float]:
     places = dict.fromkeys(photo.place for photo in photos)
     found = [_means([photo for photo in photos if photo.place == place], what) for place in places]
     return [float(np.mean(means)) for means in found if means]
+
+
+def _add(parser: ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--photos", type=Path, required=True, metavar="DIR", help="PLACE/photos with traced PLACE/masks")
+    add("--guided-by", action="append", required=True, type=_disturbance, metavar="PX,DEG", help="how far off "
+        "silhouettes are, pixels of a photo 1200 wide; may be repeated")  # fmt: skip
+    add("--blocks", action="store_true", help="also as blocks, a tenth of the buildings left out or added")
+    add("--draws", type=int, default=4, help="silhouettes of each photo (4)")
+    add("--grabcut", action="store_true", help="measure OpenCV's GrabCut beside it")
+    add("--seed", type=int, default=0, help="of the silhouettes (0)")
+    add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated")
+
+
+def _disturbance(text: str) -> Disturbance:
+    try:
+        shift_px, turn_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ArgumentTypeError(f"{text} is not PX,DEG, as in 20,2") from None
+    if not (0 <= shift_px <= 1200 and 0 <= turn_deg <= 180):
+        raise ArgumentTypeError(f"{text} is not within 0 to 1200 px and 0 to 180 deg")
+    return Disturbance(shift_px, turn_deg)
+
+
+def _measure(given: Namespace, steps: Progress) -> Report:
+    segmenter = segmenter_of("map_guided", given.segmenter_option)
+    assert isinstance(segmenter, MapGuided)  # noqa: S101
+    blocks = [each._replace(is_blocks=True) for each in given.guided_by] if given.blocks else []
+    disturbances = tuple(dict.fromkeys([*given.guided_by, *blocks]))
+    options = GuidedOptions(disturbances, given.draws, given.seed, given.grabcut)
+    found = measure_guided_masks(segmenter, given.photos, options, steps, given.pictures)
+    return Report(found.to_text(), found.figures())
+
+
+if __name__ == "__main__":
+    sys.exit(run("guided_masks", _add, _measure))
