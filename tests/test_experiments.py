@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from experiments.guided_masks.__main__ import Disturbance, disturbed
+from experiments.guided_masks.silhouettes import Disturbance, disturbed
 from experiments.scale import slope_points
 from tests.town import box_obj
 
