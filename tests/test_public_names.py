@@ -8,124 +8,37 @@ import lodbench
 from lodbench.cli.commands import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]
-PUBLIC = [
-    "__version__",
-    "Camera",
-    "EulerAngles",
-    "LodLocV2",
-    "LodbenchError",
-    "Pose",
-    "QueryFault",
-    "Scene",
-    "compare",
-    "leaderboard",
-    "load_run",
-    "localize",
-    "localize_flight",
-    "localize_photo",
-    "locate",
-    "make_renderer",
-    "open_scene",
-    "pose_error",
-    "read_mask",
-    "read_poses",
-    "run_method",
-]
+PUBLIC = """
+    __version__ Camera EulerAngles LodLocV2 LodbenchError Pose QueryFault Scene compare leaderboard load_run
+    localize localize_flight localize_photo locate make_renderer open_scene pose_error read_mask read_poses
+    run_method
+""".split()
 PLUG_INS = {
-    "lodbench.methods": [
-        "auto",
-        "lodlocv2",
-        "contour_alignment",
-        "flight",
-        "region",
-        "prior_only",
-        "uavd4l",
-        "cadloc",
-        "lodloc",
-        "mcloc",
-        "lodlocv3",
-    ],
-    "lodbench.datasets": [
-        "folder",
-        "demo",
-        "views",
-        "flights",
-        "uavd4l_lod",
-        "uavd4l_lodv2",
-        "swiss_epfl",
-        "swiss_epflv2",
-        "tokyo_lodv3",
-        "uavd4l",
-        "egeniouss",
-        "ortholoc",
-        "anyvisloc",
-        "semcitylocked",
-        "demo_train",
-        "real_flights",
-    ],
-    "lodbench.segmenters": [
-        "none",
-        "masks",
-        "instances",
-        "map_instances",
-        "compact",
-        "compact_instances",
-        "efficient_unet",
-        "map_guided",
-        "oracle",
-        "noisy_oracle",
-        "sam2_unet",
-        "sam1_adapter",
-        "semantic",
-        "fastsam",
-    ],
+    "lodbench.methods": """
+        auto lodlocv2 contour_alignment flight region prior_only uavd4l cadloc lodloc mcloc lodlocv3
+    """.split(),
+    "lodbench.datasets": """
+        folder demo views flights uavd4l_lod uavd4l_lodv2 swiss_epfl swiss_epflv2 tokyo_lodv3 uavd4l
+        egeniouss ortholoc anyvisloc semcitylocked demo_train real_flights
+    """.split(),
+    "lodbench.segmenters": """
+        none masks instances map_instances compact compact_instances efficient_unet map_guided oracle
+        noisy_oracle sam2_unet sam1_adapter semantic fastsam
+    """.split(),
     "lodbench.renderers": ["silhouette", "reference", "raster", "pyrender", "open3d"],
     "lodbench.fits": ["iou", "soft_iou", "confident_iou", "boundary", "region"],
     "lodbench.priors": ["file", "sensor", "uniform", "basin"],
-    "lodbench.pose_formats": [
-        "lines",
-        "c2w",
-        "colmap",
-        "tum",
-        "kapture",
-        "nerfstudio",
-        "metashape",
-        "pix4d",
-        "odm",
-        "table",
-    ],
-    "lodbench.export_formats": [
-        "colmap",
-        "kapture",
-        "nerfstudio",
-        "tum",
-        "visuallocalization",
-        "metashape",
-        "pix4d",
-        "odm",
-        "geojson",
-        "gpkg",
-        "csv",
-        "queries",
-        "parquet",
-        "rerun",
-        "submission",
-    ],
+    "lodbench.pose_formats": "lines c2w colmap tum kapture nerfstudio metashape pix4d odm table".split(),
+    "lodbench.export_formats": """
+        colmap kapture nerfstudio tum visuallocalization metashape pix4d odm geojson gpkg csv queries
+        parquet rerun submission
+    """.split(),
     "lodbench.city_readers": ["citygml", "cityjson", "obj", "mesh", "footprints", "surface"],
     "lodbench.feature_extractors": ["sift", "xfeat"],
-    "lodbench.matchers": [
-        "mutual_nn",
-        "sift_nn",
-        "xfeat",
-        "xfeat_lighterglue",
-        "superpoint_superglue",
-        "superpoint_lightglue",
-        "disk_lightglue",
-        "eloftr",
-        "matchanything",
-        "loftr",
-        "roma",
-    ],
+    "lodbench.matchers": """
+        mutual_nn sift_nn xfeat xfeat_lighterglue superpoint_superglue superpoint_lightglue disk_lightglue
+        eloftr matchanything loftr roma
+    """.split(),
     "lodbench.retrievals": ["hog", "xfeat", "dinov2"],
     "lodbench.pose_solvers": ["opencv", "poselib", "pycolmap", "upright"],
     "lodbench.metrics": ["error_parts", "mask_iou", "calibration"],
@@ -135,33 +48,14 @@ ARGUMENTS = {
     "compare": ["runs", "thresholds"],
     "leaderboard": ["dataset", "root"],
     "load_run": ["folder"],
-    "localize": [
-        "scene",
-        "camera",
-        "prior",
-        "mask",
-        "image",
-        "method",
-        "seed",
-        "threads",
-        "lens_percent",
-        "camera_sigmas",
-        "segment",
-    ],
+    "localize": """
+        scene camera prior mask image method seed threads lens_percent camera_sigmas segment
+    """.split(),
     "localize_flight": ["photos", "city", "options"],
     "localize_photo": ["photo", "city", "options"],
-    "locate": [
-        "scene",
-        "camera",
-        "pose",
-        "pixel",
-        "covariance",
-        "parameters",
-        "pixel_sigma_px",
-        "map_sigma_m",
-        "ground_sigma_m",
-        "laser",
-    ],
+    "locate": """
+        scene camera pose pixel covariance parameters pixel_sigma_px map_sigma_m ground_sigma_m laser
+    """.split(),
     "make_renderer": ["name", "scene", "threads"],
     "open_scene": ["path", "lod", "crs", "options", "roof_height"],
     "pose_error": ["estimate", "truth"],
@@ -169,33 +63,11 @@ ARGUMENTS = {
     "read_poses": ["path"],
     "run_method": ["method", "dataset", "city", "segmenter", "runs", "tilt", "seed", "limit"],
 }
-COMMAND_NAMES = [
-    "localize",
-    "locate",
-    "track",
-    "georeference",
-    "mask",
-    "trace",
-    "run",
-    "basin",
-    "evaluate",
-    "compare",
-    "report",
-    "export",
-    "status",
-    "verify",
-    "leaderboard",
-    "bench",
-    "city",
-    "dataset",
-    "render",
-    "generate-training-data",
-    "train",
-    "doctor",
-    "check-method",
-    "check-plugin",
-    "completion",
-]
+COMMAND_NAMES = """
+    localize locate track georeference mask trace run basin evaluate compare report export status verify
+    leaderboard bench city dataset render generate-training-data train doctor check-method check-plugin
+    completion
+""".split()
 
 
 def test_public_names():

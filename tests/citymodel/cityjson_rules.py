@@ -12,15 +12,7 @@ _SURFACES = [
     "RoofSurface", "GroundSurface", "WallSurface", "ClosureSurface", "OuterCeilingSurface",
     "OuterFloorSurface", "Window", "Door", "InteriorWallSurface", "CeilingSurface", "FloorSurface",
 ]  # fmt: skip
-_TOP = [
-    "Building",
-    "Bridge",
-    "Tunnel",
-    "SolitaryVegetationObject",
-    "PlantCover",
-    "TINRelief",
-    "CityFurniture",
-]
+_TOP = "Building Bridge Tunnel SolitaryVegetationObject PlantCover TINRelief CityFurniture".split()
 _SECOND = [
     "BuildingPart", "BuildingInstallation", "BuildingConstructiveElement", "BuildingFurniture",
     "BuildingRoom", "BuildingStorey", "BuildingUnit", "BridgePart", "BridgeInstallation",

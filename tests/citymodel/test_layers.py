@@ -129,13 +129,7 @@ def test_layers_are_opted_in(text: str) -> None:
     assert mesh.scene.building_ids == ("house", "bridge")
 
     full = parse_city_model(text.encode(), "town.gml", ReadOptions(layers=_ALL))
-    assert sorted(full.types()) == [
-        "Bridge",
-        "Building",
-        "CityFurniture",
-        "SolitaryVegetationObject",
-        "TINRelief",
-    ]
+    assert sorted(full.types()) == "Bridge Building CityFurniture SolitaryVegetationObject TINRelief".split()
     assert mesh_model(full).area_m2 == pytest.approx(4 * box_area() + _TREE + _GROUND)
     info = city_info(full)
     assert (info["buildings"], info["objects"]["Bridge"], info["objects"]["TINRelief"]) == (1, 1, 1)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -56,13 +57,11 @@ def lens_of_pixels() -> tuple[np.ndarray, np.ndarray]:
     return x, y
 
 
-def make_case(
-    folder: Path, shared_data: Path, name: str, *, distorted: bool = False, tilt_deg: float = 0.0
-) -> Case:
-    """Writes a photo over a real city, its metadata off by what GPS, a barometer and a compass are."""
-    file, crs, above_m, angles = CITIES[name]
-    city = shared_data / "city" / file
+@cache
+def view_of(city: Path, name: str, distorted: bool) -> tuple[Pose, np.ndarray]:
+    """Returns the true pose of a city's photo in the city's coordinates, and the mask that its lens makes."""
     scene = open_scene(city)
+    _, crs, above_m, angles = CITIES[name]
     assert scene.crs == crs
     middle = np.median(scene.vertices.astype(float), axis=0)
     pitch, _, yaw = angles
@@ -78,16 +77,24 @@ def make_case(
         u, v = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
         x, y = (u - PINHOLE.cx) / PINHOLE.fx, (v - PINHOLE.cy) / PINHOLE.fy
     at = [(wide.fx * x + wide.cx - 0.5).astype(np.float32), (wide.fy * y + wide.cy - 0.5).astype(np.float32)]
-    mask = cv2.remap(mask, *at, cv2.INTER_LINEAR)
+    return local.shifted(scene.origin), cv2.remap(mask, *at, cv2.INTER_LINEAR)
+
+
+def make_case(
+    folder: Path, shared_data: Path, name: str, *, distorted: bool = False, tilt_deg: float = 0.0
+) -> Case:
+    """Writes a photo over a real city, its metadata off by what GPS, a barometer and a compass are."""
+    file, crs, *_ = CITIES[name]
+    truth, mask = view_of(shared_data / "city" / file, name, distorted)
     folder.mkdir(exist_ok=True)
     cv2.imwrite(str(folder / "mask.png"), mask)
     photo = write_photo(
         folder / "DJI_0001.JPG",
         (90 + mask // 3).astype(np.uint8),
         exif_of(model="FC6310R"),
-        xmp_packet(stated(local.shifted(scene.origin), crs, distorted, tilt_deg)),
+        xmp_packet(stated(truth, crs, distorted, tilt_deg)),
     )
-    return Case(photo, folder / "mask.png", city, local.shifted(scene.origin), MapFrame(crs))
+    return Case(photo, folder / "mask.png", shared_data / "city" / file, truth, MapFrame(crs))
 
 
 def stated(truth: Pose, crs: str, distorted: bool, tilt_deg: float) -> dict[str, str]:

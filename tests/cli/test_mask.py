@@ -6,6 +6,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from http.client import HTTPConnection
 from threading import Thread
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -46,6 +47,11 @@ class Bright:
         return (cv2.imread(str(entry.image), 0) >= 100).astype(np.float32)
 
 
+def drawn_and_stopped(server):
+    server.session.stroke(np.array([[10.0, 10.0]]), 3.0, True, True)
+    raise KeyboardInterrupt
+
+
 def iou(first, second):
     return (first & second).sum() / (first | second).sum()
 
@@ -74,6 +80,8 @@ class TestStrokes:
     def test_an_exact_stroke_changes_what_is_under_it(self):
         photo, truth = houses()
         session = MaskSession(photo, truth)
+        session.stroke(np.array([[-900.0, 30.0]]), 3.0, is_building=True)
+        assert not session.undo()  # beside the photo it is none
         session.stroke(np.array([[10.0, 10.0]]), 3.0, is_building=True, is_exact=True)
         added = session.mask & ~truth
         assert added.sum() == pytest.approx(np.pi * 9, rel=0.4)
@@ -99,12 +107,6 @@ class TestStrokes:
         assert [session.undo() is not None for _ in places] == [True, True, False]
         assert np.array_equal(session.mask, start)
         assert not session._state.strokes.any()
-
-    def test_a_stroke_beside_the_photo_is_none(self):
-        photo, truth = houses()
-        session = MaskSession(photo, truth)
-        session.stroke(np.array([[-900.0, 30.0]]), 3.0, is_building=True)
-        assert not session.undo()
 
 
 class TestPage:
@@ -178,9 +180,6 @@ class TestPage:
         self.ask(server, "POST", "save", "{}")
         assert json.loads(self.ask(server, "POST", "stop", "{}")[1])["closes"] is True
 
-    def test_a_host_without_a_port_is_this_machine(self, server):
-        assert self.ask(server, "GET", "mask.png", host="127.0.0.1")[0] == 200
-
     def test_a_browser_that_leaves_is_no_fault(self, server, capsys):
         try:
             raise BrokenPipeError
@@ -188,25 +187,22 @@ class TestPage:
             server.handle_error(None, ("127.0.0.1", 1))
         assert capsys.readouterr().err == ""
 
-    def test_a_save_that_fails_is_told_on_the_page_and_the_mask_stays(self, server, capsys):
-        def full():
-            raise OSError(28, "No space left on device", "mask.png")
-
-        server.save, before = full, server.session.mask
+    @pytest.mark.parametrize(
+        ("fault", "said"),
+        [
+            (OSError(28, "No space left on device", "mask.png"), "mask.png: No space left on device"),
+            (
+                DatasetError("mask.png is another program's.", "Copy it."),
+                "mask.png is another program's. Copy it.",
+            ),
+        ],
+    )
+    def test_a_save_that_fails_is_told_on_the_page_and_the_mask_stays(self, server, capsys, fault, said):
+        server.save, before = Mock(side_effect=fault), server.session.mask
         status, told = self.ask(server, "POST", "save", "{}")
-        assert status == 200
-        assert json.loads(told) == {"message": "NOT saved: mask.png: No space left on device", "saved": False}
+        assert (status, json.loads(told)) == (200, {"message": f"NOT saved: {said}", "saved": False})
         assert np.array_equal(server.session.mask, before)
         assert "Traceback" not in capsys.readouterr().err
-
-    def test_a_save_that_is_refused_says_why_on_the_page(self, server):
-        def refused():
-            raise DatasetError("mask.png was written by another program.", "Keep a copy.")
-
-        server.save = refused
-        told = json.loads(self.ask(server, "POST", "save", "{}")[1])
-        words = "NOT saved: mask.png was written by another program. Keep a copy."
-        assert told == {"message": words, "saved": False}
 
     def test_others_are_kept_out(self, server):
         for options in ({"token": "guess"}, {"token": ""}, {"host": "evil.example:80"}):
@@ -214,6 +210,8 @@ class TestPage:
             assert self.ask(server, "POST", "save", "{}", **options)[0] == 404
         assert server.kept == []
         assert server.server_address[0] == "127.0.0.1"
+        # A host without a port is this machine.
+        assert self.ask(server, "GET", "mask.png", host="127.0.0.1")[0] == 200
 
     @pytest.mark.parametrize(
         "body", ["{", "[]", "{}", '{"points": [["a", 1]], "radius": 1, "building": true}',
@@ -223,8 +221,6 @@ class TestPage:
     def test_broken_strokes_are_refused(self, server, body):
         assert self.ask(server, "POST", "stroke", body)[0] == 400
         assert not server.session.undo()
-
-    def test_what_is_no_object_closes_nothing(self, server):
         assert self.ask(server, "POST", "stop", "[]")[0] == 400
 
 
@@ -336,10 +332,6 @@ class TestCommand:
         assert f"--port {port} cannot be listened at: Address already in use." in told
 
     def test_strokes_that_ctrl_c_would_lose_are_kept_aside(self, photo, capsys, monkeypatch):
-        def drawn_and_stopped(server):
-            server.session.stroke(np.array([[10.0, 10.0]]), 3.0, True, True)
-            raise KeyboardInterrupt
-
         monkeypatch.setattr(MaskServer, "serve_forever", drawn_and_stopped)
         folder = photo.parent
         assert main(["mask", str(photo), "--mask", str(folder / "traced.png")]) == 130
@@ -392,10 +384,6 @@ class TestCommand:
         assert (photo.parent / "photo_mask.png").read_bytes() == b"by hand"
 
     def test_strokes_that_cannot_be_kept_aside_do_not_hide_ctrl_c(self, photo, caplog, monkeypatch):
-        def drawn_and_stopped(server):
-            server.session.stroke(np.array([[10.0, 10.0]]), 3.0, True, True)
-            raise KeyboardInterrupt
-
         monkeypatch.setattr(MaskServer, "serve_forever", drawn_and_stopped)
         (photo.parent / "photo_mask.png.unsaved").mkdir()
         assert main(["mask", str(photo), "--mask", str(photo.parent / "traced.png")]) == 130

@@ -281,15 +281,10 @@ def test_a_camera_of_another_size_is_refused_as_by_localize(capsys, footage, tmp
     words[words.index("--camera") + 1] = "PINHOLE 160 120 115 114 80.5 59.25"
     assert main(words) == 2
     assert "The camera is of 160 x 120 pixels" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_masks_of_no_frame_of_a_video_are_refused(capsys, footage, tmp_path):
+    # So are masks of no frame.
     (tmp_path / "frame_1.png").write_bytes((footage.folder / "masks" / "photo_1.png").read_bytes())
     assert main(footage.words("flight.avi", "--masks", tmp_path, "--out", tmp_path / "out")) == 2
-    told = capsys.readouterr().err
-    assert "holds no mask of any image" in told
-    assert "frame_000000.png" in told
+    assert "holds no mask of any image" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

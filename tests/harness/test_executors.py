@@ -189,14 +189,7 @@ def test_workers_that_die_over_a_shared_grid_end_the_run_and_are_no_query_s_fail
 ) -> None:
     monkeypatch.setattr("lodbench.harness.runs.predict._score_here", die)
     words = [f"dataset.root={serial[0] / 'town/data'}", f"dataset.city_model={serial[0] / 'town/city.obj'}"]
-    words += [
-        "dataset=folder",
-        "segmenter=masks",
-        "method.steps=1",
-        "limit=1",
-        "ranges=[200]",
-        "yaw_ranges=[]",
-    ]
+    words += "dataset=folder segmenter=masks method.steps=1 limit=1 ranges=[200] yaw_ranges=[]".split()
     words += ["maps=false", f"paths.runs={tmp_path}", f"executor={name}", "executor.share=hypotheses"]
     assert main(["basin", *words, "executor.workers=2"]) == 2
     assert "Workers keep dying" in capsys.readouterr().err

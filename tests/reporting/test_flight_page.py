@@ -83,14 +83,7 @@ def test_photos_have_coordinates_and_angles_in_the_table():
     assert ">easting m<" in local
     assert ">latitude<" not in local
     row = local.split('data-key="p2.jpg" tabindex')[1].split("</tr>")[0]
-    assert re.findall(r">(-?[\d.]+)</td>", row)[:6] == [
-        "60.00",
-        "10.00",
-        "100.00",
-        "340.00",
-        "-60.00",
-        "0.00",
-    ]
+    assert re.findall(r">(-?[\d.]+)</td>", row)[:6] == "60.00 10.00 100.00 340.00 -60.00 0.00".split()
     earth = page(place=Place(51.0261598, 5.8765601, 100.0, 12.5, -60.0, 0.25))
     assert ">latitude<" in earth
     assert ">easting m<" not in earth
