@@ -1,12 +1,39 @@
-"""Solids that cut themselves or each other, lie twice or inside out of place: each with its code."""
+"""Solids that leak, touch, cut or repeat themselves: each made from a sound box, each with its code."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from .gml_text import Ring, box_rings, city, member, polygon, surface_members
-from .test_shells import BOX, defects
+from lodbench.citymodel import ReadOptions, read_city_model
+from lodbench.citymodel.checks import check_city
+from lodbench.cli import main
+
+from .gml_text import (
+    Ring,
+    bounded_by,
+    box_rings,
+    city,
+    link,
+    member,
+    multi_surface,
+    polygon,
+    solid,
+    surface_members,
+    write,
+)
+
+BOX = box_rings()
+
+
+def defects(tmp_path: Path, text: str) -> dict[str, list[str]]:
+    """Returns the details of the findings of a check by code."""
+    options = ReadOptions(is_strict=False, has_details=True)
+    report = check_city(read_city_model(write(tmp_path / "a.gml", text), options=options))
+    return {row.code.code: [item.detail for item in row.items] for row in report.rows}
+
 
 X, Y, Z = 500000.0, 5600000.0, 50.0
 
@@ -38,39 +65,90 @@ def turned(rings: Sequence[Ring]) -> list[Ring]:
 SMALL = box_rings(X + 3, Y + 3, Z + 2, 2.0, 2.0)
 
 
-def test_sound_solids_stay_unreported(tmp_path):
-    # Side by side, the wall between them is one polygon, seen from both sides.
-    assert list(defects(tmp_path, solids([BOX], [moved(BOX, x=10)]))) == ["LB109"]
-    assert defects(tmp_path, solids([BOX, turned(SMALL)])) == {}  # a hole in its middle
+@pytest.mark.parametrize(
+    ("rings", "found"),
+    [
+        (BOX, {}),
+        ([[(x + 0.0002, y, z) for x, y, z in BOX[0]], *BOX[1:]], {}),  # points within a millimetre are one
+        (BOX[:5], {"LB602": ["edges with one face only: 4"]}),
+        (BOX[:2], {"LB601": ["faces: 2"]}),
+        ([*BOX[:5], BOX[5][::-1]], {"LB606": ["edges that both faces run along the same way: 4"]}),
+        (turned(BOX), {"LB607": ["encloses -600.000 m3"]}),
+        ([*BOX, *moved(BOX, x=10, y=10)], {"LB603": ["edges with three faces or more: 1"]}),
+        (
+            [*BOX, *moved(BOX, x=10, y=10, z=6)],
+            {"LB604": ["vertices where fans of faces touch: 1"], "LB605": ["pieces: 2"]},
+        ),
+        ([*BOX, *moved(BOX, x=20)], {"LB605": ["pieces: 2"]}),
+    ],
+)
+def test_solid_check(tmp_path, rings, found):
+    text = city(member(solid(surface_members(map(polygon, rings)), 2)))
+    told = defects(tmp_path, text)
+    assert told == found or (len(rings) == 2 and told | found == told)
 
 
-def test_a_solid_of_which_no_face_is_left(tmp_path: Path) -> None:
-    nowhere: list[Ring] = [[(X, Y, float("nan"))] * 4 for _ in range(6)]
-    assert list(defects(tmp_path, solids([nowhere]))) == ["LB107"]
+@pytest.mark.parametrize(
+    ("shapes", "codes"),
+    [
+        (([BOX], [moved(BOX, x=10)]), ["LB109"]),  # the wall between them is one polygon, from both sides
+        (([BOX, turned(SMALL)],), []),  # a hole in its middle
+        (([[[(X, Y, float("nan"))] * 4] * 6],), ["LB107"]),  # no face is left
+        (([BOX], [moved(BOX, x=5, y=3, z=2)]), ["LB613"]),
+        # Slightly off, so that copies are none of polygons, and within the tolerance of corners.
+        (([BOX], [moved(BOX, z=1e-5)]), "LB614"),
+        (([BOX, turned(moved(SMALL, z=3))],), "LB610"),
+        (([BOX, turned(moved(SMALL, x=30))],), ["LB612"]),
+        (([BOX, turned(SMALL), turned(moved(SMALL, z=1e-5))],), "LB611"),
+    ],
+)
+def test_solids(tmp_path, shapes, codes):
+    """A list of codes is all that is found, a single one is among others."""
+    found = list(defects(tmp_path, solids(*shapes)))
+    assert found == codes if isinstance(codes, list) else codes in found
 
 
-def test_solids_that_cut_each_other(tmp_path: Path) -> None:
-    found = defects(tmp_path, solids([BOX], [moved(BOX, x=5, y=3, z=2)]))
-    assert list(found) == ["LB613"]
+def test_borrowed_faces_close_a_solid(tmp_path: Path) -> None:
+    walls = "".join(
+        bounded_by("WallSurface", multi_surface(surface_members([polygon(ring, gml_id=f"w{n}")])))
+        for n, ring in enumerate(BOX)
+    )
+    links = "".join(link(f"#w{n}") for n in range(6))
+    assert defects(tmp_path, city(member(solid(links, 2) + walls))) == {}
+    turned = '<gml:surfaceMember><gml:OrientableSurface orientation="-"><gml:baseSurface xlink:href="#w5"/>'
+    turned += "</gml:OrientableSurface></gml:surfaceMember>"
+    links = "".join(link(f"#w{n}") for n in range(5)) + turned
+    assert set(defects(tmp_path, city(member(solid(links, 2) + walls)))) == {"LB606"}
 
 
-def test_a_solid_twice(tmp_path):
-    # Slightly off, so that the copies are no copies of polygons, and within the tolerance of corners.
-    found = defects(tmp_path, solids([BOX], [moved(BOX, z=1e-5)]))
-    assert "LB614" in found
+@pytest.mark.parametrize(("shift", "is_met"), [(5.0, True), (10.0, False)])
+def test_parts_that_overlap(tmp_path: Path, shift: float, is_met: bool) -> None:
+    boxes = [BOX, box_rings(x=500000.0 + shift, height=9.0)]
+    parts = "".join(
+        f'<bldg:consistsOfBuildingPart><bldg:BuildingPart gml:id="p{n}">'
+        f"{solid(surface_members(map(polygon, box)), 2)}</bldg:BuildingPart></bldg:consistsOfBuildingPart>"
+        for n, box in enumerate(boxes)
+    )
+    found = defects(tmp_path, city(member(parts)))
+    assert found == ({"LB608": ["LoD2: p0 and p1, 50.00 m2 over 6.00 m"]} if is_met else {})
 
 
-def test_a_hole_that_cuts_its_outside(tmp_path: Path) -> None:
-    assert "LB610" in defects(tmp_path, solids([BOX, turned(moved(SMALL, z=3))]))
-
-
-def test_a_hole_beside_its_solid(tmp_path: Path) -> None:
-    found = defects(tmp_path, solids([BOX, turned(moved(SMALL, x=30))]))
-    assert list(found) == ["LB612"]
-
-
-def test_the_same_hole_twice(tmp_path: Path) -> None:
-    assert "LB611" in defects(tmp_path, solids([BOX, turned(SMALL), turned(moved(SMALL, z=1e-5))]))
+def test_places_for_machines_and_for_maps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bent = [(*point[:2], point[2] + (0.5 if k == 0 else 0.0)) for k, point in enumerate(BOX[1])]
+    faces = surface_members([polygon(bent, gml_id="roof"), *map(polygon, (*BOX[:1], *BOX[2:]))])
+    path = write(tmp_path / "a.gml", city(member(solid(faces, 2))))
+    target = tmp_path / "f.geojson"
+    assert main(["city", "check", str(path), "--json", "--geojson", str(target)]) == 0
+    report = json.loads(capsys.readouterr().out)
+    (planar,) = [row for row in report["findings"] if row["code"] == "LB105"]
+    assert planar["val3dity"] == "203"
+    assert planar["items"][0]["polygon"] == "roof"
+    assert planar["items"][0]["place"] == [*bent[0][:2], 56.5]
+    assert {"seconds", "read_seconds"} <= report.keys()
+    features = json.loads(target.read_text())["features"]
+    (point,) = [f for f in features if f["properties"]["code"] == "LB105"]
+    assert point["geometry"]["coordinates"][:2] == pytest.approx([9.0, 50.5], abs=0.2)
+    assert point["properties"]["building"] == "b1"
 
 
 def test_a_shell_that_cuts_itself(tmp_path):
