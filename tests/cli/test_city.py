@@ -194,22 +194,6 @@ class TestConvert:
         assert (tmp_path / words[-1]).read_text() == (tmp_path / "a.gml").read_text()
         assert lodbench("city", "convert", "a.gml", "-o", words[-1]).returncode == 0
 
-    @pytest.mark.parametrize(
-        ("words", "expected"),
-        [
-            (["a.obj", "--citygml", "3.0"], "--citygml is not used without a .gml"),
-            (["a.glb", "--workers", "2"], "--workers or --address is not used without a .scene"),
-            (["a.glb", "--roof-height", "median"], "--roof-height is not used without --lod 1"),
-            (["a.glb", "--textures", "--lod", "2"], "--lod is not used with --textures"),
-            (["a.json", "--where", "function"], "ATTRIBUTE=VALUE"),
-            (["a.json", "--bbox", "9", "0", "3", "1"], "--bbox holds nothing"),
-        ],
-    )
-    def test_what_would_change_nothing_is_refused(self, lodbench, tmp_path, words, expected):
-        write(tmp_path / "a.gml", box_city())
-        is_clear(lodbench("city", "convert", "a.gml", *words), expected)
-        assert [file.name for file in tmp_path.iterdir()] == ["a.gml"]
-
     @pytest.mark.parametrize("words", [["b.json"], ["b.gml"], ["b.glb", "--bbox", "-9", "-9", "99", "99"]])
     def test_pictures_of_a_mesh_are_not_lost_without_a_word(self, lodbench, tmp_path, words):
         write(tmp_path / "a.obj", box_obj())
@@ -324,22 +308,6 @@ def test_an_index_that_names_no_point(lodbench, tmp_path, index):
     assert "Traceback" not in done.stderr
     assert done.returncode in (1, 2)
     is_clear(lodbench("city", "convert", "a.json", "a.obj"))
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["--source", "platau"], ["'platau'", "plateau"]),
-        (["--option", "heigth_column=h"], ["heigth_column", "height_column"]),
-        (["--option", "sunk_m"], ["sunk_m", "key=value"]),
-        (["--option", "sunk_m=deep"], ["sunk_m", "a number"]),
-        (["--option", "base=grund"], ["base=grund", "ground"]),
-        (["--crs", "EPSG:99999"], ["EPSG:99999"]),
-    ],
-)
-def test_faults_of_the_words(lodbench, tmp_path, words, expected):
-    write(tmp_path / "a.gml", box_city())
-    is_clear(lodbench("city", "info", "a.gml", *words), *expected)
 
 
 def test_help_teaches_by_example(lodbench):

@@ -315,33 +315,6 @@ class TestWithoutMetadata:
 def plain_case(tmp_path_factory, shared_data):
     return make_case(tmp_path_factory.mktemp("photo"), shared_data, "nrw")
 
-
-class TestFaults:
-    @pytest.mark.parametrize(
-        ("words", "expected"),
-        [
-            (["--segmenter", "masks"], ["no mask"]),
-            (["--segmenter", "fishy"], ["fishy"]),
-            (["--mask", "nowhere.png"], ["nowhere.png"]),
-            (["--mask", "MASK", "--camera", "PINHOLE 1 2"], ["--camera"]),
-            (["--mask", "MASK", "--camera", "PINHOLE 640 480 500 500 320 240"], ["640 x 480", "684 x 456"]),
-            (["--mask", "MASK", "--lat", "52", "--lon", "7"], ["km outside"]),
-            (["--mask", "MASK", "--heights", "takeoff"], ["take-off", "--takeoff"]),
-            (["--mask", "MASK", "--heights", "ellipsoid"], ["geoid", "--geoid"]),
-            (["--mask", "MASK", "--lod", "7"], ["7"]),
-        ],
-    )
-    def test_each_is_one_line_and_a_hint(self, capsys, tmp_path, monkeypatch, plain_case, words, expected):
-        monkeypatch.chdir(tmp_path)
-        words = [str(plain_case.mask) if word == "MASK" else word for word in words]
-        assert cli(["localize", str(plain_case.photo), "--city", str(plain_case.city), *words]) == 2
-        told = capsys.readouterr().err
-        assert told.startswith("lodbench: ")
-        assert len(told.splitlines()) <= 2
-        for word in expected:
-            assert word in told
-        assert not (tmp_path / "localized").exists()
-
     def test_a_city_without_a_reference_system(self, capsys, tmp_path, plain_case):
         (tmp_path / "city.obj").write_text(box_obj())
         words = [str(plain_case.photo), "--city", str(tmp_path / "city.obj"), "--mask", str(plain_case.mask)]

@@ -388,18 +388,3 @@ class TestCommand:
         (photo.parent / "photo_mask.png.unsaved").mkdir()
         assert main(["mask", str(photo), "--mask", str(photo.parent / "traced.png")]) == 130
         assert "photo_mask.png.unsaved: Is a directory" in caplog.text
-
-    def test_what_does_not_fit_is_told(self, photo, capsys):
-        cv2.imwrite(str(photo.parent / "small.png"), np.zeros((16, 24), np.uint8))
-        for words, told in (
-            (["--mask", str(photo.parent / "small.png")], "24 x 16 pixels, the photo 240 x 160"),
-            (["--segmenter", "masks"], "looks at no photo alone"),
-            (["--segmenter", "semantic"], "--segmenter-option weights is not set"),
-            (["--import", str(photo)], "is not a JSON file"),
-            (["--import", "a.json", "--segmenter-option", "size=64"], "is not used with --import"),
-        ):
-            assert main(["mask", str(photo), "--no-page", *words]) == 2
-            assert told in capsys.readouterr().err
-        for folder in (".", "/"):
-            assert main(["mask", folder]) == 2
-            assert "is a folder" in capsys.readouterr().err

@@ -176,27 +176,6 @@ def test_silhouettes_are_the_same_bytes_whatever_the_renderer(render, renderer):
 
 
 @pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["kind=depth", "renderer=silhouette"], ["kind=depth", "open3d, pyrender, raster"]),
-        (["kind=label", "renderer=pyrender"], ["kind=label", "one of: raster"]),
-        (["kind=colour", "renderer=reference"], ["kind=colour"]),
-        (["kind=dept"], ["dept", "depth"]),
-        (["renderer=rastr"], ["rastr", "raster"]),
-        (["kind=overlay", "images=nowhere"], ["nowhere", "view_00.png"]),
-    ],
-    ids=" ".join,
-)
-def test_what_cannot_be_drawn_is_said_before_any_work(render, words, expected):
-    done, out = render(*words)
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    for text in expected:
-        assert text in done.stderr
-    assert not out.exists()
-
-
-@pytest.mark.parametrize(
     ("file", "edit", "expected"),
     [
         ("GT_pose.txt", lambda text: text + text.splitlines()[0].replace(".png", ".jpg"), "view_00.png"),

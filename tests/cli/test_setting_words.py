@@ -58,51 +58,6 @@ def test_a_run_takes_flags_and_tells_the_former_name(lodbench, tmp_path):
     assert "dataset.city_model= is now called city=" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "said", "hint"),
-    [
-        ("localize --citty x a.jpg", "no option --citty", "--city"),
-        ("localize a.jpg", "required: --city", "--help"),
-        ("compare", "required: RUN", "--help"),
-        ("leaderboard", "required: add|build", "--help"),
-        ("check-method", "required: NAME.", "--help"),
-        ("check-plugin", "required: KIND, NAME.", "--help"),
-        ("completion", "required: bash|zsh.", "--help"),
-        (
-            "generate-training-data city=x executor.share=hypotheses",
-            "is not used: views are",
-            "Leave executor",
-        ),
-        ("bench", "required: silhouettes|accuracy|", "--help"),
-        ("compare --columns paper a b", "required: RUN", "Arguments go before options."),
-        ("run --multirn seed=0,1", "has no option --multirn", "Did you mean --multirun?"),
-        ("run dataset=demo seed=0,1", "seed=0,1 has several values", "Add --multirun for a run of each"),
-        ("leaderboard add x --mapp y", "no option --mapp", "--map"),
-        ("run --datset folder", "datset is not a setting", "dataset"),
-        ("run root=town", "dataset.root is not a setting of dataset=demo", "It is one of dataset=folder, "),
-        ("run --root town", "dataset.root is not a setting of dataset=demo", "It is one of --dataset folder"),
-        ("run layers=[roads]", "layers is not a setting", "dataset.layers is one of dataset=folder, "),
-        ("run dataset=folder --layers roads", "layers is not a setting", "Did you mean dataset.layers?"),
-        ("run nothing.foo=3", "nothing.foo is not a setting", "Known: dataset, "),
-        ("run prior=uniform prior.foo=3", "prior.foo is not a setting", "x_m"),
-        ("run runner=subprocess runner.foo=3", "runner.foo is not a setting", "python"),
-        ("generate-training-data city=x size=[128]", "size=[128] has 1 value, not 2", "size=[VALUE,VALUE]"),
-        ("generate-training-data --city x --size 9", "--size 9 has 1 value, not 2", "--size [VALUE,VALUE]"),
-        ("generate-training-data city=x look.noise=[0.01]", "look.noise=[0.01] has 1", "look.noise=[VALUE"),
-        ("generate-training-data city=x sampling=priors poses=p prior_m=[1,2]", "prior_m=[1,2] has 2", "[V"),
-        ("render city=x poses=p intrinsics=i out=o size=[1,2,3]", "size=[1,2,3] has 3", "size=[VALUE,VALUE]"),
-        ("train data=x schedule.scale=[1]", "schedule.scale=[1] has 1 value", "schedule.scale=[VALUE,VALUE]"),
-        ("train data=x schedule.scale=[2,1]", "schedule.scale=[2,1] is no asc", "schedule.scale=[LOW,HIGH]"),
-    ],
-)
-def test_a_slip_is_one_line_and_a_hint(lodbench, words, said, hint):
-    done = lodbench(*words.split())
-    assert done.returncode == 2
-    assert said in done.stderr
-    assert hint in done.stderr.splitlines()[1]
-    assert len(done.stderr.splitlines()) == 2
-
-
 @dataclass(frozen=True)
 class _Inner:
     ends: tuple[float, float] = (0.0, 1.0)

@@ -288,41 +288,6 @@ def test_a_camera_of_another_size_is_refused_as_by_localize(capsys, footage, tmp
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("source", "more", "said"),
-    [
-        ("nothing.mp4", (), "nothing.mp4 does not exist"),
-        ("city.obj", (), "no video that OpenCV reads"),
-        ("photos/photo_0.png", (), "is one photo"),
-        ("photos", ("--masks", "nowhere"), "nowhere is not a folder"),
-        ("photos", ("--every", "0"), "--every=0 is not at least 1"),
-        ("photos", ("--center", 9e5, 0, 100), "km outside the city model"),
-        ("photos", ("--center", 0, 0, -900), "m below the city model"),
-    ],
-)
-def test_bad_input_is_one_line(capsys, footage, tmp_path, source, more, said):
-    masks = () if "--masks" in more else ("--masks", footage.folder / "masks")
-    assert main(footage.words(source, *masks, *more, "--out", tmp_path / "out")) == 2
-    told = capsys.readouterr().err
-    assert said in told
-    assert "Traceback" not in told
-
-
-@pytest.mark.parametrize(
-    ("source", "said"),
-    [
-        ("flight.avi", "A video does not say its camera"),
-        ("photos/photo_0.png", "is one photo"),
-        ("city.obj", "no video that OpenCV reads"),
-    ],
-)
-def test_a_video_s_camera_must_be_given(capsys, footage, tmp_path, source, said):
-    words = footage.words(source, "--masks", footage.folder / "masks", "--out", tmp_path)
-    at = words.index("--camera")
-    assert main(words[:at] + words[at + 2 :]) == 2
-    assert said in capsys.readouterr().err
-
-
 def test_dji_s_subtitles_beside_a_video_state_its_start(capsys, footage, tmp_path):
     video = Path(shutil.copy(footage.folder / "flight.avi", tmp_path / "DJI_0001.avi"))
     x, y, up = np.add(footage.truth[0].center, (3.0, -4.0, 5.0))
