@@ -6,7 +6,6 @@ import pytest
 
 from lodbench.bench import maps
 from lodbench.bench.maps import MapsOptions, measure_maps
-from lodbench.cli import main
 from lodbench.evaluation.queries import ERROR
 
 
@@ -55,12 +54,3 @@ def test_a_row_per_map_and_method_and_a_picture(answered, tmp_path):
     assert found["median error, region, DSM"] == 0.5
     report.write_pictures(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"maps.png", "maps.svg"}
-
-
-@pytest.mark.parametrize(
-    ("words", "said"), [(["--maps", "LoD7"], "LoD7 is no map"), (["--queries", "0"], "queries=0")]
-)
-def test_refused_before_any_work(answered, capsys, words, said):
-    assert main(["bench", "maps", *words]) == 2
-    assert said in capsys.readouterr().err
-    assert answered == []

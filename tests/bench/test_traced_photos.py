@@ -91,18 +91,3 @@ def test_traced_masks_are_perfect_masks(photos, capsys):
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
     figures = {line["figure"]: line["value"] for line in lines}
     assert figures["contour_alignment: median translation"] < 2.0
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--photos", "PHOTOS", "--city", "city.gml"], "makes its own map"),
-        (["--photos", "PHOTOS", "--map-error", "-1"], "--map-error"),
-        (["--query", "PHOTOS"], "holds no GT_pose.txt"),
-    ],
-)
-def test_what_is_refused(photos, words, said, capsys):
-    from lodbench.cli import main as lodbench
-
-    assert lodbench(["bench", "real", *(str(photos) if word == "PHOTOS" else word for word in words)]) == 2
-    assert said in capsys.readouterr().err

@@ -67,23 +67,3 @@ def test_a_row_is_the_run_with_the_same_settings(lodbench, tmp_path, data):
     widths = [f"prior.{axis}_m=20" for axis in "xyz"]
     run = lodbench("run", *data, "method=prior_only", "prior=uniform", *widths, "paths.runs=runs/basin")
     assert f"/{line['run']} (2 queries were there already)" in run.stdout, run.stdout + run.stderr
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["ranges=[-5]"], "ranges=-5 is not in"),
-        (["ranges=[30,50]", "limits=[1,2,3]"], "3 limits"),
-        (["limits=[0]", "ranges=[30]"], "not a number of queries"),
-        (["ranges=wide"], "lodbench: ranges[0] is wide, not a number."),
-    ],
-)
-def test_bad_settings_are_one_line_before_any_work(lodbench, tmp_path, data, words, said):
-    done = lodbench("basin", *data, *words)
-    assert (done.returncode, said in done.stderr) == (2, True), done.stderr
-    assert not (tmp_path / "runs" / "folder").exists()
-
-
-def test_an_unknown_prior_is_one_line(lodbench, data):
-    assert "uniform" in lodbench("run", *data, "prior=unifrom").stderr
-    assert "prior.x_m is not a setting" in lodbench("run", *data, "+prior.x_m=3").stderr

@@ -228,6 +228,21 @@ BROKEN = [
 ]
 
 
+@pytest.fixture
+def check(capsys, monkeypatch, plug_in):
+    """Checks a method of the package; returns what is printed (checks by name with --json), and the errors."""
+    monkeypatch.syspath_prepend(plug_in)
+
+    def run(name, *words, code=0):
+        assert main(["check-method", name, *words]) == code
+        out, err = capsys.readouterr()
+        if "--json" in words:
+            return {each["name"]: each for each in map(json.loads, out.splitlines())}, err
+        return out, err
+
+    return run
+
+
 @pytest.fixture(scope="module")
 def plug_in(tmp_path_factory) -> Path:
     """A package of methods as pip would install it, with its configuration."""
@@ -269,90 +284,60 @@ def test_ours_keep_to_it(capsys, name, words):
     assert "  fault" not in told
 
 
-def test_a_sound_plug_in(capsys, monkeypatch, plug_in):
-    monkeypatch.syspath_prepend(plug_in)
-    assert main(["check-method", "sound", "--json"]) == 0
-    checks = {check["name"]: check for check in map(json.loads, capsys.readouterr().out.splitlines())}
-    assert {check["status"] for check in checks.values()} == {"ok"}
+def test_a_sound_plug_in(check):
+    checks, _ = check("sound", "--json")
+    assert {each["status"] for each in checks.values()} == {"ok"}
     assert "differs by seed" in checks["another seed"]["detail"]
     assert len(checks) == 20
 
 
 @pytest.mark.parametrize(("name", "rule", "word"), BROKEN)
-def test_each_violation_is_told_and_no_other(capsys, monkeypatch, plug_in, name, rule, word):
-    monkeypatch.syspath_prepend(plug_in)
-    assert main(["check-method", name, "--json"]) == 1
-    checks = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    (fault,) = [check for check in checks if check["status"] != "ok"]
+def test_each_violation_is_told_and_no_other(check, name, rule, word):
+    checks, _ = check(name, "--json", code=1)
+    (fault,) = [each for each in checks.values() if each["status"] != "ok"]
     assert (fault["name"], fault["status"]) == (rule, "fault")
     assert word in fault["detail"]
 
 
-@pytest.mark.parametrize(
-    ("name", "check", "word"),
-    [
-        ("retrieving", "preparation", "3 parts, found again after a kill"),
-        ("batched", "batches", "up to 2 at a time, the same answers"),
-    ],
-)
-def test_what_is_offered_is_tried(capsys, monkeypatch, plug_in, name, check, word):
-    monkeypatch.syspath_prepend(plug_in)
-    assert main(["check-method", name, "--json"]) == 0
-    checks = {each["name"]: each for each in map(json.loads, capsys.readouterr().out.splitlines())}
-    assert checks[check]["detail"] == word
+def test_what_is_offered_is_tried(check):
+    preparation, batches = (
+        check("retrieving", "--json")[0]["preparation"],
+        check("batched", "--json")[0]["batches"],
+    )
+    assert preparation["detail"] == "3 parts, found again after a kill"
+    assert batches["detail"] == "up to 2 at a time, the same answers"
 
 
-def test_settings_are_tried(capsys):
-    assert main(["check-method", "lodlocv2", "method.variant=no_refine"]) == 0
-    assert "504 at most" in capsys.readouterr().out
-    assert main(["check-method", "lodlocv2", "method.varjant=no_refine"]) == 2
-    assert "method.varjant is not a setting" in capsys.readouterr().err
-    assert main(["check-method", "lodlocv2", "tilt=truth"]) == 2
+def test_settings_are_tried(check):
+    assert "504 at most" in check("lodlocv2", "method.variant=no_refine")[0]
+    # One of the wrong kind is no fault of the method.
+    out, err = check("sound", "method.steps=x", code=2)
+    assert "steps" in err
+    assert not out
 
 
-def test_a_setting_of_the_wrong_kind_is_no_fault_of_the_method(capsys, monkeypatch, plug_in):
-    monkeypatch.syspath_prepend(plug_in)
-    assert main(["check-method", "sound", "method.steps=x"]) == 2
-    told = capsys.readouterr()
-    assert "steps" in told.err
-    assert not told.out
+def test_what_a_method_prints_is_not_among_the_lines_for_machines(check):
+    checks, err = check("talking", "--json")
+    assert all(each["status"] == "ok" for each in checks.values())
+    assert "I am looking" in err
 
 
-def test_what_a_method_prints_is_not_among_the_lines_for_machines(capsys, monkeypatch, plug_in):
-    monkeypatch.syspath_prepend(plug_in)
-    assert main(["check-method", "talking", "--json"]) == 0
-    told = capsys.readouterr()
-    assert all(json.loads(line)["status"] == "ok" for line in told.out.splitlines())
-    assert "I am looking" in told.err
-
-
-def test_where_a_plug_in_raised_is_shown(capsys, monkeypatch, plug_in):
-    monkeypatch.syspath_prepend(plug_in)
-    assert main(["check-method", "exploding"]) == 1
-    told = capsys.readouterr().out
+def test_where_a_plug_in_raised_is_shown(check):
+    told, _ = check("exploding", code=1)
     assert "in exploding" in told
     assert '    raise KeyError("oh")' in told
     assert "-> Its traceback is below. Where there is no answer, raise QueryFault with the reason." in told
 
 
-def test_a_slip_is_not_taken_for_a_query_without_an_answer(capsys, monkeypatch, plug_in):
-    monkeypatch.syspath_prepend(plug_in)
-    assert main(["check-method", "mistaken"]) == 1
-    told = capsys.readouterr().out
+def test_a_slip_is_not_taken_for_a_query_without_an_answer(check):
+    told, _ = check("mistaken", code=1)
     assert "-> Its traceback is below.\n" in told
     assert "Estimate(query.pryor, 0.5)" in told
     assert "QueryFault" not in told
 
 
-def test_a_violation_as_people_read_it(capsys, monkeypatch, plug_in):
-    monkeypatch.syspath_prepend(plug_in)
-    assert main(["check-method", "stateful"]) == 1
-    told = capsys.readouterr().out
+def test_a_violation_as_people_read_it(check):
+    told, _ = check("stateful", code=1)
     assert "  fault   any order" in told
     assert "-> Keep no state between queries" in told
     assert told.endswith("\nstateful violates 1 rule of the protocol.\n")
-
-
-def test_an_unknown_name(capsys):
-    assert main(["check-method", "lodlocv9"]) == 2
-    assert "lodlocv2" in capsys.readouterr().err

@@ -135,9 +135,7 @@ def test_for_people(folder_of_city_make, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["city", "make", "town.city.json"], "--footprints"),
         ([*WORDS, "f.gpkg"], "f.gpkg"),
-        (["city", "make", "--footprints", "dsm.tif", "town.json"], "no file of footprints"),
         (
             ["city", "make", "--footprints", "f.gpkg", "--dsm", "no.tif", "town.json"],
             "no surface model at no.tif",

@@ -185,13 +185,10 @@ def test_somebody_else_s_file_is_not_written_over(capsys, case, tmp_path, name):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ((), "nothing to place the model by"),
-        (("--masks", "MASKS"), "Nobody says where the model is, roughly"),
         (("--masks", "EMPTY", "--start", "ROUGH"), "0 of 6 photos can be used, and 3 are needed"),
         (("--masks", "BLACK", "--start", "ROUGH"), "photos can be used, and 3 are needed"),
         (("--masks", "MASKS", "--start", "FAR"), "km outside the city model"),
         (("--masks", "MASKS", "--start", "FEW"), "2 of the model's 6 cameras have a rough place"),
-        (("--masks", "MASKS", "--start", "ROUGH", "--method", "region"), "solves no flights"),
     ],
 )
 def test_what_is_missing_is_said_in_one_line(capsys, case, tmp_path, words, said):

@@ -16,7 +16,6 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry import Camera, EulerAngles, Pose
 from tests.cli.photo_case import CITIES, HEIGHT, PINHOLE, WIDTH, localize, make_case, pose_of
 from tests.photos.dji_photo import exif_of, write_photo
-from tests.town import box_obj
 
 
 @pytest.mark.slow
@@ -315,11 +314,20 @@ class TestWithoutMetadata:
 def plain_case(tmp_path_factory, shared_data):
     return make_case(tmp_path_factory.mktemp("photo"), shared_data, "nrw")
 
-    def test_a_city_without_a_reference_system(self, capsys, tmp_path, plain_case):
-        (tmp_path / "city.obj").write_text(box_obj())
-        words = [str(plain_case.photo), "--city", str(tmp_path / "city.obj"), "--mask", str(plain_case.mask)]
-        assert cli(["localize", *words]) == 2
-        assert "--center" in capsys.readouterr().err
+
+def test_a_level_that_the_city_lacks(capsys, tmp_path, plain_case):
+    words = [
+        str(plain_case.photo),
+        "--city",
+        str(plain_case.city),
+        "--mask",
+        str(plain_case.mask),
+        "--lod",
+        "7",
+    ]
+    assert cli(["localize", *words, "--out", str(tmp_path / "out")]) == 2
+    assert "level of detail 7" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_in_a_process_of_its_own(lodbench, tmp_path, plain_case):

@@ -87,19 +87,6 @@ def test_each_photo_has_its_row_its_place_and_its_own_files(capsys, case, flight
     assert len(list(out.glob("*_overlay.png"))) == 2
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--mask", "m.png"), "--mask works with one photo"),
-        (("--lat", "51"), "--lat works with one photo"),
-        (("--masks", "nowhere"), "--masks nowhere is not a folder"),
-    ],
-)
-def test_options_of_one_photo_are_not_for_many(capsys, case, flight, words, said):
-    assert main(["localize", str(flight / "a"), str(flight / "b"), "--city", str(case.city), *words]) == 2
-    assert said in capsys.readouterr().err
-
-
 class TestCodeOfOthers:
     """A plug-in that raises on one photo takes no other with it, and shows where it raised."""
 

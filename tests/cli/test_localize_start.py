@@ -116,19 +116,6 @@ def test_a_place_that_the_city_has_no_use_for_hints_at_poses_too(capsys, folder)
     )
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--heading", "10"), "--heading is not used with --start"),
-        (("--center", "1", "2", "3"), "--center is not used with --start"),
-        (("--takeoff", "60"), "--takeoff is not used with --start"),
-    ],
-)
-def test_a_second_word_on_the_place_is_refused(capsys, folder, words, said):
-    assert localize(folder, *start(folder), *words, photos="photos/a.jpg") == 2
-    assert said in capsys.readouterr().err
-
-
 def test_a_file_of_other_photos_or_none_is_one_line(capsys, folder):
     (folder / "rough.txt").write_text(format_pose("other.jpg", POSES["a.jpg"]) + "\n")
     assert localize(folder, *start(folder)) == 2

@@ -107,21 +107,6 @@ def test_a_fault_in_a_sweep_names_its_job_and_spares_the_others(lodbench, tmp_pa
     assert len(list((tmp_path / "runs" / "folder" / "lodlocv2").iterdir())) == 1
 
 
-@pytest.mark.parametrize(
-    ("setting", "said"),
-    [
-        ("split=1", "no split '1'"),
-        ("split=a=b", "hint: Quote a value that holds = , : or brackets: 'split=\"a=b\"'."),
-        ("split=[a", "split=[a cannot be read"),
-        ("split={a:1}", "split={a:1} is of another kind"),
-        ("demo", "demo is not a setting."),
-    ],
-)
-def test_a_setting_that_is_none_is_said_by_its_own_word(lodbench, dataset, setting, said):
-    done = lodbench(*words(dataset, setting))
-    assert (done.returncode, said in done.stderr) == (2, True), done.stderr
-
-
 @pytest.mark.parametrize("command", [["run"], ["localize"], ["dataset", "check"], ["train"]])
 def test_any_command_says_the_version_of_lodbench(command, capsys):
     assert main([*command, "--version"]) == 0

@@ -246,21 +246,6 @@ class TestSource:
             assert lodbench(*words).returncode == 0
         assert len(list((tmp_path / "runs" / "folder" / "prior_only").iterdir())) == 2
 
-    @pytest.mark.parametrize(
-        ("words", "expected"),
-        [
-            (["source=platau"], ["platau", "plateau"]),
-            (["source.options.heigth_column=h"], ["heigth_column", "height_column"]),
-            (["source.options.base=grund"], ["grund", "ground"]),
-            (["source.lodd=1"], ["source.lodd", "lod"]),
-            (["dataset.roof_height=meidan", "dataset.lod=1"], ["meidan", "median"]),
-        ],
-    )
-    def test_faults(self, lodbench, tmp_path, dataset, shared_data, words, expected):
-        city = shared_data / NRW
-        is_clear(lodbench(*run_words((dataset[0], city), *words)), *expected)
-        assert not (tmp_path / "runs").exists()
-
     def test_levels_are_derived_for_pictures(self, lodbench, tmp_path, shared_data):
         city = shared_data / NRW
         words = [f"city={city}", "source=adv_lod1", *view_of(city, tmp_path)]
