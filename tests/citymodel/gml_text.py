@@ -69,6 +69,11 @@ def solid(members: str, lod: int = 1) -> str:
     )
 
 
+def solid_of(rings: Iterable[Ring], lod: int = 1) -> str:
+    """A solid of plain faces."""
+    return solid(surface_members(map(polygon, rings)), lod)
+
+
 def multi_surface(members: str, lod: int = 2, attributes: str = "") -> str:
     return (
         f"<bldg:lod{lod}MultiSurface><gml:MultiSurface{attributes}>{members}</gml:MultiSurface>"

@@ -20,6 +20,7 @@ from .gml_text import (
     multi_surface,
     polygon,
     solid,
+    solid_of,
     surface_members,
     write,
 )
@@ -78,7 +79,7 @@ class TestFiles:
 
     def test_empty_property_and_other_objects(self, tmp_path: Path) -> None:
         other = "<core:cityObjectMember><bldg:Tree/></core:cityObjectMember>" * 3
-        text = city(other + member("<bldg:lod4MultiSurface/>" + solid(surface_members(map(polygon, BOX)))))
+        text = city(other + member("<bldg:lod4MultiSurface/>" + solid_of(BOX)))
         model = model_of(tmp_path, text)
         assert codes(model) == {"LB207": 1, "LB209": 1}
 
@@ -112,10 +113,7 @@ class TestFiles:
 
 class TestIds:
     def test_two_buildings_of_one_id_stay_two(self, tmp_path: Path) -> None:
-        text = city(
-            member(solid(surface_members(map(polygon, BOX))))
-            + member(solid(surface_members(map(polygon, box_rings(x=500020.0)))))
-        )
+        text = city(member(solid_of(BOX)) + member(solid_of(box_rings(x=500020.0))))
         model = model_of(tmp_path, text)
         assert model.building_ids == ("b1", "b1~2")
         assert codes(model) == {"LB205": 1}
@@ -124,7 +122,7 @@ class TestIds:
 
     @pytest.mark.parametrize("has_details", [False, True])
     def test_a_building_inside_of_another_is_one_of_its_own(self, tmp_path: Path, has_details: bool) -> None:
-        boxes = [solid(surface_members(map(polygon, box_rings(x=500000.0 + 50 * n)))) for n in range(2)]
+        boxes = [solid_of(box_rings(x=500000.0 + 50 * n)) for n in range(2)]
         inner = f'<bldg:Building gml:id="in">{boxes[1]}</bldg:Building>'
         inner = f"<core:generalizesTo>{inner}</core:generalizesTo>"
         options = ReadOptions(has_details=has_details)

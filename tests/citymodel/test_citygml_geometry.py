@@ -22,6 +22,7 @@ from .gml_text import (
     polygon,
     pos_list,
     solid,
+    solid_of,
     surface_members,
 )
 from .models import codes, model_of
@@ -44,7 +45,7 @@ class TestGeometry:
 
     @pytest.mark.parametrize("version", ["1.0", "2.0"])
     def test_versions(self, tmp_path: Path, version: str) -> None:
-        text = city(member(solid(surface_members(map(polygon, BOX)))), version=version)
+        text = city(member(solid_of(BOX)), version=version)
         assert model_of(tmp_path, text).version == version
 
     @pytest.mark.parametrize(
@@ -112,7 +113,7 @@ class TestGeometry:
     def test_parts_belong_to_their_building(self, tmp_path: Path) -> None:
         name = "bldg:consistsOfBuildingPart"
         part = f"<{name}><bldg:BuildingPart>{{}}</bldg:BuildingPart></{name}>"
-        halves = [solid(surface_members(map(polygon, box_rings(x=500000.0 + 20 * i)))) for i in range(2)]
+        halves = [solid_of(box_rings(x=500000.0 + 20 * i)) for i in range(2)]
         model = model_of(tmp_path, city(member("".join(map(part.format, halves)))))
         assert (len(model.building_ids), model.num_parts, len(model.polygons)) == (1, 2, 12)
 
@@ -154,7 +155,7 @@ class TestGeometry:
         extra = (
             "<uro:lod1HeightType>2</uro:lod1HeightType><uro:lod1Solid>" + polygon(BOX[0]) + "</uro:lod1Solid>"
         )
-        text = city(member(extra + solid(surface_members(map(polygon, BOX)))))
+        text = city(member(extra + solid_of(BOX)))
         assert len(model_of(tmp_path, text).polygons) == 6
 
     def test_two_dimensional_footprint(self, tmp_path: Path) -> None:
@@ -206,14 +207,14 @@ class TestImplicitGeometry:
         ],
     )
     def test_what_cannot_be_placed_is_a_finding(self, tmp_path: Path, shape: str, at: str) -> None:
-        text = city(member(self.placed(shape, at) + solid(surface_members(map(polygon, BOX)))))
+        text = city(member(self.placed(shape, at) + solid_of(BOX)))
         assert codes(model_of(tmp_path, text)) == {"LB206": 1}
 
     def test_metres_are_not_added_to_degrees(self, tmp_path: Path) -> None:
         shape = f"<core:relativeGMLGeometry>{self.shape}</core:relativeGMLGeometry>"
         rings = [[(35.6 + y * 1e-5, 139.7 + x * 1e-5, z) for x, y, z in box_rings()[k]] for k in range(6)]
         rings = [[(a % 1 + 35, b % 1 + 139, z) for a, b, z in ring] for ring in rings]
-        own = solid(surface_members(map(polygon, rings)))
+        own = solid_of(rings)
         model = model_of(tmp_path, city(member(own + self.placed(shape, "35.6 139.7 3")), srs="EPSG:6697"))
         assert codes(model)["LB206"] == 1
         assert np.ptp(model.polygons.points[:, :2], axis=0).max() < 100

@@ -20,6 +20,7 @@ from .gml_text import (
     multi_surface,
     polygon,
     solid,
+    solid_of,
     surface_members,
 )
 from .models import codes, model_of
@@ -83,7 +84,7 @@ class TestLinks:
             "</bldg:WallSurface></bldg:boundedBy>"
         )
         face = multi_surface(surface_members([polygon(BOX[3], gml_id="p")]), 3)
-        box = solid(surface_members(map(polygon, box_rings(x=500100.0))))
+        box = solid_of(box_rings(x=500100.0))
         part = (
             f'<core:cityObjectMember><bldg:BuildingPart gml:id="bp">{box}</bldg:BuildingPart>'
             "</core:cityObjectMember>"
@@ -229,7 +230,7 @@ class TestSurfacesWrittenTwice:
     def test_inline_in_solid_and_walls(self, tmp_path: Path) -> None:
         turned = [[*ring[2:], *ring[:2]] for ring in BOX]
         walls = bounded_by("WallSurface", multi_surface(surface_members(map(polygon, turned))))
-        model = model_of(tmp_path, city(member(solid(surface_members(map(polygon, BOX)), 2) + walls)))
+        model = model_of(tmp_path, city(member(solid_of(BOX, 2) + walls)))
         assert codes(model) == {"LB109": 6}
         assert set(model.polygons.kind) == {SurfaceKind.WALL}
         assert mesh_model(model).meshed_m2 == pytest.approx(box_area())

@@ -11,7 +11,7 @@ from lodbench.citymodel import CityModel, ReadOptions, mesh_model, read_city_mod
 from lodbench.citymodel.convert import Conversion, convert_city
 from lodbench.citymodel.gml.writer import srs_name
 
-from .gml_text import box_rings, city, member, polygon, solid, surface_members, write
+from .gml_text import box_rings, city, member, solid_of, write
 from .test_layers import twin
 from .twins import documents
 
@@ -91,7 +91,7 @@ def test_attributes_of_every_shape(tmp_path: Path) -> None:
         "count": 7, "ratio": 0.125, "odd name \"'é": "x", "set": {"inner": "1", "deeper": {"n": 2}},
         "list": ["a", "b"], "address": [{"CountryName": "D", "LocalityName": "Köln", "Floor": "2"}],
     }  # fmt: skip
-    text = city(member(solid(surface_members(map(polygon, box_rings())))))
+    text = city(member(solid_of(box_rings())))
     model = read_city_model(write(tmp_path / "a.gml", text), options=DETAILS)
     assert model.objects is not None
     model.objects.attributes[0].update(told)

@@ -20,7 +20,7 @@ from lodbench.citymodel.source import open_sources
 from lodbench.citymodel.subset import reproject
 from lodbench.cli import main
 
-from .gml_text import Ring, box_rings, city, member, polygon, solid, surface_members, write
+from .gml_text import Ring, box_rings, city, member, polygon, solid, solid_of, surface_members, write
 from .models import model_of
 
 decimals = st.from_regex(r"\A[+-]?(\d{1,25}(\.\d{0,25})?|\.\d{1,20})([eE][+-]?\d{1,2})?\Z").filter(
@@ -83,7 +83,7 @@ def read_box(
         x, y = to_file.transform(*np.transpose([(east + p[0], north + p[1]) for p in ring]))
         columns = (y, x) if is_north_first else (x, y)
         placed.append([(float(a), float(b), p[2]) for a, b, p in zip(*columns, ring, strict=True)])
-    text = city(member(solid(surface_members(map(polygon, placed)))), srs=code)
+    text = city(member(solid_of(placed)), srs=code)
     model = read_city_model(write(folder / "a.gml", text), options=options)
     middle = model.polygons.points[:, :2].mean(axis=0) + model.origin[:2]
     found = Transformer.from_crs(model.crs, 4326, always_xy=True).transform(*middle)
@@ -147,7 +147,7 @@ def test_a_name_that_promises_an_order_yields_to_many_houses(tmp_path, name, cou
 
 def test_a_system_that_declares_eastings_first_asks_no_faces(tmp_path: Path) -> None:
     inside_out = [[(p[0] + 5e5, p[1] + 6e5, p[2]) for p in ring[::-1]] for ring in BOX]
-    text = city(member(solid(surface_members(map(polygon, inside_out)))), srs="EPSG:2157")
+    text = city(member(solid_of(inside_out)), srs="EPSG:2157")
     model = read_city_model(write(tmp_path / "a.gml", text))
     assert model.origin[:2].tolist() == [500000.0, 600000.0]
 

@@ -13,7 +13,7 @@ from lodbench.citymodel.subset import reproject
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
-from .gml_text import box_rings, city, member, polygon, solid, surface_members, write
+from .gml_text import box_rings, city, member, polygon, solid, solid_of, surface_members, write
 
 
 def points(*rows: tuple[float, float, float]) -> np.ndarray:
@@ -172,10 +172,7 @@ def test_two_systems_in_one_file_meet(tmp_path: Path) -> None:
     to_next = Transformer.from_crs("EPSG:25832", "EPSG:25833", always_xy=True)
     rings = [[(*to_next.transform(x, y), z) for x, y, z in ring] for ring in box_rings(x=712000.0)]
     envelope = '<gml:boundedBy><gml:Envelope srsName="EPSG:25833"/></gml:boundedBy>'
-    text = city(
-        member(solid(surface_members(map(polygon, box_rings(x=712000.0)))))
-        + member(envelope + solid(surface_members(map(polygon, rings))), "b2")
-    )
+    text = city(member(solid_of(box_rings(x=712000.0))) + member(envelope + solid_of(rings), "b2"))
     model = read_city_model(write(tmp_path / "a.gml", text))
     assert model.crs == "EPSG:25832"
     assert [item.code.code for item in model.findings.items] == ["LB307"]
@@ -265,7 +262,7 @@ class TestScale:
     def test_areas_of_a_city_in_web_mercator(self, tmp_path: Path) -> None:
         x, y = self.place(3857)[0, :2].tolist()
         rings = box_rings(x=x, y=y, size=16.3893)  # 10 m at 52.4 degrees north
-        text = city(member(solid(surface_members(map(polygon, rings)))), srs="EPSG:3857")
+        text = city(member(solid_of(rings)), srs="EPSG:3857")
         model = read_city_model(write(tmp_path / "a.gml", text))
         corners = model.polygons.points[:4, :2]
         edges = np.linalg.norm(np.diff(corners, axis=0), axis=1)
@@ -279,9 +276,7 @@ def test_ellipsoidal_heights_are_told(code: int) -> None:
 
 def test_many_unknown_names_end_quickly(tmp_path: Path) -> None:
     members = "".join(
-        member(solid(surface_members(map(polygon, box_rings()))), f"b{i}").replace(
-            "<gml:Solid>", f'<gml:Solid srsName="urn:nobody:{i}">'
-        )
+        member(solid_of(box_rings()), f"b{i}").replace("<gml:Solid>", f'<gml:Solid srsName="urn:nobody:{i}">')
         for i in range(2000)
     )
     with pytest.raises(CityModelError, match="more than 32 reference systems"):
@@ -289,7 +284,7 @@ def test_many_unknown_names_end_quickly(tmp_path: Path) -> None:
 
 
 def test_heights_out_of_this_world_are_no_fault_of_the_plane(tmp_path: Path) -> None:
-    text = city(member(solid(surface_members(map(polygon, box_rings(z=4e9))))))
+    text = city(member(solid_of(box_rings(z=4e9))))
     with pytest.raises(CityModelError, match="has 24 of 24 heights nowhere on Earth") as raised:
         read_city_model(write(tmp_path / "a.gml", text))
     assert "not at fault" in raised.value.hint
@@ -307,7 +302,7 @@ def test_heights_out_of_this_world_are_no_fault_of_the_plane(tmp_path: Path) -> 
 def test_a_code_that_names_no_heights_leaves_the_plane_its_system(tmp_path: Path, name: str) -> None:
     """5109 is the datum of Amsterdam, 5709 the heights above it: the plane's system was dropped, too."""
     rings = box_rings(x=85000.0, y=447000.0)
-    text = city(member(solid(surface_members(map(polygon, rings)))), srs=name)
+    text = city(member(solid_of(rings)), srs=name)
     model = read_city_model(write(tmp_path / "a.gml", text))
     assert model.crs == "EPSG:28992"
     (found,) = model.findings.items
@@ -322,7 +317,7 @@ def test_two_codes_of_which_neither_is_a_plane_stay_unknown() -> None:
 def test_a_building_at_zero_is_told_and_leaves_the_frame_at_the_city(tmp_path: Path) -> None:
     """The frame began at 0, 0, where float32 has a place every half metre."""
     houses = [
-        member(solid(surface_members(map(polygon, box_rings(x=x, y=y)))), f"b{n}")
+        member(solid_of(box_rings(x=x, y=y)), f"b{n}")
         for n, (x, y) in enumerate([(0.0, 0.0), (500000.37, 5600000.0), (500200.0, 5600100.0)])
     ]
     model = read_city_model(write(tmp_path / "a.gml", city("".join(houses))))
@@ -357,9 +352,7 @@ def test_westings_and_southings_become_eastings_and_northings(code, longitude, l
 
 
 def test_a_system_to_the_west_is_no_target(tmp_path: Path) -> None:
-    model = read_city_model(
-        write(tmp_path / "c.gml", city(member(solid(surface_members(map(polygon, box_rings()))))))
-    )
+    model = read_city_model(write(tmp_path / "c.gml", city(member(solid_of(box_rings())))))
     with pytest.raises(CityModelError, match="east and north"):
         reproject(model, "EPSG:5513")
 
@@ -367,7 +360,7 @@ def test_a_system_to_the_west_is_no_target(tmp_path: Path) -> None:
 @pytest.mark.parametrize("nameless", ["a.gml", "c.gml"])
 def test_a_tile_without_a_system_takes_none_from_the_others(tmp_path: Path, nameless: str) -> None:
     def tile(x: float, srs: str | None) -> str:
-        return city(member(solid(surface_members(map(polygon, box_rings(x=x))))), srs=srs)
+        return city(member(solid_of(box_rings(x=x))), srs=srs)
 
     write(tmp_path / nameless, tile(500000.0, None))
     write(tmp_path / "b1.gml", tile(500100.0, "EPSG:25832"))

@@ -11,7 +11,7 @@ from lodbench.citymodel.meshing import CityMesh
 from lodbench.citymodel.source import open_sources
 from lodbench.errors import ConfigError
 
-from .gml_text import box_area, box_rings, city, member, polygon, solid, surface_members, write
+from .gml_text import box_area, box_rings, city, member, polygon, solid, solid_of, surface_members, write
 from .models import model_of
 
 _MODULES = {"brid": "bridge", "veg": "vegetation", "dem": "relief", "frn": "cityfurniture", "b": "building"}
@@ -188,7 +188,7 @@ AREA = box_area()
 
 
 def box(k: int, lod: int) -> str:
-    return solid(surface_members(map(polygon, box_rings(x=500000.0 + 40 * k))), lod)
+    return solid_of(box_rings(x=500000.0 + 40 * k), lod)
 
 
 def part(name: str, content: str) -> str:

@@ -20,7 +20,7 @@ from .gml_text import (
     member,
     multi_surface,
     polygon,
-    solid,
+    solid_of,
     surface_members,
     write,
 )
@@ -29,7 +29,7 @@ from .test_cityjson import building, document, read, surface
 
 
 def box(height: float, content: str = "", building_id: str = "b") -> str:
-    shape = solid(surface_members(map(polygon, box_rings(height=height))), lod=2)
+    shape = solid_of(box_rings(height=height), lod=2)
     return member(content + shape, building_id)
 
 
@@ -85,7 +85,7 @@ def test_what_is_no_end_ends_nothing(tmp_path, day):
 
 
 def test_a_part_that_ended_goes_and_its_building_stays(tmp_path):
-    part = solid(surface_members(map(polygon, box_rings(x=500010.0, height=40.0))), lod=2)
+    part = solid_of(box_rings(x=500010.0, height=40.0), lod=2)
     inner = f"<bldg:consistsOfBuildingPart><bldg:BuildingPart gml:id='p'>{core(terminationDate='2015-01-01')}"
     text = city(box(10.0, f"{inner}{part}</bldg:BuildingPart></bldg:consistsOfBuildingPart>"))
     options = ReadOptions(has_details=True)
@@ -174,7 +174,7 @@ def test_surfaces_in_a_property_of_an_extension_are_not_the_building_s(tmp_path,
         bounded_by("WallSurface", multi_surface(surface_members([polygon(ring)]), lod))
         for ring in box_rings(x=500002.0, size=2.0, height=1.0)
     ).replace("bldg:boundedBy", "energy:thermalBoundary")
-    room = f"<energy:Zone>{inner}{solid(surface_members(map(polygon, box_rings(z=0.0))), lod)}</energy:Zone>"
+    room = f"<energy:Zone>{inner}{solid_of(box_rings(z=0.0), lod)}</energy:Zone>"
     zone = f"<energy:thermalZone {ENERGY}>{room}</energy:thermalZone>"
     path = write(tmp_path / "a.gml", city(member(own + holder.format(zone))))
     model = read_city_model(path, options=ReadOptions(has_details=has_details))
@@ -204,7 +204,7 @@ def test_objects_of_extensions_in_cityjson_are_no_surfaces_either(tmp_path):
 
 
 def storey(rings: list, lod: int = 2, name: str = "Storey") -> str:
-    shape = solid(surface_members(map(polygon, rings)), lod)
+    shape = solid_of(rings, lod)
     return (
         f"<bldg:buildingSubdivision><bldg:{name} gml:id='s'>{shape}</bldg:{name}></bldg:buildingSubdivision>"
     )

@@ -27,7 +27,7 @@ from .gml_text import (
     member,
     multi_surface,
     polygon,
-    solid,
+    solid_of,
     surface_members,
     write,
 )
@@ -43,9 +43,7 @@ def row_of_houses(
     heights = {ground: base, ground + 8.0: top}
     hurt = count // 2
     rings[hurt] = [[(x, y, heights[z]) for x, y, z in ring] for ring in rings[hurt]]
-    text = "".join(
-        member(solid(surface_members(map(polygon, each))), f"h{n}") for n, each in enumerate(rings)
-    )
+    text = "".join(member(solid_of(each), f"h{n}") for n, each in enumerate(rings))
     return read_city_model(write(tmp_path / "a.gml", city(text)))
 
 
@@ -86,7 +84,7 @@ def test_a_footprint_at_zero_under_a_mountain_house_is_none(tmp_path):
     flat = multi_surface(surface_members([polygon(box_rings(z=0.0)[0])]), lod=0).replace(
         "lod0MultiSurface", "lod0FootPrint"
     )
-    walls = solid(surface_members(map(polygon, box_rings(z=1600.0))), lod=2)
+    walls = solid_of(box_rings(z=1600.0), lod=2)
     assert codes(read_city_model(write(tmp_path / "a.gml", city(member(flat + walls))))) == {}
 
 

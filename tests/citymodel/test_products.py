@@ -24,6 +24,7 @@ from .gml_text import (
     multi_surface,
     polygon,
     solid,
+    solid_of,
     surface_members,
     write,
 )
@@ -87,7 +88,7 @@ class TestDerivedLevel:
         boxes = [box_rings(E0, N0, 10, 10, 6), box_rings(E0 + 10, N0, 10, 10, 20)]
         parts = "".join(
             f'<bldg:consistsOfBuildingPart><bldg:BuildingPart gml:id="p{n}">'
-            f"{solid(surface_members(map(polygon, box)), 2)}"
+            f"{solid_of(box, 2)}"
             "</bldg:BuildingPart></bldg:consistsOfBuildingPart>"
             for n, box in enumerate(boxes)
         )
@@ -280,7 +281,7 @@ class TestConvert:
         assert done.findings.counts() == {"LB408 LOD_DERIVED": 1}
 
     def test_what_cityjson_cannot_say_is_told(self, tmp_path: Path) -> None:
-        text = city(member(solid(surface_members(map(polygon, box_rings())))), srs="EPSG:25832+7837")
+        text = city(member(solid_of(box_rings())), srs="EPSG:25832+7837")
         model = read_city_model(write(tmp_path / "a.gml", text))
         (line,) = convert_city(model, tmp_path / "a.json").left_out
         assert "EPSG:25832+7837" in line

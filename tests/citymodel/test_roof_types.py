@@ -22,12 +22,12 @@ from lodbench.harness.city import city_digests
 from lodbench.harness.tiled_city import compile_tiles
 from lodbench.storage.arrays import write_arrays
 
-from .gml_text import box_rings, city, member, polygon, solid, surface_members, write
+from .gml_text import box_rings, city, member, solid_of, write
 from .test_cityjson import document, surface
 
 
 def box(n: int) -> str:
-    return solid(surface_members(map(polygon, box_rings(500000.0 + 20.0 * n))))
+    return solid_of(box_rings(500000.0 + 20.0 * n))
 
 
 def roof(code: str) -> str:

@@ -21,6 +21,7 @@ from .gml_text import (
     multi_surface,
     polygon,
     solid,
+    solid_of,
     surface_members,
     write,
 )
@@ -83,7 +84,7 @@ SMALL = box_rings(X + 3, Y + 3, Z + 2, 2.0, 2.0)
     ],
 )
 def test_solid_check(tmp_path, rings, found):
-    text = city(member(solid(surface_members(map(polygon, rings)), 2)))
+    text = city(member(solid_of(rings, 2)))
     told = defects(tmp_path, text)
     assert told == found or (len(rings) == 2 and told | found == told)
 
@@ -126,7 +127,7 @@ def test_parts_that_overlap(tmp_path: Path, shift: float, is_met: bool) -> None:
     boxes = [BOX, box_rings(x=500000.0 + shift, height=9.0)]
     parts = "".join(
         f'<bldg:consistsOfBuildingPart><bldg:BuildingPart gml:id="p{n}">'
-        f"{solid(surface_members(map(polygon, box)), 2)}</bldg:BuildingPart></bldg:consistsOfBuildingPart>"
+        f"{solid_of(box, 2)}</bldg:BuildingPart></bldg:consistsOfBuildingPart>"
         for n, box in enumerate(boxes)
     )
     found = defects(tmp_path, city(member(parts)))

@@ -16,7 +16,7 @@ from lodbench.citymodel.checks import check_city, findings_geojson
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.errors import CityModelError, ConfigError
 
-from .gml_text import box_city, box_rings, city, member, polygon, solid, surface_members, write
+from .gml_text import box_city, box_rings, city, member, polygon, solid, solid_of, surface_members, write
 from .twins import cityjson, cityjsonseq
 
 BOX = box_city().encode()
@@ -24,7 +24,7 @@ BOX = box_city().encode()
 
 def second_box() -> bytes:
     rings = box_rings(x=500100.0)
-    return city(member(solid(surface_members(map(polygon, rings))), "b2")).encode()
+    return city(member(solid_of(rings), "b2")).encode()
 
 
 class TestGzip:
@@ -207,7 +207,7 @@ class TestFolder:
         faces = [
             [(lat + y / 10 * size, lon + x / 10 * size, z) for x, y, z in ring] for ring in box_rings(0, 0, 0)
         ]
-        text = city(member(solid(surface_members(map(polygon, faces)))), srs="EPSG:6697")
+        text = city(member(solid_of(faces)), srs="EPSG:6697")
         write(tmp_path / "2.gml", text)
         ring = [[lon, lat], [lon + size, lat], [lon + size, lat + size], [lon, lat + size], [lon, lat]]
         shape = {"type": "Polygon", "coordinates": [ring]}
@@ -340,7 +340,7 @@ def test_open_city_model_as_published(tmp_path: Path) -> None:
 
 def test_swissbuildings3d_as_published(tmp_path: Path) -> None:
     rings = [[(2600000.0 + x, 1200000.0 + y, z) for x, y, z in ring] for ring in _box()]
-    text = city(member(solid(surface_members(map(polygon, rings)), 2)), srs="CH1903")
+    text = city(member(solid_of(rings, 2)), srs="CH1903")
     path = write(tmp_path / "SWISSBUILDINGS3D_2_0_CHLV95LN02_1047-32.gml", text)
     values = profile("swissbuildings3d")
     model = read_city_model(path, options=ReadOptions.from_mapping(values["options"]))

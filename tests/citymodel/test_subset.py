@@ -12,7 +12,7 @@ from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.subset import choose_buildings, reproject
 from lodbench.errors import CityModelError
 
-from .gml_text import box_area, box_rings, city, member, polygon, solid, surface_members, write
+from .gml_text import box_area, box_rings, city, member, solid_of, write
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def row(tmp_path: Path) -> CityModel:
     members = "".join(
         member(
             f"<bldg:function>{'church' if n == 1 else 'house'}</bldg:function>"
-            + solid(surface_members(map(polygon, box_rings(x=500000.0 + 20 * n)))),
+            + solid_of(box_rings(x=500000.0 + 20 * n)),
             f"b{n}",
         )
         for n in range(3)

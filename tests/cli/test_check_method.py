@@ -230,7 +230,7 @@ BROKEN = [
 
 @pytest.fixture
 def check(capsys, monkeypatch, plug_in):
-    """Checks a method of the package; returns what is printed (with --json: checks by name) and the errors."""
+    """Checks a method of the package; returns what is printed (--json: checks by name) and the errors."""
     monkeypatch.syspath_prepend(plug_in)
 
     def run(name, *words, code=0):

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from lodbench.cli import main
-from tests.citymodel.gml_text import box_city, box_rings, city, member, polygon, solid, surface_members, write
+from tests.citymodel.gml_text import box_city, box_rings, city, member, solid_of, write
 from tests.citymodel.surface_case import heights_of, rectangle, write_footprints, write_raster
 from tests.reporting.browser import PHONE, opened
 
 
 def box(name: str, east: float, lod: int) -> str:
-    return member(solid(surface_members(map(polygon, box_rings(east))), lod), name)
+    return member(solid_of(box_rings(east), lod), name)
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.params import to_params
-from tests.citymodel.gml_text import box_rings, city, member, polygon, solid, surface_members, write
+from tests.citymodel.gml_text import box_rings, city, member, solid_of, write
 from tests.town import write_dataset
 
 from .test_faults import is_clear
@@ -279,7 +279,7 @@ def test_lists_of_words_in_options_need_no_quotes():
 @pytest.mark.parametrize("end", ["2015-06-30", None])
 def test_a_run_writes_down_a_date_at_which_its_city_stood_if_any_building_ends(tmp_path, end):
     """On any later day it reads the same city; without ends nothing of it depends on the day."""
-    box = solid(surface_members(map(polygon, box_rings())))
+    box = solid_of(box_rings())
     over = f"<core:terminationDate>{end}</core:terminationDate>" if end else ""
     path = write(tmp_path / "a.gml", city(member(over + box, "old") + member(box, "new")))
     source = {"name": "folder", "options": {"is_strict": True}}
@@ -293,7 +293,7 @@ def test_a_run_writes_down_a_date_at_which_its_city_stood_if_any_building_ends(t
 
 
 def test_date_is_an_option_of_every_command_that_reads_a_city(lodbench, tmp_path):
-    box = solid(surface_members(map(polygon, box_rings())))
+    box = solid_of(box_rings())
     over = "<core:terminationDate>2015-06-30</core:terminationDate>"
     path = write(tmp_path / "a.gml", city(member(over + box, "old") + member(box, "new")))
     counts = [

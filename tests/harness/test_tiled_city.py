@@ -16,14 +16,12 @@ from lodbench.citymodel.scene_file import read_scene, scene_info
 from lodbench.errors import CityModelError
 from lodbench.execution.executor import ExecutorParams
 from lodbench.harness.tiled_city import compile_tiles
-from tests.citymodel.gml_text import box_rings, city, member, polygon, solid, surface_members, write
+from tests.citymodel.gml_text import box_rings, city, member, solid_of, write
 
 
 def tile(n: int, lod: int = 1) -> str:
     """Two boxes of a row of tiles; their ids name their tile."""
-    boxes = (
-        solid(surface_members(map(polygon, box_rings(500000.0 + 100 * n + 20 * k))), lod) for k in range(2)
-    )
+    boxes = (solid_of(box_rings(500000.0 + 100 * n + 20 * k), lod) for k in range(2))
     return city("".join(member(box, f"t{n}-{k}") for k, box in enumerate(boxes)))
 
 

@@ -139,10 +139,7 @@ LOADERS = {
         {
             "no archive": (written(SAMPLE, b"nothing"), "is no readable .npz"),
             "cut off": (cut(SAMPLE), "is no readable .npz"),
-            "pickled": (
-                array(SAMPLE, "extrinsics", lambda a: OBJECT),
-                "is no readable .npz: Object arrays",
-            ),
+            "pickled": (array(SAMPLE, "extrinsics", lambda a: OBJECT), "is no readable .npz: Object arrays"),
             "lacking": (array(SAMPLE, "extrinsics", lambda a: None), "has no array extrinsics"),
             "no rotation": (array(SAMPLE, "extrinsics", lambda a: 2 * a), "holds no rotation"),
             "not finite": (array(SAMPLE, "extrinsics", lambda a: a * np.nan), "not finite"),
@@ -183,10 +180,7 @@ LOADERS = {
         layouts.write_anyvisloc,
         {
             "cut off": (cut("Scene_01/*.npz"), "is no readable .npz"),
-            "pickled": (
-                array("Scene_01/*.npz", "K", lambda a: OBJECT),
-                "is no readable .npz: Object arrays",
-            ),
+            "pickled": (array("Scene_01/*.npz", "K", lambda a: OBJECT), "is no readable .npz: Object arrays"),
             "lacking": (array("Scene_01/*.npz", "K", lambda a: None), "has no array K"),
             "not finite": (
                 array("Scene_01/*.npz", "xyz", lambda a: a * np.inf),
