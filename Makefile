@@ -73,14 +73,15 @@ test: $(VENV)/.test
 quick: $(VENV)/.test
 	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow and not nightly"
 
-# Which share of the code's branches and lines the quick tests take, as a percentage, kernels left out; twice the time of `quick`.
-# PARTS=tests/photos measures some; `coverage report --format=text` then shows every file.
+# Which share of the code's statements and branches the quick tests take, in percent, kernels left out; twice the time of `quick`.
+# PARTS=tests/photos OF=lodbench/photos: of a folder by its own tests. `coverage report --format=text` then shows every file.
 PARTS ?=
+OF ?=
 coverage: $(VENV)/.test
 	rm -rf .coverage
 	$(BIN)/python -m coverage run -m pytest -q -n auto --dist loadfile -m "not slow and not nightly" $(PARTS)
 	$(BIN)/python -m coverage combine -q
-	$(BIN)/python -m coverage report
+	$(BIN)/python -m coverage report $(if $(OF),--include='$(OF)/*')
 
 test-slow: $(VENV)/.test
 	$(BIN)/python -m pytest -n auto --dist loadfile --durations=15 -m "slow or nightly" --nightly $(SLICE)
