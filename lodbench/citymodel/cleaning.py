@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel import small_cities
 from lodbench.citymodel.codes import (
     DUPLICATE_POINTS,
     DUPLICATE_POLYGON,
@@ -17,11 +16,13 @@ from lodbench.citymodel.codes import (
 )
 from lodbench.citymodel.lods import group_cuts, select_polygons
 from lodbench.citymodel.model import Polygons, SurfaceKind
-from lodbench.citymodel.raw import RawCity, starts_of
+from lodbench.citymodel.raw import RawCity, starts_of, take_segments
 from lodbench.findings import FindingCode, Findings
 
 # Points moved at a time: a few hundred kilobytes are held besides the city.
 _CHUNK_POINTS = 1 << 14
+# Rings looked at at a time: what is held of them fits the cache.
+_CHUNK_RINGS = 1 << 12
 
 
 def clean_polygons(raw: RawCity) -> tuple[Polygons, NDArray[np.int64]]:
@@ -41,10 +42,12 @@ def clean_polygons(raw: RawCity) -> tuple[Polygons, NDArray[np.int64]]:
     is_closed, is_repeated, is_short = marks
     is_kept = np.empty(len(raw.points), np.bool_)
     new_lengths = np.zeros(len(lengths), np.int64)
-    mark_points = small_cities.mark_points
-    if not small_cities.is_few(raw.points.size):
-        from lodbench.kernels.city import mark_points
-    mark_points(raw.points, raw.ring_starts, is_kept, new_lengths, is_closed, is_repeated)
+    for first in range(0, len(lengths), _CHUNK_RINGS):
+        part = slice(first, first + _CHUNK_RINGS)
+        starts = raw.ring_starts[first : first + _CHUNK_RINGS + 1]
+        points = slice(starts[0], starts[-1])
+        of_rings = new_lengths[part], is_closed[part], is_repeated[part]
+        _mark_points(raw.points[points], starts - starts[0], is_kept[points], *of_rings)
     np.less(new_lengths, 3, out=is_short)
     # In formats without closing points a closing point is a repeat.
     is_repeated |= is_closed & np.logical_not(raw.has_closing_points)
@@ -71,6 +74,29 @@ def clean_polygons(raw: RawCity) -> tuple[Polygons, NDArray[np.int64]]:
         uv=None if raw.uv is None else raw.uv[is_kept],
     )
     return polygons, kept
+
+
+def _mark_points(
+    points: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    is_kept: NDArray[np.bool_],
+    lengths: NDArray[np.int64],
+    is_closed: NDArray[np.bool_],
+    is_repeated: NDArray[np.bool_],
+) -> None:
+    """Fills which points stay, how many of each ring, which rings are closed and which repeat a point."""
+    rings = np.flatnonzero(np.diff(starts) > 0)
+    if len(rings) == 0:
+        return
+    first, last = starts[rings], starts[rings + 1] - 1
+    differs = points[1:] != points[:-1]
+    is_kept[:-1] = differs[:, 0] | differs[:, 1] | differs[:, 2]
+    is_kept[last] = True
+    is_closed[rings] = (first < last) & (points[first] == points[last]).all(axis=1)
+    kept = np.add.reduceat(is_kept, first, dtype=np.int64)
+    is_repeated[rings] = kept < last - first + 1
+    is_kept[last] = ~is_closed[rings]
+    lengths[rings] = kept - is_closed[rings]
 
 
 def _move_up(points: NDArray[np.float64], is_kept: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -108,8 +134,10 @@ def _report(raw: RawCity, code: FindingCode, buildings: NDArray[np.int32]) -> No
         raw.findings.add(code, raw.building_ids[building])
 
 
-# Polygons compared at a time: some hundred bytes each are held meanwhile.
-_BLOCK_POLYGONS = 1 << 16
+# Polygons compared at a time: what is held of them, some hundred bytes each, fits the cache.
+_BLOCK_POLYGONS = 1 << 12
+# An odd number (2**64 over the golden ratio) and one of splitmix64, which spread bits.
+_ODD, _MIXER, _SHIFT = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(31)
 
 
 def drop_repeats(
@@ -146,12 +174,7 @@ def drop_repeats(
 
 def _find_repeats(polygons: Polygons, chosen: NDArray[np.int64], kept_as: NDArray[np.int64]) -> None:
     """Writes which polygon each of the chosen repeats, if any; the chosen are whole buildings."""
-    hashes = np.zeros((2, len(chosen)), np.uint64)
-    bits = polygons.points.view(np.uint64)
-    hash_corners = small_cities.hash_corners
-    if not small_cities.is_few(polygons.points.size):
-        from lodbench.kernels.city import hash_corners
-    hash_corners(bits, polygons.ring_starts, polygons.polygon_starts, chosen, hashes)
+    hashes = _hash_corners(polygons, chosen)
     is_interior = polygons.kind[chosen] == SurfaceKind.INTERIOR
     owner = polygons.building[chosen].astype(np.uint64)
     # Most cities repeat nothing, which one sort of short keys tells.
@@ -175,6 +198,25 @@ def _find_repeats(polygons: Polygons, chosen: NDArray[np.int64], kept_as: NDArra
     rank, first = number_rows([group[own].astype(np.uint64), part[polygon[own]].astype(np.uint64)])
     stand_in[own] = polygon[own[first[rank]]]
     kept_as[polygon] = stand_in
+
+
+def _hash_corners(polygons: Polygons, chosen: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """Returns (2, C) 64-bit sums over the corners of each chosen polygon, equal for equal sets of corners."""
+    corners, starts = take_segments(polygons.ring_starts[polygons.polygon_starts], chosen)
+    key = np.zeros(len(corners), np.uint64)
+    for column in np.take(polygons.points, corners, axis=0).T:
+        key ^= (column + 0.0).view(np.uint64)  # -0 is 0
+        key *= _ODD
+        key ^= key >> _SHIFT
+        key *= _MIXER
+    key ^= key >> _SHIFT
+    hashes = np.zeros((2, len(chosen)), np.uint64)
+    filled = np.flatnonzero(np.diff(starts) > 0)
+    if len(filled) > 0:
+        hashes[0, filled] = np.add.reduceat(key, starts[filled])
+        hashes[1, filled] = np.add.reduceat((key * _ODD) ^ (key >> _SHIFT), starts[filled])
+    hashes[0] += np.diff(starts).astype(np.uint64)
+    return hashes
 
 
 # So far from a frame's origin float32 is 2 cm off; few countries are as wide.

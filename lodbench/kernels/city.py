@@ -1,4 +1,4 @@
-"""Compiled passes over the numbers, rings and polygons of a city; ``small_cities`` has them in numpy."""
+"""Decimal numbers of a city from text."""
 
 from __future__ import annotations
 
@@ -14,64 +14,6 @@ _LOWER_E, _UPPER_E, _ZERO, _NINE = 101, 69, 48, 57
 _SPLITTER = 134217729.0
 _MAX_MANTISSA = np.uint64(10**17)  # one digit more still fits an int64
 _MAX_EXACT = np.uint64(2**53)  # of its type, or numba compares both as float64
-
-
-@checked
-def mark_points(
-    points: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    is_kept: NDArray[np.bool_],
-    lengths: NDArray[np.int64],
-    is_closed: NDArray[np.bool_],
-    is_repeated: NDArray[np.bool_],
-) -> None:  # pragma: no cover - compiled
-    """Fills which points stay, how many of each ring, which rings are closed and which repeat a point."""
-    for ring in range(len(starts) - 1):
-        first, last = starts[ring], starts[ring + 1] - 1
-        for p in range(first, last):
-            is_same = True
-            for k in range(3):
-                is_same &= points[p, k] == points[p + 1, k]
-            is_kept[p] = not is_same
-            is_repeated[ring] |= is_same
-        if last >= first:
-            is_same = last > first
-            for k in range(3):
-                is_same &= points[first, k] == points[last, k]
-            is_kept[last] = not is_same
-            is_closed[ring] = is_same
-        for p in range(first, last + 1):
-            lengths[ring] += is_kept[p]
-
-
-@checked
-def hash_corners(
-    bits: NDArray[np.uint64],
-    ring_starts: NDArray[np.int64],
-    polygon_starts: NDArray[np.int64],
-    chosen: NDArray[np.int64],
-    hashes: NDArray[np.uint64],
-) -> None:  # pragma: no cover - compiled
-    """Fills two 64-bit sums over the corners of each chosen polygon, equal for equal sets of corners."""
-    odd, mixer = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)
-    negative_zero, shift = np.uint64(1 << 63), np.uint64(31)
-    for i in range(len(chosen)):
-        total, twisted = np.uint64(0), np.uint64(0)
-        first = ring_starts[polygon_starts[chosen[i]]]
-        last = ring_starts[polygon_starts[chosen[i] + 1]]
-        for p in range(first, last):
-            key = np.uint64(0)
-            for k in range(3):
-                word = bits[p, k]
-                if word == negative_zero:
-                    word = np.uint64(0)
-                key = (key ^ word) * odd
-                key = (key ^ (key >> shift)) * mixer
-            key ^= key >> shift
-            total += key
-            twisted += (key * odd) ^ (key >> shift)
-        hashes[0, i] = total + np.uint64(last - first)
-        hashes[1, i] = twisted
 
 
 @checked

@@ -3,19 +3,19 @@
 import subprocess
 import sys
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lodbench.citymodel import ReadOptions, mesh_city, mesh_model, read_city_model, small_cities
+from lodbench.citymodel import ReadOptions, cleaning, coordinates, mesh_city, mesh_model, read_city_model
 from lodbench.citymodel.coordinates import parse_rings
-from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
 from lodbench.citymodel.raw import starts_of
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.triangulate import triangulate
 from lodbench.findings import Findings
-from lodbench.kernels import city as city_kernels
 
 from .gml_text import write
 from .twins import TOWN, documents
@@ -163,7 +163,7 @@ ODD_TEXTS = [
 def both(texts: list[str], monkeypatch: pytest.MonkeyPatch) -> list[tuple[bytes, ...]]:
     found = []
     for is_few in (True, False):
-        monkeypatch.setattr(small_cities, "is_few", lambda _, is_few=is_few: is_few)
+        monkeypatch.setattr(coordinates, "is_few", lambda _, is_few=is_few: is_few)
         found.append(tuple(part.tobytes() for part in parse_rings([text.encode() for text in texts])))
     return found
 
@@ -189,34 +189,58 @@ def test_many_numbers_are_read_to_the_bit(monkeypatch):
 
 
 @pytest.mark.parametrize("count", [0, 1, 60])
-def test_points_are_marked_as_by_the_compiled_pass(count):
+def test_points_are_marked_as_by_a_plain_loop(count):
     rng = np.random.default_rng(count)
     starts = starts_of(rng.integers(0, 7, count))
     points = rng.integers(0, 2, (starts[-1], 3)).astype(np.float64)
-    found = []
-    for module in (small_cities, city_kernels):
-        kept, lengths = np.zeros(len(points), np.bool_), np.zeros(count, np.int64)
-        closed, repeated = np.zeros((2, count), np.bool_)
-        module.mark_points(points, starts, kept, lengths, closed, repeated)
-        found.append([part.tolist() for part in (kept, lengths, closed, repeated)])
-    assert found[0] == found[1]
-    assert count < 60 or all(0 < sum(part) for part in found[0])
+    kept, lengths = np.zeros(len(points), np.bool_), np.zeros(count, np.int64)
+    closed, repeated = np.zeros((2, count), np.bool_)
+    cleaning._mark_points(points, starts, kept, lengths, closed, repeated)
+    expected: list[bool] = []
+    for ring in range(count):
+        own = points[starts[ring] : starts[ring + 1]].tolist()
+        stays = [p != q for p, q in pairwise(own)]
+        is_closed = len(own) > 1 and own[0] == own[-1]
+        stays_of_ring = stays + [not is_closed] * bool(own)
+        expected += stays_of_ring
+        assert (closed[ring], repeated[ring]) == (is_closed, not all(stays))
+        assert lengths[ring] == sum(stays_of_ring)
+    assert kept.tolist() == expected
+    assert count < 60 or all(part.any() and not part.all() for part in (kept, closed, repeated))
 
 
-def test_corners_are_hashed_as_by_the_compiled_pass():
+def polygons_of(points: np.ndarray, ring_starts: np.ndarray, polygon_starts: np.ndarray) -> Polygons:
+    of_polygons = np.zeros((3, len(polygon_starts) - 1), np.int64)
+    return Polygons(points, ring_starts, polygon_starts, *of_polygons)
+
+
+def test_corners_are_hashed_as_by_a_plain_loop():
     rng = np.random.default_rng(3)
     ring_starts = starts_of(rng.integers(3, 9, 80))
     polygon_starts = starts_of(np.full(40, 2))
     points = rng.normal(size=(ring_starts[-1], 3)).round(1)
     points[rng.integers(0, len(points), 30), 1] = -0.0
     chosen = rng.permutation(40)[:31]
-    found = []
-    for module in (small_cities, city_kernels):
-        hashes = np.zeros((2, len(chosen)), np.uint64)
-        module.hash_corners(points.view(np.uint64), ring_starts, polygon_starts, chosen, hashes)
-        found.append(hashes)
-    assert np.array_equal(*found)
-    assert len(np.unique(found[0])) == found[0].size
+    hashes = cleaning._hash_corners(polygons_of(points, ring_starts, polygon_starts), chosen)
+    mask = 2**64 - 1
+    for (total, twisted), polygon in zip(hashes.T.tolist(), chosen.tolist(), strict=True):
+        first, last = (int(ring_starts[polygon_starts[k]]) for k in (polygon, polygon + 1))
+        sums = [last - first, 0]
+        for corner in points[first:last]:
+            key = 0
+            for word in (corner + 0.0).view(np.uint64).tolist():
+                key = (key ^ word) * 0x9E3779B97F4A7C15 & mask
+                key = (key ^ (key >> 31)) * 0xBF58476D1CE4E5B9 & mask
+            key ^= key >> 31
+            sums = [sums[0] + key & mask, sums[1] + (key * 0x9E3779B97F4A7C15 & mask ^ key >> 31) & mask]
+        assert [total, twisted] == sums
+    assert len(np.unique(hashes)) == hashes.size
+    turned = points.copy()
+    for first, last in pairwise(ring_starts):
+        turned[first:last] = points[first:last][::-1]
+    assert np.array_equal(
+        hashes, cleaning._hash_corners(polygons_of(turned, ring_starts, polygon_starts), chosen)
+    )
 
 
 def test_numba_is_left_out_for_a_small_city_and_loaded_for_a_large_one():
