@@ -1,7 +1,11 @@
 """Compiled functions never outlive the code they were compiled from."""
 
+import hashlib
+import io
 import os
+import pickle
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -235,3 +239,91 @@ def test_kernels_are_given_no_types_that_their_digest_does_not_know(tmp_path):
     assert kept
     foreign = [path.name for path in kept if re.search(rb"lodbench\.(?!kernels)", path.read_bytes())]
     assert foreign == []
+
+
+BROUGHT = """
+import pathlib, sys
+import lodbench.kernels.cache as cache
+from numba import njit
+from numba.core import event
+class Locator(cache.KernelLocator):
+    package = pathlib.Path("fake").resolve()
+cache.use_own_folder(Locator)
+cache.LEVELS[sys.argv[1]] = cache.LEVELS["x86-64-v3"] if len(sys.argv) == 2 else {sys.argv[2]}
+from fake.inner import inner
+function = njit(cache=True)(inner.py_func)
+function._cache = cache.KernelCache(inner.py_func)
+with event.install_recorder("numba:compile") as compiled:
+    print(function(), len(compiled.buffer))
+"""
+
+
+def _value_and_compiled(package, level="x86-64-v3", *needs, **environment):
+    """Returns what the function gives, and whether it was compiled; its own folder is empty before."""
+    shutil.rmtree(package / "__pycache__", ignore_errors=True)
+    done = subprocess.run(
+        [sys.executable, "-c", BROUGHT, level, *needs], cwd=package.parent, capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": str(package.parent), **environment}, check=True,
+    )  # fmt: skip
+    value, events = done.stdout.split()
+    return int(value), int(events) > 0
+
+
+@pytest.fixture
+def with_objects(package):
+    """A package whose wheel brought its function for processors of the level x86-64-v3."""
+    if "x86-64-v3" not in cache.LEVELS or not _has_v3():
+        pytest.skip("compiles for a level that this processor does not have")
+    built = package.parent / "built"
+    cpu = {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(built)}
+    assert _value_and_compiled(package, **cpu) == (1, True)
+    folder = package / "compiled" / "x86-64-v3"
+    folder.mkdir(parents=True)
+    for file in built.rglob("*.nb[ic]"):
+        shutil.copy(file, folder)
+    _note(folder)
+    return package
+
+
+def _has_v3():
+    has = {name for name, is_there in cache.get_host_cpu_features().items() if is_there}
+    return cache.LEVELS["x86-64-v3"] <= has
+
+
+def _note(folder):
+    files = sorted(folder.glob("*.nb[ic]"))
+    lines = [f"{hashlib.sha256(file.read_bytes()).hexdigest()} {file.name}" for file in files]
+    (folder / "digests.txt").write_text("\n".join(lines))
+
+
+def test_what_a_wheel_brought_is_not_compiled_and_what_is_changed_is(with_objects):
+    assert _value_and_compiled(with_objects) == (1, False)
+    (with_objects / "inner.py").write_text(INNER.format(value=2))
+    assert _value_and_compiled(with_objects) == (2, True)
+
+
+def test_another_change_of_the_package_compiles_anew(with_objects):
+    (with_objects / "rule.py").write_text("LIMIT = 1\n")
+    assert _value_and_compiled(with_objects) == (1, True)
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_what_a_wheel_brought_damaged_is_compiled(with_objects, ending):
+    (file,) = with_objects.glob(f"compiled/*/*.{ending}")
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-9] + bytes([whole[-9] ^ 255]) + whole[-8:])
+    assert _value_and_compiled(with_objects) == (1, True)
+
+
+def test_what_a_wheel_brought_for_another_processor_is_compiled(with_objects):
+    assert _value_and_compiled(with_objects, "x86-64-v3", "no such feature") == (1, True)
+    assert _value_and_compiled(with_objects, NUMBA_CPU_NAME="x86-64") == (1, True)
+
+
+def test_what_another_numba_made_is_compiled(with_objects):
+    (file,) = with_objects.glob("compiled/*/*.nbi")
+    version, rest = pickle.dumps("0.0", protocol=-1), io.BytesIO(file.read_bytes())
+    pickle.load(rest)  # noqa: S301 - made above
+    file.write_bytes(version + rest.read())
+    _note(file.parent)
+    assert _value_and_compiled(with_objects) == (1, True)

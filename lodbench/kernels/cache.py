@@ -6,6 +6,9 @@ compiled from stands in this package: its digest names the folder, and is the st
 
 What numba keeps is unpickled and run, and a damaged file fails for ever. So the folder is this user's alone,
 and the digests of its files, noted when a process ends, are compared when one starts.
+
+A wheel may bring functions compiled for common processors (``recipes/wheel.sh``). They are used where none is
+kept, if they are of the same code and versions, for a level that this processor has, and as digested.
 """
 
 from __future__ import annotations
@@ -22,12 +25,20 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from llvmlite.binding import get_host_cpu_features
 from numba.core import config
-from numba.core.caching import CacheImpl, _CacheLocator
+from numba.core.caching import CacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
 
 _LOGGER = logging.getLogger(__name__)
 _DIGESTS = "digests.json"
 _HERE = Path(__file__).parent
+# Levels of the x86-64 ABI that a wheel may bring functions for, the best first, and what LLVM calls what sets
+# each apart from those below it.
+_V3 = frozenset("avx avx2 bmi bmi2 f16c fma lzcnt movbe popcnt ssse3 sse4.1 sse4.2 xsave".split())
+LEVELS = {
+    "x86-64-v4": _V3 | frozenset("avx512f avx512bw avx512cd avx512dq avx512vl".split()),
+    "x86-64-v3": _V3,
+}
 
 
 class KernelLocator(_CacheLocator):
@@ -71,6 +82,52 @@ class KernelLocator(_CacheLocator):
     def get_disambiguator(self) -> str:
         """Returns the function's line, as numba's own locators do."""
         return str(self._line)
+
+
+class KernelCache(FunctionCache):
+    """Keeps what is compiled of a function; what is not kept is taken from what the wheel brought."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Returns the function compiled for a signature, or None."""
+        kept = super().load_overload(sig, target_context)
+        if kept is not None or config.CPU_NAME is not None:  # type: ignore[attr-defined]
+            return kept
+        sig, (triple, *_), code = self._index_key(sig, target_context.codegen())
+        locator = self._impl.locator
+        for level in usable_levels(locator.package):
+            folder = locator.package / "compiled" / level
+            index = IndexDataCacheFile(str(folder), self._impl.filename_base, locator.get_source_stamp())
+            if not _is_as_brought(folder / f"{self._impl.filename_base}.nbi"):
+                continue
+            name = index._load_index().get((sig, (triple, level, ""), code))
+            if name is not None and _is_as_brought(folder / name):
+                return self._impl.rebuild(target_context, index._load_data(name))
+        return None
+
+
+@cache
+def usable_levels(package: Path) -> list[str]:
+    """Returns the levels that this processor has of those that a package brings functions for."""
+    if not (package / "compiled").is_dir():
+        return []
+    has = {name for name, is_there in get_host_cpu_features().items() if is_there}
+    levels = [level for level, needs in LEVELS.items() if needs <= has]
+    return [level for level in levels if (package / "compiled" / level).is_dir()]
+
+
+@cache
+def _brought(folder: Path) -> dict[str, str]:
+    """Returns the SHA-256 of each file that the wheel brought in a folder, by name."""
+    with contextlib.suppress(OSError, ValueError):
+        lines = (folder / "digests.txt").read_text(encoding="utf-8").splitlines()
+        return {name: digest for digest, name in (line.split() for line in lines)}
+    return {}
+
+
+def _is_as_brought(path: Path) -> bool:
+    with contextlib.suppress(OSError):
+        return _brought(path.parent).get(path.name) == _file_digest(path)
+    return False
 
 
 def use_own_folder(locator: type[KernelLocator] = KernelLocator) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from multiprocessing import parent_process
 from time import monotonic
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from numba import njit
 from numba.core import event
 
-from lodbench.kernels.cache import use_own_folder
+from lodbench.kernels.cache import KernelCache, use_own_folder
 
 _LOGGER = logging.getLogger(__name__)
 # How often it is said how far compiling is.
@@ -18,18 +19,31 @@ _EVERY_S = 5.0
 
 use_own_folder()
 
+
+def _kept(**options: Any) -> Callable[[Any], Any]:
+    """Returns the decorator of functions that are compiled on use and kept."""
+    compiled = njit(**options)
+
+    def decorate(function: Any) -> Any:
+        dispatcher = compiled(function)
+        dispatcher._cache = KernelCache(function)
+        return dispatcher
+
+    return decorate
+
+
 # Division by zero gives infinity, as in numpy; ``checked`` raises, as Python does. Nothing but Python calls
 # these: what numba adds for callers in C is left out.
 _ANY: dict[str, Any] = {"nogil": True, "no_cfunc_wrapper": True}
-kernel: Any = njit(cache=True, error_model="numpy", **_ANY)
-checked: Any = njit(cache=True, **_ANY)
-inlined: Any = njit(cache=True, error_model="numpy", inline="always", **_ANY)
+kernel: Any = _kept(error_model="numpy", **_ANY)
+checked: Any = _kept(**_ANY)
+inlined: Any = _kept(error_model="numpy", inline="always", **_ANY)
 
 # Without reference counts: passing a scene's arrays along, numba would count a reference to each of them,
 # which takes as long as what is done with them, and longest to compile. No function compiled so may make an
 # array, or return one.
 _UNCOUNTED: dict[str, Any] = {**_ANY, "error_model": "numpy", "_nrt": False}
-uncounted: Any = njit(cache=True, **_UNCOUNTED)
+uncounted: Any = _kept(**_UNCOUNTED)
 # A part of uncounted kernels, which Python cannot call: it is compiled with each that calls it.
 part: Any = njit(no_cpython_wrapper=True, **_UNCOUNTED)
 # A part that is called for every pixel.

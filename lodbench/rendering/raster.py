@@ -6,6 +6,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,10 +64,10 @@ class RasterRenderer:
         self._band = band
         self._appearance = appearance or plain_appearance()
         self._mesh = Mesh(
-            scene.vertices,
-            scene.triangles,
-            scene.vertex_starts,
-            scene.triangle_starts,
+            _read_only(scene.vertices),
+            _read_only(scene.triangles),
+            _read_only(scene.vertex_starts),
+            _read_only(scene.triangle_starts),
             bounding_spheres(scene),
         )
         self._largest = int(np.diff(scene.vertex_starts).max(initial=0))
@@ -219,3 +220,10 @@ def _blank_planes(width: int, height: int) -> Planes:
         np.empty((height, width, 3), dtype=np.float32),
         np.empty((height, width, 3), dtype=np.uint8),
     )
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Returns an array as scenes from the disk have it: kernels are compiled for one kind of arrays only."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
