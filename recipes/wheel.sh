@@ -7,7 +7,7 @@ set -euo pipefail
 python=${1:-.venv/bin/python}
 into=lodbench/kernels/compiled
 scratch=$(mktemp -d)
-trap 'rm -rf "$scratch" "$into"' EXIT
+trap 'rm -rf "$scratch" "$into" "build/lib/$into"' EXIT # setuptools would put it into the next wheel as well
 rm -rf "$into"
 levels=$("$python" -c "
 from llvmlite.binding import get_host_cpu_features
