@@ -18,7 +18,6 @@ from lodbench.bench import Progress, Report, no_progress
 from lodbench.bench.real_report import EdgeBound, report_real
 from lodbench.citymap import CityMap
 from lodbench.citymap.place_errors import ground_errors
-from lodbench.citymap.surfaces import Surfaces
 from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset, Query
@@ -35,6 +34,7 @@ from lodbench.methods import Method
 from lodbench.methods.protocol import Estimate, SupportsFlights
 from lodbench.methods.timed_localize import localize_flight, localize_query
 from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.rendering.surfaces import Surfaces
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, png_bytes
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.masks import read_photo
@@ -274,7 +274,12 @@ def _answers(
     for together in flights.values():
         priors = [_prior(shot, label, options) for shot in together]
         queries = [
-            replace(shot.query, prior=prior, hypotheses=(prior,))
+            replace(
+                shot.query,
+                prior=prior,
+                hypotheses=(prior,),
+                measured=shot.query.measured and shot.query.measured.without_sigmas(),
+            )
             for shot, prior in zip(together, priors, strict=True)
         ]
         streams = [

@@ -105,6 +105,8 @@ def protocol_of(views: ViewsParams, seeds: Sequence[int]) -> str:
         f"+-{prior.y_m:g}/+-{prior.z_m:g} m and +-{prior.yaw_deg:g} deg yaw, with tilt=prior "
         f"+-{views.tilt_deg:g} deg pitch and roll, seed{'s' if len(seeds) > 1 else ''} "
         + ", ".join(map(str, seeds))
+        + ("" if views.rtk_m is None else f", RTK to {views.rtk_m:g} m along each axis")
+        + ("" if views.laser_m is None else f", a laser's range to {views.laser_m:g} m")
         + (f", {views.area}ern half of the city" if views.area else "")
         + (f", a world of {views.world.describe()}" if views.world.describe() else "")
     )

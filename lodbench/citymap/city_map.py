@@ -23,6 +23,7 @@ from lodbench.rendering.projection import require_poses, view_planes
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.selection import bounding_spheres
 from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.rendering.surfaces import Surfaces
 from lodbench.storage import random_stream
 
 if TYPE_CHECKING:
@@ -209,6 +210,11 @@ class CityMap:
     def edge_faces(self) -> EdgeFaces:
         """The edges of all buildings with what lies beside them."""
         return edge_faces(self.scene, self._edge_pairs())
+
+    @cached_property
+    def surfaces(self) -> Surfaces:
+        """What rays meet: roofs, walls and the ground."""
+        return Surfaces(self.scene)
 
     @cached_property
     def _engine(self) -> SilhouetteRenderer:

@@ -1,18 +1,25 @@
-"""A laser's range to the photo's centre: its residual, and places of pixels updated by it."""
+"""A laser's range to the photo's centre: its residual, and poses and places of pixels updated by it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from lodbench.citymap.linear_places import LinearPlaces, Uncertainty, linearized_places
-from lodbench.citymap.surfaces import Surfaces
 from lodbench.geometry import Camera, Pose
+from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.photos.xmp import LaserRange
+from lodbench.rendering.surfaces import Surfaces
+
+if TYPE_CHECKING:
+    from lodbench.citymap.city_map import CityMap
+    from lodbench.datasets.query import Query
 
 Floats = NDArray[np.float64]
 
@@ -118,3 +125,136 @@ def update_by_range(
         places[row] -= shared * residual.residual_m / variance
         covariances[row] -= np.outer(shared, shared) / variance
     return notes
+
+
+# How often a beam meets what the map has not (a tree, a car, a crane), and how far off its range is then.
+_ELSEWHERE, _ELSEWHERE_M = 0.1, 200.0
+# A pose that is still to be refined is off by so much along the ray: a standard deviation, metres.
+_ROUGH_M = 2.0
+# How far from a pose, along each axis of its covariance, others are asked which surface the beam meets: in
+# standard deviations; the surface that is taken holds this share of what speaks for any.
+_ASIDE, _CLEAR = (1.0, 2.0), 0.9
+
+
+def range_log_densities(query: Query, city_map: CityMap, vectors: Floats) -> Floats:
+    """Returns (N,) the logarithm of the density of a query's range at rough poses, (N, 6) or longer; or 0.
+
+    Eq. (M9) of docs/methods/index.md.
+    """
+    laser, found = None if query.measured is None else query.measured.laser, np.zeros(len(vectors))
+    if laser is None:
+        return found
+    surfaces, camera = city_map.surfaces, query.camera
+    for row, vector in enumerate(vectors):
+        pose = pose_from_vector(vector[:6])
+        residual = laser_residual(at_centre(surfaces, camera, pose), pose, laser)
+        elsewhere = math.log(_ELSEWHERE / _ELSEWHERE_M)
+        if residual is None:
+            found[row] = elsewhere
+            continue
+        sigma = math.hypot(residual.sigma_m, _ROUGH_M)
+        met = _log_normal(residual.residual_m, sigma) + math.log(1.0 - _ELSEWHERE)
+        found[row] = np.logaddexp(met, elsewhere)
+    return found
+
+
+class RangedPose(NamedTuple):
+    """A pose after a range.
+
+    Attributes:
+        vector: (6,) metres and degrees, scene frame.
+        kept: (6, 6) what is left of an error of before; None where the range was not used.
+        noise: (6, 6) what the range itself errs by adds to its covariance.
+        note: What became of the range, in a sentence.
+    """
+
+    vector: Floats
+    kept: Floats | None
+    noise: Floats
+    note: str
+
+    def left_of(self, covariance: Floats) -> Floats:
+        """Returns (6, 6) what is left of a covariance of before the range."""
+        if self.kept is None:
+            return covariance
+        left = self.kept @ covariance @ self.kept.T + self.noise
+        return np.asarray(0.5 * (left + left.T))
+
+
+class _Met(NamedTuple):
+    centre: LinearPlaces
+    residual: LaserResidual
+    innovation_m: float
+    variance: float
+    log_weight: float
+
+
+def pose_by_range(
+    surfaces: Surfaces, camera: Camera, pose: Pose, covariance: Floats, laser: LaserRange
+) -> RangedPose:
+    """Returns a pose updated by a range as a Kalman filter does, if it is plain which surface was met.
+
+    Eq. (M10) of docs/methods/index.md.
+
+    The pose's error may lead the ray beside the surface that the beam has met: poses around it are asked.
+    A range that contradicts the pose, or may be to one of two surfaces, moves nothing.
+
+    Args:
+        surfaces: The map's.
+        camera: Of the photo.
+        pose: In the scene's frame.
+        covariance: (6, 6) of its error, metres and degrees.
+        laser: The range measured.
+    """
+    vector = vector_from_pose(pose)
+
+    def unused(reason: str) -> RangedPose:
+        said = f"the laser measured {laser.range_m:.1f} m to the photo's centre, {reason}: not used"
+        return RangedPose(vector, None, np.zeros((6, 6)), said)
+
+    met = [_met(surfaces, camera, vector, away, covariance, laser) for away in _around(covariance)]
+    known = [each for each in met if each is not None]
+    if not known:
+        return unused("where map and pose show no surface")
+    best = max(known, key=lambda each: each.log_weight)
+    sigmas = abs(best.innovation_m) / math.sqrt(best.variance)
+    if sigmas > _MOST_SIGMAS:
+        expected = laser.range_m + best.innovation_m
+        return unused(f"map and pose say {expected:.1f} m, {sigmas:.1f} sigma apart")
+    same = [each for each in known if each.centre.hits.is_same(0, best.centre.hits, 0)]
+    whole = scipy.special.logsumexp([each.log_weight for each in known])
+    if math.exp(scipy.special.logsumexp([each.log_weight for each in same]) - whole) < _CLEAR:
+        return unused("and may have met one of two surfaces")
+    jacobian = best.residual.jacobian
+    gain = covariance @ jacobian / best.variance
+    moved = vector - gain * best.innovation_m
+    note = f"the laser's range of {laser.range_m:.1f} m to the {best.centre.hits.kind[0]} was used"
+    noise = best.residual.sigma_m**2 * np.outer(gain, gain)
+    return RangedPose(moved, np.eye(6) - np.outer(gain, jacobian), noise, note)
+
+
+def _around(covariance: Floats) -> Floats:
+    """Returns (25, 6) offsets of poses that are likely by a covariance: none, then along its axes."""
+    squares, axes = np.linalg.eigh(covariance)
+    along = (axes * np.sqrt(np.maximum(squares, 0.0))).T
+    return np.concatenate([np.zeros((1, 6)), *(sign * k * along for k in _ASIDE for sign in (1.0, -1.0))])
+
+
+def _met(
+    surfaces: Surfaces, camera: Camera, vector: Floats, away: Floats, covariance: Floats, laser: LaserRange
+) -> _Met | None:
+    """Returns how a range agrees with the surface that a pose so far away shows; None where that is none."""
+    pose = pose_from_vector(vector + away)
+    centre = at_centre(surfaces, camera, pose)
+    residual = laser_residual(centre, pose, laser)
+    if residual is None:
+        return None
+    # Of the pose itself, by this surface.
+    innovation = residual.residual_m - float(residual.jacobian @ away)
+    variance = float(residual.jacobian @ covariance @ residual.jacobian) + residual.sigma_m**2
+    prior = -0.5 * float(away @ np.linalg.pinv(covariance, hermitian=True) @ away)
+    return _Met(centre, residual, innovation, variance, prior + _log_normal(innovation, math.sqrt(variance)))
+
+
+def _log_normal(away: float, sigma: float) -> float:
+    return -0.5 * (away / sigma) ** 2 - math.log(sigma * math.sqrt(2.0 * math.pi))

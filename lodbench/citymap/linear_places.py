@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymap.surfaces import Hits, Surfaces
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import turning_axes
 from lodbench.geometry.rays import camera_columns, pixel_rays
+from lodbench.rendering.surfaces import Hits, Surfaces
 
 Floats = NDArray[np.float64]
 

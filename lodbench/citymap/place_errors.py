@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap.linear_places import CHI2_95, Uncertainty, linearized_places
-from lodbench.citymap.surfaces import Surfaces
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.rays import pixel_rays
+from lodbench.rendering.surfaces import Surfaces
 
 Floats = NDArray[np.float64]
 

@@ -22,11 +22,11 @@ from lodbench.citymap.linear_places import (
     Uncertainty,
     linearized_places,
 )
-from lodbench.citymap.surfaces import MAP_SIGMA_M, Surfaces
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Camera, Pose
 from lodbench.photos.xmp import LaserRange
+from lodbench.rendering.surfaces import MAP_SIGMA_M, Surfaces
 
 Floats = NDArray[np.float64]
 

@@ -63,6 +63,18 @@ def add_drawing(parser: argparse.ArgumentParser, num_views: int) -> None:
     add("--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave")
     known = "how well the stated camera is known: calibration, maker or nominal (calibration)"
     add("--camera-source", choices=tuple(CAMERA_SOURCES), default=CALIBRATED.source, help=known)
+    add(
+        "--rtk",
+        type=float,
+        metavar="M",
+        help="priors where an RTK receiver has them, to so many metres (none)",
+    )
+    add(
+        "--laser",
+        type=float,
+        metavar="M",
+        help="a laser's range to the photo's centre, to so many metres (none)",
+    )
     add("--world", default="", metavar="NAME=VALUE,...", help=_WORLD)
 
 
@@ -154,6 +166,8 @@ def _params(given: argparse.Namespace) -> ViewsParams:
         mask_iou=given.mask_iou,
         tilt_deg=given.tilt_width,
         range_m=given.prior_range,
+        rtk_m=given.rtk,
+        laser_m=given.laser,
         height_m=given.prior_height,
         camera_height_m=given.camera_height,
         building_share=given.building_share,

@@ -233,7 +233,8 @@ def _request(options: argparse.Namespace, photo: Path, method: Method, masks: Pa
     if options.mask is None and masks is None and {"mask", "mask_on_demand"} & set(method.requires):
         segmenter = segmenter_of(options.segmenter or FOR_PHOTOS, options.segmenter_option)
     own = {"photo": photo, "mask": options.mask, "segmenter": segmenter, "seed": options.seed}
-    own |= {"method": method}
+    widths = (options.prior_range, options.prior_height, options.prior_yaw)
+    own |= {"method": method, "has_prior_range": any(width is not None for width in widths)}
     return PhotoRequest(**city_settings(options), **rough_settings(options), **own)
 
 

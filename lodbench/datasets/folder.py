@@ -13,6 +13,8 @@
         instances/              labels of single buildings, 0 = none, one value per building (optional)
         sequences.txt           name sequence: which photos belong to one flight (optional)
         lens_percent.txt        name percent: standard deviation of a focal length known badly (optional)
+        measurements.txt        name east=0.02 range=81.2 ...: deviations of the prior, a laser's range, a
+                                height by air pressure; see ``parse_measurements`` (optional)
         reconstruction/         a COLMAP model of the photos, or a folder with one per flight (optional)
         dataset.json            where it came from: city model, reference system; whether it has a truth and
                                 priors; the protocol of its results (optional)
@@ -40,6 +42,7 @@ from lodbench.datasets.pose_text import (
     lines_to_text,
     read_hypotheses,
     read_known_cameras,
+    read_measurements,
     read_percents,
     read_poses,
     read_words,
@@ -52,7 +55,8 @@ from lodbench.storage import write_text
 from lodbench.storage.seal import is_sealed, seal_of
 
 TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"
-SEQUENCE_FILE, LENS_FILE, RECONSTRUCTION_FOLDER = "sequences.txt", "lens_percent.txt", "reconstruction"
+SEQUENCE_FILE, LENS_FILE, MEASUREMENTS_FILE = "sequences.txt", "lens_percent.txt", "measurements.txt"
+RECONSTRUCTION_FOLDER = "reconstruction"
 # What training data calls the same: nothing there was measured on the ground.
 RENDERED_TRUTH_FILE, RENDERED_IMAGES = "poses.txt", "images"
 _LAYOUT_HINT = (
@@ -219,7 +223,8 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
     if not has_priors:
         notes.append(f"{split}: there are no priors; prior=uniform draws them around the truth")
     sequences = read_words(folder / SEQUENCE_FILE) if (folder / SEQUENCE_FILE).is_file() else {}
-    notes += [f"{split}: {note}" for note in _sequence_notes(sequences, names)]
+    measured = read_measurements(file) if (file := folder / MEASUREMENTS_FILE).is_file() else {}
+    notes += [f"{split}: {note}" for note in _sequence_notes(sequences, names, measured)]
     lenses = {name: stated.stated_focal_percent for name, stated in sigmas.items()}
     lenses |= read_percents(folder / LENS_FILE) if (folder / LENS_FILE).is_file() else {}
     entries = [
@@ -228,6 +233,7 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
             sequence=sequences.get(name, ""),
             lens_percent=lenses.get(name),
             camera_sigmas=sigmas.get(name),
+            measured=measured.get(name),
         )
         for name in names
     ]
@@ -244,11 +250,13 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
     return entries, {f"{split}/{name}": pose for name, pose in truth.items()}, notes
 
 
-def _sequence_notes(sequences: Mapping[str, str], names: Sequence[str]) -> Iterator[str]:
-    """Yields what does not match between photos and the flights that a file says they belong to."""
-    strange = list(sequences.keys() - set(names))
-    if strange:
-        yield f"{SEQUENCE_FILE} names {min(strange)}, which is no photo here ({len(strange)} such)"
+def _sequence_notes(
+    sequences: Mapping[str, str], names: Sequence[str], measured: Mapping[str, object]
+) -> Iterator[str]:
+    """Yields what does not match between photos and what files say of them: flights, measurements."""
+    for file, stated in ((SEQUENCE_FILE, sequences), (MEASUREMENTS_FILE, measured)):
+        if strange := stated.keys() - set(names):
+            yield f"{file} names {min(strange)}, which is no photo here ({len(strange)} such)"
     alone = [name for name in names if name not in sequences]
     if sequences and alone:
         yield f"{SEQUENCE_FILE} does not name {alone[0]} ({len(alone)} such): these are taken for one flight"

@@ -10,11 +10,19 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from lodbench.datasets.faults import is_decodable, mask_fault
-from lodbench.datasets.folder import ABOUT_FILE, LENS_FILE, SEQUENCE_FILE, sealed_about, write_poses
+from lodbench.datasets.folder import (
+    ABOUT_FILE,
+    LENS_FILE,
+    MEASUREMENTS_FILE,
+    SEQUENCE_FILE,
+    sealed_about,
+    write_poses,
+)
 from lodbench.datasets.pose_text import lines_to_text
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.photos.files import PHOTO_SUFFIXES, in_pose_lines, mask_names, split_flights
+from lodbench.photos.measurements import Measurements
 from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
 from lodbench.photos.pictures import encoded, read_picture
 from lodbench.photos.undistort import pinhole_of, undistorted
@@ -38,6 +46,7 @@ class OwnImage:
         no_prior: Why its photo, where it is read for one, gives no prior; "" else.
         lens_percent: As of ``PhotoCamera``, where the camera is by what the photo says of itself.
         camera_sigmas: How well the camera is known, None where nobody says.
+        measured: What its photo states beside, of the prior and the scene.
         keeps_folders: Whether its name in a dataset has its folders, which tell it from others.
     """
 
@@ -51,6 +60,7 @@ class OwnImage:
     no_prior: str = ""
     lens_percent: float | None = None
     camera_sigmas: CameraSigmas | None = None
+    measured: Measurements | None = None
     keeps_folders: bool = False
 
     @property
@@ -276,5 +286,8 @@ def _write_texts(
     lenses = [f"{name} {i.lens_percent:.2f}" for name, i, _ in kept if i.lens_percent is not None]
     if lenses:
         write_text(folder / LENS_FILE, lines_to_text(lenses))
+    measured = [" ".join([name, *i.measured.words()]) for name, i, _ in kept if i.measured is not None]
+    if measured:
+        write_text(folder / MEASUREMENTS_FILE, lines_to_text(measured))
     stated = sealed_about({"truth": bool(truth), "priors": bool(priors), **about})
     write_text(folder / ABOUT_FILE, json.dumps(stated, indent=2, ensure_ascii=False) + "\n")

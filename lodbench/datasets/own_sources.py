@@ -14,6 +14,7 @@ from lodbench.geometry import Camera, CameraSigmas
 from lodbench.photos.camera import camera_from_photo, camera_given
 from lodbench.photos.files import copies_among, find_photos, require_photos
 from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.measurements import measured_of
 from lodbench.photos.metadata import read_photo_metadata
 from lodbench.photos.pose import HeightOptions, pose_from_photo, require_stated
 
@@ -61,7 +62,14 @@ def images_from_photos(
             prior = pose_from_photo(photo, frame, heights)
             own = OwnImage(name, found.camera, prior, photo=path, mask=mask, stated=photo)
             sigmas = found.camera_sigmas
-            images.append(replace(own, lens_percent=found.lens_percent, camera_sigmas=sigmas))
+            images.append(
+                replace(
+                    own,
+                    lens_percent=found.lens_percent,
+                    camera_sigmas=sigmas,
+                    measured=measured_of(photo, heights),
+                )
+            )
         except LodbenchError as fault:
             # Should none be left, the last one's hint says what to do about all.
             left_out.append((name, fault.message))
@@ -128,6 +136,7 @@ def _with_stated_prior(image: OwnImage, frame: MapFrame, heights: HeightOptions 
         return image
     try:
         stated = read_photo_metadata(image.photo)
-        return replace(image, prior=pose_from_photo(stated, frame, heights), stated=stated)
+        measured = measured_of(stated, heights or HeightOptions())
+        return replace(image, prior=pose_from_photo(stated, frame, heights), stated=stated, measured=measured)
     except DatasetError as fault:
         return replace(image, no_prior=fault.message.rstrip("."))

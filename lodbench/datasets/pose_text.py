@@ -9,6 +9,7 @@ from typing import TypeVar
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.geometry.camera_sigmas import split_sigmas
+from lodbench.photos.measurements import Measurements, parse_measurements
 
 T = TypeVar("T")
 
@@ -77,6 +78,15 @@ def read_percents(path: str | Path) -> dict[str, float]:
         DatasetError: As for ``read_poses``.
     """
     return _only_ones(Path(path), _only_percent, "name percent")
+
+
+def read_measurements(path: str | Path) -> dict[str, Measurements]:
+    """Returns what was measured beside each image by its name, from lines ``name east=0.02 range=81.2 ...``.
+
+    Raises:
+        DatasetError: As for ``read_poses``; or as for ``parse_measurements``, with the line.
+    """
+    return _only_ones(Path(path), parse_measurements, "name east=METRES range=METRES ...")
 
 
 def format_pose(name: str, pose: Pose, decimals: tuple[int, int] | None = None) -> str:

@@ -276,7 +276,7 @@ def _by_key(path: Path, entries: Sequence[Entry]) -> dict[str, tuple[Pose, ...]]
 def _with_priors(dataset: Dataset, priors: Sequence[Sequence[Pose]], findings: Findings) -> Dataset:
     """Returns a dataset with other priors, several per query or none."""
     entries = tuple(
-        replace(entry, prior=poses[0] if poses else None, hypotheses=tuple(poses))
+        entry.with_prior(poses[0] if poses else None, tuple(poses))
         for entry, poses in zip(dataset.entries, priors, strict=True)
     )
     return replace(

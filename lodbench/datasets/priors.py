@@ -90,5 +90,5 @@ def with_uniform_priors(dataset: Dataset, prior: UniformPrior, seed: int) -> Dat
         drawn: tuple[Pose, ...] = ()
         if truth is not None:
             drawn = (prior.draw(truth, random_stream(seed, dataset.name, entry.key, "prior")),)
-        entries.append(replace(entry, prior=drawn[0] if drawn else None, hypotheses=drawn))
+        entries.append(entry.with_prior(drawn[0] if drawn else None, drawn))
     return replace(dataset, entries=tuple(entries))

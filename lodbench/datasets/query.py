@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import QueryFault
 from lodbench.findings import Finding, Findings
 from lodbench.geometry import Camera, CameraSigmas, Pose
+from lodbench.photos.measurements import Measurements
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +42,7 @@ class Query:
         lens_percent: Standard deviation of the camera's focal length by where that came from, percent; None
             where nobody says, or it was calibrated.
         camera_sigmas: Standard deviations of all of the camera's numbers; None: as of a calibrated one.
+        measured: What was measured beside the photo, deviations of the prior among it; None for nothing.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Query:
     reconstructed: Pose | None = None
     lens_percent: float | None = None
     camera_sigmas: CameraSigmas | None = None
+    measured: Measurements | None = None
 
     def __post_init__(self) -> None:
         # A method that writes into them would change what is stored, and what the next method is shown.
@@ -96,6 +99,7 @@ class Entry:
         instances: Labels of its buildings made beforehand, see ``lodbench.datasets.instance_labels``.
         lens_percent: As of ``Query``.
         camera_sigmas: Likewise.
+        measured: Likewise.
     """
 
     name: str
@@ -110,6 +114,12 @@ class Entry:
     instances: Path | None = None
     lens_percent: float | None = None
     camera_sigmas: CameraSigmas | None = None
+    measured: Measurements | None = None
+
+    def with_prior(self, prior: Pose | None, hypotheses: tuple[Pose, ...]) -> Entry:
+        """Returns the query with another prior, whose deviations nobody has stated."""
+        measured = None if self.measured is None else self.measured.without_sigmas()
+        return replace(self, prior=prior, hypotheses=hypotheses, measured=measured)
 
     @property
     def key(self) -> str:

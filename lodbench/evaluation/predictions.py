@@ -22,8 +22,8 @@ from lodbench.photos.pictures import decoded, has_too_many_pixels
 if TYPE_CHECKING:
     import pandas as pd
 
-    from lodbench.citymap.surfaces import Surfaces
     from lodbench.rendering import Scorer
+    from lodbench.rendering.surfaces import Surfaces
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,7 +174,7 @@ def evaluate(
         tilt: ``prior`` or ``truth``: what the priors have, to be written down.
         columns: Further errors, of ``lodbench.evaluation.protocols``.
     """
-    from lodbench.citymap.surfaces import Surfaces
+    from lodbench.rendering.surfaces import Surfaces
 
     rows = [
         _row(entry, predictions[entry.key], truth.get(entry.key), priors.get(entry.key), scorer)

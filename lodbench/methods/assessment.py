@@ -14,16 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
+from lodbench.citymap.laser import RangedPose, pose_by_range
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.estimation.lens import LensErrors
 from lodbench.estimation.model_lines import ModelLines, Projected, lines_in_view, project_lines
 from lodbench.estimation.photo_edges import PhotoEdges
 from lodbench.estimation.probability import probability_within
-from lodbench.geometry import Camera
+from lodbench.geometry import Camera, Pose
 from lodbench.geometry.camera_sigmas import UNKNOWN, CameraSigmas
-from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.protocol import Estimate
+from lodbench.methods.search_params import SearchRange
 from lodbench.photos.pictures import read_picture
 
 Floats = NDArray[np.float64]
@@ -53,7 +55,7 @@ def assessed(
 ) -> Estimate:
     """Returns an answer with the uncertainty of the camera in its covariance, and a calibrated probability.
 
-    Eq. (M6) of docs/methods/index.md.
+    Eq. (M6) of docs/methods/index.md; where a laser measured a range, pose and covariance are updated by it.
 
     Args:
         estimate: A method's answer, scene frame.
@@ -67,32 +69,51 @@ def assessed(
         return estimate
     vector = vector_from_pose(estimate.pose)
     camera = query.camera.scaled_to_width(min(_WIDTH, query.camera.width))
-    lines = lines_in_view(city_map, camera, estimate.pose, _SPACING_PX)
-    lines = lines.of(lines.rises > _LOWEST_RISE)
-    laid = project_lines(lines.points, lines.along, camera, vector, LensErrors())
+    lines, laid = _lines_at(city_map, camera, estimate.pose)
     notes = list(estimate.notes)
     covariance, probability = estimate.covariance, float(estimate.probability)
     if covariance is not None:
-        allowed = _COVARIANCE_SHARE * covariance
-        if is_camera_solved:
-            probability = min(probability, probability_within(allowed, vector))
-        else:
-            per_unit = camera_columns(laid, lines, _prior_sigmas(params))
-            by_camera, if_unknown = (
-                per_unit * _camera_sigmas(query),
-                per_unit * (_WORSE * _sigmas_of(UNKNOWN)),
-            )
-            notes += _camera_notes(by_camera, query)
-            covariance = covariance + by_camera @ by_camera.T
-            masses = [probability_within(allowed + c @ c.T, vector) for c in (by_camera, if_unknown)]
-            mixed = (1.0 - _MISDECLARED) * masses[0] + _MISDECLARED * min(masses)
-            probability = min(probability, mixed)
+        of_camera = [np.zeros((6, 0))]
+        if not is_camera_solved:
+            per_unit = camera_columns(laid, lines, _prior_sigmas(params, query))
+            of_camera = [per_unit * _camera_sigmas(query), per_unit * (_WORSE * _sigmas_of(UNKNOWN))]
+            notes += _camera_notes(of_camera[0], query)
+        own, before = covariance, covariance + of_camera[0] @ of_camera[0].T
+        ranged = _ranged(query, city_map, vector, before)
+        covariance = ranged.left_of(before)
+        if ranged.note:
+            notes.append(ranged.note)
+        if ranged.kept is not None:
+            vector = ranged.vector
+            estimate = replace(estimate, pose=pose_from_vector(vector), is_laser_used=True)
+            lines, laid = _lines_at(city_map, camera, estimate.pose)
+        spreads = [ranged.left_of(_COVARIANCE_SHARE * own + c @ c.T) for c in of_camera]
+        masses = [probability_within(spread, vector) for spread in spreads]
+        if not is_camera_solved:
+            masses[0] = (1.0 - _MISDECLARED) * masses[0] + _MISDECLARED * min(masses)
+        probability = min(probability, masses[0])
     for doubt in (*_bounds(query, vector, params), *_edge_doubts(query, laid, lines, camera)):
         notes.append(doubt)
         probability = min(probability, _DOUBTFUL)
     return replace(
         estimate, covariance=covariance, probability=probability, notes=tuple(notes), is_assessed=True
     )
+
+
+def _lines_at(city_map: CityMap, camera: Camera, pose: Pose) -> tuple[ModelLines, Projected]:
+    """Returns the model's lines above the ground that a pose shows, and where they lie."""
+    lines = lines_in_view(city_map, camera, pose, _SPACING_PX)
+    lines = lines.of(lines.rises > _LOWEST_RISE)
+    return lines, project_lines(lines.points, lines.along, camera, vector_from_pose(pose), LensErrors())
+
+
+def _ranged(query: Query, city_map: CityMap, vector: Floats, covariance: Floats) -> RangedPose:
+    """Returns the pose updated by the laser's range, if one was measured."""
+    laser = None if query.measured is None else query.measured.laser
+    if laser is None:
+        return RangedPose(vector, None, np.zeros((6, 6)), "")
+    pose = pose_from_vector(vector)
+    return pose_by_range(city_map.surfaces, query.camera, pose, covariance, laser)
 
 
 def camera_columns(laid: Projected, lines: ModelLines, prior_sigmas: Floats) -> Floats:
@@ -156,8 +177,8 @@ def _edge_doubts(query: Query, laid: Projected, lines: ModelLines, camera: Camer
         yield "poor fit: edges in the photo match the map's roof edges no better than by chance"
 
 
-def _prior_sigmas(params: Any) -> Floats:
-    """Returns (6,) standard deviations of the prior that a method searches, uniform in its ranges."""
+def _prior_sigmas(params: Any, query: Query) -> Floats:
+    """Returns (6,) standard deviations of the prior: as stated, or uniform in the search's ranges."""
     usual = UniformPrior()
     half = np.array(
         [usual.x_m, usual.y_m, usual.z_m, usual.pitch_deg, usual.roll_deg, usual.yaw_deg], dtype=np.float64
@@ -165,7 +186,8 @@ def _prior_sigmas(params: Any) -> Floats:
     names = ("range_x_m", "range_y_m", "range_z_m", "range_tilt_deg", "range_tilt_deg", "range_yaw_deg")
     widths = [getattr(params, name, None) for name in names]
     half = np.array([h if w is None else 0.5 * float(w) for h, w in zip(half, widths, strict=True)])
-    return np.asarray(np.maximum(half, 1e-3) / np.sqrt(3.0))
+    sigmas = np.asarray(np.maximum(half, 1e-3) / np.sqrt(3.0))
+    return sigmas if query.measured is None else query.measured.over(sigmas)
 
 
 def _camera_sigmas(query: Query) -> Floats:
@@ -198,6 +220,8 @@ def _camera_notes(by_camera: Floats, query: Query) -> Iterator[str]:
 
 def _bounds(query: Query, vector: Floats, params: Any) -> Iterator[str]:
     """Yields a sentence for a height at the bound of what was searched."""
+    if isinstance(params, SearchRange):
+        params = params.over_measured(query.measured)
     width_m = getattr(params, "range_z_m", None)
     if not width_m:
         return

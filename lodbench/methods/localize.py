@@ -21,6 +21,7 @@ from lodbench.methods.protocol import Estimate, Method, SupportsPrepare
 from lodbench.methods.registry import make_method
 from lodbench.methods.timed_localize import localize_query
 from lodbench.methods.workspace import Workspace
+from lodbench.photos.measurements import Measurements
 from lodbench.segmentation import check_mask
 from lodbench.storage import random_stream
 
@@ -37,6 +38,7 @@ def localize(
     threads: int | None = None,
     lens_percent: float | None = None,
     camera_sigmas: CameraSigmas | None = None,
+    measured: Measurements | None = None,
     segment: Callable[[Pose], NDArray[np.float32]] | None = None,
 ) -> Estimate:
     """Returns the pose of one photo, from its building mask or its pixels, and a rough pose.
@@ -54,6 +56,7 @@ def localize(
         threads: Threads of the renderer, None for one per core; never changes the answer.
         lens_percent: Standard deviation of the camera's focal length, percent, where that is not calibrated.
         camera_sigmas: Standard deviations of all of the camera's numbers; None: as calibrated.
+        measured: What was measured beside the photo: deviations of the prior, a laser's range.
         segment: Makes a mask as of ``mask``, for a method that has one made where it needs it; its argument,
             the pose to guide it, is in the scene's frame.
 
@@ -75,6 +78,7 @@ def localize(
         photo,
         lens_percent=lens_percent,
         camera_sigmas=camera_sigmas,
+        measured=measured,
         segment=segment,
     )
     city_map = CityMap(scene, threads=threads)

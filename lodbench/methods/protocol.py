@@ -43,6 +43,7 @@ class Estimate:
             method knows it.
         notes: What a reader should know of the answer, in sentences.
         mask: The mask that the answer rests on, where the method had it made (``Query.segment``).
+        is_laser_used: Whether pose and covariance include a laser's range (``assessment.assessed``).
         is_assessed: Whether covariance and probability went through ``assessment.assessed`` already.
     """
 
@@ -57,6 +58,7 @@ class Estimate:
     alternative_probabilities: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
     mask: NDArray[np.float32] | None = field(default=None, repr=False)
+    is_laser_used: bool = False
     is_assessed: bool = False
 
 

@@ -10,6 +10,10 @@ from typing import Any, Self
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError
 from lodbench.kernels.raster_rule import GUARD_PX
+from lodbench.photos.measurements import Measurements
+
+# A search looks so many of the prior's stated standard deviations to either side.
+REACH = 3.0
 
 
 def set_sizes(params: object, names: Iterable[str], least_px: int = 1) -> None:
@@ -42,6 +46,25 @@ class SearchRange:
         """Returns these parameters for a prior's error of other half widths."""
         ranges: dict[str, Any] = ranges_of(prior) | {"range_tilt_deg": prior.pitch_deg + prior.roll_deg}
         return replace(self, **ranges)  # type: ignore[type-var]
+
+    def over_measured(self, measured: Measurements | None) -> Self:
+        """Returns these parameters with ranges as wide as stated deviations of a photo's prior say.
+
+        Eq. (M8) of docs/methods/index.md.
+        """
+        if measured is None:
+            return self
+        x, y, z, pitch, roll, yaw = measured.sigmas
+        names = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg")
+        widths = {
+            name: 2.0 * REACH * s for name, s in zip(names, (x, y, z, yaw), strict=True) if s is not None
+        }
+        if "range_yaw_deg" in widths:
+            widths["range_yaw_deg"] = min(widths["range_yaw_deg"], 360.0)
+        if pitch is not None or roll is not None:
+            halves = [0.5 * self.range_tilt_deg if s is None else REACH * s for s in (pitch, roll)]
+            widths["range_tilt_deg"] = 2.0 * max(halves)
+        return replace(self, **widths) if widths else self  # type: ignore[type-var]
 
     def half_widths(self) -> tuple[float, ...]:
         """Returns the half widths of x, y, z, pitch, roll and yaw; at least 1 mm and 0.0001 degrees."""

@@ -60,6 +60,9 @@ class PhotoMetadata:
         projection: How a stitched panorama was laid flat, ``equirectangular``; "" for a lens's picture.
         xmp_fault: Why XMP that is there cannot be read, in words; "" where it can.
         laser: What DJI's laser measured, where its status is normal.
+        sigmas: (6,) standard deviations of x, y, z (metres), pitch, roll and yaw (degrees) by the receiver
+            and the gimbal; None where nobody states one.
+        refused: Why measurements that XMP states are none, in clauses.
     """
 
     name: str
@@ -98,6 +101,8 @@ class PhotoMetadata:
     projection: str = ""
     xmp_fault: str = ""
     laser: LaserRange | None = None
+    sigmas: tuple[float | None, ...] = (None,) * 6
+    refused: tuple[str, ...] = ()
 
     @property
     def has_position(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from lodbench.photos.map_frame import MapFrame
@@ -19,6 +20,13 @@ def xmp_note(photos: Iterable[PhotoMetadata]) -> str | None:
         return None
     count = "its" if len(broken) == 1 else f"{len(broken)} photos'"
     return f"{count} XMP cannot be read, and nothing of it was used: {broken[0].xmp_fault}"
+
+
+def refused_notes(photos: Sequence[PhotoMetadata]) -> tuple[str, ...]:
+    """Returns which measurements that photos state were not used, a sentence for each reason."""
+    counts = Counter(reason for photo in photos for reason in photo.refused)
+    of_all = "" if len(photos) == 1 else f" of {len(photos)} photos"
+    return tuple(f"{reason}: not used{of_all and f' ({count}{of_all})'}" for reason, count in counts.items())
 
 
 def datum_note(frame: MapFrame) -> str | None:

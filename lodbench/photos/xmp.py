@@ -87,6 +87,19 @@ _WRITTEN_NUMBER = re.compile(r"[-+]?[\d./]{1,16}")
 _LIGHT_SENSOR = "/dls/"
 # DJI's RtkFlag: 32 to 49 are float solutions, 50 is a fixed one, 16 a single point without corrections.
 _RTK_FLOAT, _RTK_FIXED, _SINGLE_POINT = 32, 50, 16
+# Standard deviations, metres and degrees, and which of x, y, z, pitch, roll, yaw they are of: DJI's RTK
+# receiver's, and those of Pix4D's terms, of any maker.
+_SIGMAS = {
+    **{
+        "RtkStdLon": (0,),
+        "RtkStdLat": (1,),
+        "RtkStdHgt": (2,),
+        "GPSXYAccuracy": (0, 1),
+        "GPSZAccuracy": (2,),
+    },
+    **{"IMUPitchAccuracy": (3,), "IMURollAccuracy": (4,), "IMUYawAccuracy": (5,)},
+}
+_MOST_SIGMA = 100.0
 # What a height is said to be by (AltitudeType) if the RTK receiver has measured it; drones without one write
 # it too.
 _BY_RTK = "RtkAlt"
@@ -127,6 +140,7 @@ class LaserRange:
         longitude_deg: Likewise.
         altitude_m: Likewise, its absolute altitude, metres.
         relative_altitude_m: Likewise, its height above the take-off point, metres.
+        stated_sigma_m: Standard deviation of the range where somebody states one, metres.
     """
 
     range_m: float
@@ -134,11 +148,12 @@ class LaserRange:
     longitude_deg: float | None = None
     altitude_m: float | None = None
     relative_altitude_m: float | None = None
+    stated_sigma_m: float | None = None
 
     @property
     def sigma_m(self) -> float:
-        """Returns the standard deviation of the range by the maker's data sheets, metres."""
-        return 0.2 + 0.0015 * self.range_m
+        """Returns the standard deviation of the range, metres: as stated, or by the maker's data sheets."""
+        return 0.2 + 0.0015 * self.range_m if self.stated_sigma_m is None else self.stated_sigma_m
 
 
 class _Property(NamedTuple):
@@ -172,8 +187,8 @@ def xmp_values(path: Path, packet: bytes) -> tuple[dict[str, Any], dict[str, Any
     dji = _of(properties, _DJI)
     values["dewarp"] = _dewarp(dji.get("DewarpData"))
     values["is_dewarped"] = dji.get("DewarpFlag", "0").strip() == "1"
-    values["laser"] = _laser(dji)
-    values |= _rtk(dji)
+    values["laser"], no_laser = _laser(dji)
+    values |= _rtk(dji) | _sigmas(properties, dji, no_laser)
     values = _pix4d(properties) | _field_of_view(properties) | values
     values["projection"] = _projection(properties)
     references = [each.value.strip() for each in properties if each.name == _VERTICAL_REFERENCE]
@@ -254,17 +269,19 @@ def _other_angles(properties: list[_Property]) -> str:
     return f"its XMP states {listed}, which makers mean differently" if listed else ""
 
 
-def _laser(properties: Mapping[str, str]) -> LaserRange | None:
-    """Returns the range of DJI's laser (``LRF...``); None unless its status is that of a measurement."""
+def _laser(properties: Mapping[str, str]) -> tuple[LaserRange | None, str]:
+    """Returns the range of DJI's laser (``LRF...``), or why one that is stated is none."""
     stated = {
         name.lower().removeprefix("lrf"): text for name, text in properties.items() if "LRF" in name.upper()
     }
     distance = number_of(stated.get("targetdistance"))
-    if stated.get("status", "").strip().lower() != "normal" or distance is None or distance <= 0:
-        return None
+    status = stated.get("status", "").strip()
+    if status.lower() != "normal" or distance is None or distance <= 0:
+        reason = f"LRFStatus {status[:20]!r}, LRFTargetDistance {stated.get('targetdistance', '')[:20]!r}"
+        return None, f"the laser measured nothing: {reason}" if stated else ""
     place = place_of(number_of(stated.get("targetlat")), number_of(stated.get("targetlon")))
     heights = (number_of(stated.get(name)) for name in ("targetabsalt", "targetalt"))
-    return LaserRange(distance, place.get("latitude_deg"), place.get("longitude_deg"), *heights)
+    return LaserRange(distance, place.get("latitude_deg"), place.get("longitude_deg"), *heights), ""
 
 
 def _rtk(properties: Mapping[str, str]) -> dict[str, bool]:
@@ -276,6 +293,30 @@ def _rtk(properties: Mapping[str, str]) -> dict[str, bool]:
         "has_rtk": is_told or _RTK_FLOAT <= flag <= _RTK_FIXED,
         "is_single_point": is_single and not is_told,
     }
+
+
+def _sigmas(properties: list[_Property], dji: Mapping[str, str], no_laser: str) -> dict[str, Any]:
+    """Returns how well place and angles are known, as ``PhotoMetadata`` has it, and what is refused and why.
+
+    DJI's RTK receiver goes before what Pix4D's terms state; without a position it has no deviation.
+    """
+    sigmas: list[float | None] = [None] * 6
+    refused = [no_laser] if no_laser else []
+    flag = number_of(dji.get("RtkFlag")) or 0.0
+    has_position = flag == _SINGLE_POINT or _RTK_FLOAT <= flag <= _RTK_FIXED
+    pix4d = {name: value for part in _PIX4D for name, value in _of(properties, part).items()}
+    for name, axes in _SIGMAS.items():
+        text = dji.get(name) if name.startswith("Rtk") else pix4d.get(name)
+        number = number_of(text)
+        if text is None:
+            continue
+        if number is None or not 0 < number <= _MOST_SIGMA:
+            refused.append(f"{name} {text.strip()[:20]!r} is no standard deviation")
+        elif name.startswith("Rtk") and not has_position:
+            refused.append(f"{name} is of no position: RtkFlag {flag:g}")
+        else:
+            sigmas = [number if k in axes and own is None else own for k, own in enumerate(sigmas)]
+    return {"sigmas": tuple(sigmas), "refused": tuple(refused)}
 
 
 def _properties(path: Path, packet: bytes) -> list[_Property]:

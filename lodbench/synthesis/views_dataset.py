@@ -26,9 +26,13 @@ from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError, require_numbers, require_within
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.camera_sigmas import CALIBRATED, MAKER, UNKNOWN
+from lodbench.geometry.rays import pixel_rays
 from lodbench.params import to_params
+from lodbench.photos.measurements import Measurements
+from lodbench.photos.xmp import LaserRange
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.rendering.raster import RasterRenderer
+from lodbench.rendering.surfaces import Surfaces
 from lodbench.storage import digest_of, random_stream, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.instance_degradation import degraded_instances
@@ -143,6 +147,8 @@ class ViewsParams:
     layers: list[str] = field(default_factory=list)
     world: Perturbation = field(default_factory=Perturbation)
     camera_source: str = CALIBRATED.source
+    rtk_m: float | None = None
+    laser_m: float | None = None
 
     def __post_init__(self) -> None:
         if self.num_views < 1:
@@ -153,6 +159,7 @@ class ViewsParams:
         require_within("dataset.mask_iou", self.mask_iou, 0, 1, "(]")
         require_within("dataset.tilt_deg", self.tilt_deg, 0, 30)
         require_numbers(self, "dataset", ("range_m", "height_m"), 0)
+        require_numbers(self, "dataset", ("rtk_m", "laser_m"), 0, ends="(]")
         if self.area is not None and self.area not in AREAS:
             raise ConfigError(f"dataset.area is one of {', '.join(AREAS)}, not {self.area}.")
         for name, most in (("camera_height_m", 1e5), ("building_share", 1)):
@@ -226,7 +233,8 @@ def open_views(params: ViewsParams) -> Dataset:
     scene = open_cached_city(city, lod=lod, options=options, roof_height=params.roof_height).scene
     of_the_scene = ("city_model", "lod", "crs", "name", "layers")  # its digest says it
     drawn = {key: value for key, value in asdict(params).items() if key not in of_the_scene}
-    del drawn["camera_source"]  # stated, not drawn
+    for name in ("camera_source", "rtk_m", "laser_m"):  # stated, not drawn
+        del drawn[name]
     # Errors that came later: views without them keep their place in the cache.
     drawn["world"] = {
         name: value for name, value in drawn["world"].items() if name not in ("center", "k1") or value
@@ -250,6 +258,8 @@ def open_views(params: ViewsParams) -> Dataset:
     root = written_once(cache_root() / "views" / key, write)
     same = {key: getattr(params, key) for key in ("lod", "crs", "roof_height", "name", "layers")}
     folder = open_folder(FolderParams(str(root), str(city), **same))
+    if params.rtk_m is not None or params.laser_m is not None:
+        folder = _with_measurements(folder, world.seen(scene), params)
     look = "" if params.look is None else f", look {params.look}"
     sigmas = CAMERA_SOURCES[params.camera_source]
     if not sigmas.are_zero:
@@ -257,6 +267,32 @@ def open_views(params: ViewsParams) -> Dataset:
             folder, entries=tuple(replace(entry, camera_sigmas=sigmas) for entry in folder.entries)
         )
     return replace(folder, version=f"views {VIEWS_VERSION}{look}, seed {params.views_seed}")
+
+
+def _with_measurements(dataset: Dataset, seen: Scene, params: ViewsParams) -> Dataset:
+    """Returns views with what a receiver and a laser measure there, with errors of the stated deviations.
+
+    Priors are where the receiver has them; no range is measured where the photo's centre shows no surface.
+    """
+    surfaces, entries = Surfaces(seen), []
+    for entry in dataset.entries:
+        truth, prior, camera, measured = dataset.truth[entry.key], entry.prior, entry.camera, Measurements()
+        assert prior is not None  # noqa: S101 - all views have one
+        assert camera is not None  # noqa: S101 - likewise
+        noise = random_stream(params.views_seed, "accuracy", Path(entry.name).stem, "measurements")
+        errors = noise.standard_normal(4)
+        if params.rtk_m is not None:
+            prior = Pose.from_center(prior.rotation, truth.center + params.rtk_m * errors[:3])
+            measured = Measurements((*(params.rtk_m,) * 3, None, None, None))
+        if params.laser_m is not None:
+            local, middle = truth.shifted(-seen.origin), 0.5 * np.array([[camera.width, camera.height]])
+            ray = pixel_rays(camera, middle).directions @ local.rotation
+            way = surfaces.hit(local.center, ray).places[0] - local.center
+            range_m = float(np.linalg.norm(way)) + params.laser_m * float(errors[3])
+            if range_m > 0:  # NaN where the centre shows no surface
+                measured = replace(measured, laser=LaserRange(range_m, stated_sigma_m=params.laser_m))
+        entries.append(replace(entry.with_prior(prior, (prior,)), measured=measured))
+    return replace(dataset, entries=tuple(entries))
 
 
 def drawing_facts(dataset: Dataset) -> dict[str, Any]:

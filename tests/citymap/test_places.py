@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 import lodbench
-from lodbench.citymap.ground import Ground
 from lodbench.citymap.laser import LaserResidual, at_centre, laser_residual
 from lodbench.citymap.linear_places import Uncertainty
 from lodbench.citymap.place_errors import ground_errors
 from lodbench.citymap.places import LocatedPixel, places_of
-from lodbench.citymap.surfaces import Surfaces
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.photos.xmp import LaserRange
+from lodbench.rendering.ground import Ground
+from lodbench.rendering.surfaces import Surfaces
 from tests.town import box_obj
 
 CAMERA = Camera(1000, 800, 900.0, 890.0, 505.0, 396.0)

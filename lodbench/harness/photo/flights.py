@@ -47,7 +47,7 @@ from lodbench.methods.protocol import FlightEstimate, SupportsFlights
 from lodbench.methods.timed_localize import localize_flight
 from lodbench.photos.files import Flight, split_flights
 from lodbench.photos.map_frame import MapFrame
-from lodbench.photos.notes import height_notes
+from lodbench.photos.notes import height_notes, refused_notes
 from lodbench.photos.pictures import read_picture
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.answers import reasons_for_doubt
@@ -101,6 +101,7 @@ def localize_flights(
                 estimates[row] = estimate
         taken = _taken(flight, [names[row] for row in rows])
         taken += tied_notes(reconstruction, [photos[row] for row in mine], known)
+        taken += refused_notes([ready[row][0].stated for row in mine])
         if not request.has_height:
             taken += height_notes([ready[row][0].stated for row in mine], request.heights)
         name, paths = f"flight {len(flights) + 1}", tuple(photos[row] for row in mine)
@@ -185,6 +186,7 @@ def _solve(
                     reconstructed=tied,
                     lens_percent=photo.lens_percent,
                     camera_sigmas=photo.camera_sigmas,
+                    measured=photo.measured,
                 )
             )
         streams = [partial(random_stream, request.seed, "localize", "photo") for _ in queries]

@@ -30,7 +30,7 @@ from lodbench.methods.localize import localize
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.protocol import SupportsPriorWidth
 from lodbench.photos.map_frame import MapFrame
-from lodbench.photos.notes import place_notes, xmp_note
+from lodbench.photos.notes import place_notes, refused_notes, xmp_note
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.reporting.answers import TRUSTED_OVERLAP, is_trusted, probability_text
 from lodbench.segmentation import notes_of
@@ -96,6 +96,7 @@ def localize_photo(request: PhotoRequest, advance: Callable[[], None] = lambda: 
                 seed=request.seed,
                 lens_percent=photo.lens_percent,
                 camera_sigmas=photo.camera_sigmas,
+                measured=photo.measured,
                 segment=lambda pose: pinhole_mask(request, photo.camera, photo.pinhole),
             )
     advance()
@@ -190,6 +191,7 @@ def write_answer(
         overlay=overlay,
         geojson=geojson,
         notes=_notes(photo, place, view, estimate),
+        is_laser_used=estimate.is_laser_used,
         method_notes=estimate.notes,
         features=tuple(features),
         thumbnail=view.thumbnail(),
@@ -232,7 +234,9 @@ def _notes(photo: PreparedPhoto, place: OpenMap, view: PhotoView, estimate: Esti
     notes += estimate.notes
     notes += place_notes(place.frame, () if request.has_height else (photo.stated,), request.heights)
     notes += () if request.start is None else request.start.notes
-    notes += filter(None, [xmp_note([photo.stated])])
+    known = photo.measured
+    notes += filter(None, [xmp_note([photo.stated]), "" if known is None else known.note])
+    notes += refused_notes([photo.stated])
     if photo.stated.orientation > 1:
         notes.append("EXIF rotates this photo for display: camera and mask refer to the pixels as stored")
     if photo.stated.is_turned and request.given.roll_deg is None and request.start is None:

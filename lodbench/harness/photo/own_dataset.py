@@ -31,7 +31,7 @@ from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.harness.city import far_words, open_city
 from lodbench.photos.files import PHOTO_SUFFIXES
 from lodbench.photos.map_frame import MapFrame
-from lodbench.photos.notes import place_notes, xmp_note
+from lodbench.photos.notes import place_notes, refused_notes, xmp_note
 from lodbench.photos.pictures import picture_size
 from lodbench.photos.pose import HeightOptions
 
@@ -127,6 +127,7 @@ def _prior_notes(images: Sequence[OwnImage], frame: MapFrame | None, heights: He
     """Returns what the reader should know of rough poses from photos: how sure they are, and which lack."""
     stated = [image.stated for image in images if image.stated is not None]
     notes = [*place_notes(frame, stated, heights), *filter(None, [xmp_note(stated)])] if stated else []
+    notes += refused_notes(stated)
     lacking = [image for image in images if image.no_prior]
     if lacking:
         first = lacking[0]

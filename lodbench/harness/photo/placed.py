@@ -36,6 +36,7 @@ class Localized:
         crs: Of the city, or None.
         is_trusted: Whether the pose is more likely right than wrong.
         trust: In a word.
+        is_laser_used: Whether pose and covariance include a laser's range.
     """
 
     file: Path
@@ -45,6 +46,7 @@ class Localized:
     crs: str | None
     is_trusted: bool
     trust: str
+    is_laser_used: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from lodbench.citymap.linear_places import PIXEL_SIGMA_PX, Uncertainty
 from lodbench.citymap.places import LocatedPixel, nowhere, places_of, require_pixels, shifted
-from lodbench.citymap.surfaces import MAP_SIGMA_M, Surfaces
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.pose_text import parse_camera
 from lodbench.errors import DatasetError
@@ -25,6 +24,7 @@ from lodbench.harness.city import open_city
 from lodbench.harness.photo.placed import KIND, Localized, PlacedFeature, PlacedPhoto, write_places
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.metadata import read_photo_metadata
+from lodbench.rendering.surfaces import MAP_SIGMA_M, Surfaces
 from lodbench.segmentation import check_mask
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.polygon_files import MaskPolygon, polygons_of
@@ -99,7 +99,7 @@ def place_photo(request: PlacesRequest) -> PlacedPhoto:
         Surfaces(scene, request.map_sigma_m, request.ground_sigma_m),
         localized,
         Uncertainty(localized.covariance, pixel_sigma_px=request.pixel_sigma_px),
-        stated.laser,
+        None if localized.is_laser_used else stated.laser,
     )
     features = placer.pixels(pixels)
     notes = _notes(localized, stated.orientation, frame)
@@ -145,6 +145,7 @@ def read_localized(photo: Path, folder: Path) -> Localized:
                 values["crs"],
                 bool(values["trusted"]),
                 str(values["trust"]),
+                bool(values.get("laser_used")),
             )
         except KeyError as fault:
             if fault.args[0] == "as_stored":

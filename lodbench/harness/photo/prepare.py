@@ -25,6 +25,7 @@ from lodbench.photos.camera import (
     require_photo_size,
 )
 from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.measurements import Measurements
 from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
 from lodbench.photos.pictures import read_picture
 from lodbench.photos.pose import (
@@ -52,6 +53,7 @@ class PreparedPhoto:
         camera_source: Where the camera's numbers came from.
         lens_percent: As of ``PhotoCamera``.
         camera_sigmas: Likewise.
+        measured: What was measured beside it.
         pinhole: The camera that is localised.
         mask: (H, W) probability of building as the pinhole sees it; None where no mask is looked at.
     """
@@ -62,6 +64,7 @@ class PreparedPhoto:
     camera_source: str
     lens_percent: float | None
     camera_sigmas: CameraSigmas
+    measured: Measurements | None
     pinhole: Camera
     mask: NDArray[np.float32] | None
 
@@ -104,7 +107,7 @@ def prepare_photo(request: PhotoRequest, requires: Collection[str]) -> PreparedP
     found = _camera(request, stated)
     pinhole = pinhole_of(found.camera)
     mask = pinhole_mask(request, found.camera, pinhole) if Input.MASK in requires else None
-    known = found.source, found.lens_percent, found.camera_sigmas
+    known = found.source, found.lens_percent, found.camera_sigmas, request.measured_of(stated)
     return PreparedPhoto(request, stated, found.camera, *known, pinhole, mask)
 
 

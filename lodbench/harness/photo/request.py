@@ -19,6 +19,8 @@ from lodbench.evaluation import PoseError
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.methods import Method
 from lodbench.photos.map_frame import Place
+from lodbench.photos.measurements import Measurements, measured_of
+from lodbench.photos.metadata import PhotoMetadata
 from lodbench.photos.pose import HeightOptions, RoughPlace
 from lodbench.reporting.answers import UNTRUSTED, trust_word
 from lodbench.segmentation import Segmenter
@@ -110,6 +112,7 @@ class PhotoRequest(RoughRequest):
         method: How to localise; LoD-Loc v2 by default.
         seed: Seed of the search.
         start: Rough poses of photos, which go before all else that is known of these; None without any.
+        has_prior_range: Whether a person said how far off rough poses may be: photos are not asked then.
     """
 
     photo: Path
@@ -117,6 +120,17 @@ class PhotoRequest(RoughRequest):
     method: Method | None = None
     seed: int = 0
     start: RoughPoses | None = None
+    has_prior_range: bool = False
+
+    def measured_of(self, stated: PhotoMetadata) -> Measurements | None:
+        """Returns what was measured beside a photo, deviations of those numbers that are its own among it."""
+        if self.start is not None or self.has_prior_range:
+            return measured_of(stated, self.heights, range(6))
+        given = self.given
+        place = given.latitude_deg if self.center is None else self.center
+        height = given.height_m if self.center is None else self.center
+        others = (place, place, height, given.pitch_deg, given.roll_deg, given.heading_deg)
+        return measured_of(stated, self.heights, [k for k, v in enumerate(others) if v is not None])
 
     @property
     def has_height(self) -> bool:
@@ -151,6 +165,7 @@ class LocalizedPhoto:
         overlay: Picture written.
         geojson: Map written, or None without a reference system.
         notes: What the reader should know.
+        is_laser_used: Whether pose and covariance include a laser's range.
         method_notes: Those of them that the method gives to this very answer.
         features: Of the map.
         thumbnail: A small JPEG of the photo as the pinhole sees it; None where it cannot be decoded.
@@ -178,6 +193,7 @@ class LocalizedPhoto:
     overlay: Path
     geojson: Path | None
     notes: tuple[str, ...]
+    is_laser_used: bool = False
     method_notes: tuple[str, ...] = ()
     features: tuple[dict[str, Any], ...] = ()
     thumbnail: bytes | None = None
@@ -225,6 +241,7 @@ class LocalizedPhoto:
             "overlay": str(self.overlay),
             "geojson": None if self.geojson is None else str(self.geojson),
             "notes": list(self.notes),
+            **({"laser_used": True} if self.is_laser_used else {}),
         }
         plain: dict[str, Any] = finite(values)
         return plain

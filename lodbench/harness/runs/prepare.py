@@ -28,6 +28,7 @@ from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsFlights, SupportsPrepare
 from lodbench.methods.timed_localize import weight_files
 from lodbench.methods.workspace import open_workspace
+from lodbench.photos.measurements import Measurements
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation import (
@@ -134,7 +135,13 @@ class Preparation:
             reconstructed=entry.reconstructed,
             lens_percent=entry.lens_percent,
             camera_sigmas=entry.camera_sigmas,
+            measured=self._measured(entry),
         )
+
+    def _measured(self, entry: Entry) -> Measurements | None:
+        """Returns what was measured beside a photo; the true tilt has no deviation."""
+        is_held = self.tilt == "truth" and entry.measured is not None
+        return entry.measured.without_sigmas((3, 4)) if is_held and entry.measured else entry.measured
 
     def _true_pixels(self, entry: Entry, camera: Camera) -> Callable[[Points], Points]:
         if entry.key not in self.dataset.truth:

@@ -80,6 +80,7 @@ def queries_digest(dataset: Dataset, entries: tuple[Entry, ...]) -> str:
                 pose_numbers(dataset.truth.get(entry.key)),
                 *([] if entry.lens_percent is None else [entry.lens_percent]),
                 *([] if entry.camera_sigmas is None else astuple(entry.camera_sigmas)),
+                *([] if entry.measured is None else entry.measured.words()),
             ]
             for entry in entries
         ]

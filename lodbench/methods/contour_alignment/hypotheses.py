@@ -19,7 +19,7 @@ from lodbench.estimation.normal_equations import Quadratic
 from lodbench.estimation.outline_alignment import Aligner
 from lodbench.estimation.posterior import shares_of
 from lodbench.estimation.probability import DRAWS, WITHIN_M, fixed_draws, is_near, share_within
-from lodbench.estimation.state_vector import CAMERAS, shortened
+from lodbench.estimation.state_vector import CAMERAS, POSES, shortened
 from lodbench.geometry import Pose
 from lodbench.geometry.pose_vector import pose_from_vector, turn_per_angle
 from lodbench.methods.contour_alignment.likelihood import (
@@ -137,11 +137,12 @@ def _weigh(aligner: Aligner, track: _Track, params: ContourAlignmentParams, step
         world: log_likelihood(outline, world, shared, params, anywhere)
         for world, shared in track.shared.items()
     }
-    offset = aligner.prior.offsets(track.vector)
+    prior = aligner.prior
+    known = prior.offsets(track.vector), prior.sigmas[:POSES]
     track.hypotheses = [
         each
         for world, likelihood in likelihoods.items()
-        for each in _hypotheses(offset, world, track.shared[world], likelihood, params)
+        for each in _hypotheses(*known, world, track.shared[world], likelihood, params)
     ]
     if step == params.final_steps:
         return True
@@ -171,16 +172,21 @@ def _likeliest(hypotheses: Iterable[Hypothesis], *, needs_tilt: bool, needs_lens
 
 
 def _hypotheses(
-    offset: Floats, world: WorldErrors, shared: Floats, likelihood: Quadratic, params: ContourAlignmentParams
+    offset: Floats,
+    sigmas: Floats,
+    world: WorldErrors,
+    shared: Floats,
+    likelihood: Quadratic,
+    params: ContourAlignmentParams,
 ) -> list[Hypothesis]:
     """Returns a world's hypotheses of tilt and lens, given how far from the prior the camera stands, (7,).
 
-    Eq. (C11) of docs/methods/contour_alignment.md.
+    Eq. (C11) of docs/methods/contour_alignment.md; ``sigmas``, (6,), are the prior's.
     """
     away = np.concatenate([offset, shared - world.shared_mean])
     hypotheses = []
     for is_tilt_free, is_lens_free in product((False, True), repeat=2):
-        camera = params.camera_sigmas(is_tilt_free=is_tilt_free, is_lens_free=is_lens_free)
+        camera = params.camera_sigmas(sigmas, is_tilt_free=is_tilt_free, is_lens_free=is_lens_free)
         precision = np.array([*camera, *world.shared_sigmas]) ** -2.0
         posterior = likelihood.times_prior(precision, away)
         step = posterior.step()
@@ -205,7 +211,7 @@ def _shared_step(world: WorldErrors, shared: Floats, likelihood: Quadratic, move
 # Hypotheses less likely than this are left out; answers less likely are no alternatives.
 _LEAST_WEIGHT, _LEAST_ALTERNATIVE = 0.002, 0.02
 # An end of the alignment whose IoU is less by this is believed 1/e as much.
-_RIVAL_IOU = 0.004
+RIVAL_IOU = 0.004
 # A mask that holds no more than the one of mapped buildings above their surroundings does not show them; by
 # the other it is as good as outlines are taken to be (see ``mapped_overlap``).
 _NO_OVERLAP, _OVERLAP = 0.3, 0.7
@@ -257,7 +263,7 @@ def answer_of(refined: Refined) -> Answer:
     )
 
 
-def among_rivals(answer: Answer, ends: Floats, ious: Floats) -> Answer:
+def among_rivals(answer: Answer, ends: Floats, ious: Floats, ranges: Floats) -> Answer:
     """Returns an answer whose probabilities are shared with places where the silhouette fits nearly as well.
 
     Eq. (C14) of docs/methods/contour_alignment.md.
@@ -268,13 +274,15 @@ def among_rivals(answer: Answer, ends: Floats, ious: Floats) -> Answer:
         answer: What the end of highest IoU led to.
         ends: (N, 7) where the alignment of the starts ended.
         ious: (N,) of silhouette and mask there.
+        ranges: (N,) nats that a laser's range says of them; the answer comes from the best by both.
     """
+    ious = ious + RIVAL_IOU * ranges
     order = np.argsort(-ious, kind="stable")
     apart: list[int] = []
     for k in order:
         if all(np.linalg.norm(ends[k, :3] - ends[j, :3]) >= WITHIN_M for j in apart):
             apart.append(int(k))
-    weights = np.exp((ious[apart] - ious[apart[0]]) / _RIVAL_IOU)
+    weights = np.exp((ious[apart] - ious[apart[0]]) / RIVAL_IOU)
     shares = weights / weights.sum()
     # The answer may have moved on to where another one ended.
     turn = turn_per_angle(answer.vector)

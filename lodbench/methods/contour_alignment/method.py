@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.citymap.corrected_map import corrected_map
+from lodbench.citymap.laser import range_log_densities
 from lodbench.citymodel.extrude import pitched_blocks
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
@@ -20,7 +21,7 @@ from lodbench.estimation.outline_alignment import Aligner
 from lodbench.estimation.probability import beyond_range
 from lodbench.geometry import PoseGrid
 from lodbench.geometry.pose_vector import pose_from_vector
-from lodbench.methods.contour_alignment.hypotheses import among_rivals, answer_of, refine
+from lodbench.methods.contour_alignment.hypotheses import RIVAL_IOU, among_rivals, answer_of, refine
 from lodbench.methods.contour_alignment.params import ContourAlignmentParams
 from lodbench.methods.fits import PoseScorer, nothing_fits
 from lodbench.methods.protocol import Estimate, Streams
@@ -121,17 +122,19 @@ class ContourAlignment:
         Raises:
             QueryFault: The mask is empty, or no hypothesis overlaps it or shows an outline.
         """
-        started, params = time.perf_counter(), self.params.with_lens(query.lens_percent)
+        started = time.perf_counter()
+        params = self.params.with_lens(query.lens_percent).over_measured(query.measured)
         city_map = expected_map(city_map, params.pitched_lower_m)
-        aligner = Aligner(query, city_map, params.outline_model())
+        aligner = Aligner(query, city_map, params.outline_model(query.measured))
         scale = aligner.pixels_per_m(0.5 * params.range_z_m)
         starts, best = find_starts(query, city_map, aligner, params.over(scale))
         selected = time.perf_counter()
         ends, trace = self._align(aligner, starts)
-        refined = refine(aligner, ends[int(np.argmax(trace))], params)
+        ranges = range_log_densities(query, city_map, ends)
+        refined = refine(aligner, ends[int(np.argmax(np.array(trace) + RIVAL_IOU * ranges))], params)
         if refined is None:
             raise QueryFault("no outline of a building is in view of the aligned pose")
-        answer = among_rivals(answer_of(refined), ends, np.array(trace))
+        answer = among_rivals(answer_of(refined), ends, np.array(trace), ranges)
         finished = time.perf_counter()
         return Estimate(
             pose=pose_from_vector(answer.vector),

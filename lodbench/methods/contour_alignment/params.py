@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from lodbench.errors import require_choice, require_numbers, require_within
 from lodbench.estimation.outline_alignment import OutlineModel
 from lodbench.geometry import AxisRange, PoseGrid
 from lodbench.methods.search_params import SearchRange, set_sizes
+from lodbench.photos.measurements import Measurements
 
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
 SEARCHES = ("auto", "grid", "basins")
@@ -167,12 +171,17 @@ class ContourAlignmentParams(SearchRange):
         tilt = max(0.5 * self.range_tilt_deg / math.sqrt(3.0), 1e-4)
         return (*place, tilt, tilt, max(0.5 * self.range_yaw_deg, 1e-4))
 
-    def outline_model(self) -> OutlineModel:
-        """Returns how outlines are compared until hypotheses of tilt and lens are weighed."""
+    def outline_model(self, measured: Measurements | None = None) -> OutlineModel:
+        """Returns how outlines are compared until hypotheses of tilt and lens are weighed.
+
+        Args:
+            measured: Beside the photo: deviations of the prior that are stated.
+        """
         reach_m, turn_deg = self.reach()
+        sigmas = self.prior_sigmas() if measured is None else measured.over(np.array(self.prior_sigmas()))
         return OutlineModel(
             size=self.fine_size,
-            sigmas=(*self.prior_sigmas(), _START_LENS_PERCENT),
+            sigmas=(*sigmas, _START_LENS_PERCENT),
             reach_m=reach_m,
             turn_deg=turn_deg,
             spacing_px=self.spacing_px,
@@ -183,9 +192,11 @@ class ContourAlignmentParams(SearchRange):
             roof_part_px=self.roof_part_px,
         )
 
-    def camera_sigmas(self, *, is_tilt_free: bool, is_lens_free: bool) -> tuple[float, ...]:
-        """Returns the prior's standard deviations, and the lens's, under a hypothesis of tilt and lens."""
-        *place, pitch, roll, yaw = self.prior_sigmas()
+    def camera_sigmas(
+        self, prior: Iterable[float], *, is_tilt_free: bool, is_lens_free: bool
+    ) -> tuple[float, ...]:
+        """Returns (6,) deviations of the prior, and the lens's, under a hypothesis of tilt and lens."""
+        *place, pitch, roll, yaw = prior
         wider = self.tilt_doubt_factor if is_tilt_free else 1.0
         lens = self.lens_doubt_percent if is_lens_free else self.lens_percent
         return (*place, wider * pitch, wider * roll, yaw, lens)

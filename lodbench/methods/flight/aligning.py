@@ -112,7 +112,7 @@ def _leave_out_lost(state: State, terms: Sequence[PhotoTerms | None], params: Fl
     Eq. (F15) of docs/methods/flight.md.
     """
     gaps = differences(state.vectors, state.priors) - state.offset
-    away = np.sqrt(((gaps / params.own_sigmas()) ** 2).mean(axis=1))
+    away = np.sqrt(((gaps / state.own_sigmas(params.own_sigmas())) ** 2).mean(axis=1))
     fits = np.array([0.0 if term is None else term.overlap for term in terms])
     poor = 0.5 * float(np.median(fits))
     lost = (away > params.lost_sigmas) | (fits < poor)

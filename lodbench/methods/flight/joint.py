@@ -42,7 +42,9 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: FlightParams
     buildings = np.unique(state.roofs.building[state.roofs.building >= 0])
     shared = 6 * len(terms)
     parts = shared + CONSTANTS + len(buildings)
-    similarity = parts + len(state.roofs)
+    takeoff = parts + len(state.roofs)
+    pressed = [k for k, each in enumerate(state.measured) if each and each.takeoff_height_m is not None]
+    similarity = takeoff + (len(pressed) > 1)
     size = similarity + (0 if state.reconstruction is None else UNKNOWNS)
     equations = NormalEquations(size)
     of_roofs, of_parts, of_feet, of_centres, of_turns, of_ties = groups = [
@@ -51,13 +53,16 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: FlightParams
     _add_map(equations, state, shared, params)
     _add_roofs(of_roofs, of_parts, state, shared, buildings, params)
     _add_feet(of_feet, state, shared, parts, params)
-    own = np.diag(params.own_sigmas() ** -2.0)
+    if len(pressed) > 1:
+        _add_barometer(equations, state, np.array(pressed), takeoff)
+    own = state.own_sigmas(params.own_sigmas()) ** -2.0
     gaps = differences(state.vectors, state.priors) - state.offset
     apart = np.hstack([np.eye(6), -np.eye(6)])
     pulls = np.zeros((size, 2 * len(buildings)))
     for k, term in enumerate(terms):
         pose = np.arange(6 * k, 6 * k + 6)
-        equations.add_residuals(np.concatenate([pose, shared + np.arange(6)]), apart, gaps[k], own)
+        unknowns = np.concatenate([pose, shared + np.arange(6)])
+        equations.add_residuals(unknowns, apart, gaps[k], np.diag(own[k]))
         if term is not None and state.weights[k] > 0:
             unknowns = np.concatenate([pose, shared + np.arange(6, 6 + LENS), parts + term.parts])
             own_size, weight = len(unknowns), state.weights[k]
@@ -107,6 +112,19 @@ def _add_reconstruction(
         information = state.reconstruction.weighted_information(residuals, [group.scale for group in groups])
         for group, part in zip(groups, (slice(0, 3), slice(3, 6)), strict=True):
             group.add_residuals(unknowns, jacobian[part], residuals[part], information[part, part])
+
+
+def _add_barometer(equations: NormalEquations, state: State, photos: Rows, takeoff: int) -> None:
+    """Adds that photos are as high above one take-off point as air pressure says, whose height is free.
+
+    Eq. (F26) of docs/methods/flight.md.
+    """
+    known = [each for each in state.measured if each and each.takeoff_height_m is not None]
+    gaps = state.vectors[photos, 2] - np.array([each.takeoff_height_m for each in known])
+    gaps -= np.median(gaps)
+    sigmas_m = np.array([each.takeoff_sigma_m for each in known])
+    precisions = (_FREEDOM + 1.0) / (_FREEDOM + (gaps / sigmas_m) ** 2) / sigmas_m**2
+    equations.add_differences(6 * photos + 2, np.full(len(photos), takeoff), gaps, precisions)
 
 
 def _add_map(equations: NormalEquations, state: State, shared: int, params: FlightParams) -> None:

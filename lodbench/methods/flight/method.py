@@ -26,7 +26,7 @@ from lodbench.methods.flight.relative_poses import FEWEST_PHOTOS, Reconstruction
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.shared_looks import agreed_places, with_masks_by_looks
 from lodbench.methods.flight.starts import STARTS_M, Ends, ends_of, flight_error, restarted
-from lodbench.methods.flight.state import CONSTANTS, FOCAL, State
+from lodbench.methods.flight.state import CONSTANTS, FOCAL, State, without_odd_heights
 from lodbench.methods.flight.tracks import relative_poses
 from lodbench.methods.flight.witnesses import without_contradicted
 from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
@@ -96,7 +96,8 @@ class FlightMethod:
         self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
     ) -> FlightEstimate:
         """Returns what ``localize_flight`` does, given what ``localize_alone`` found."""
-        method = FlightMethod(self.params.with_cameras([query.camera_sigmas for query in queries]))
+        params = self.params.with_measured([query.measured for query in queries])
+        method = FlightMethod(params.with_cameras([query.camera_sigmas for query in queries]))
         joint = method._solve_by_edges if self.params.single == "region" else method.solve_jointly
         return joint(queries, alone, city_map)
 
@@ -292,6 +293,7 @@ class FlightMethod:
             roofs=RoofParts(self.params.part_width_m, city_map.scene.num_buildings),
             buildings_m=np.zeros(city_map.scene.num_buildings),
             weights=np.ones(len(queries)),
+            measured=without_odd_heights([query.measured for query in queries], priors),
         )
         kind = self.params.relative_poses
         known = {k: query.reconstructed for k, query in enumerate(queries) if query.reconstructed is not None}

@@ -14,6 +14,7 @@ from lodbench.errors import ConfigError, nearest_names, require_numbers
 from lodbench.geometry.camera_sigmas import STATED, CameraSigmas
 from lodbench.methods.contour_alignment import ContourAlignmentParams
 from lodbench.methods.region import RegionParams
+from lodbench.photos.measurements import Measurements
 
 Floats = NDArray[np.float64]
 
@@ -148,6 +149,25 @@ class FlightParams:
             own_m=max(self.own_m, float(widths[:3].max())),
             own_tilt_deg=max(self.own_tilt_deg, float(widths[3:5].max())),
             own_yaw_deg=max(self.own_yaw_deg, float(widths[5])),
+        )
+
+    def with_measured(self, measured: Sequence[Measurements | None]) -> FlightParams:
+        """Returns the parameters with shared errors as large as all photos of a flight state theirs, at most.
+
+        Eq. (F25) of docs/methods/flight.md: receivers of one flight may err alike.
+        """
+        stated = [(None,) * 6 if each is None else each.sigmas for each in measured]
+
+        def shared(usual: float, *axes: int) -> float:
+            known = [sigmas[k] for sigmas in stated for k in axes]
+            return usual if None in known else math.sqrt(3.0) * max(sigma or 0.0 for sigma in known)
+
+        return replace(
+            self,
+            shared_m=shared(self.shared_m, 0, 1),
+            shared_height_m=shared(self.shared_height_m, 2),
+            shared_tilt_deg=shared(self.shared_tilt_deg, 3, 4),
+            shared_yaw_deg=shared(self.shared_yaw_deg, 5),
         )
 
     def with_cameras(self, cameras: Sequence[CameraSigmas | None]) -> FlightParams:

@@ -13,6 +13,7 @@ from lodbench.estimation.normal_equations import ErrorGroup
 from lodbench.methods.flight.photo_terms import LENS
 from lodbench.methods.flight.relative_poses import UNKNOWNS, Reconstruction, RelativePose
 from lodbench.methods.flight.roof_parts import RoofParts
+from lodbench.photos.measurements import Measurements
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -20,6 +21,8 @@ Rows = NDArray[np.int64]
 # The shared numbers before the buildings': flight's error, lens, all roofs, all feet of walls.
 _FLIGHT, _LENS, ROOFS, BASE_OFFSET, CONSTANTS = slice(0, 6), slice(6, 6 + LENS), 6 + LENS, 7 + LENS, 8 + LENS
 FOCAL = 6
+# Heights by air pressure and priors that differ by more in the middle have nothing to do with each other.
+_MOST_SCATTER_M = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +76,7 @@ class State:
         reasons: Why a photo is lost, by number.
         ties: What pairs of photos say of their relative poses.
         reconstruction: Poses of photos up to a similarity, or None.
+        measured: (P,) what was measured beside each photo, None for nothing.
         scales: (6,) shares of what is told that buildings, parts of roofs, feet of walls, places and turns
             of photos in the reconstruction, and ties err by.
     """
@@ -86,6 +90,7 @@ class State:
     reasons: dict[int, str] = field(default_factory=dict)
     ties: Sequence[RelativePose] = ()
     reconstruction: Reconstruction | None = None
+    measured: Sequence[Measurements | None] = ()
     scales: Floats = field(default_factory=lambda: np.ones(6))
 
     @property
@@ -116,7 +121,16 @@ class State:
                 if tie.first in number and tie.second in number
             ],
             reconstruction=None if self.reconstruction is None else self.reconstruction.part(number, vectors),
+            measured=[self.measured[photo] for photo in photos] if self.measured else (),
         )
+
+    def own_sigmas(self, usual: Floats) -> Floats:
+        """Returns (P, 6) standard deviations of photos' own errors: as stated, or the usual (6,) ones.
+
+        Eq. (F25) of docs/methods/flight.md.
+        """
+        known = self.measured or [None] * len(self.vectors)
+        return np.array([usual if each is None else each.over(usual) for each in known])
 
     def shift(self, poses: Floats, constants: Floats) -> None:
         """Moves all poses by (6,) and what photos share by (13,); heights go with all roofs' and feet's."""
@@ -138,3 +152,17 @@ class State:
         self.roofs.heights_m = self.roofs.heights_m + step[parts : parts + len(self.roofs)]
         if self.reconstruction is not None:
             self.reconstruction = self.reconstruction.moved(step[-UNKNOWNS:])
+
+
+def without_odd_heights(measured: Sequence[Measurements | None], priors: Floats) -> list[Measurements | None]:
+    """Returns what was measured, without heights above a take-off point that are none by the priors.
+
+    Drones that do not know them write zeros, and a new take-off is another point.
+    """
+    pairs = zip(priors[:, 2], measured, strict=True)
+    gaps = np.array(
+        [z - each.takeoff_height_m for z, each in pairs if each and each.takeoff_height_m is not None]
+    )
+    if not len(gaps) or float(np.median(np.abs(gaps - np.median(gaps)))) <= _MOST_SCATTER_M:
+        return list(measured)
+    return [each and replace(each, takeoff_height_m=None) for each in measured]

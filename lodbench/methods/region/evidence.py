@@ -100,7 +100,10 @@ class PosePosterior:
         self.camera = query.camera.scaled(*fit.size)
         self._scorer, self.fit = scorer, fit
         half_widths = np.array(params.half_widths())
-        self.prior = Prior(vector_from_pose(query.prior), np.array(params.prior_sigmas()), half_widths)
+        sigmas = np.array(params.prior_sigmas())
+        if query.measured is not None:
+            sigmas = query.measured.over(sigmas)
+        self.prior = Prior(vector_from_pose(query.prior), sigmas, half_widths)
         self._samples = params.effective_pixels
 
     def with_edges(self, weight: float) -> PosePosterior:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymap.laser import range_log_densities
 from lodbench.estimation.evolution import maximize
 from lodbench.estimation.probability import Gaussian
 from lodbench.estimation.state_vector import BASE_OFFSET, EAVE_OFFSET, OUTLINES, ROOFS
@@ -130,9 +131,10 @@ class LineAligner:
         if not rounds:
             return None
         evidence = np.full(len(starts), -np.inf)
-        for k in sorted(rounds, key=lambda k: -rounds[k].evidence())[:_FOLLOWED]:
+        ranges = range_log_densities(self._problem.query, self._problem.city_map, starts)
+        for k in sorted(rounds, key=lambda k: -(rounds[k].evidence() + ranges[k]))[:_FOLLOWED]:
             rounds[k] = self._maximized(0, rounds[k])
-            evidence[k] = rounds[k].evidence()
+            evidence[k] = rounds[k].evidence() + ranges[k]
         best = rounds[int(evidence.argmax())]
         return self._through_rounds(1, best.vector, best.lines, roofs, evidence)
 

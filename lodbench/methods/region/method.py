@@ -78,7 +78,7 @@ class Region:
         Raises:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
         """
-        params = self.params.with_lens(query.lens_percent)
+        params = self.params.with_lens(query.lens_percent).over_measured(query.measured)
         problem = _problem(query, city_map, params)
         first = _searched(problem, params, streams)
         if first.probability >= TRUSTED or params.more_starts == 1:
@@ -142,7 +142,7 @@ def _searched(problem: Problem, params: RegionParams, streams: Streams, by_lines
     if not modes:
         raise QueryFault("no outline of a building is in view of any pose that fits")
     by_edges = fine.with_edges(params.judging_edge_weight)
-    modes = rescore(modes, by_edges)
+    modes = problem.weighed_by_range(rescore(modes, by_edges))
     answer = PoseFinalizer(problem, params).answer(modes, streams)
     ranked = [k for k in np.argsort(-answer.evidence, kind="stable") if np.isfinite(answer.evidence[k])]
     best, *others = (modes[k].gaussian.mean for k in ranked)
@@ -230,7 +230,10 @@ def _edge_alignment(
     if np.any(np.abs(vector - prior)[TILT] > _OVERRULED * half_widths[TILT]):
         return None
     k1 = 0.0 if query.camera_sigmas is None else query.camera_sigmas.k1
-    sigmas = np.array([*half_widths / np.sqrt(3.0), 0.01 * params.lens_percent, k1, 0.0, 0.0])
+    of_prior = half_widths / np.sqrt(3.0)
+    if query.measured is not None:
+        of_prior = query.measured.over(of_prior)
+    sigmas = np.array([*of_prior, 0.01 * params.lens_percent, k1, 0.0, 0.0])
     found = EdgeLikelihood(query_photo(query), query.camera, city_map, prior, sigmas).refined(vector)
     if found is None or found.gain <= 0.0 or found.evidence < _LEAST_EVIDENCE:
         return None

@@ -10,6 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
+from lodbench.citymap.laser import range_log_densities
 from lodbench.datasets.query import Query
 from lodbench.estimation.evolution import maximize_abreast
 from lodbench.estimation.outline import OutlinePoints, sample_outline
@@ -202,6 +203,15 @@ class Problem(NamedTuple):
     city_map: CityMap
     roofs: RaisedRoofs
     jacobian: OutlineJacobian
+
+    def weighed_by_range(self, modes: list[Mode]) -> list[Mode]:
+        """Returns modes with what a laser's range says of each, best first."""
+        poses = np.array([mode.gaussian.mean for mode in modes])
+        logs = range_log_densities(self.query, self.city_map, poses)
+        weighed = [
+            m._replace(log_posterior=m.log_posterior + log) for m, log in zip(modes, logs, strict=True)
+        ]
+        return sorted(weighed, key=lambda mode: -mode.log_posterior)
 
     def posterior(self, params: RegionParams, width: int, is_coarse: bool) -> PosePosterior:
         """Returns the posterior of poses by silhouettes of a width, pixels."""

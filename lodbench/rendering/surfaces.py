@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymap.ground import Ground
 from lodbench.citymodel.raw import take_segments
 from lodbench.citymodel.scene import Scene, building_boxes
+from lodbench.rendering.ground import Ground
 
 Floats = NDArray[np.float64]
 
