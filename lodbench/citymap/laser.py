@@ -16,6 +16,7 @@ from lodbench.geometry import Camera, Pose
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.photos.xmp import LaserRange
 from lodbench.rendering.surfaces import Surfaces
+from lodbench.storage import random_stream
 
 if TYPE_CHECKING:
     from lodbench.citymap.city_map import CityMap
@@ -131,9 +132,9 @@ def update_by_range(
 _ELSEWHERE, _ELSEWHERE_M = 0.1, 200.0
 # A pose that is still to be refined is off by so much along the ray: a standard deviation, metres.
 _ROUGH_M = 2.0
-# How far from a pose, along each axis of its covariance, others are asked which surface the beam meets: in
-# standard deviations; the surface that is taken holds this share of what speaks for any.
-_ASIDE, _CLEAR = (1.0, 2.0), 0.9
+# Poses that are drawn to ask which surface the beam meets, even; the surface that is taken holds this share
+# of what speaks for any.
+_DRAWS, _CLEAR = 48, 0.9
 
 
 def range_log_densities(query: Query, city_map: CityMap, vectors: Floats) -> Floats:
@@ -186,7 +187,7 @@ class _Met(NamedTuple):
     residual: LaserResidual
     innovation_m: float
     variance: float
-    log_weight: float
+    log_density: float
 
 
 def pose_by_range(
@@ -212,18 +213,20 @@ def pose_by_range(
         said = f"the laser measured {laser.range_m:.1f} m to the photo's centre, {reason}: not used"
         return RangedPose(vector, None, np.zeros((6, 6)), said)
 
-    met = [_met(surfaces, camera, vector, away, covariance, laser) for away in _around(covariance)]
-    known = [each for each in met if each is not None]
+    # The nearest first: of draws that meet one surface it says best how the range changes.
+    found = [_met(surfaces, camera, vector, away, covariance, laser) for away in _drawn(covariance)]
+    known = [each for each in found if each is not None]
     if not known:
         return unused("where map and pose show no surface")
-    best = max(known, key=lambda each: each.log_weight)
+    likeliest = max(known, key=lambda each: each.log_density).centre.hits
+    same = [each for each in known if each.centre.hits.is_same(0, likeliest, 0)]
+    best, logs = same[0], [each.log_density for each in known]
     sigmas = abs(best.innovation_m) / math.sqrt(best.variance)
     if sigmas > _MOST_SIGMAS:
         expected = laser.range_m + best.innovation_m
         return unused(f"map and pose say {expected:.1f} m, {sigmas:.1f} sigma apart")
-    same = [each for each in known if each.centre.hits.is_same(0, best.centre.hits, 0)]
-    whole = scipy.special.logsumexp([each.log_weight for each in known])
-    if math.exp(scipy.special.logsumexp([each.log_weight for each in same]) - whole) < _CLEAR:
+    whole = scipy.special.logsumexp(logs)
+    if scipy.special.logsumexp([each.log_density for each in same]) - whole < math.log(_CLEAR):
         return unused("and may have met one of two surfaces")
     jacobian = best.residual.jacobian
     gain = covariance @ jacobian / best.variance
@@ -233,11 +236,14 @@ def pose_by_range(
     return RangedPose(moved, np.eye(6) - np.outer(gain, jacobian), noise, note)
 
 
-def _around(covariance: Floats) -> Floats:
-    """Returns (25, 6) offsets of poses that are likely by a covariance: none, then along its axes."""
+def _drawn(covariance: Floats) -> Floats:
+    """Returns (49, 6) errors drawn from a covariance, none among them, the likeliest first."""
+    half = random_stream(0, "surfaces that a beam may meet").standard_normal((_DRAWS // 2, 6))
+    half = half[np.argsort((half**2).sum(axis=1), kind="stable")]
     squares, axes = np.linalg.eigh(covariance)
-    along = (axes * np.sqrt(np.maximum(squares, 0.0))).T
-    return np.concatenate([np.zeros((1, 6)), *(sign * k * along for k in _ASIDE for sign in (1.0, -1.0))])
+    # The symmetric root: it does not depend on the signs that a library of linear algebra gives axes.
+    aside = half @ ((axes * np.sqrt(np.maximum(squares, 0.0))) @ axes.T)
+    return np.concatenate([np.zeros((1, 6)), np.stack([aside, -aside], axis=1).reshape(-1, 6)])
 
 
 def _met(

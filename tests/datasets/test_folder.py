@@ -8,8 +8,10 @@ from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import FolderParams, open_folder, select_splits
 from lodbench.datasets.prior_sources import prior_digest
+from lodbench.datasets.priors import UniformPrior, with_uniform_priors
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, CameraSigmas, Pose
+from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.result import queries_digest
 
 POSE = "1 0 0 0 1 2 3"
@@ -265,3 +267,44 @@ class TestFaults:
             stream.write("b.jpg 1 2\n")
         with pytest.raises(DatasetError, match=rf"{file.replace('.', chr(92) + '.')}, line 2"):
             open_at(root, city)
+
+
+class TestMeasurements:
+    LINE = "a.jpg east=0.02 north=0.03 up=0.05 pitch=0.1 range=81.2 sigma_range=0.3 takeoff=80.1\n"
+
+    def test_they_belong_to_the_query_and_its_prior(self, tmp_path, city):
+        folder = write_split(tmp_path / "flight")
+        without = open_at(folder, city)
+        (folder / "measurements.txt").write_text(self.LINE)
+        dataset = open_at(folder, city)
+        measured = dataset.entries[0].measured
+        assert measured.sigmas == (0.02, 0.03, 0.05, 0.1, None, None)
+        assert (measured.laser.range_m, measured.laser.sigma_m, measured.takeoff_height_m) == (
+            81.2,
+            0.3,
+            80.1,
+        )
+        assert without.entries[0].measured is None
+        assert queries_digest(dataset, dataset.entries) != queries_digest(without, without.entries)
+        # Of another prior nobody states a deviation; the range is the photo's.
+        drawn = with_uniform_priors(dataset, UniformPrior(), 0).entries[0].measured
+        assert (drawn.sigmas, drawn.laser) == ((None,) * 6, measured.laser)
+
+    def test_the_true_tilt_has_no_deviation(self, tmp_path, city):
+        folder = write_split(tmp_path / "flight")
+        (folder / "measurements.txt").write_text(self.LINE)
+        dataset = open_at(folder, city)
+
+        def sigmas(tilt):
+            return Preparation(dataset, None, None, tilt)._measured(dataset.entries[0]).sigmas
+
+        assert sigmas("prior")[3] == 0.1
+        assert sigmas("truth") == (0.02, 0.03, 0.05, None, None, None)
+
+    def test_a_bad_line_is_named_and_a_stray_name_is_told(self, tmp_path, city):
+        folder = write_split(tmp_path / "flight")
+        (folder / "measurements.txt").write_text("a.jpg east=0.02\nb.jpg east=1\n")
+        assert any("measurements.txt names b.jpg" in note for note in open_at(folder, city).notes)
+        (folder / "measurements.txt").write_text("a.jpg east=0.02\nb.jpg east=-1\n")
+        with pytest.raises(DatasetError, match=r"measurements\.txt, line 2: east=-1"):
+            open_at(folder, city)

@@ -1,0 +1,119 @@
+"""What photos and datasets state of measurements: read, refused with a reason, and of whose prior."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lodbench.errors import LodbenchError
+from lodbench.photos.measurements import FRAME_M, Measurements, measured_of, parse_measurements
+from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
+from lodbench.photos.notes import refused_notes
+from lodbench.photos.pose import HeightOptions
+from lodbench.photos.xmp import LaserRange
+from tests.photos.dji_photo import PROPERTIES, exif_of, packet_around, write_photo, xmp_packet
+
+RTK = {"RtkFlag": "50", "RtkStdLon": "0.012", "RtkStdLat": "0.034", "RtkStdHgt": "0.056"}
+
+
+def photo_of(folder, properties) -> PhotoMetadata:
+    packet = xmp_packet({**PROPERTIES, **properties})
+    return read_photo_metadata(write_photo(folder / "a.jpg", exif=exif_of(), xmp=packet))
+
+
+def with_frame(sigma: float) -> float:
+    return math.sqrt(sigma**2 + FRAME_M**2)
+
+
+def test_a_receiver_s_deviations_are_those_of_its_coordinates(tmp_path):
+    photo = photo_of(tmp_path, RTK)
+    assert photo.sigmas == (0.012, 0.034, 0.056, None, None, None)
+    measured = measured_of(photo, HeightOptions(geoid_m=46.0))
+    assert measured.sigmas[:3] == pytest.approx([with_frame(s) for s in (0.012, 0.034, 0.056)])
+    assert measured.sigmas[3:] == (None,) * 3
+    assert measured.takeoff_height_m == 80.1
+    assert "east 1 m, north 1 m, up 1 m" in measured.note
+
+
+@pytest.mark.parametrize(
+    ("changed", "known", "reason"),
+    [
+        ({"RtkFlag": "0"}, (None, None, None), "RtkFlag 0"),
+        ({"RtkFlag": "17"}, (None, None, None), "RtkFlag 17"),
+        ({"RtkStdLon": "-1"}, (None, 0.034, 0.056), "RtkStdLon '-1' is no standard deviation"),
+        ({"RtkStdHgt": "nan"}, (0.012, 0.034, None), "RtkStdHgt 'nan'"),
+        ({"RtkStdLat": "0"}, (0.012, None, 0.056), "RtkStdLat '0'"),
+        ({"RtkStdLat": "5000"}, (0.012, None, 0.056), "RtkStdLat '5000'"),
+        ({"LRFStatus": "Too far", "LRFTargetDistance": "12"}, (0.012, 0.034, 0.056), "LRFStatus 'Too far'"),
+        ({"LRFStatus": "Normal", "LRFTargetDistance": "-3"}, (0.012, 0.034, 0.056), "LRFTargetDistance '-3'"),
+    ],
+    ids=str,
+)
+def test_what_is_no_measurement_is_refused_with_its_reason(tmp_path, changed, known, reason):
+    photo = photo_of(tmp_path, RTK | changed)
+    assert (photo.sigmas[:3], photo.laser) == (known, None)
+    assert all(reason in note for note in refused_notes([photo])[:1])
+    assert "not used" in refused_notes([photo])[0]
+    assert "(2 of 2 photos)" in refused_notes([photo, photo])[0]
+
+
+def test_photos_without_such_properties_say_nothing(tmp_path):
+    photo = photo_of(tmp_path, {"RtkFlag": "0"})
+    assert (photo.sigmas, photo.refused) == ((None,) * 6, ())
+    assert measured_of(replace(photo, relative_altitude_m=None), HeightOptions()) is None
+
+
+def test_pix4d_s_terms_are_read_of_any_maker_and_go_behind_the_receiver_s(tmp_path):
+    names = {
+        "GPSXYAccuracy": "2.5",
+        "GPSZAccuracy": "7/2",
+        "IMUYawAccuracy": "1.5",
+        "IMUPitchAccuracy": "0.2",
+    }
+    listed = " ".join(f'c:{name}="{value}"' for name, value in names.items())
+    body = f'<rdf:Description rdf:about="" xmlns:c="http://pix4d.com/camera/1.0/" {listed}/>'
+    path = write_photo(tmp_path / "a.jpg", exif=exif_of(51.0, 5.0, 99.0), xmp=packet_around(body))
+    photo = read_photo_metadata(path)
+    assert photo.sigmas == (2.5, 2.5, 3.5, 0.2, None, 1.5)
+    # Its angles are of no gimbal that is read: nor are their deviations of the prior's.
+    assert measured_of(photo, HeightOptions()).sigmas[3:] == (None,) * 3
+
+
+def test_deviations_are_of_the_photo_s_own_numbers_only(tmp_path):
+    photo = photo_of(tmp_path, RTK)
+    assert measured_of(photo, HeightOptions(takeoff_m=50.0)).sigmas[2] is None
+    assert measured_of(photo, HeightOptions(), [0, 2]).sigmas == (None, with_frame(0.034), *(None,) * 4)
+    without = replace(photo, has_rtk=False, is_single_point=True)  # nobody says what its height is above
+    assert measured_of(without, HeightOptions()).sigmas[2] is None
+
+
+def test_words_restore_what_was_measured():
+    measured = Measurements(
+        (0.1, None, 0.3, 0.25, None, 1.0), LaserRange(81.25, stated_sigma_m=0.3), -4.5, 0.7
+    )
+    assert parse_measurements(measured.words()) == measured
+    assert parse_measurements([]) == Measurements()
+    assert parse_measurements(["range=100"]).laser.sigma_m == pytest.approx(0.35)
+    np.testing.assert_array_equal(measured.over(np.full(6, 9.0)), [0.1, 9.0, 0.3, 0.25, 9.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["east=-0.1"], "east=-0.1 is not above 0"),
+        (["up=0"], "up=0 is not above 0"),
+        (["range=nan"], "range=nan"),
+        (["heading=x"], "heading=x"),
+        (["nort=1"], "'nort=1' is no measurement"),
+        (["east=1", "east=2"], "east is given twice"),
+        (["sigma_range=1"], "sigma_range is of no range"),
+        (["takeoff=inf"], "takeoff=inf"),
+    ],
+    ids=str,
+)
+def test_words_that_state_no_measurement_are_faults(words, said):
+    with pytest.raises(LodbenchError, match=said.replace(".", r"\.")):
+        parse_measurements(words)
