@@ -7,13 +7,14 @@ A set of priors has a digest, and a file that states how it was made; ``prior=fi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Protocol, cast
 
 from lodbench.citymodel.cache import open_cached_scene
 from lodbench.datasets.codes import NO_PRIOR
+from lodbench.datasets.exchange.fixes import Fix, read_fixes
 from lodbench.datasets.exchange.lines import read_lines
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.priors import UniformPrior, with_uniform_priors
@@ -22,8 +23,9 @@ from lodbench.errors import ConfigError, DatasetError, Option, Words, require_nu
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
 from lodbench.photos.map_frame import MapFrame
-from lodbench.photos.metadata import read_photo_metadata
-from lodbench.photos.pose import HeightOptions, HeightSource, pose_from_photo
+from lodbench.photos.measurements import Measurements, measured_of
+from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
+from lodbench.photos.pose import HeightOptions, HeightSource, RoughPlace, pose_from_photo
 from lodbench.storage import digest_of
 
 
@@ -134,6 +136,9 @@ class SensorPrior:
         takeoff_m: Height of the take-off point in the city's heights.
         geoid_m: Height of the city's zero above the ellipsoid.
         offset_m: Added in the end.
+        fixes: A file of raw GNSS fixes by photo name (``read_fixes``), which go before photos' own places;
+            angles stay the photos', or where they state none those of the dataset's own prior.
+        fix_sigma_m: Standard deviation of fixes along each axis where the file states none.
 
     Raises:
         ConfigError: A height is not finite, or settings contradict each other.
@@ -144,8 +149,11 @@ class SensorPrior:
     takeoff_m: float | None = None
     geoid_m: float | None = None
     offset_m: float = 0.0
+    fixes: str | None = None
+    fix_sigma_m: float | None = None
 
     def __post_init__(self) -> None:
+        require_numbers(self, "prior", ("fix_sigma_m",), 0, ends="(]")
         require_numbers(self, "prior", ("takeoff_m", "geoid_m", "offset_m"), -math.inf)
         self._heights()
 
@@ -164,27 +172,66 @@ class SensorPrior:
         """
         frame, origin = photo_frame(dataset)
         heights = self._heights()
+        fixes = None if self.fixes is None else read_fixes(Path(self.fixes).expanduser())
         priors, findings, reason = [], Findings(), DatasetError("no query has a photo")
+        measured: list[Measurements | None] = []
         for entry in dataset.entries:
             poses: tuple[Pose, ...] = ()
+            stated: PhotoMetadata | None = None
             try:
-                if entry.image is None:
-                    raise DatasetError("there is no photo")
-                pose = pose_from_photo(read_photo_metadata(entry.image), frame, heights)
-                poses = (pose.shifted([-value for value in origin]),)
+                stated = _stated(entry) if fixes is None else self._at_fix(entry, fixes)
+                pose = _pose_of(entry, stated, frame, heights).shifted([-value for value in origin])
+                poses = (pose,)
             except DatasetError as error:
                 reason = error
                 findings.add(NO_PRIOR, entry.key, reason.message.rstrip("."))
             priors.append(poses)
+            measured.append(None if stated is None else measured_of(stated, heights))
         if not any(priors):
             hint = in_settings(reason.hint) if "geoid" in reason.hint else "Use `prior=file`."
             raise DatasetError(f"No photo of {dataset.name} states a prior: {reason}", hint)
-        return _with_priors(dataset, priors, findings)
+        found = _with_priors(dataset, priors, findings)
+        pairs = zip(found.entries, measured, strict=True)
+        return replace(found, entries=tuple(replace(entry, measured=own) for entry, own in pairs))
+
+    def _at_fix(self, entry: Entry, fixes: Mapping[str, Fix]) -> PhotoMetadata:
+        """Returns what a photo states, with the place of its fix."""
+        fix = fixes.get(entry.name)
+        if fix is None:
+            raise DatasetError(f"{self.fixes} has no fix of {entry.name}")
+        width, height = (1, 1) if entry.camera is None else (entry.camera.width, entry.camera.height)
+        own = PhotoMetadata(entry.name, width, height) if entry.image is None else _stated(entry)
+        known = [self.fix_sigma_m if sigma is None else sigma for sigma in fix.sigmas]
+        if fix.height_m is None:
+            known[2] = own.sigmas[2]
+        return replace(
+            own,
+            latitude_deg=fix.latitude_deg,
+            longitude_deg=fix.longitude_deg,
+            altitude_m=own.altitude_m if fix.height_m is None else fix.height_m,
+            has_rtk=own.has_rtk and fix.height_m is None,
+            sigmas=(*known, *own.sigmas[3:]),
+        )
 
     def describe(self) -> str:
         """Returns the protocol in words."""
         extra = "" if self.offset_m == 0 else f" {self.offset_m:+g} m"
-        return f"of the photos' EXIF and XMP, heights {self.heights}{extra}"
+        source = "the photos' EXIF and XMP" if self.fixes is None else "raw fixes"
+        return f"of {source}, heights {self.heights}{extra}"
+
+
+def _stated(entry: Entry) -> PhotoMetadata:
+    if entry.image is None:
+        raise DatasetError("there is no photo")
+    return read_photo_metadata(entry.image)
+
+
+def _pose_of(entry: Entry, stated: PhotoMetadata, frame: MapFrame, heights: HeightOptions) -> Pose:
+    """Returns the pose that a photo states, turned as the query's own prior where it states no angles."""
+    if stated.gimbal_yaw_deg is not None or entry.prior is None:
+        return pose_from_photo(stated, frame, heights)
+    at_place = pose_from_photo(stated, frame, heights, RoughPlace(heading_deg=0.0, pitch_deg=-90.0))
+    return Pose.from_center(entry.prior.rotation, at_place.center)
 
 
 @dataclass(frozen=True, slots=True)
