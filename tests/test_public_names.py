@@ -49,7 +49,7 @@ ARGUMENTS = {
     "leaderboard": ["dataset", "root"],
     "load_run": ["folder"],
     "localize": """
-        scene camera prior mask image method seed threads lens_percent camera_sigmas segment
+        scene camera prior mask image method seed threads lens_percent camera_sigmas measured segment
     """.split(),
     "localize_flight": ["photos", "city", "options"],
     "localize_photo": ["photo", "city", "options"],

@@ -58,6 +58,9 @@ coordinates: lines "name qw qx qy qz tx ty tz" (world to camera), a table of Met
 lodbench reads; or a CSV with the head name,latitude,longitude,height,heading,pitch (degrees, the city's
 heights in metres, heading from true north, pitch -90 straight down), such as localized.csv.
 
+Where a photo states how well its position is known (RTK), the search is as wide as that says, unless
+--prior-range, --prior-height or --prior-yaw is given; a laser's range to the photo's centre is used.
+
 One photo: without a mask its own pixels are aligned with the map (--method auto, by region); where they leave
 the pose open, a network makes a mask, and the more probable of the two poses is taken. The search covers 10 m
 around the rough pose, 30 m up and down and 7.5 degrees to either side; --prior-range, --prior-height and
