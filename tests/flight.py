@@ -56,7 +56,7 @@ def stated(pose: Pose, camera: Camera, crs: str, horizontal_crs: str = "") -> di
     numbers = (camera.fx, camera.fy, camera.cx - camera.width / 2, camera.cy - camera.height / 2, *(0.0,) * 5)
     return {
         "GpsLatitude": f"{lat:+.9f}", "GpsLongitude": f"{lon:+.9f}", "AbsoluteAltitude": f"{up:+.3f}",
-        "RelativeAltitude": "+100.000", "GimbalYawDegree": f"{heading:+.4f}",
+        "RelativeAltitude": f"{up - 40.0:+.3f}", "GimbalYawDegree": f"{heading:+.4f}",
         "GimbalPitchDegree": f"{pitch:+.4f}", "GimbalRollDegree": f"{roll:+.4f}",
         "DewarpData": f"2023-01-01;{','.join(map(str, numbers))}", "DewarpFlag": "1",
     }  # fmt: skip

@@ -1,7 +1,5 @@
 """A laser's range: poses updated as the textbook has it, never less sure, and not led astray."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

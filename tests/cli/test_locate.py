@@ -14,6 +14,7 @@ from pyproj import Transformer
 import lodbench
 from lodbench.cli import main
 from lodbench.cli.locate import main as locate
+from lodbench.datasets.pose_text import read_measurements
 from tests.cli.photo_case import DISTORTION, HEIGHT, PINHOLE, WIDTH, Case, make_case
 from tests.fault_commands import CRS, prepare_inputs
 from tests.flight import stated
@@ -354,3 +355,46 @@ def test_six_degrees_of_freedom_find_it_with_the_sensor_s_tilt(lodbench, tmp_pat
     assert float(row["rotation_error_deg"]) < 1.0
     assert 0.5 < float(row["probability"]) <= 1.0
     assert len(row["covariance"].split()) == 21
+
+
+RTK = {"RtkFlag": "50", "RtkStdLon": "0.02", "RtkStdLat": "0.02", "RtkStdHgt": "0.03"}
+
+
+def measured_photo(folder: Path, **changes: str) -> Path:
+    name, pose = next(iter(true_poses(3).items()))
+    pixels = np.full((CAMERA.height, CAMERA.width), 90, np.uint8)
+    packet = xmp_packet(stated(pose, CAMERA, CRS) | RTK | changes)
+    return write_photo(folder / Path(name).with_suffix(".jpg").name, pixels, exif_of(), packet)
+
+
+def test_what_a_photo_measured_is_used_or_refused_aloud(folder, capsys, tmp_path):
+    photo = measured_photo(tmp_path, LRFStatus="Normal", LRFTargetDistance="900", RtkStdHgt="-1")
+    words = ["localize", str(photo), "--city", str(folder / "three/city.obj"), "--crs", CRS, "--geoid", "0"]
+    words += [
+        "--mask",
+        str(folder / "three/data/masks" / f"{photo.stem}.png"),
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    assert main(words) in (0, 3)
+    found = json.loads((tmp_path / "out" / f"{photo.stem}.json").read_text())
+    notes = " ".join(found["notes"])
+    assert "the rough pose is known to east 1 m, north 1 m (standard deviations)" in notes
+    assert "RtkStdHgt '-1' is no standard deviation: not used" in notes
+    assert "the laser measured 900.0 m" in notes
+    assert "laser_used" not in found
+    # Whoever says how far off the rough pose may be is believed rather than the photo.
+    assert main([*words, "--prior-range", "5"]) in (0, 3)
+    assert "rough pose is known" not in (tmp_path / "out" / f"{photo.stem}.json").read_text()
+
+
+def test_a_dataset_keeps_what_photos_measured(folder, capsys, tmp_path):
+    (tmp_path / "photos").mkdir()
+    measured_photo(tmp_path / "photos", LRFStatus="Normal", LRFTargetDistance="101.5")
+    words = ["dataset", "init", str(tmp_path / "own"), "--images", str(tmp_path / "photos")]
+    assert main([*words, "--city", str(folder / "three/city.obj"), "--crs", CRS, "--geoid", "0"]) == 0
+    (measured,) = read_measurements(tmp_path / "own" / "measurements.txt").values()
+    assert measured.sigmas[:3] == pytest.approx([1.0, 1.0, 1.0], abs=1e-3)
+    assert measured.laser.range_m == 101.5
+    assert measured.laser.sigma_m == pytest.approx(0.2 + 0.0015 * 101.5)
+    assert measured.takeoff_height_m is not None

@@ -1,7 +1,5 @@
 """Raw GNSS fixes as priors: CSV and GPX, each with its deviation, and what of them is damaged."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is measured beside a photo reaches search, prior and covariance of methods, and of flights."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """What photos and datasets state of measurements: read, refused with a reason, and of whose prior."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
