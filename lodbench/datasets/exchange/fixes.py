@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from lodbench.citymodel.gml.xml import XmlMembers, local_name
-from lodbench.datasets.exchange.posed import Place, content
+from lodbench.datasets.exchange.posed import LayoutGuard, content
 from lodbench.errors import CityModelError, DatasetError, LodbenchError
 from lodbench.findings import Findings
 
@@ -45,7 +45,7 @@ def read_fixes(path: Path) -> dict[str, Fix]:
     """
     found: dict[str, Fix] = {}
     for where, row in (_gpx_rows if path.suffix.lower() == ".gpx" else _csv_rows)(path):
-        with Place(where, _GPX_LAYOUT if path.suffix.lower() == ".gpx" else _LAYOUT):
+        with LayoutGuard(where, _GPX_LAYOUT if path.suffix.lower() == ".gpx" else _LAYOUT):
             name = row.get("name", "")
             if not name:
                 raise LodbenchError("name is missing")
@@ -65,7 +65,7 @@ def _csv_rows(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
     lines = content(path)
     where, head = next(lines, (str(path), ""))
     names = [cell.strip().lower() for cell in head.split(",")]
-    with Place(where, _LAYOUT):
+    with LayoutGuard(where, _LAYOUT):
         missing = [name for name in ("name", "latitude", "longitude") if names.count(name) != 1]
         if missing:
             raise LodbenchError(f"there is not one column {', '.join(missing)}")
