@@ -10,9 +10,8 @@ from typing import Any
 
 from lodbench.bench import Report, add_options, options_of
 from lodbench.cli.bench import measured
-from lodbench.cli.console import report_fault
-from lodbench.cli.flags import in_syntax_of
-from lodbench.cli.parser import Parser
+from lodbench.cli.parser import Parser, report_fault
+from lodbench.cli.settings import in_syntax_of
 from lodbench.errors import LodbenchError
 from lodbench.execution import ProgressCallback
 

@@ -1,11 +1,19 @@
-"""From settings as plain values to a frozen parameter dataclass, names and types checked: the one place."""
+"""From settings, or the words of a command, to a frozen dataclass, names and types checked: the one place.
+
+Options of a command are fields of a dataclass, each declared once with its type, default and help. The type
+says how words are read: ``bool`` is a switch, ``tuple[X, ...]`` may be repeated, or is an argument of
+several words, ``tuple[X, X, X]`` takes three words, and all else one. ``None`` and ``()`` mean that nothing
+was given. A field made by ``part`` is another such dataclass, with options of its own.
+"""
 
 from __future__ import annotations
 
+import argparse
 import re
-from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
-from types import UnionType
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import Field, field, fields, is_dataclass
+from pathlib import Path
+from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from lodbench.errors import ConfigError, nearest_names
@@ -42,7 +50,7 @@ def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T
     given = _as_typed(values, params_type, prefix)
     try:
         merged = OmegaConf.merge(_writable(OmegaConf.structured(params_type)), _literal(given))
-        return cast(T, OmegaConf.to_object(merged))
+        return cast("T", OmegaConf.to_object(merged))
     except MissingMandatoryValue as error:
         name = _dotted(prefix, str(error.full_key))
         raise ConfigError(f"`{name}` is not set.", f"Add `{name}=VALUE`.") from error
@@ -54,7 +62,7 @@ def read_settings(text: str) -> dict[str, Any]:
     """Returns the settings of a YAML text by name, as plain values."""
     from omegaconf import OmegaConf
 
-    return cast(dict[str, Any], OmegaConf.to_container(OmegaConf.create(text)))
+    return cast("dict[str, Any]", OmegaConf.to_container(OmegaConf.create(text)))
 
 
 def _not_of_its_kind(name: str, reason: str) -> ConfigError:
@@ -129,3 +137,120 @@ def _literal(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _literal(item) for key, item in value.items()}
     return [_literal(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def flag(default: Any, meaning: str | None, *flags: str, **named: Any) -> Any:
+    """Returns a field that is an option, ``--its-name`` unless flags are given.
+
+    Args:
+        default: Its default; ``...`` where it must be given.
+        meaning: Its help.
+        flags: What it is called.
+        named: As of ``add_argument``, where the field's type does not say it. ``apart``: it stands before the
+            heading of its part; ``old``: its former name; ``sets``: the settings of the library that it sets,
+            by which messages name it.
+    """
+    return field(default=default, metadata={"help": meaning, "flags": flags, **named})
+
+
+def word(meaning: str, default: Any = ..., **named: Any) -> Any:
+    """Returns a field that is a word, or several, without a flag."""
+    return field(default=default, metadata={"help": meaning, "flags": None, **named})
+
+
+def part(kind: type, title: str = "") -> Any:
+    """Returns a field that holds other options, below a heading of their own if it has a title."""
+    return field(default=None, metadata={"part": kind, "title": title})
+
+
+def add_options(parser: argparse.ArgumentParser, kind: type, title: str = "") -> None:
+    """Adds the options of a dataclass to a parser, in the order of its fields."""
+    hints = get_type_hints(kind)
+    group: Any = None
+    for each in fields(kind):
+        told = dict(each.metadata)
+        if "part" in told:
+            add_options(parser, told["part"], told["title"])
+            continue
+        flags, is_apart, old = (told.pop(name, None) for name in ("flags", "apart", "old"))
+        told.pop("sets", None)
+        named = _by_type(hints[each.name], flags is None) | told
+        if flags is None:
+            parser.add_argument(each.name, **named)
+            continue
+        if title and not is_apart and group is None:
+            group = parser.add_argument_group(title)
+        if each.default is ...:
+            named["required"] = True
+        elif each.default not in (None, (), False):
+            named["default"] = each.default
+        add = (parser if is_apart or not title else group).add_argument
+        add(*(flags or (_flag(each),)), dest=each.name, **named)
+        if old is not None:
+            add(old, dest=each.name, action="former")
+
+
+def options_of(given: argparse.Namespace, kind: type[T]) -> T:
+    """Returns the dataclass with what a parser of its options was given.
+
+    Raises:
+        LodbenchError: As its ``__post_init__``.
+    """
+    values = {}
+    for each in fields(cast("Any", kind)):
+        if "part" in each.metadata:
+            values[each.name] = options_of(given, each.metadata["part"])
+        else:
+            value = getattr(given, each.name)
+            values[each.name] = each.default if value is None else _frozen(value)
+    return kind(**values)
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value
+
+
+def flags_of(kind: type) -> dict[str, str]:
+    """Returns the flags by which a command sets what a message names by its setting."""
+    found: dict[str, str] = {}
+    for each in _all(kind):
+        sets: Sequence[str] = each.metadata.get("sets", ())
+        found |= dict.fromkeys(sets, (each.metadata["flags"] or (_flag(each),))[0])
+    return found
+
+
+def _all(kind: type) -> Iterator[Field[Any]]:
+    for each in fields(kind):
+        if "part" in each.metadata:
+            yield from _all(each.metadata["part"])
+        else:
+            yield each
+
+
+def _flag(each: Field[Any]) -> str:
+    return f"--{each.name.replace('_', '-')}"
+
+
+def _by_type(hint: Any, is_word: bool) -> dict[str, Any]:
+    """Returns what ``add_argument`` takes of a field's type."""
+    plain = [each for each in get_args(hint) if each is not NoneType]
+    kind = plain[0] if NoneType in get_args(hint) else hint
+    if kind is bool:
+        return {"action": "store_true"}
+    if get_origin(kind) is tuple:
+        of, *more = get_args(kind)
+        read = {} if of is str else {"type": of}
+        if more != [...]:
+            return {"nargs": 1 + len(more), **read}
+        return {"nargs": "+", **read} if is_word else {"action": "append", "default": [], **read}
+    return {"type": kind} if kind in (int, float, Path) else {}
+
+
+def parsed(parser: argparse.ArgumentParser, argv: Sequence[str], kind: type[T]) -> T:
+    """Returns what words say, by a parser that gets the options of a dataclass.
+
+    Raises:
+        LodbenchError: A word is wrong, or one is missing.
+    """
+    add_options(parser, kind)
+    return options_of(parser.parse_args(argv), kind)

@@ -26,8 +26,7 @@ import cv2
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 
 from lodbench.cli import main
-from lodbench.storage.atomic import _swept
-from lodbench.storage.disk import Disk, another_disk
+from lodbench.storage.disk import Disk, _swept, another_disk
 from tests.fault_commands import COMMANDS, Command, prepare_inputs
 
 MEMORY = Path("/dev/shm")  # noqa: S108

@@ -22,8 +22,7 @@ from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_cameras, read_hypotheses, read_poses
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.execution import Ledger
-from lodbench.harness.runs.status import read_status
-from lodbench.harness.runs.stored import read_run
+from lodbench.harness.runs.stored import read_run, read_status
 from lodbench.photos.metadata import read_photo_metadata
 from lodbench.reporting.leaderboard_entry import read_entries
 from lodbench.segmentation.masks import read_mask

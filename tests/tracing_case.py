@@ -11,7 +11,7 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.similarity import Similarity
-from lodbench.harness.tracing.tracing import Traced, write_tracing
+from lodbench.harness.tracing import Traced, write_tracing
 from tests.town import BOXES, box_obj
 
 CAMERA = Camera(960, 720, 800.0, 800.0, 480.0, 360.0)

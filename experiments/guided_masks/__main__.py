@@ -18,7 +18,7 @@ from experiments.guided_masks.silhouettes import REFERENCE_PX, Disturbance, dist
 from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.bench.mask_quality import one_core
 from lodbench.bench.photo_masks import PhotoMask, labelled_photos, mean_and_interval, write_overlay
-from lodbench.cli.segmenters import segmenter_of
+from lodbench.cli.parts import segmenter_of
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry.signed_distance import signed_distance
 from lodbench.reporting.aligned_text import format_columns

@@ -25,10 +25,10 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.evaluation.predictions import Prediction, evaluate
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.harness.runs import Result, queries_digest
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.places import scene_of
 from lodbench.harness.runs.report import run_report
-from lodbench.harness.runs.result import Result, queries_digest
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import verify_run
 from lodbench.reporting.aligned_text import format_columns

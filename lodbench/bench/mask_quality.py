@@ -24,7 +24,7 @@ from lodbench.segmentation import Segmenter, binary_mask, notes_of
 from lodbench.segmentation.masks import read_mask, read_photo
 from lodbench.segmentation.photo_segmenter import photo_probability
 from lodbench.storage import digest_of, file_digest
-from lodbench.storage.atomic import writable
+from lodbench.storage.disk import writable
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.demo import DemoParams, DemoTrainParams, demo_folder
 from lodbench.synthesis.town.build import FINE_CITY_FILE, PROPS_FILE

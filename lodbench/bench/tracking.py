@@ -20,7 +20,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError
 from lodbench.evaluation import pose_error
-from lodbench.execution.single_threaded_blas import single_threaded_blas
+from lodbench.execution.guards import single_threaded_blas
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.looking import look_from_rotation
 from lodbench.harness.city import open_city

@@ -46,7 +46,7 @@ class TrainingDataOptions:
 
     views: int = option(24, "photos of each size; ten times as many masks")
     workers: int | None = option(None, "processes (one per core)", parse=int)
-    props: Path | None = option(None, "scene props to picture; made up without", parse=Path)  # noqa: RUF009
+    props: Path | None = option(None, "scene props to picture; made up without", parse=Path)
     seed: int = option(0, SEED)
 
     def __post_init__(self) -> None:

@@ -141,7 +141,7 @@ class CityMap:
         self.usage.add("depth", len(centers))
         if not hasattr(self.scorer, "depth") or hasattr(self.scorer, "depths"):
             return self._raster.depths(camera, rotations, centers)
-        renderer = cast(DepthRenderer, self.scorer)
+        renderer = cast("DepthRenderer", self.scorer)
         depths = [renderer.depth(camera, pose) for pose in _poses(rotations, centers)]
         return np.array(depths, dtype=np.float32).reshape(-1, camera.height, camera.width)
 

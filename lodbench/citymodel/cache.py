@@ -25,8 +25,7 @@ from lodbench.findings import Findings
 from lodbench.plugins import find_plugin, installed
 from lodbench.storage import digest_of, file_digest, make_folder
 from lodbench.storage.digest import digest_of_code, package_files
-from lodbench.storage.paths import cache_limit_bytes, cache_root
-from lodbench.storage.pruning import mark_used, prune_cache
+from lodbench.storage.paths import cache_limit_bytes, cache_root, mark_used, prune_cache
 
 if TYPE_CHECKING:
     from lodbench.citymodel.meshing import CityMesh

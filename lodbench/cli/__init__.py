@@ -37,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     import logging
 
-    from lodbench.cli.console import PlainFormatter, SaidOnce, report_fault
+    from lodbench.cli.parser import PlainFormatter, SaidOnce, report_fault
     from lodbench.errors import LodbenchError
 
     if logging.lastResort is not None:
@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _run(words)
     except LodbenchError as error:
-        from lodbench.cli.flags import in_syntax_of
+        from lodbench.cli.settings import in_syntax_of
 
         error.message, error.hint = in_syntax_of(words, error.message), in_syntax_of(words, error.hint)
         report_fault(error)
@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:
-        from lodbench.storage.atomic import final_name
+        from lodbench.storage.disk import final_name
 
         reason = f"{final_name(error.filename) or 'A file'}: {error.strerror or error}."
         report_fault(LodbenchError(reason, "Check the path, its permissions and the free space."))
@@ -73,12 +73,12 @@ def _help_of_settings(words: list[str]) -> int | None:
     Returns:
         The exit code; None where the command parses flags, and has help of its own.
     """
-    from lodbench.cli.setting_help import SETTINGS_COMMANDS, names_method
+    from lodbench.cli.settings import SETTINGS_COMMANDS, names_method
 
     command, *rest = words
     if command not in SETTINGS_COMMANDS:
         return None
-    from lodbench.cli.setting_help import help_text
+    from lodbench.cli.settings import help_text
 
     is_of_method = command == "train" and names_method(rest)
     sys.stdout.write(help_text(command, "train-method" if is_of_method else command, rest))
@@ -92,14 +92,10 @@ _GOES_ON = dict.fromkeys(("run", "basin", "generate-training-data"), "goes on fr
 
 
 def _run(words: list[str]) -> int:
-    """Runs the command that the first word names; returns its exit code.
-
-    Raises:
-        LodbenchError: There is no such command, or it is its own.
-    """
+    """Runs the command that the first word names; returns its exit code."""
     import contextlib
 
-    from lodbench.cli.console import PlainStream
+    from lodbench.cli.parser import PlainStream
 
     if words[0] == "__complete":
         from lodbench.cli.completion import answer
@@ -122,15 +118,11 @@ def _run(words: list[str]) -> int:
 
 
 def _plugin_command(name: str) -> Callable[[Sequence[str]], int | None]:
-    """Returns the function of a command that another package adds; lodbench's own are found without a scan.
-
-    Raises:
-        LodbenchError: No package has it, or it cannot be imported.
-    """
+    """Returns the function of another package's command; lodbench's own are found without a scan."""
     from lodbench.errors import LodbenchError, nearest_names
     from lodbench.plugins import load_plugin, plugin_names
 
     others = plugin_names("commands")
     if name not in others:
         raise LodbenchError(f"There is no command {name!r}.", nearest_names(name, [*COMMANDS, *others]))
-    return cast(Callable[[Sequence[str]], int | None], load_plugin("commands", name))
+    return cast("Callable[[Sequence[str]], int | None]", load_plugin("commands", name))

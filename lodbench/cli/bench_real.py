@@ -13,8 +13,7 @@ from lodbench.bench import Report
 from lodbench.bench.real_query import RealOptions, RealSet, measure_real
 from lodbench.bench.traced_photos import TracedOptions, open_traced_photos
 from lodbench.citymodel.scene import Scene
-from lodbench.cli.segmenters import default_segmenter, segmenter_of
-from lodbench.cli.source_profiles import option_pairs
+from lodbench.cli.parts import default_segmenter, option_pairs, segmenter_of
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.priors import UniformPrior

@@ -10,7 +10,7 @@ from lodbench.bench import Report
 from lodbench.bench.iou_recall import measure_instances, measure_iou_recall
 from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks
 from lodbench.bench.photo_masks import measure_photo_masks
-from lodbench.cli.segmenters import segmenter_of
+from lodbench.cli.parts import segmenter_of
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method

@@ -13,11 +13,10 @@ from typing import Any
 
 from lodbench.checks import FAULT, OK, Check
 from lodbench.cli.configs import composed, config_files, read_config
-from lodbench.cli.console import check_lines, plain_check, traceback_lines
 from lodbench.cli.hydra_app import explained, register_config_sources, section
-from lodbench.cli.parser import Parser
+from lodbench.cli.parser import Parser, check_lines, plain_check, traceback_lines
+from lodbench.cli.parts import option_pairs
 from lodbench.cli.run_dataset import remote_checks
-from lodbench.cli.source_profiles import option_pairs
 from lodbench.errors import STOPPED, ConfigError, LodbenchError, nearest_names
 from lodbench.methods.conformance import check_answers, check_class
 from lodbench.params import to_params
@@ -85,11 +84,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _require_sample(kind: str, sample: Path | None) -> None:
-    """Makes sure that a sample that was named is there, and is looked at.
-
-    Raises:
-        ConfigError: It is not.
-    """
+    """Makes sure that a sample that was named is there, and is looked at."""
     if sample is None:
         return
     if kind not in _OF_SAMPLES:
@@ -123,7 +118,7 @@ def _settings(words: Sequence[str], section: str) -> dict[str, Any]:
 
 def _source_checks(name: str) -> Iterator[Check]:
     """Yields whether a profile can be read, its options are options, and its reader there is."""
-    from lodbench.cli.source_profiles import load_profile
+    from lodbench.cli.parts import load_profile
 
     if name not in config_files(_SOURCE):
         raise ConfigError(f"There is no source {name!r}.", nearest_names(name, config_files(_SOURCE)))
@@ -214,11 +209,7 @@ def _method_checks(plug_in: PlugIn, settings: Sequence[str]) -> Iterator[Check]:
 
 
 def _configuration(name: str, where: str, settings: Sequence[str] = ()) -> dict[str, Any] | None:
-    """Returns what `lodbench run method=NAME` and some settings tell a method; None if no file does.
-
-    Raises:
-        ConfigError: The file cannot be read, or has no such setting.
-    """
+    """Returns what `lodbench run method=NAME` and some settings tell a method; None if no file does."""
     from hydra.errors import ConfigCompositionException, MissingConfigException
     from omegaconf import OmegaConf
 

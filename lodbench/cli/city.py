@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import textwrap
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.formats import formats_in_words
 from lodbench.citymodel.options import LAYERS, ReadOptions
 from lodbench.cli.parser import Parser
-from lodbench.cli.source_profiles import DATE_HELP, load_profile
+from lodbench.cli.parts import DATE_HELP, READ_SETTINGS, SourceProfile, load_profile
 from lodbench.errors import CityModelError, ConfigError, require_choice
 from lodbench.execution import ProgressCallback
+from lodbench.params import add_options, flag, options_of, part, word
 
 if TYPE_CHECKING:
     from lodbench.citymodel import CityModel
@@ -26,43 +26,214 @@ if TYPE_CHECKING:
 _PACKED = (".gz", ".zip")
 
 
+_EXAMPLES = """\
+examples:
+  lodbench city info 53394525_bldg_6697_op.gml
+  lodbench city check LoD2_32_280_5657_1_NW.gml --geojson findings.geojson
+  lodbench city info zurich.xml --crs EPSG:21781             the file says "CH1903", which is degrees
+  lodbench city info Massachusetts-25-000.zip --source open_city_model --option ground_m=12
+  lodbench city check houses.shp --option height_column=HOEHE --option ground_m=430
+  lodbench city make --footprints berlin.osm.pbf --dsm dsm/ --dtm dtm.tif berlin.city.json
+  lodbench city convert tile.city.json town.glb --lod 2.2
+  lodbench city convert lod2.gml blocks.obj --lod 1 --roof-height median
+  lodbench city convert tiles/ centre.city.jsonl --to-crs EPSG:25832 --bbox 691000 5335000 692000 5336000
+  lodbench city convert lod2.gml churches.json --where function=31001_3041
+  lodbench city convert a.gml b.gml -o both.gml --citygml 3.0
+  lodbench city convert textured.gml town.city.json --textures        CityJSON and CityGML keep pictures too
+  lodbench city convert big.gml tiles/town.city.json --tiles 500      tiles/town_691000_5335000.city.json ...
+  lodbench city convert tiles/ town.scene --lod 2 --workers 4         goes on where it was stopped
+
+how to read a file, each as --option KEY=VALUE (explained under lodbench.citymodel.ReadOptions):
+  axis_order=east_first|north_first  is_strict=false  origin=[E,N,UP]  up_axis=y|z  layer=NAME
+  height_column=NAME  storeys_column=NAME  storey_height_m=3  default_height_m=9
+  ground_column=NAME  ground_m=0  terrain=FILE  surface=FILE  base=as_given|ground|sunk  sunk_m=3
+  date=YYYY-MM-DD
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileOptions:
+    """How files are read, and how the answer is given."""
+
+    crs: str | None = flag(
+        None, "reference system of the coordinates, if the file names none or a wrong one", sets=("crs",)
+    )
+    date: str | None = flag(None, DATE_HELP, metavar="YYYY-MM-DD", sets=("date",))
+    source: str = flag("folder", "publisher's profile, as in run source=PROFILE", metavar="PROFILE")
+    option: tuple[str, ...] = flag((), "see below; may be repeated", metavar="KEY=VALUE", sets=READ_SETTINGS)
+    layers: tuple[str, ...] = flag(
+        (),
+        f"objects besides buildings: {', '.join(LAYERS)}",
+        metavar="NAME,...",
+        type=lambda text: text.split(","),
+        action="store",
+    )
+    json: bool = flag(False, "print JSON, for scripts")
+
+    def profile(self) -> SourceProfile:
+        """Returns how to read.
+
+        Raises:
+            ConfigError: The profile or an option is unknown.
+        """
+        profile = load_profile(self.source, self.option, self.crs, self.date)
+        if self.layers:
+            profile = replace(profile, options=replace(profile.options, layers=self.layers))
+        return profile
+
+    def write(self, values: dict[str, Any], as_text: Callable[[], str]) -> None:
+        """Prints an answer."""
+        text = json.dumps(values, indent=2, ensure_ascii=False) if self.json else as_text()
+        sys.stdout.write(text + "\n")
+
+
+@dataclass(frozen=True, kw_only=True)
+class InfoOptions:
+    """What `city info` is given."""
+
+    file: Path = word("file, archive or folder of tiles; or a scene", metavar="FILE")
+    tiles_read: TileOptions = part(TileOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions:
+    """What `city check` is given."""
+
+    file: Path = word("file, archive or folder of tiles", metavar="FILE")
+    geojson: Path | None = flag(None, "write the findings as points, for QGIS", metavar="OUT")
+    tiles_read: TileOptions = part(TileOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeOptions:
+    """What `city make` is given."""
+
+    out: Path = word("city to write: .city.json, .gml ...; the page beside it is OUT.html", metavar="OUT")
+    footprints: Path = flag(
+        ..., "footprints: .osm.pbf, .osm, .gpkg, .geojson, .shp, .fgb, .parquet", metavar="FILE"
+    )
+    dsm: Path | None = flag(None, "surface model: .tif, .asc, .laz, or a folder of tiles", metavar="FILE")
+    dtm: Path | None = flag(None, "terrain model (default: estimated from the surface model)", metavar="FILE")
+    tiles_read: TileOptions = part(TileOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvertOptions:
+    """What `city convert` is given."""
+
+    files: tuple[Path, ...] = word(
+        "city models, read as one; without -o the last name is OUT", metavar="FILE"
+    )
+    out: Path | None = flag(
+        None, "file to write; its ending chooses the format", "-o", "--out", metavar="OUT"
+    )
+    tiles: float | None = flag(None, "write tiles of M metres, and an index of them", metavar="M")
+    executor: str | None = flag(
+        None,
+        "what reads the tiles of a .scene (default: process)",
+        choices=("serial", "process", "dask"),
+    )
+    textures: bool = flag(False, "keep the textures of surfaces (.gml, .json, .jsonl, .glb, .obj)")
+    workers: int | None = flag(None, "how many processes (default: one per core)")
+    address: str | None = flag(None, "of Dask's scheduler")
+    lod: str | None = flag(
+        None,
+        "level to write; finest: each building's best (default: all for CityJSON, the lowest for meshes)",
+        sets=("lod",),
+    )
+    citygml: str | None = flag(None, "version of a .gml (default: 2.0)", choices=("2.0", "3.0"))
+    to_crs: str | None = flag(None, "project to another reference system in metres", metavar="CRS")
+    id: tuple[str, ...] = flag((), "only the building of this id; may be repeated")
+    bbox: tuple[float, float, float, float] | None = flag(
+        None,
+        "only buildings whose middle lies inside, in the reference system written",
+        metavar=("W", "S", "E", "N"),
+    )
+    where: tuple[str, ...] = flag(
+        (),
+        "only buildings with this attribute, or with a part that has it; may be repeated",
+        metavar="ATTRIBUTE=VALUE",
+    )
+    roof_height: str | None = flag(
+        None,
+        "derive LoD1 where there is none: median, max, p70 or eave",
+        metavar="RULE",
+        sets=("roof_height",),
+    )
+    tiles_read: TileOptions = part(TileOptions)
+
+    def is_whole(self, files: Sequence[Path]) -> bool:
+        """Tells whether one file or folder is converted as it is: nothing chosen, cut or projected."""
+        is_part = self.id or self.where or self.bbox or self.to_crs or self.tiles
+        return len(files) == 1 and not is_part
+
+
+_ACTIONS: dict[str, tuple[type, str]] = {
+    "info": (
+        InfoOptions,
+        "show format, reference system, place, levels of detail, numbers of buildings, areas, findings",
+    ),
+    "check": (
+        CheckOptions,
+        "list every defect with its building, and how much area was lost; exit code 1 if data was lost",
+    ),
+    "make": (
+        MakeOptions,
+        "write footprints as LoD1 buildings, as high as a surface model or attributes say, with a page",
+    ),
+    "convert": (
+        ConvertOptions,
+        "write it, or a part, as CityJSON (.json, .jsonl), CityGML (.gml), .glb, .ply, .obj or .scene",
+    ),
+}
+
+
+OPTIONS = {name: kind for name, (kind, *_) in _ACTIONS.items()}
+
+
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code: 1 if `check` finds an error."""
-    wanted = city_parser().parse_args(argv)
-    if wanted.action == "info" and (wanted.file / "scene.json").is_file():
+    about_all = "Inspect, check, convert or make a city model."
+    files = (
+        f"FILE is {formats_in_words()}; a .zip of all but the last, a .gz of what is no footprint or "
+        "surface model, or a folder of tiles."
+    )
+    examples = f"{textwrap.fill(files, 110)}\n\n{_EXAMPLES}"
+    parser = Parser("lodbench city", description=about_all, epilog=examples)
+    actions = parser.add_subparsers(dest="action", required=True, metavar="|".join(_ACTIONS))
+    for name, (kind, about) in _ACTIONS.items():
+        add_options(actions.add_parser(name, help=about, description=about, epilog=examples), kind)
+    given = parser.parse_args(argv)
+    wanted: Any = options_of(given, _ACTIONS[given.action][0])
+    if given.action == "info" and (wanted.file / "scene.json").is_file():
         return _scene_info(wanted)
-    profile = load_profile(wanted.source, wanted.option, wanted.crs, wanted.date)
-    if wanted.layers:
-        profile = replace(profile, options=replace(profile.options, layers=wanted.layers))
-    if wanted.action == "info":
-        return _info(wanted, profile.options)
-    if wanted.action == "check":
-        return _check(wanted, profile.options)
-    if wanted.action == "make":
-        return _make(wanted, profile.options)
-    return _convert(wanted, profile.options, wanted.lod or profile.lod)
+    profile = wanted.tiles_read.profile()
+    if given.action == "convert":
+        return _convert(wanted, profile.options, wanted.lod or profile.lod)
+    run: dict[str, Callable[[Any, ReadOptions], int]] = {"info": _info, "check": _check, "make": _make}
+    return run[given.action](wanted, profile.options)
 
 
-def _scene_info(wanted: argparse.Namespace) -> int:
+def _scene_info(wanted: InfoOptions) -> int:
     """Tells of a scene, with as little loaded as that takes: a second is long."""
     from lodbench.citymodel.scene_file import scene_info
     from lodbench.cli.city_text import format_scene
 
     reported = scene_info(wanted.file)
-    _write(wanted, reported, lambda: format_scene(str(wanted.file), reported))
+    wanted.tiles_read.write(reported, lambda: format_scene(str(wanted.file), reported))
     return 0
 
 
-def _info(wanted: argparse.Namespace, options: ReadOptions) -> int:
+def _info(wanted: InfoOptions, options: ReadOptions) -> int:
     from lodbench.citymodel import city_info
     from lodbench.cli.city_text import format_info
 
     info = city_info(_read([wanted.file], replace(options, is_strict=False)))
-    _write(wanted, info, lambda: format_info(str(wanted.file), info))
+    wanted.tiles_read.write(info, lambda: format_info(str(wanted.file), info))
     return 0
 
 
-def _check(wanted: argparse.Namespace, options: ReadOptions) -> int:
+def _check(wanted: CheckOptions, options: ReadOptions) -> int:
     from lodbench.citymodel.checks import check_city, findings_geojson, format_report
     from lodbench.citymodel.source import OWN_GEOJSON, file_source, own_geojson
     from lodbench.storage import write_bytes
@@ -83,11 +254,11 @@ def _check(wanted: argparse.Namespace, options: ReadOptions) -> int:
         write_bytes(wanted.geojson, json.dumps(findings_geojson(report)).encode())
     values = report.to_json() | {"read_seconds": round(read_seconds, 3)}
     took = f"read in {read_seconds:.2f} s, checked in {report.seconds:.2f} s"
-    _write(wanted, values, lambda: f"{format_report(report)}\n{took}")
+    wanted.tiles_read.write(values, lambda: f"{format_report(report)}\n{took}")
     return 1 if report.has_errors else 0
 
 
-def _convert(wanted: argparse.Namespace, options: ReadOptions, lod: str | None) -> int:
+def _convert(wanted: ConvertOptions, options: ReadOptions, lod: str | None) -> int:
     from lodbench.citymodel.convert import (
         convert_city,
         convert_textured,
@@ -102,14 +273,14 @@ def _convert(wanted: argparse.Namespace, options: ReadOptions, lod: str | None) 
     _require_heard(wanted, out, lod)
     if wanted.textures and not has_room_for_pictures(out):
         raise CityModelError(f"{out} has no room for pictures.", "Name it .glb, .obj, .json, .jsonl or .gml.")
-    is_tiles = out.suffix == ".scene" and _is_whole(wanted, files)
+    is_tiles = out.suffix == ".scene" and wanted.is_whole(files)
     if is_tiles and len(open_sources(files[0], options.layers)) > 1:
         return _compile(wanted, files[0], out, options, lod)
     has_details = keeps_details(out) or bool(wanted.where) or wanted.textures
     options = replace(options, has_details=has_details, has_textures=wanted.textures)
     model = _chosen(wanted, _read(files, options))
     is_mesh = wanted.textures and model.pictures is None
-    if is_mesh and (keeps_details(out) or not _is_whole(wanted, files) or files[0].suffix in _PACKED):
+    if is_mesh and (keeps_details(out) or not wanted.is_whole(files) or files[0].suffix in _PACKED):
         raise CityModelError(
             f"Of {files[0].name} no pictures can be kept so.",
             "Those of a mesh are kept in .glb and .obj, of a whole file or folder. Or leave out --textures.",
@@ -119,7 +290,7 @@ def _convert(wanted: argparse.Namespace, options: ReadOptions, lod: str | None) 
         if wanted.textures and not keeps_details(target):
             return convert_textured(part, target, files[0] if is_mesh else None, options)
         version = wanted.citygml or "2.0"
-        how = {"lod": lod, "roof_height": wanted.roof_height, "citygml": version}
+        how: dict[str, Any] = {"lod": lod, "roof_height": wanted.roof_height, "citygml": version}
         return convert_city(part, target, options=options, **how)
 
     if wanted.tiles is None:
@@ -128,11 +299,11 @@ def _convert(wanted: argparse.Namespace, options: ReadOptions, lod: str | None) 
         done = convert_tiles(model, out, wanted.tiles, write)
         summaries = [conversion_summary(str(each.target), each) for each in done]
     values = summaries[0] if wanted.tiles is None else {"tiles": summaries}
-    _write(wanted, values, lambda: "\n".join(map(format_conversion, summaries)))
+    wanted.tiles_read.write(values, lambda: "\n".join(map(format_conversion, summaries)))
     return 0
 
 
-def _make(wanted: argparse.Namespace, options: ReadOptions) -> int:
+def _make(wanted: MakeOptions, options: ReadOptions) -> int:
     """Writes footprints as buildings, and the page that says where their heights come from."""
     from lodbench.citymodel.convert import check_target
     from lodbench.cli.city_text import format_made
@@ -145,17 +316,11 @@ def _make(wanted: argparse.Namespace, options: ReadOptions) -> int:
     options = replace(options, surface=surface or options.surface, terrain=terrain or options.terrain)
     with ProgressCallback(f"reading {wanted.footprints.name}", "MB", 1_000_000) as progress:
         made = make_city(wanted.footprints, wanted.out, options, progress)
-    _write(wanted, made, lambda: format_made(made))
+    wanted.tiles_read.write(made, lambda: format_made(made))
     return 0
 
 
-def _is_whole(wanted: argparse.Namespace, files: Sequence[Path]) -> bool:
-    """Tells whether one file or folder is converted as it is: nothing chosen, cut, joined or projected."""
-    is_part = wanted.id or wanted.where or wanted.bbox or wanted.to_crs or wanted.tiles
-    return len(files) == 1 and not is_part
-
-
-def _require_heard(wanted: argparse.Namespace, out: Path, lod: str | None) -> None:
+def _require_heard(wanted: ConvertOptions, out: Path, lod: str | None) -> None:
     """Raises ConfigError if an option means nothing to what is written."""
     from lodbench.citymodel.derive import ROOF_HEIGHTS
 
@@ -182,21 +347,18 @@ def _require_heard(wanted: argparse.Namespace, out: Path, lod: str | None) -> No
         raise ConfigError("--bbox holds nothing: its west is not below its east, or its south its north.")
 
 
-def _chosen(wanted: argparse.Namespace, model: CityModel) -> CityModel:
+def _chosen(wanted: ConvertOptions, model: CityModel) -> CityModel:
     """Returns the buildings requested, in the reference system requested."""
     from lodbench.citymodel.subset import choose_buildings, reproject, require_same_heights
 
     if wanted.to_crs is not None:
         require_same_heights(model, wanted.to_crs)
         model = reproject(model, wanted.to_crs)
-    bbox = None if wanted.bbox is None else tuple(wanted.bbox)
     where = [pair.partition("=")[::2] for pair in wanted.where]
-    return choose_buildings(model, ids=wanted.id, bbox=bbox, where=where)
+    return choose_buildings(model, ids=wanted.id, bbox=wanted.bbox, where=where)
 
 
-def _compile(
-    wanted: argparse.Namespace, tiles: Path, out: Path, options: ReadOptions, lod: str | None
-) -> int:
+def _compile(wanted: ConvertOptions, tiles: Path, out: Path, options: ReadOptions, lod: str | None) -> int:
     """Makes a scene of many tiles; goes on where it was stopped."""
     from lodbench.citymodel.scene_file import scene_info
     from lodbench.cli.city_text import format_scene
@@ -210,13 +372,8 @@ def _compile(
             progress=progress,
         )  # fmt: skip
     reported = scene_info(out)
-    _write(wanted, {"written": str(out), **reported}, lambda: format_scene(str(out), reported))
+    wanted.tiles_read.write({"written": str(out), **reported}, lambda: format_scene(str(out), reported))
     return 0
-
-
-def _write(wanted: argparse.Namespace, values: dict[str, Any], as_text: Callable[[], str]) -> None:
-    text = json.dumps(values, indent=2, ensure_ascii=False) if wanted.json else as_text()
-    sys.stdout.write(text + "\n")
 
 
 def _read(files: Sequence[Path], options: ReadOptions) -> CityModel:
@@ -226,7 +383,7 @@ def _read(files: Sequence[Path], options: ReadOptions) -> CityModel:
         return read_city_model(files, options=options, progress=progress)
 
 
-def from_and_to(wanted: argparse.Namespace) -> tuple[list[Path], Path]:
+def from_and_to(wanted: ConvertOptions) -> tuple[list[Path], Path]:
     """Returns the files to convert and the one to write, whose folder is there then.
 
     Raises:
@@ -234,9 +391,9 @@ def from_and_to(wanted: argparse.Namespace) -> tuple[list[Path], Path]:
     """
     from lodbench.citymodel.convert import check_target
 
-    files, out = (
-        (wanted.files, wanted.out) if wanted.out is not None else (wanted.files[:-1], wanted.files[-1])
-    )
+    files, out = wanted.files, wanted.out
+    if out is None:
+        files, out = files[:-1], files[-1]
     if not files:
         raise CityModelError(
             f"There is nothing to convert {out} from.", "lodbench city convert FILE... -o OUT"
@@ -286,112 +443,3 @@ def require_other(out: Path, files: Sequence[Path]) -> None:
                 f"{out} lies in the folder that is read, and would be one of its tiles.",
                 f"Write it outside of {file}.",
             )
-
-
-_EXAMPLES = """\
-examples:
-  lodbench city info 53394525_bldg_6697_op.gml
-  lodbench city check LoD2_32_280_5657_1_NW.gml --geojson findings.geojson
-  lodbench city info zurich.xml --crs EPSG:21781             the file says "CH1903", which is degrees
-  lodbench city info Massachusetts-25-000.zip --source open_city_model --option ground_m=12
-  lodbench city check houses.shp --option height_column=HOEHE --option ground_m=430
-  lodbench city make --footprints berlin.osm.pbf --dsm dsm/ --dtm dtm.tif berlin.city.json
-  lodbench city convert tile.city.json town.glb --lod 2.2
-  lodbench city convert lod2.gml blocks.obj --lod 1 --roof-height median
-  lodbench city convert tiles/ centre.city.jsonl --to-crs EPSG:25832 --bbox 691000 5335000 692000 5336000
-  lodbench city convert lod2.gml churches.json --where function=31001_3041
-  lodbench city convert a.gml b.gml -o both.gml --citygml 3.0
-  lodbench city convert textured.gml town.city.json --textures        CityJSON and CityGML keep pictures too
-  lodbench city convert big.gml tiles/town.city.json --tiles 500      tiles/town_691000_5335000.city.json ...
-  lodbench city convert tiles/ town.scene --lod 2 --workers 4         goes on where it was stopped
-
-how to read a file, each as --option KEY=VALUE (explained under lodbench.citymodel.ReadOptions):
-  axis_order=east_first|north_first  is_strict=false  origin=[E,N,UP]  up_axis=y|z  layer=NAME
-  height_column=NAME  storeys_column=NAME  storey_height_m=3  default_height_m=9
-  ground_column=NAME  ground_m=0  terrain=FILE  surface=FILE  base=as_given|ground|sunk  sunk_m=3
-  date=YYYY-MM-DD
-"""
-
-
-_ACTIONS = {
-    "info": "show format, reference system, place, levels of detail, numbers of buildings, areas, findings",
-    "check": "list every defect with its building, and how much area was lost; exit code 1 if data was lost",
-    "make": "write footprints as LoD1 buildings, as high as a surface model or attributes say, with a page",
-    "convert": "write it, or a part, as CityJSON (.json, .jsonl), CityGML (.gml), .glb, .ply, .obj or .scene",
-}
-
-
-def city_parser() -> argparse.ArgumentParser:
-    """Returns the parser of `lodbench city`."""
-    about_all = "Inspect, check, convert or make a city model."
-    files = (
-        f"FILE is {formats_in_words()}; a .zip of all but the last, a .gz of what is no footprint or "
-        "surface model, or a folder of tiles."
-    )
-    examples = f"{textwrap.fill(files, 110)}\n\n{_EXAMPLES}"
-    parser = Parser("lodbench city", description=about_all, epilog=examples)
-    actions = parser.add_subparsers(dest="action", required=True, metavar="|".join(_ACTIONS))
-    for name, about in _ACTIONS.items():
-        action = actions.add_parser(name, help=about, description=about, epilog=examples)
-        if name == "convert":
-            _add_convert(action.add_argument)
-        elif name == "make":
-            _add_make(action.add_argument)
-        else:
-            what = "file, archive or folder of tiles" + ("; or a scene" if name == "info" else "")
-            action.add_argument("file", type=Path, metavar="FILE", help=what)
-        if name == "check":
-            points = "write the findings as points, for QGIS"
-            action.add_argument("--geojson", type=Path, metavar="OUT", help=points)
-        _add_reading(action.add_argument)
-        action.add_argument("--json", action="store_true", help="print JSON, for scripts")
-    return parser
-
-
-def _add_convert(add: Any) -> None:
-    """Adds what is written, and how."""
-    files = "city models, read as one; without -o the last name is OUT"
-    add("files", nargs="+", type=Path, metavar="FILE", help=files)
-    add("-o", "--out", type=Path, metavar="OUT", help="file to write; its ending chooses the format")
-    add("--tiles", type=float, metavar="M", help="write tiles of M metres, and an index of them")
-    where = "what reads the tiles of a .scene (default: process)"
-    add("--executor", choices=("serial", "process", "dask"), help=where)
-    pictures = "keep the textures of surfaces (.gml, .json, .jsonl, .glb, .obj)"
-    add("--textures", action="store_true", help=pictures)
-    add("--workers", type=int, help="how many processes (default: one per core)")
-    add("--address", help="of Dask's scheduler")
-    one = "level to write; finest: each building's best (default: all for CityJSON, the lowest for meshes)"
-    add("--lod", help=one)
-    add("--citygml", choices=("2.0", "3.0"), help="version of a .gml (default: 2.0)")
-    add("--to-crs", metavar="CRS", help="project to another reference system in metres")
-    add("--id", action="append", default=[], help="only the building of this id; may be repeated")
-    inside = "only buildings whose middle lies inside, in the reference system written"
-    add("--bbox", nargs=4, type=float, metavar=("W", "S", "E", "N"), help=inside)
-    having = "only buildings with this attribute, or with a part that has it; may be repeated"
-    add("--where", action="append", default=[], metavar="ATTRIBUTE=VALUE", help=having)
-    add("--roof-height", metavar="RULE", help="derive LoD1 where there is none: median, max, p70 or eave")
-
-
-def _add_make(add: Any) -> None:
-    """Adds what a city is made from."""
-    add(
-        "out",
-        type=Path,
-        metavar="OUT",
-        help="city to write: .city.json, .gml ...; the page beside it is OUT.html",
-    )
-    plans = "footprints: .osm.pbf, .osm, .gpkg, .geojson, .shp, .fgb, .parquet"
-    add("--footprints", type=Path, required=True, metavar="FILE", help=plans)
-    heights = "surface model: .tif, .asc, .laz, or a folder of tiles"
-    add("--dsm", type=Path, metavar="FILE", help=heights)
-    add("--dtm", type=Path, metavar="FILE", help="terrain model (default: estimated from the surface model)")
-
-
-def _add_reading(add: Any) -> None:
-    """Adds how the files are read."""
-    add("--crs", help="reference system of the coordinates, if the file names none or a wrong one")
-    add("--date", metavar="YYYY-MM-DD", help=DATE_HELP)
-    add("--source", default="folder", metavar="PROFILE", help="publisher's profile, as in run source=PROFILE")
-    add("--option", action="append", default=[], metavar="KEY=VALUE", help="see below; may be repeated")
-    also = f"objects besides buildings: {', '.join(LAYERS)}"
-    add("--layers", type=lambda text: tuple(text.split(",")), default=(), metavar="NAME,...", help=also)

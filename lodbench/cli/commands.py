@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import cast
@@ -38,7 +39,7 @@ COMMANDS = {
     "bench": ("lodbench.cli.bench", "measure speed and accuracy, beside other programs"),
     "city": ("lodbench.cli.city", "inspect, check or convert a city model"),
     "dataset": (
-        "lodbench.cli.dataset",
+        "lodbench.cli.commands:dataset",
         "list, check, download or import datasets; make one of your photos (init)",
     ),
     "render": (
@@ -60,6 +61,30 @@ COMMANDS = {
         "check any other plug-in likewise: see docs/plugins.md",
     ),
     "completion": ("lodbench.cli.completion", "print a script that completes commands in bash or zsh"),
+}
+
+# Action of `lodbench dataset` -> (as of ``COMMANDS``; the words begin with the action; one line of help).
+ACTIONS = {
+    "list": ("lodbench.cli.dataset_list", "what is there, what is missing, where to get it"),
+    "check": ("lodbench.cli.dataset_check", "is it sound: files, counts, poses, priors, photos, city model"),
+    "download": (
+        "lodbench.cli.dataset_list:main_download",
+        "fetch what has a stable address; say how to get the rest",
+    ),
+    "card": (
+        "lodbench.cli.dataset_list:main_card",
+        "its card: licence, provenance, truth, splits, known issues",
+    ),
+    "prior": (
+        "lodbench.cli.dataset_check:main_prior",
+        "write a dataset's priors to a file: drawn, or the photos' own",
+    ),
+    "init": ("lodbench.cli.dataset_own", "a dataset from your photos and a city model"),
+    "import": ("lodbench.cli.dataset_own", "a dataset from another program's poses"),
+    "make-demo": (
+        "lodbench.cli.dataset_list:main_demo",
+        "write the demo town, its queries and masks to a folder",
+    ),
 }
 
 # The first command of each group -> what stands above the group in the help.
@@ -91,4 +116,28 @@ Start here:
 def load_command(place: str) -> Callable[[Sequence[str]], int]:
     """Returns the function of a command, as ``COMMANDS`` places it: from words to an exit code."""
     module, _, name = place.partition(":")
-    return cast(Callable[[Sequence[str]], int], getattr(import_module(module), name or "main"))
+    return cast("Callable[[Sequence[str]], int]", getattr(import_module(module), name or "main"))
+
+
+def _dataset_usage() -> str:
+    """Returns the help of `lodbench dataset --help`."""
+    width = max(map(len, ACTIONS))
+    head = "usage: lodbench dataset ACTION [...]        lodbench dataset ACTION --help"
+    lines = [f"  {name.ljust(width)}  {help_}" for name, (_, help_) in ACTIONS.items()]
+    return "\n".join([head, "", *lines, ""])
+
+
+def dataset(argv: Sequence[str]) -> int:
+    """Runs `lodbench dataset ACTION`; returns the exit code.
+
+    Raises:
+        ConfigError: There is no such action.
+    """
+    if not argv or argv[0] in ("-h", "--help"):
+        sys.stdout.write(_dataset_usage())
+        return 0 if argv else 2
+    if argv[0] not in ACTIONS:
+        from lodbench.errors import ConfigError, nearest_names
+
+        raise ConfigError(f"There is no `lodbench dataset {argv[0]}`.", nearest_names(argv[0], ACTIONS))
+    return load_command(ACTIONS[argv[0]][0])(argv)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from lodbench.cli.parser import Parser
-from lodbench.cli.verify import add_path_options, read_config, reopen_dataset, run_folders
+from lodbench.cli.verify import DataOptions, read_config, reopen_dataset, run_folders
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.evaluation.protocols import PROTOCOLS
 from lodbench.evaluation.queries import has_truth
@@ -28,14 +27,14 @@ from lodbench.harness.runs.compare import (
 from lodbench.harness.runs.photo_pairs import DrawnRun, photo_pairs_of, read_tags, tags_file_of
 from lodbench.harness.runs.stored import StoredRun, read_whole_run, require_writable
 from lodbench.harness.runs.verify import changed_files
+from lodbench.params import flag, parsed, part, word
 from lodbench.reporting.answers import format_answers
-from lodbench.reporting.comparison import agreement_text, format_apart, format_comparison
 from lodbench.reporting.figures import draw_budget
-from lodbench.reporting.run_names import FREE, names_of
+from lodbench.reporting.run_figures import agreement_text, format_apart, format_comparison
 from lodbench.reporting.summaries import with_settings
 from lodbench.reporting.table_columns import COLUMNS
 from lodbench.reporting.table_formats import FORMATS, format_csv
-from lodbench.reporting.tables import tables_of
+from lodbench.reporting.tables import FREE, names_of, tables_of
 from lodbench.storage import make_folder, write_bytes, write_text
 
 _MOST_PANELS = 4
@@ -44,6 +43,8 @@ _ENDINGS = {
     "csv": (".csv",), "html": (".html", ".htm"), "latex": (".tex",), "markdown": (".md", ".markdown"),
     "text": (".txt", ".log", ""),
 }  # fmt: skip
+# Of an option: several words behind it, taken together.
+_SEVERAL: dict[str, Any] = {"nargs": "+", "action": "store"}
 _EPILOG = """\
 Runs share a table if dataset, queries, city, masks, tilt, segmenter and seed agree; --free lets some of
 these differ, and the rows then say which they have. Examples:
@@ -56,14 +57,53 @@ these differ, and the rows then say which they have. Examples:
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class CompareOptions:
+    """What the command is given."""
+
+    runs: tuple[Path, ...] = word("run folders", metavar="RUN")
+    format: str = flag(
+        None,
+        "text, or by the ending of --out; html is a page: of two runs, every photo with both outlines",
+        choices=sorted(FORMATS),
+    )
+    out: Path | None = flag(None, "write there, and not to the terminal", metavar="FILE")
+    columns: tuple[str, ...] = flag(
+        (),
+        f"what to show (paper): {', '.join(sorted(COLUMNS))}, or any number by its name in CSV",
+        metavar="COLUMNS",
+        **_SEVERAL,
+    )
+    thresholds: tuple[str, ...] = flag(
+        (),
+        f"where to measure recall, or a name: {', '.join(PROTOCOLS)} (the dataset's own)",
+        metavar="M/DEG",
+        **_SEVERAL,
+    )
+    free: tuple[str, ...] = flag((), "what may differ within a table", choices=FREE, **_SEVERAL)
+    over_seeds: bool = flag(False, "one row for runs that differ in their seed: mean +- spread")
+    budget: Path | None = flag(
+        None,
+        "write budget.png and budget.svg there: recall over poses drawn per query, a line a method",
+        metavar="FOLDER",
+    )
+    data: DataOptions = part(DataOptions)
+
+    def __post_init__(self) -> None:
+        is_page = self.out is not None and self.out.suffix.lower() in _ENDINGS["html"]
+        object.__setattr__(self, "format", self.format or ("html" if is_page else "text"))
+
+
+OPTIONS = {"": CompareOptions}
+
+
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    options = _parser().parse_args(argv)
-    options.format = options.format or _format_of(options.out)
-    options.runs = run_folders(options.runs)
-    require_writable(options.out, options.runs, endings=_ENDINGS[options.format])
-    configs = [read_config(folder) for folder in options.runs]
-    runs = [read_whole_run(folder) for folder in options.runs]
+    options = parsed(Parser("lodbench compare", "Compare finished runs.", _EPILOG), argv, CompareOptions)
+    folders = run_folders(options.runs)
+    require_writable(options.out, folders, endings=_ENDINGS[options.format])
+    configs = [read_config(folder) for folder in folders]
+    runs = [read_whole_run(folder) for folder in folders]
     for run in runs:
         for line in changed_files(run):
             sys.stderr.write(f"lodbench: {run.folder}: {line}: edited by hand?\n")
@@ -103,12 +143,8 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
-def _require_truth(options: argparse.Namespace, without: int, scored: int) -> None:
-    """Says which runs a table of numbers leaves out.
-
-    Raises:
-        ConfigError: All of them: the table would be empty.
-    """
+def _require_truth(options: CompareOptions, without: int, scored: int) -> None:
+    """Says which runs a table of numbers leaves out."""
     if options.columns and not scored:
         raise ConfigError("No run has a truth: there is no table for --columns.", "Leave --columns out.")
     kind = options.format
@@ -123,22 +159,13 @@ def _require_truth(options: argparse.Namespace, without: int, scored: int) -> No
         sys.stderr.write(f"lodbench: runs without a truth, left out of --format {kind}: {without}\n")
 
 
-def _format_of(out: Path | None) -> str:
-    """Returns the format of a file where none is named: a page by its ending, else text."""
-    return "html" if out is not None and out.suffix.lower() in _ENDINGS["html"] else "text"
-
-
 def _photo_by_photo(
     runs: Sequence[StoredRun],
     names: Sequence[str],
     configs: Sequence[Mapping[str, Any]],
-    options: argparse.Namespace,
+    options: CompareOptions,
 ) -> tuple[str, str]:
-    """Returns the part of the page that shows two runs photo by photo, and why there is none.
-
-    Raises:
-        LodbenchError: The data at a place that is named, or the file of tags beside the page, cannot be read.
-    """
+    """Returns the part of the page that shows two runs photo by photo, and why there is none."""
     if len(runs) != 2:
         return "", "Name two runs to see them photo by photo, on one page." if len(runs) > 2 else ""
     first, second = runs
@@ -154,29 +181,27 @@ def _photo_by_photo(
 
 
 def _with_data(
-    runs: Sequence[StoredRun], configs: Sequence[Mapping[str, Any]], options: argparse.Namespace
+    runs: Sequence[StoredRun], configs: Sequence[Mapping[str, Any]], options: CompareOptions
 ) -> tuple[tuple[DrawnRun, DrawnRun] | None, str]:
     """Returns two runs with their data, or None and why it cannot be had."""
     try:
         one, other = (
             DrawnRun(
-                run, reopen_dataset(run.folder, options.dataset_root, options.city_model), str(config["tilt"])
+                run,
+                reopen_dataset(run.folder, options.data.dataset_root, options.data.city_model),
+                str(config["tilt"]),
             )
             for run, config in zip(runs, configs, strict=True)
         )
     except LodbenchError as error:
-        if options.dataset_root or options.city_model:
+        if options.data.is_given:
             raise
         return None, f"{error.message} {error.hint}".strip()
     return (one, other), ""
 
 
 def _write_budget(runs: Sequence[StoredRun], folder: Path) -> None:
-    """Draws recall over poses drawn.
-
-    Raises:
-        ConfigError: No run has a truth, or there are more panels than fit a picture.
-    """
+    """Draws recall over poses drawn."""
     panels = budget_panels([run for run in runs if has_truth(run.queries).any()])
     if not 1 <= len(panels) <= _MOST_PANELS:
         raise ConfigError(
@@ -203,56 +228,18 @@ def parse_thresholds(words: Sequence[str]) -> tuple[Threshold, ...]:
         ConfigError: A word is not two positive numbers, and no such name.
     """
     thresholds: list[Threshold] = []
-    for word in words:
-        if word in PROTOCOLS:
-            thresholds += PROTOCOLS[word].thresholds
+    for text in words:
+        if text in PROTOCOLS:
+            thresholds += PROTOCOLS[text].thresholds
             continue
         try:
-            metres, degrees = (float(part) for part in word.split("/"))
+            metres, degrees = (float(part) for part in text.split("/"))
         except ValueError:
             metres = degrees = 0.0
         if not (0 < metres < float("inf") and 0 < degrees < float("inf")):
-            raise ConfigError(f"The threshold {word!r} is not METRES/DEGREES.", "For example 2/2 or 0.5/1.")
+            raise ConfigError(f"The threshold {text!r} is not METRES/DEGREES.", "For example 2/2 or 0.5/1.")
         thresholds.append(Threshold(metres, degrees))
     return tuple(thresholds)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser("lodbench compare", "Compare finished runs.", _EPILOG)
-    add = parser.add_argument
-    add("runs", nargs="+", type=Path, metavar="RUN", help="run folders")
-    add(
-        "--format",
-        choices=sorted(FORMATS),
-        help="text, or by the ending of --out; html is a page: of two runs, every photo with both outlines",
-    )
-    add("--out", type=Path, metavar="FILE", help="write there, and not to the terminal")
-    add(
-        "--columns",
-        nargs="+",
-        default=[],
-        metavar="COLUMNS",
-        help=f"what to show (paper): {', '.join(sorted(COLUMNS))}, or any number by its name in CSV",
-    )
-    add(
-        "--thresholds",
-        nargs="+",
-        default=[],
-        metavar="M/DEG",
-        help=f"where to measure recall, or a name: {', '.join(PROTOCOLS)} (the dataset's own)",
-    )
-    add("--free", nargs="+", choices=FREE, default=[], help="what may differ within a table")
-    add(
-        "--over-seeds", action="store_true", help="one row for runs that differ in their seed: mean +- spread"
-    )
-    add(
-        "--budget",
-        type=Path,
-        metavar="FOLDER",
-        help="write budget.png and budget.svg there: recall over poses drawn per query, a line a method",
-    )
-    add_path_options(parser)
-    return parser
 
 
 def _tests(runs: Sequence[StoredRun], names: Sequence[str], thresholds: tuple[Threshold, ...]) -> str:

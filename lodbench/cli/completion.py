@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from lodbench.cli.commands import COMMANDS, load_command
 from lodbench.cli.configs import config_files
 from lodbench.cli.parser import Parser, seen
-from lodbench.cli.setting_help import config_text, groups_of, settings_in
+from lodbench.cli.settings import config_text, groups_of, settings_in
 from lodbench.errors import LodbenchError
 
 # Commands in Hydra's grammar, and their files in conf.

@@ -57,7 +57,7 @@ def _values_of(file: Path, group: str) -> dict[str, Any]:
     from omegaconf import OmegaConf
 
     config = OmegaConf.create({"paths": {"data_root": None, "runs": "runs"}, group: OmegaConf.load(file)})
-    return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    return cast("dict[str, Any]", OmegaConf.to_container(config, resolve=True))
 
 
 def composed(config_name: str, words: Sequence[str], return_hydra_config: bool = False) -> DictConfig:

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from lodbench.cli.configs import read_config
-from lodbench.cli.dataset_card import config_card
-from lodbench.cli.flags import in_syntax_of
+from lodbench.cli.dataset_list import config_card
 from lodbench.cli.parser import Parser
+from lodbench.cli.settings import in_syntax_of
 from lodbench.datasets.prior_sources import is_prior_text, prior_digest, prior_text
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_settings, draw_priors, make_priors, open_dataset
 from lodbench.errors import ConfigError, DatasetError, Words, nearest_names
 from lodbench.findings import Findings, Severity
 from lodbench.harness.dataset_check import DatasetReport, SplitReport, check_dataset, prior_errors_in_words
+from lodbench.params import flag, parsed, part, word
 from lodbench.plugins import plugin_names
 from lodbench.reporting.aligned_text import count_of, plain_text
 from lodbench.storage import write_text
@@ -29,6 +29,47 @@ Exit code: 0 sound, 1 at least one error, 2 the data is missing (the message say
 The codes are explained in docs/datasets.md.
 """
 _EXAMPLES = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetOptions:
+    """A dataset by its name, and where its parts lie."""
+
+    dataset: str = word("a dataset, or a folder in the text layout", metavar="NAME|DIR")
+    root: str | None = flag(
+        None, "where a published dataset was unpacked", metavar="DIR", sets=("dataset.root",)
+    )
+    city: str | None = flag(None, "its city model", metavar="FILE", sets=("city",))
+    lod: str | None = flag(None, "level of detail of the city model", sets=("lod", "dataset.lod"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions:
+    """What `dataset check` is given."""
+
+    of: DatasetOptions = part(DatasetOptions)
+    set: tuple[str, ...] = flag((), "a setting: dataset.NAME of a run", metavar="NAME=VALUE")
+    headers_only: bool = flag(False, "do not decode photos and masks")
+    json: bool = flag(False, "print plain values instead of text")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PriorsOptions:
+    """What `dataset prior` is given."""
+
+    of: DatasetOptions = part(DatasetOptions)
+    kind: str = flag(
+        "uniform",
+        f"where they come from: {', '.join(plugin_names('priors'))}",
+        metavar="KIND",
+        sets=("prior",),
+    )
+    set: tuple[str, ...] = flag((), "a setting", metavar="KEY=VALUE")
+    seed: int = flag(0, "random seed (default: 0)")
+    out: Path = flag(..., "the file to write", metavar="FILE")
+
+
+OPTIONS = {"check": CheckOptions, "prior": PriorsOptions}
 
 
 def main(argv: Sequence[str]) -> int:
@@ -42,14 +83,8 @@ def main(argv: Sequence[str]) -> int:
         "Look at every part of a dataset: files, counts, poses, priors, photos, city model.",
         _EPILOG,
     )
-    add_dataset_options(parser)
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="a setting: dataset.NAME of a run"
-    )
-    parser.add_argument("--headers-only", action="store_true", help="do not decode photos and masks")
-    parser.add_argument("--json", action="store_true", help="print plain values instead of text")
-    options = parser.parse_args(argv[1:])
-    dataset, card = open_named(options, options.set), config_card(options.dataset)
+    options = parsed(parser, argv[1:], CheckOptions)
+    dataset, card = open_named(options.of, options.set), config_card(options.of.dataset)
     counts = card.counts if card else {}
     dataset = replace(dataset, city_hint=in_syntax_of(["dataset"], Words(dataset.city_hint)))
     report = check_dataset(dataset, with_pixels=not options.headers_only, counts=counts)
@@ -141,15 +176,7 @@ def _values(report: DatasetReport) -> dict[str, Any]:
     }
 
 
-def add_dataset_options(parser: argparse.ArgumentParser) -> None:
-    """Adds the word that names a dataset, and where its parts lie."""
-    parser.add_argument("dataset", metavar="NAME|DIR", help="a dataset, or a folder in the text layout")
-    parser.add_argument("--root", metavar="DIR", help="where a published dataset was unpacked")
-    parser.add_argument("--city", metavar="FILE", help="its city model")
-    parser.add_argument("--lod", help="level of detail of the city model")
-
-
-def open_named(options: argparse.Namespace, settings: Sequence[str] = ()) -> Dataset:
+def open_named(options: DatasetOptions, settings: Sequence[str] = ()) -> Dataset:
     """Returns the dataset that the options name.
 
     Args:
@@ -169,11 +196,11 @@ def open_named(options: argparse.Namespace, settings: Sequence[str] = ()) -> Dat
             )
         values = {"name": "folder", "root": root, "city_model": options.city, "lod": options.lod}
         values = {key: value for key, value in values.items() if value is not None}
-        return open_dataset(values | _set(settings, "folder", dataset_settings("folder")))
+        return open_dataset(values | _settings(settings, "folder", dataset_settings("folder")))
     takes = dataset_settings(name)
     given: dict[str, Any] = {"root": options.root, "city_model": options.city, "lod": options.lod}
     values = {key: value for key, value in given.items() if value is not None}
-    values |= _set(settings, name, takes)
+    values |= _settings(settings, name, takes)
     refused = sorted(set(values) - takes)
     if refused:
         option = {"root": "--root", "city_model": "--city", "lod": "--lod"}[refused[0]]
@@ -181,24 +208,22 @@ def open_named(options: argparse.Namespace, settings: Sequence[str] = ()) -> Dat
     return open_dataset({**(read_config("dataset", name) or {"name": name}), **values})
 
 
-def _set(words: Sequence[str], dataset: str, takes: Collection[str]) -> dict[str, Any]:
-    """Returns the settings of words ``NAME=VALUE``, values read as YAML.
-
-    Raises:
-        ConfigError: A word is none, or the dataset has no such setting.
-    """
+def _settings(words: Sequence[str], dataset: str, takes: Collection[str]) -> dict[str, Any]:
+    """Returns the settings of words ``NAME=VALUE``, values read as YAML."""
     import yaml
 
     values: dict[str, Any] = {}
-    for word in words:
-        name, equals, text = word.removeprefix("dataset.").partition("=")
+    for typed in words:
+        name, equals, text = typed.removeprefix("dataset.").partition("=")
         if not equals or name not in takes:
-            raise ConfigError(f"--set {word}: Dataset {dataset} takes no {name}.", nearest_names(name, takes))
+            raise ConfigError(
+                f"--set {typed}: Dataset {dataset} takes no {name}.", nearest_names(name, takes)
+            )
         try:
             values[name] = yaml.safe_load(text)
         except yaml.YAMLError as error:
             raise ConfigError(
-                f"--set {word} cannot be read as YAML.", "Quote it: --set \"NAME='TEXT'\""
+                f"--set {typed} cannot be read as YAML.", "Quote it: --set \"NAME='TEXT'\""
             ) from error
     return values
 
@@ -220,17 +245,7 @@ def main_prior(argv: Sequence[str]) -> int:
         LodbenchError: The dataset or a setting is wrong, or the priors cannot be had.
     """
     parser = Parser("lodbench dataset prior", "Write a dataset's priors to a file.", _EPILOG_OF_PRIORS)
-    add_dataset_options(parser)
-    parser.add_argument(
-        "--kind",
-        default="uniform",
-        metavar="KIND",
-        help=f"where they come from: {', '.join(plugin_names('priors'))}",
-    )
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting")
-    parser.add_argument("--seed", type=int, default=0, help="random seed (default: 0)")
-    parser.add_argument("--out", type=Path, metavar="FILE", required=True, help="the file to write")
-    options = parser.parse_args(argv[1:])
+    options = parsed(parser, argv[1:], PriorsOptions)
     if options.out.is_dir():
         raise ConfigError(f"{options.out} is a folder.", "Name a file.")
     if options.out.exists() and not is_prior_text(options.out):
@@ -238,11 +253,11 @@ def main_prior(argv: Sequence[str]) -> int:
             f"{options.out} is there already, and no file of this command.", "Name another file: --out FILE."
         )
     priors = make_priors(options.kind, dict(map(_pair, options.set)))
-    dataset = draw_priors(open_named(options), options.kind, priors, options.seed)
+    dataset = draw_priors(open_named(options.of), options.kind, priors, options.seed)
     made = sum(entry.prior is not None for entry in dataset.entries)
     if not made:
         raise DatasetError(
-            f"No query of {options.dataset} has a prior of --kind {options.kind}: nothing is written.",
+            f"No query of {options.of.dataset} has a prior of --kind {options.kind}: nothing is written.",
             "Another kind draws them around the truth, or reads them from the photos; see --help.",
         )
     write_text(options.out, prior_text(dataset.entries, priors.describe(), options.seed))

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import shlex
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.cli.parser import Parser
-from lodbench.cli.place_options import (
-    add_camera_option,
-    add_city_options,
-    add_height_options,
-    city_flags,
-    given_camera,
-    height_flags,
-    height_options,
-)
-from lodbench.cli.source_profiles import load_profile
+from lodbench.cli.place_options import CAMERA_HELP, HeightFlags, ReadingOptions, given_camera
 from lodbench.errors import ConfigError, nearest_names, require_within
+from lodbench.params import add_options, flag, options_of, part, word
 from lodbench.plugins import plugin_names
 
 if TYPE_CHECKING:
@@ -49,146 +41,166 @@ examples:
 """
 
 
-def main(argv: Sequence[str]) -> int:
-    """Runs ``init`` or ``import``, whichever the first word is; returns the exit code."""
-    parser = Parser("lodbench dataset")
-    _add_actions(parser.add_subparsers(dest="action", required=True))
-    given = parser.parse_args(argv)
-    code: int = given.make(given)
-    return code
-
-
-def _add_actions(actions: Any) -> None:
-    init = actions.add_parser(
-        "init",
-        help="a dataset from your photos and a city model",
-        description="Make a dataset of your photos and a city model, as dataset=folder of a run takes it.",
-        epilog=_INIT_EPILOG,
-    )
-    init.add_argument("folder", type=Path, metavar="DIR", help="new folder")
-    init.add_argument(
-        "--images", type=Path, required=True, metavar="DIR", help="photos, as the drone stored them"
-    )
-    init.add_argument("--city", type=Path, required=True, metavar="FILE", help="city model")
-    init.add_argument("--colmap", type=Path, metavar="MODEL", help="folder of a COLMAP model: the truth")
-    init.add_argument(
-        "--no-common-view",
-        type=float,
-        nargs="?",
-        const=300.0,
-        metavar="METRES",
-        help="keep only photos whose views, up to so far (300), do not meet: no two see the same ground",
-    )
-    add_city_options(init)
-    _add_common_options(init)
-    init.set_defaults(make=_init)
-    imported = actions.add_parser(
-        "import",
-        help="a dataset from another program's poses",
-        description="Make a dataset of another program's poses, which become its truth.",
-        epilog=_IMPORT_EPILOG,
-    )
-    add = imported.add_argument
-    add("format", metavar="FORMAT", help="see below")
-    add("poses", type=Path, metavar="SOURCE", help="file or folder in that format")
-    add("folder", type=Path, metavar="DIR", help="new folder")
-    add("--images", type=Path, metavar="DIR", help="photos; without it poses and cameras only")
-    add("--cameras", type=Path, metavar="FILE", help="cameras, as in intrinsic.txt")
-    add(
-        "--city", type=Path, metavar="FILE", help="city model: to check where the cameras are, and for priors"
-    )
-    add_city_options(imported)
-    _add_common_options(imported)
-    imported.set_defaults(make=_import)
-
-
-def _add_common_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--masks", type=Path, metavar="DIR", help="building masks of the photos, white = building"
-    )
-    add_camera_option(parser, "of all images, as COLMAP has it")
-    parser.add_argument(
-        "--offset",
-        type=float,
-        nargs=3,
-        default=(0.0, 0.0, 0.0),
-        metavar=("E", "N", "UP"),
-        help="added to positions: what was taken off the city's coordinates",
-    )
-    add_height_options(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON, for scripts")
-
-
-def _init(given: argparse.Namespace) -> int:
-    require_within("--no-common-view", given.no_common_view, 0, ends="(]")
-    return _make(given, poses=given.colmap, format="colmap", apart_m=given.no_common_view)
-
-
 # Formats by the names that `lodbench export` has for them.
 _ALIASES = {"visuallocalization": "lines"}
 
 
-def _import(given: argparse.Namespace) -> int:
-    known = (*plugin_names("pose_formats"), *_ALIASES, "auto")
-    if given.format not in known:
-        raise ConfigError(
-            f"lodbench dataset import: there is no FORMAT {given.format!r}.",
-            nearest_names(given.format, known),
-        )
-    form = _ALIASES.get(given.format, given.format)
-    return _make(given, poses=given.poses, format=form, cameras=given.cameras)
+@dataclass(frozen=True, kw_only=True)
+class PhotoSetOptions:
+    """What both ways to make a dataset take."""
+
+    masks: Path | None = flag(None, "building masks of the photos, white = building", metavar="DIR")
+    camera: str | None = flag(
+        None, f"of all images, as COLMAP has it{CAMERA_HELP}", metavar="'MODEL W H ...'"
+    )
+    offset: tuple[float, float, float] = flag(
+        (0.0, 0.0, 0.0),
+        "added to positions: what was taken off the city's coordinates",
+        metavar=("E", "N", "UP"),
+    )
+    heights: HeightFlags = part(HeightFlags, "heights: from the drone's datum to the city's")
+    json: bool = flag(False, "print JSON, for scripts")
 
 
-def _make(given: argparse.Namespace, **sources: Any) -> int:
+@dataclass(frozen=True, kw_only=True)
+class InitOptions:
+    """What `dataset init` is given."""
+
+    folder: Path = word("new folder", metavar="DIR")
+    images: Path = flag(..., "photos, as the drone stored them", metavar="DIR")
+    city: Path = flag(..., "city model", metavar="FILE", sets=("city",))
+    colmap: Path | None = flag(None, "folder of a COLMAP model: the truth", metavar="MODEL")
+    no_common_view: float | None = flag(
+        None,
+        "keep only photos whose views, up to so far (300), do not meet: no two see the same ground",
+        nargs="?",
+        const=300.0,
+        metavar="METRES",
+    )
+    reading: ReadingOptions = part(ReadingOptions)
+    common: PhotoSetOptions = part(PhotoSetOptions)
+
+    def sources(self) -> dict[str, Any]:
+        """Returns what the poses come from.
+
+        Raises:
+            ConfigError: A distance is none.
+        """
+        require_within("--no-common-view", self.no_common_view, 0, ends="(]")
+        return {"poses": self.colmap, "format": "colmap", "apart_m": self.no_common_view}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions:
+    """What `dataset import` is given."""
+
+    format: str = word("see below", metavar="FORMAT")
+    poses: Path = word("file or folder in that format", metavar="SOURCE")
+    folder: Path = word("new folder", metavar="DIR")
+    images: Path | None = flag(None, "photos; without it poses and cameras only", metavar="DIR")
+    cameras: Path | None = flag(None, "cameras, as in intrinsic.txt", metavar="FILE")
+    city: Path | None = flag(
+        None,
+        "city model: to check where the cameras are, and for priors",
+        metavar="FILE",
+        sets=("city",),
+    )
+    reading: ReadingOptions = part(ReadingOptions)
+    common: PhotoSetOptions = part(PhotoSetOptions)
+
+    def sources(self) -> dict[str, Any]:
+        """Returns what the poses come from.
+
+        Raises:
+            ConfigError: There is no such format.
+        """
+        known = (*plugin_names("pose_formats"), *_ALIASES, "auto")
+        if self.format not in known:
+            raise ConfigError(
+                f"lodbench dataset import: there is no FORMAT {self.format!r}.",
+                nearest_names(self.format, known),
+            )
+        form = _ALIASES.get(self.format, self.format)
+        return {"poses": self.poses, "format": form, "cameras": self.cameras}
+
+
+_ACTIONS: dict[str, tuple[type, str, str, str]] = {
+    "init": (
+        InitOptions,
+        "a dataset from your photos and a city model",
+        "Make a dataset of your photos and a city model, as dataset=folder of a run takes it.",
+        _INIT_EPILOG,
+    ),
+    "import": (
+        ImportOptions,
+        "a dataset from another program's poses",
+        "Make a dataset of another program's poses, which become its truth.",
+        _IMPORT_EPILOG,
+    ),
+}
+
+
+OPTIONS = {name: kind for name, (kind, *_) in _ACTIONS.items()}
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs ``init`` or ``import``, whichever the first word is; returns the exit code."""
+    parser = Parser("lodbench dataset")
+    actions = parser.add_subparsers(dest="action", required=True)
+    for name, (kind, help_, about, epilog) in _ACTIONS.items():
+        add_options(actions.add_parser(name, help=help_, description=about, epilog=epilog), kind)
+    words = parser.parse_args(argv)
+    return _make(options_of(words, _ACTIONS[words.action][0]))
+
+
+def _make(given: InitOptions | ImportOptions) -> int:
     from lodbench.harness.photo.own_dataset import OwnRequest, make_own_dataset, to_json
 
-    require_within("--offset", given.offset, -math.inf)
+    common, sources = given.common, given.sources()
+    require_within("--offset", common.offset, -math.inf)
     _require_used(given)
-    profile = load_profile(given.source, given.option, given.crs, given.date)
-    camera, camera_sigmas = given_camera(given.camera)
+    profile = given.reading.profile()
+    camera, camera_sigmas = given_camera(common.camera)
     made = make_own_dataset(
         OwnRequest(
             folder=given.folder,
             photos=given.images,
-            masks=given.masks,
+            masks=common.masks,
             camera=camera,
             camera_sigmas=camera_sigmas,
-            offset_m=tuple(given.offset),
+            offset_m=common.offset,
             city=given.city,
-            lod=given.lod or profile.lod,
+            lod=given.reading.lod or profile.lod,
             options=profile.options,
-            heights=height_options(given),
+            heights=common.heights.options(),
             **sources,
         )
     )
-    text = json.dumps(to_json(made), indent=2, ensure_ascii=False) if given.json else _describe(made, given)
+    text = json.dumps(to_json(made), indent=2, ensure_ascii=False) if common.json else _describe(made, given)
     sys.stdout.write(text + "\n")
     return 0
 
 
-def _require_used(given: argparse.Namespace) -> None:
-    """Refuses options that nothing would read.
-
-    Raises:
-        ConfigError: There is one.
-    """
-    heights, is_import = height_flags(given), given.make is _import
+def _require_used(given: InitOptions | ImportOptions) -> None:
+    """Refuses options that nothing would read."""
+    common, heights = given.common, given.common.heights.given()
+    is_alone = isinstance(given, InitOptions) and given.colmap is None
     unused = [
-        ("--city", city_flags(given) if given.city is None else []),
+        ("--city", given.reading.given() if given.city is None else []),
         ("--city and --images", heights if None in (given.city, given.images) else []),
-        ("--images", ["--masks"] if given.images is None and given.masks is not None else []),
-        ("--colmap", ["--offset"] if not is_import and given.colmap is None and any(given.offset) else []),
+        ("--images", ["--masks"] if given.images is None and common.masks is not None else []),
+        ("--colmap", ["--offset"] if is_alone and any(common.offset) else []),
     ]
     for needed, flags in unused:
         if flags:
             raise ConfigError(
                 f"{flags[0]} is not used without {needed}.", f"Give {needed}, or leave {flags[0]} out."
             )
-    if is_import and given.camera is not None and given.cameras is not None:
+    if isinstance(given, ImportOptions) and None not in (common.camera, given.cameras):
         raise ConfigError("--camera and --cameras say the same.", "Leave one of them out.")
 
 
-def _describe(made: OwnDataset, given: argparse.Namespace) -> str:
+def _describe(made: OwnDataset, given: InitOptions | ImportOptions) -> str:
     """Returns what was made, what was not, and the next command."""
     written = made.written
     count = len(written.names)
@@ -204,14 +216,14 @@ def _describe(made: OwnDataset, given: argparse.Namespace) -> str:
         # dataset.json names the city that is known.
         "" if given.city else "city=FILE",
         "" if made.num_priors else "prior=uniform",
-        "method=contour_alignment" if given.masks or given.images is None else "method=region",
+        "method=contour_alignment" if given.common.masks or given.images is None else "method=region",
         # Without photos the only masks are those of the city at the true poses.
         "segmenter=oracle" if given.images is None else "",
         # The run must read the city as it was read here.
-        f"dataset.crs={given.crs}" if given.crs else "",
-        f"dataset.lod={given.lod}" if given.lod else "",
-        f"source={given.source}" if given.source != "folder" else "",
-        *(f"source.options.{option}" for option in given.option),
+        f"dataset.crs={given.reading.crs}" if given.reading.crs else "",
+        f"dataset.lod={given.reading.lod}" if given.reading.lod else "",
+        f"source={given.reading.source}" if given.reading.source != "folder" else "",
+        *(f"source.options.{option}" for option in given.reading.option),
     ]
     lines.append("Next: lodbench run " + shlex.join(word for word in words if word))
     return "\n".join(lines)

@@ -8,8 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from lodbench.cli.console import check_lines
-from lodbench.cli.parser import Parser
+from lodbench.cli.parser import Parser, check_lines
 
 if TYPE_CHECKING:
     from lodbench.checks import Check

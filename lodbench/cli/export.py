@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lodbench.citymodel.crs import is_same_plane, require_crs
 from lodbench.citymodel.scene import Scene
 from lodbench.cli.parser import Parser
-from lodbench.cli.verify import add_path_options, reopen_dataset, run_folders
+from lodbench.cli.verify import DataOptions, reopen_dataset, run_folders
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.harness.city import open_city
@@ -27,6 +26,7 @@ from lodbench.harness.export.formats import (
 )
 from lodbench.harness.export.localized import is_localized, read_localized_folder
 from lodbench.harness.runs.stored import StoredRun, read_whole_run, require_writable
+from lodbench.params import flag, parsed, part, word
 from lodbench.photos.map_frame import MapFrame
 from lodbench.plugins import blaming, plugin_names
 from lodbench.reporting.aligned_text import count_of
@@ -46,9 +46,29 @@ frame; `rerun FILE` opens it. Of files that are there only earlier exports in th
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """What the command is given."""
+
+    runs: tuple[Path, ...] = word("folders of run or localize", metavar="RUN")
+    format: str = flag(..., ", ".join(plugin_names("export_formats")), metavar="FORMAT")
+    out: Path | None = flag(None, "file or folder to write, of one run (RUN/export/...)", metavar="PATH")
+    crs: str | None = flag(
+        None,
+        "reference system of the poses, for formats that state one, where the run keeps none",
+        sets=("crs",),
+    )
+    data: DataOptions = part(DataOptions)
+
+
+OPTIONS = {"": ExportOptions}
+
+
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    options = _parser().parse_args(argv)
+    options = parsed(
+        Parser("lodbench export", "Write a run's poses for another program.", _EPILOG), argv, ExportOptions
+    )
     localized = [folder for folder in options.runs if is_localized(folder)]
     others = [folder for folder in options.runs if folder not in localized]
     folders = [*localized, *(run_folders(others, options.out) if others else ())]
@@ -67,54 +87,41 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
-def _require_heard(options: argparse.Namespace, form: ExportFormat) -> None:
-    """Checks that the format has a use for what is given.
-
-    Raises:
-        LodbenchError: It has none, or poses in metres cannot be in the given system.
-    """
+def _require_heard(options: ExportOptions, form: ExportFormat) -> None:
+    """Checks that the format has a use for what is given."""
     if options.crs is not None:
         if CRS not in wanted_by(form):
             raise ConfigError(f"--format {options.format} states no reference system.", "Leave --crs out.")
         MapFrame(options.crs)  # the poses are in metres, and stay as they are
-    if not wanted_by(form) and (options.dataset_root or options.city_model):
+    if not wanted_by(form) and options.data.is_given:
         raise ConfigError(
             f"--format {options.format} needs poses alone.", "Leave --dataset-root and --city out."
         )
 
 
-def _localized(options: argparse.Namespace, folder: Path, form: ExportFormat) -> Export:
-    """Returns what `lodbench localize` wrote into a folder, with what the format takes of it.
-
-    Raises:
-        LodbenchError: It cannot be read, the format requires a city, or the poses are in another system than
-            is given.
-    """
+def _localized(options: ExportOptions, folder: Path, form: ExportFormat) -> Export:
+    """Returns what `lodbench localize` wrote into a folder, with what the format takes of it."""
     if CITY in form.requires:
         raise ConfigError(
             f"--format {options.format} needs a run of a dataset, and {folder} is of lodbench localize.",
             "Make one of the photos: lodbench dataset init.",
         )
-    if options.dataset_root is not None or options.city_model is not None:
+    if options.data.is_given:
         hint = "Leave --dataset-root and --city out; --crs names the system of a local frame."
         raise ConfigError(f"{folder}, of lodbench localize, has cameras and reference system itself.", hint)
     export = read_localized_folder(folder)
     return replace(export, crs=_one_system([export.crs, options.crs], options.crs))
 
 
-def _opened(options: argparse.Namespace, run: StoredRun, form: ExportFormat) -> Export:
-    """Returns a run with what the format requires, or takes if it is known.
-
-    Raises:
-        LodbenchError: It cannot be had, or the poses are in another system than is given.
-    """
+def _opened(options: ExportOptions, run: StoredRun, form: ExportFormat) -> Export:
+    """Returns a run with what the format requires, or takes if it is known."""
     kept, needs = run.provenance.get("crs"), wanted_by(form)
-    is_asked = CRS in needs and (kept is None or options.city_model is not None)
-    is_placed = options.dataset_root is not None or options.city_model is not None
+    is_asked = CRS in needs and (kept is None or options.data.city_model is not None)
+    is_placed = options.data.is_given
     dataset = city = None
     try:
         if is_placed or is_asked or needs - {CRS}:
-            dataset = reopen_dataset(run.folder, options.dataset_root, options.city_model)
+            dataset = reopen_dataset(run.folder, options.data.dataset_root, options.data.city_model)
         if dataset is not None and (CITY in needs or (is_asked and dataset.city_model is not None)):
             city = _city_of(dataset)
     except LodbenchError:
@@ -131,11 +138,7 @@ def _opened(options: argparse.Namespace, run: StoredRun, form: ExportFormat) -> 
 
 
 def _one_system(reported: Sequence[object], crs: str | None) -> str | None:
-    """Returns the reference system that poses are in, as requested or first stated; None if by nobody.
-
-    Raises:
-        LodbenchError: Two of those stated contradict each other, or nobody knows one.
-    """
+    """Returns the reference system that poses are in, as requested or first stated; None if by nobody."""
     named = [str(name) for name in reported if name is not None]
     for other in named[1:]:
         first, second = require_crs(named[0]), require_crs(other)
@@ -161,29 +164,10 @@ def _report(done: Exported, form: ExportFormat) -> None:
 
 
 def _city_of(dataset: Dataset) -> Scene:
-    """Returns the city of a dataset.
-
-    Raises:
-        LodbenchError: It is not there, or cannot be read.
-    """
+    """Returns the city of a dataset."""
     if dataset.city_model is None or not dataset.city_model.exists():
         raise DatasetError(
             f"The city model {dataset.city_model or 'of this run'} does not exist.",
             "Name it with --city; for geojson --crs will do.",
         )
     return open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser("lodbench export", "Write a run's poses for another program.", _EPILOG)
-    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="folders of run or localize")
-    names = ", ".join(plugin_names("export_formats"))
-    parser.add_argument("--format", required=True, metavar="FORMAT", help=names)
-    parser.add_argument(
-        "--out", type=Path, metavar="PATH", help="file or folder to write, of one run (RUN/export/...)"
-    )
-    parser.add_argument(
-        "--crs", help="reference system of the poses, for formats that state one, where the run keeps none"
-    )
-    add_path_options(parser)
-    return parser

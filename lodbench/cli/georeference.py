@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lodbench.cli.localize import NOT_TRUSTED
 from lodbench.cli.parser import Parser
-from lodbench.cli.place_options import add_height_options, add_map_options, city_settings, height_flags
-from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
+from lodbench.cli.parts import require_one_mask_source, segmenter_of
+from lodbench.cli.place_options import HeightFlags, MapOptions, city_settings
 from lodbench.errors import ConfigError, DatasetError
+from lodbench.params import flag, parsed, part, word
 from lodbench.reporting.aligned_text import plain_text
 from lodbench.segmentation.registry import FOR_PHOTOS
 
@@ -37,9 +38,35 @@ examples:
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class GeoreferenceOptions:
+    """What the command is given."""
+
+    model: Path = word("folder with cameras and images", metavar="COLMAP_MODEL")
+    map: MapOptions = part(MapOptions)
+    images: Path | None = flag(None, "the model's photos, as the drone stored them", metavar="DIR")
+    masks: Path | None = flag(None, "masks of the photos, named as these", metavar="DIR")
+    segmenter: str | None = flag(
+        None, f"makes masks instead ({FOR_PHOTOS})", metavar="NAME", sets=("segmenter",)
+    )
+    start: Path | None = flag(None, "rough poses, or similarity.json", metavar="FILE")
+    heights: HeightFlags = part(HeightFlags, "heights: from the drone's datum to the city's")
+    method: str = flag("flight", "solves flights (flight)", metavar="NAME", sets=("method",))
+    sidecars: bool = flag(False, "write PHOTO.xmp beside each of --images, if trusted")
+    seed: int = flag(0, "random seed (default: 0)")
+    out: Path = flag(Path("georeferenced"), "(georeferenced)", metavar="DIR")
+    json: bool = flag(False, "print JSON, for scripts")
+
+
+OPTIONS = {"": GeoreferenceOptions}
+
+
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    given = _parser().parse_args(argv)
+    parser = Parser(
+        "lodbench georeference", "Place a COLMAP model in a city by the outlines of its buildings.", _EPILOG
+    )
+    given = parsed(parser, argv, GeoreferenceOptions)
     from lodbench.datasets.own import find_photo, shared_files
     from lodbench.harness.city import open_city
     from lodbench.harness.georeference import GeoreferenceRequest, georeference
@@ -52,7 +79,7 @@ def main(argv: Sequence[str]) -> int:
     if not isinstance(method, SupportsFlights):
         raise ConfigError(f"--method {given.method} solves no flights.", "Leave --method out.")
     request = GeoreferenceRequest(
-        **city_settings(given),
+        **city_settings(given.map, given.heights, given.out),
         model=given.model,
         method=method,
         images=given.images,
@@ -61,14 +88,15 @@ def main(argv: Sequence[str]) -> int:
         start=given.start,
         seed=given.seed,
     )
-    if given.sidecars:
+    photos = given.images if given.sidecars else None
+    if photos is not None:
         city = open_city(request.city, request.lod, request.options, request.roof_height)
-        require_sidecars(city.scene.crs, [given.images])
+        require_sidecars(city.scene.crs, [photos])
     placed = georeference(request)
     text = json.dumps(placed.to_json(), indent=2, ensure_ascii=False) if given.json else describe(placed)
     sys.stdout.write(text + "\n")
-    if given.sidecars:
-        files = [(find_photo(given.images, camera.name), camera.pose) for camera in placed.cameras]
+    if photos is not None:
+        files = [(find_photo(photos, camera.name), camera.pose) for camera in placed.cameras]
         shared = shared_files(file for file, _ in files)
         own = [(file, pose) for file, pose in files if file is not None and file not in shared]
         line = write_sidecars(own if placed.is_trusted else [], placed.crs)
@@ -76,7 +104,7 @@ def main(argv: Sequence[str]) -> int:
     return 0 if placed.is_trusted else NOT_TRUSTED
 
 
-def _require_given(given: argparse.Namespace) -> None:
+def _require_given(given: GeoreferenceOptions) -> None:
     for name in ("model", "images", "masks"):
         folder = getattr(given, name)
         if folder is not None and not folder.is_dir():
@@ -86,7 +114,7 @@ def _require_given(given: argparse.Namespace) -> None:
         raise DatasetError(f"{given.start} does not exist.", "Check the path.")
     if given.masks is None and given.images is None:
         raise ConfigError("There is nothing to place the model by.", "Give --masks DIR, or --images DIR.")
-    unused = height_flags(given)
+    unused = given.heights.given()
     if given.start is not None and unused:
         hint = f"--start has the heights: leave {unused[0]} or --start out."
         raise ConfigError(f"{unused[0]} is not used with --start.", hint)
@@ -130,23 +158,3 @@ def _doubted(placed: Georeferenced) -> str:
 
 def _three(numbers: Iterable[float]) -> str:
     return " ".join(f"{number:.2f}" for number in numbers)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        "lodbench georeference", "Place a COLMAP model in a city by the outlines of its buildings.", _EPILOG
-    )
-    add = parser.add_argument
-    add("model", type=Path, metavar="COLMAP_MODEL", help="folder with cameras and images")
-    add_map_options(parser)
-    add("--images", type=Path, metavar="DIR", help="the model's photos, as the drone stored them")
-    add("--masks", type=Path, metavar="DIR", help="masks of the photos, named as these")
-    add("--segmenter", metavar="NAME", help=f"makes masks instead ({FOR_PHOTOS})")
-    add("--start", type=Path, metavar="FILE", help="rough poses, or similarity.json")
-    add_height_options(parser)
-    add("--method", default="flight", metavar="NAME", help="solves flights (flight)")
-    add("--sidecars", action="store_true", help="write PHOTO.xmp beside each of --images, if trusted")
-    add("--seed", type=int, default=0, help="random seed (default: 0)")
-    add("--out", type=Path, default=Path("georeferenced"), metavar="DIR", help="(georeferenced)")
-    add("--json", action="store_true", help="print JSON, for scripts")
-    return parser

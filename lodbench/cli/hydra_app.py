@@ -14,8 +14,8 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from lodbench.cli.configs import composed, config_files, hydra_version, read_config
-from lodbench.cli.console import report_fault
-from lodbench.cli.setting_help import Group, groups_of, settings_of, settings_of_group, tell_old_names
+from lodbench.cli.parser import report_fault
+from lodbench.cli.settings import Group, groups_of, settings_of, settings_of_group, tell_old_names
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
 from lodbench.plugins import config_folders, plugin_names
 
@@ -97,11 +97,7 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
 
 
 def _run_jobs(command: str, config_name: str, job: Callable[[DictConfig], None], argv: Sequence[str]) -> None:
-    """Runs each job of a command with the configuration that Hydra composes.
-
-    Raises:
-        LodbenchError: An override is malformed, unknown or of the wrong type.
-    """
+    """Runs each job of a command with the configuration that Hydra composes."""
     from hydra.errors import HydraException
     from yaml import YAMLError
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections import Counter
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from lodbench.cli.parser import Parser
-from lodbench.cli.verify import add_path_options, describe, read_config, run_folders, verify_folder
+from lodbench.cli.verify import DataOptions, describe, read_config, run_folders, verify_folder
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.errors import DatasetError
 from lodbench.evaluation.queries import has_truth
-from lodbench.harness.runs.result import split_digest
+from lodbench.harness.runs import split_digest
 from lodbench.harness.runs.verify import Verdict
 from lodbench.methods.registry import changed_settings
+from lodbench.params import add_options, flag, options_of, part, word
 from lodbench.reporting.leaderboard import build_leaderboard
 from lodbench.reporting.leaderboard_entry import (
     Entry,
@@ -28,38 +29,58 @@ from lodbench.reporting.leaderboard_entry import (
 from lodbench.reporting.summaries import with_plugin_metrics, without_metrics
 from lodbench.storage import make_folder, write_text
 
+_ROOT = "its folder (leaderboard)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddOptions:
+    """What `leaderboard add` is given."""
+
+    runs: tuple[Path, ...] = word("run folders", metavar="RUN")
+    map: str = flag("", "what the method localises against, for example 'LoD model'")
+    data: DataOptions = part(DataOptions)
+    root: Path = flag(Path("leaderboard"), _ROOT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BuildOptions:
+    """What `leaderboard build` is given."""
+
+    check: bool = flag(False, "write nothing; fail if a file is not what they make")
+    root: Path = flag(Path("leaderboard"), _ROOT)
+
+
+_ACTIONS: dict[str, tuple[type, str]] = {
+    "add": (
+        AddOptions,
+        "verify a run and store its row; oracle and unverifiable runs are kept out of the ranking",
+    ),
+    "build": (BuildOptions, "write CSV, Markdown, LaTeX and pages from the entries"),
+}
+
+
+OPTIONS = {name: kind for name, (kind, *_) in _ACTIONS.items()}
+
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    options = _parser().parse_args(argv)
-    if options.action == "build":
-        return _build(options.root, options.check)
-    options.runs = run_folders(options.runs)
-    for run in options.runs:
-        read_config(run)  # all of them are runs, or nothing is stored
-    return max(_add(run, options) for run in options.runs)
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = Parser("lodbench leaderboard", description="Rows people can trust.")
     actions = parser.add_subparsers(dest="action", required=True, metavar="add|build")
-    add = actions.add_parser(
-        "add", help="verify a run and store its row; oracle and unverifiable runs are kept out of the ranking"
-    )
-    add.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run folders")
-    add.add_argument("--map", default="", help="what the method localises against, for example 'LoD model'")
-    add_path_options(add)
-    build = actions.add_parser("build", help="write CSV, Markdown, LaTeX and pages from the entries")
-    build.add_argument(
-        "--check", action="store_true", help="write nothing; fail if a file is not what they make"
-    )
-    for action in (add, build):
-        action.add_argument("--root", type=Path, default=Path("leaderboard"), help="its folder (leaderboard)")
-    return parser
+    for name, (kind, help_) in _ACTIONS.items():
+        add_options(actions.add_parser(name, help=help_), kind)
+    given = parser.parse_args(argv)
+    if given.action == "build":
+        built = options_of(given, BuildOptions)
+        return _build(built.root, built.check)
+    options = options_of(given, AddOptions)
+    runs = run_folders(options.runs)
+    for run in runs:
+        read_config(run)  # all of them are runs, or nothing is stored
+    return max(_add(run, options) for run in runs)
 
 
-def _add(run: Path, options: argparse.Namespace) -> int:
-    verdict = verify_folder(run, options.dataset_root, options.city_model)
+def _add(run: Path, options: AddOptions) -> int:
+    verdict = verify_folder(run, options.data.dataset_root, options.data.city_model)
     if verdict.differences:
         sys.stdout.write(describe(verdict))
         sys.stderr.write(f"lodbench: {run} was not added: its numbers are not consistent with its poses.\n")

@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.cli.localize_text import describe, describe_many
 from lodbench.cli.parser import Parser
-from lodbench.cli.place_options import (
-    add_height_options,
-    add_map_options,
-    add_prior_options,
-    add_rough_pose_options,
-    add_start_option,
-    city_settings,
-    require_start_alone,
-    rough_settings,
-    with_prior_width,
-)
-from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
-from lodbench.cli.source_profiles import option_pairs
+from lodbench.cli.parts import option_pairs, require_one_mask_source, segmenter_of
+from lodbench.cli.place_options import HeightFlags, MapOptions, PlaceOptions, PriorOptions, city_settings
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
+from lodbench.params import add_options, flag, options_of, part, word
 from lodbench.photos.pose import START_OF_EACH
 from lodbench.segmentation.registry import FOR_PHOTOS
 
 if TYPE_CHECKING:
+    from lodbench.harness.photo import LocalizedPhoto, PhotoRequest
     from lodbench.harness.photo.many import Answers
-    from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
     from lodbench.methods import Method
 
 _LOGGER = logging.getLogger(__name__)
@@ -43,6 +32,13 @@ NOT_TRUSTED = 3
 # The methods of one photo, by what there is of it.
 _BY_MASK, _BY_PIXELS = "contour_alignment", "auto"
 _NO_FLIGHT = "Leave --each-alone and --method out."
+_TIES, _LIES = "ties a flight's photos", "lies under the map of a flight's page"
+# Options of several photos: what they are for, and what one photo takes instead.
+_OF_SEVERAL = (
+    ("masks", "is for several photos", "Give `--mask FILE`."),
+    ("reconstruction", _TIES, "Give several, or a folder."),
+    ("imagery", _LIES, "Give several, or a folder."),
+)
 # Of the help.
 _OPTION = "a setting of it, as in lodbench run --help; may be repeated"
 
@@ -88,11 +84,85 @@ examples:
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class LocalizeOptions:
+    """What the command is given."""
+
+    photos: tuple[Path, ...] = word(
+        "JPEG, PNG or TIFF as the drone stored them, or folders of these", metavar="PHOTO|DIR"
+    )
+    map: MapOptions = part(MapOptions)
+    mask: Path | None = flag(None, "mask of one photo: buildings white, all else black", metavar="FILE")
+    masks: Path | None = flag(None, "masks of many photos, named like the photos", metavar="DIR")
+    segmenter: str | None = flag(
+        None, f"what makes a mask where needed (default: {FOR_PHOTOS})", metavar="NAME", sets=("segmenter",)
+    )
+    segmenter_option: tuple[str, ...] = flag((), _OPTION, metavar="KEY=VALUE")
+    place: PlaceOptions = part(PlaceOptions, "rough pose (takes precedence over the photo's metadata)")
+    start: Path | None = flag(
+        None,
+        "rough poses by photo name, in the city's coordinates, instead of the options above",
+        metavar="FILE",
+    )
+    prior: PriorOptions = part(PriorOptions, "how far off the rough pose may be (wider takes longer)")
+    heights: HeightFlags = part(HeightFlags, "heights: from the drone's datum to the city's")
+    method: str | None = flag(
+        None,
+        "default: flight; for one photo auto, with --mask or --segmenter contour_alignment, with "
+        "--method-option region",
+        metavar="NAME",
+        sets=("method",),
+    )
+    method_option: tuple[str, ...] = flag((), _OPTION, metavar="KEY=VALUE")
+    each_alone: bool = flag(False, "localise each of several photos by itself")
+    reconstruction: Path | None = flag(
+        None, "of a flight, in any frame: ties its photos together", metavar="COLMAP_MODEL"
+    )
+    sidecars: bool = flag(False, "write PHOTO.xmp beside each photo whose pose is reliable")
+    imagery: Path | None = flag(
+        None, "orthophoto (GeoTIFF, JPEG 2000) under the map of a flight's page", metavar="FILE"
+    )
+    seed: int = flag(0, "random seed (default: 0)")
+    out: Path = flag(Path("localized"), "folder of the results (default: localized)", metavar="DIR")
+    json: bool = flag(False, "print JSON, for scripts")
+
+    @property
+    def is_one(self) -> bool:
+        """Returns whether one photo is named, and no folder."""
+        return len(self.photos) == 1 and self.photos[0].is_file()
+
+    @property
+    def masks_inside(self) -> Path | None:
+        """Returns the folder ``masks`` in the one folder that was named; None where there is none."""
+        inside = self.photos[0] / "masks"
+        return inside if len(self.photos) == 1 and inside.is_dir() else None
+
+    @property
+    def masks_used(self) -> Path | None:
+        """Returns the folder of masks that counts: a segmenter that was named goes before what lies there."""
+        is_segmented = self.segmenter is not None or self.segmenter_option
+        return None if is_segmented else self.masks or self.masks_inside
+
+    def given(self, *names: str) -> list[str]:
+        """Returns the flags that were given, of some names."""
+        return [f"--{name.replace('_', '-')}" for name in names if getattr(self, name)]
+
+
+def parser() -> Parser:
+    """Returns the parser of the command's words."""
+    made = Parser("lodbench localize", _ABOUT, _EXAMPLES)
+    add_options(made, LocalizeOptions)
+    return made
+
+
+OPTIONS = {"": LocalizeOptions}
+
+
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    from lodbench.harness.photo.request import LocalizedPhoto
+    from lodbench.harness.photo import LocalizedPhoto
 
-    options = parser().parse_args(argv)
+    options = options_of(parser().parse_args(argv), LocalizeOptions)
     found = localized(options)
     if not isinstance(found, LocalizedPhoto):
         return _tell_many(found, options)
@@ -100,11 +170,11 @@ def main(argv: Sequence[str]) -> int:
     return 0 if found.is_trusted else NOT_TRUSTED
 
 
-def localized(options: argparse.Namespace) -> LocalizedPhoto | Answers:
+def localized(options: LocalizeOptions) -> LocalizedPhoto | Answers:
     """Returns the answer to one photo, or to several, and writes all of it but what is printed.
 
     Args:
-        options: As ``parser`` returns it.
+        options: Of the command.
 
     Raises:
         LodbenchError: An option is wrong, the city cannot be read, or the one photo cannot be localised.
@@ -114,12 +184,10 @@ def localized(options: argparse.Namespace) -> LocalizedPhoto | Answers:
     from lodbench.harness.photo.many import photos_of
     from lodbench.harness.photo.outputs import require_sidecars
 
-    is_one = len(options.photos) == 1 and options.photos[0].is_file()
-    _require_options(options, is_one)
-    inside = _masks_inside(options)
+    _require_options(options)
+    inside, masks = options.masks_inside, options.masks_used
     photos = photos_of(options.photos, options.masks or inside, inside, options.out)
-    masks = _masks_for(options)
-    method = _method(options, is_one, masks)
+    method = _method(options, masks)
     masks = masks if "mask" in method.requires else None
     if masks is not None:
         require_some_mask(masks, [f"{photo.parent.name}/{photo.name}" for photo in photos], photos)
@@ -127,10 +195,10 @@ def localized(options: argparse.Namespace) -> LocalizedPhoto | Answers:
     _tell_unused(photos, options)
     if options.sidecars:
         require_sidecars(open_map(request).scene.crs, {photo.parent for photo in photos})
-    return _one(request, options) if is_one else _several(request, photos, masks, options)
+    return _one(request, options) if options.is_one else _several(request, photos, masks, options)
 
 
-def _one(request: PhotoRequest, options: argparse.Namespace) -> LocalizedPhoto:
+def _one(request: PhotoRequest, options: LocalizeOptions) -> LocalizedPhoto:
     """Returns the answer to one photo, and writes it."""
     from lodbench.harness.photo.localize import STEPS, localize_photo
     from lodbench.harness.photo.outputs import write_view
@@ -143,13 +211,9 @@ def _one(request: PhotoRequest, options: argparse.Namespace) -> LocalizedPhoto:
 
 
 def _several(
-    request: PhotoRequest, photos: Sequence[Path], masks: Path | None, options: argparse.Namespace
+    request: PhotoRequest, photos: Sequence[Path], masks: Path | None, options: LocalizeOptions
 ) -> Answers:
-    """Returns the answers to several photos, as flights or each alone, and writes them.
-
-    Raises:
-        ConfigError: There is a reconstruction, and no flight is solved.
-    """
+    """Returns the answers to several photos, as flights or each alone, and writes them."""
     from lodbench.citymodel.imagery import open_imagery
     from lodbench.harness.photo.flights import localize_flights
     from lodbench.harness.photo.localize import open_map
@@ -161,9 +225,9 @@ def _several(
         imagery = None if options.imagery is None else open_imagery(options.imagery, open_map(request).scene)
         answers = localize_flights(request, photos, masks, options.reconstruction, imagery)
     elif options.imagery is not None:
-        raise ConfigError("`--imagery` lies under the map of a flight's page.", _NO_FLIGHT)
+        raise ConfigError(f"`--imagery` {_LIES}.", _NO_FLIGHT)
     elif options.reconstruction is not None:
-        raise ConfigError("`--reconstruction` ties a flight's photos.", _NO_FLIGHT)
+        raise ConfigError(f"`--reconstruction` {_TIES}.", _NO_FLIGHT)
     else:
         answers = localize_photos(request, photos, masks)
     if answers.found:
@@ -173,17 +237,17 @@ def _several(
     return answers
 
 
-def _tell_unused(photos: Sequence[Path], options: argparse.Namespace) -> None:
+def _tell_unused(photos: Sequence[Path], options: LocalizeOptions) -> None:
     """Warns of what photos have and nobody uses."""
     from lodbench.harness.photo.flight_inputs import heading_note, saved_masks_note
 
-    has_choice = options.mask is not None or options.segmenter is not None or _masks_for(options) is not None
-    notes = (None if has_choice else saved_masks_note(photos), heading_note(photos, options.heading))
+    has_choice = options.mask is not None or options.segmenter is not None or options.masks_used is not None
+    notes = (None if has_choice else saved_masks_note(photos), heading_note(photos, options.place.heading))
     for note in filter(None, notes):
         _LOGGER.warning("%s", note)
 
 
-def _write_sidecars(found: Sequence[tuple[Path, LocalizedPhoto]], options: argparse.Namespace) -> None:
+def _write_sidecars(found: Sequence[tuple[Path, LocalizedPhoto]], options: LocalizeOptions) -> None:
     """Writes XMP beside the photos whose poses are to be trusted, if that was requested."""
     from lodbench.harness.photo.outputs import write_sidecars
 
@@ -192,35 +256,17 @@ def _write_sidecars(found: Sequence[tuple[Path, LocalizedPhoto]], options: argpa
         sys.stderr.write(f"lodbench: sidecars: {write_sidecars(trusted, found[0][1].crs)}\n")
 
 
-def _masks_for(options: argparse.Namespace) -> Path | None:
-    """Returns the folder of masks that counts: a segmenter that was requested goes before what lies there."""
-    is_segmented = options.segmenter is not None or options.segmenter_option
-    return None if is_segmented else options.masks or _masks_inside(options)
-
-
-def _masks_inside(options: argparse.Namespace) -> Path | None:
-    """Returns the folder ``masks`` in the one folder that was requested; None where there is none."""
-    inside: Path = options.photos[0] / "masks"
-    return inside if len(options.photos) == 1 and inside.is_dir() else None
-
-
-def _method(options: argparse.Namespace, is_one: bool, masks: Path | None) -> Method:
-    """Returns the method that was requested, or the one for what was given.
-
-    Raises:
-        ConfigError: It looks at no mask, and one was named.
-    """
+def _method(options: LocalizeOptions, masks: Path | None) -> Method:
+    """Returns the method that was requested, or the one for what was given."""
     from lodbench.methods.registry import configure_method
 
-    given = [name for name in ("mask", "masks", "segmenter", "segmenter_option") if getattr(options, name)]
-    named = [f"--{name.replace('_', '-')}" for name in given]
+    named = options.given("mask", "masks", "segmenter", "segmenter_option")
     # Settings without a method are those of the one by pixels, which looks at no mask.
     by_pixels = "region" if options.method_option else _BY_PIXELS
     alone = _BY_MASK if named or masks is not None else by_pixels
-    name = options.method or (alone if is_one or options.each_alone else "flight")
-    method = with_prior_width(
-        configure_method({**option_pairs(options.method_option), "name": name}), options
-    ).make()
+    name = options.method or (alone if options.is_one or options.each_alone else "flight")
+    configured = configure_method({**option_pairs(options.method_option), "name": name})
+    method = options.prior.applied_to(configured).make()
     takes_mask = "mask" in method.requires
     makes_mask = "mask_on_demand" in method.requires and not (options.mask or options.masks)
     if named and not takes_mask and not makes_mask:
@@ -229,24 +275,20 @@ def _method(options: argparse.Namespace, is_one: bool, masks: Path | None) -> Me
     return method
 
 
-def _request(options: argparse.Namespace, photo: Path, method: Method, masks: Path | None) -> PhotoRequest:
-    from lodbench.harness.photo.request import PhotoRequest
+def _request(options: LocalizeOptions, photo: Path, method: Method, masks: Path | None) -> PhotoRequest:
+    from lodbench.harness.photo import PhotoRequest
 
     segmenter = None
     if options.mask is None and masks is None and {"mask", "mask_on_demand"} & set(method.requires):
         segmenter = segmenter_of(options.segmenter or FOR_PHOTOS, options.segmenter_option)
-    own = {"photo": photo, "mask": options.mask, "segmenter": segmenter, "seed": options.seed}
-    widths = (options.prior_range, options.prior_height, options.prior_yaw)
-    own |= {"method": method, "has_prior_range": any(width is not None for width in widths)}
-    return PhotoRequest(**city_settings(options), **rough_settings(options), **own)
+    own: dict[str, Any] = {"photo": photo, "mask": options.mask, "method": method, "seed": options.seed}
+    own |= {"segmenter": segmenter, "has_prior_range": options.prior.is_given}
+    city = city_settings(options.map, options.heights, options.out)
+    return PhotoRequest(**city, **options.place.settings(options.heights), **own)
 
 
-def _with_start(request: PhotoRequest, photos: Sequence[Path], options: argparse.Namespace) -> PhotoRequest:
-    """Returns a request with the rough poses that --start names, if it does.
-
-    Raises:
-        LodbenchError: They or the city cannot be read, or are of none of the photos.
-    """
+def _with_start(request: PhotoRequest, photos: Sequence[Path], options: LocalizeOptions) -> PhotoRequest:
+    """Returns a request with the rough poses that --start names, if it does."""
     if options.start is None:
         return request
     from lodbench.harness.photo.flight_inputs import read_rough_poses
@@ -255,13 +297,8 @@ def _with_start(request: PhotoRequest, photos: Sequence[Path], options: argparse
     return replace(request, start=read_rough_poses(options.start, photos, open_map(request).scene.crs))
 
 
-def _require_options(options: argparse.Namespace, is_one: bool) -> None:
-    """Refuses a city where photos are meant, and what is meant for one photo and given for many, and back.
-
-    Raises:
-        ConfigError: There is such an option.
-        DatasetError: A photo is not there.
-    """
+def _require_options(options: LocalizeOptions) -> None:
+    """Refuses a city where photos are meant, and what is meant for one photo and given for many, and back."""
     from lodbench.citymodel.source import is_city_file
 
     require_one_mask_source(options, "--mask", "--masks")
@@ -272,24 +309,22 @@ def _require_options(options: argparse.Namespace, is_one: bool) -> None:
     absent = [photo for photo in options.photos if not photo.exists()]
     if absent:
         raise DatasetError(f"The photo {absent[0]} does not exist.", "Check the path.")
-    require_start_alone(options)
-    own = [f"--{name}" for name in ("mask", "lat", "lon", "center") if getattr(options, name) is not None]
-    if own and not is_one:
+    if options.start is not None:
+        options.place.require_no_pose(options.start, options.heights)
+    own = [*options.given("mask"), *options.place.given("lat", "lon", "center")]
+    if own and not options.is_one:
         hint = "Use `--masks DIR` for several." if own[0] == "--mask" else f"For several: {START_OF_EACH}."
         raise ConfigError(f"`{own[0]}` works with one photo.", hint)
-    if options.masks is not None and is_one:
-        raise ConfigError("`--masks` is for several photos.", "Give `--mask FILE`.")
-    if options.reconstruction is not None and is_one:
-        raise ConfigError("`--reconstruction` ties a flight's photos.", "Give several, or a folder.")
-    if options.imagery is not None and is_one:
-        raise ConfigError("`--imagery` lies under the map of a flight's page.", "Give several, or a folder.")
+    for name, why, hint in _OF_SEVERAL if options.is_one else ():
+        if getattr(options, name) is not None:
+            raise ConfigError(f"`--{name}` {why}.", hint)
     if options.masks is not None and not options.masks.is_dir():
         raise ConfigError(
             f"`--masks {options.masks}` is not a folder.", "Name the folder of the photos' masks."
         )
 
 
-def _tell_many(answers: Answers, options: argparse.Namespace) -> int:
+def _tell_many(answers: Answers, options: LocalizeOptions) -> int:
     """Prints what became of many photos; returns the exit code."""
     if options.json:
         values = [
@@ -302,7 +337,7 @@ def _tell_many(answers: Answers, options: argparse.Namespace) -> int:
         ]
         sys.stdout.write(_json(values) + "\n")
     else:
-        sys.stdout.write(describe_many(answers, has_masks=_masks_for(options) is not None))
+        sys.stdout.write(describe_many(answers, has_masks=options.masks_used is not None))
     if all(answer.found is None for answer in answers.photos):
         return 1
     is_well = all(answer.found is not None and answer.found.is_trusted for answer in answers.photos)
@@ -311,60 +346,3 @@ def _tell_many(answers: Answers, options: argparse.Namespace) -> int:
 
 def _json(values: Any) -> str:
     return json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False)
-
-
-def parser() -> Parser:
-    """Returns the parser of the command's words."""
-    parser = Parser("lodbench localize", _ABOUT, _EXAMPLES)
-    add = parser.add_argument
-    add(
-        "photos",
-        type=Path,
-        nargs="+",
-        metavar="PHOTO|DIR",
-        help="JPEG, PNG or TIFF as the drone stored them, or folders of these",
-    )
-    add_map_options(parser)
-    add("--mask", type=Path, metavar="FILE", help="mask of one photo: buildings white, all else black")
-    add("--masks", type=Path, metavar="DIR", help="masks of many photos, named like the photos")
-    add("--segmenter", metavar="NAME", help=f"what makes a mask where needed (default: {FOR_PHOTOS})")
-    add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help=_OPTION)
-    add_rough_pose_options(parser, "rough pose (takes precedence over the photo's metadata)")
-    add_start_option(parser)
-    add_prior_options(parser)
-    add_height_options(parser)
-    add(
-        "--method",
-        metavar="NAME",
-        help="default: flight; for one photo auto, with --mask or --segmenter contour_alignment, with "
-        "--method-option region",
-    )
-    add("--method-option", action="append", default=[], metavar="KEY=VALUE", help=_OPTION)
-    add("--each-alone", action="store_true", help="localise each of several photos by itself")
-    add(
-        "--reconstruction",
-        type=Path,
-        metavar="COLMAP_MODEL",
-        help="of a flight, in any frame: ties its photos together",
-    )
-    add(
-        "--sidecars",
-        action="store_true",
-        help="write PHOTO.xmp beside each photo whose pose is reliable",
-    )
-    add(
-        "--imagery",
-        type=Path,
-        metavar="FILE",
-        help="orthophoto (GeoTIFF, JPEG 2000) under the map of a flight's page",
-    )
-    add("--seed", type=int, default=0, help="random seed (default: 0)")
-    add(
-        "--out",
-        type=Path,
-        default=Path("localized"),
-        metavar="DIR",
-        help="folder of the results (default: localized)",
-    )
-    add("--json", action="store_true", help="print JSON, for scripts")
-    return parser

@@ -8,10 +8,11 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, cast
 
-from lodbench.cli.localize import localized, parser
+from lodbench.cli.localize import LocalizeOptions, localized, parser
 from lodbench.errors import ConfigError, LodbenchError, Option, Words, nearest_names
+from lodbench.harness.photo import LocalizedPhoto
 from lodbench.harness.photo.many import Answers
-from lodbench.harness.photo.request import LocalizedPhoto
+from lodbench.params import options_of
 
 AnyPath = str | PathLike[str]
 
@@ -37,7 +38,7 @@ def localize_photo(photo: AnyPath, city: AnyPath, **options: Any) -> LocalizedPh
     """
     if Path(photo).is_dir():
         raise ConfigError(f"{fspath(photo)} is a folder.", "lodbench.localize_flight takes folders.")
-    return cast(LocalizedPhoto, _localized([photo], city, options))
+    return cast("LocalizedPhoto", _localized([photo], city, options))
 
 
 def localize_flight(photos: AnyPath | Sequence[AnyPath], city: AnyPath, **options: Any) -> Answers:
@@ -58,7 +59,7 @@ def localize_flight(photos: AnyPath | Sequence[AnyPath], city: AnyPath, **option
     several = [photos] if isinstance(photos, str | PathLike) else list(photos)
     if len(several) == 1 and Path(several[0]).is_file():
         raise ConfigError(f"{fspath(several[0])} is one photo.", "lodbench.localize_photo takes it.")
-    return cast(Answers, _localized(several, city, options))
+    return cast("Answers", _localized(several, city, options))
 
 
 def _localized(
@@ -67,7 +68,8 @@ def _localized(
     command = parser()
     known = {each.dest: each for each in command._actions if each.option_strings}
     try:
-        return localized(command.parse_args(_typed(photos, city, options, known)))
+        typed = command.parse_args(_typed(photos, city, options, known))
+        return localized(options_of(typed, LocalizeOptions))
     except LodbenchError as error:
         flags = {each.option_strings[-1]: each for each in known.values()}
         error.message = as_arguments(error.message, flags)

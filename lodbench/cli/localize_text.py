@@ -13,8 +13,8 @@ from lodbench.reporting.flight_words import place_columns
 from lodbench.reporting.table_columns import finite_text
 
 if TYPE_CHECKING:
+    from lodbench.harness.photo import LocalizedPhoto
     from lodbench.harness.photo.many import Answers, PhotoAnswer
-    from lodbench.harness.photo.request import LocalizedPhoto
 
 # Lines about single answers that are not to be trusted: more stand in the table.
 _MOST_DOUBTS = 10

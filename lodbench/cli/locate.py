@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lodbench.cli.localize import NOT_TRUSTED
 from lodbench.cli.parser import Parser
-from lodbench.cli.place_options import add_map_options, map_settings
+from lodbench.cli.place_options import MapOptions
 from lodbench.errors import ConfigError, require_within
+from lodbench.params import flag, parsed, part, word
 from lodbench.reporting.aligned_text import format_columns, plain_text
 from lodbench.storage.json_text import finite
 
 if TYPE_CHECKING:
-    from lodbench.harness.photo.placed import PlacedPhoto
+    from lodbench.harness.photo.placing import PlacedPhoto
 
 # So much of what a region shows stands in its line; the rest in GeoJSON.
 _SHOWN = 2
@@ -48,22 +49,53 @@ examples:
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class LocateOptions:
+    """What the command is given."""
+
+    photo: Path = word("a photo that lodbench localize has placed", metavar="PHOTO")
+    map: MapOptions = part(MapOptions)
+    found: Path = flag(
+        Path("localized"), "folder that lodbench localize wrote (default: localized)", metavar="DIR"
+    )
+    pixel: tuple[tuple[float, float], ...] = flag(
+        (),
+        "column and row, in the photo as stored; may be repeated",
+        type=float,
+        nargs=2,
+        metavar=("U", "V"),
+    )
+    mask: Path | None = flag(None, "mask of the photo: its white regions become polygons", metavar="FILE")
+    pixel_sigma: float | None = flag(None, "how well pixels are pointed at (default: 1)", metavar="PX")
+    map_sigma: float | None = flag(None, "how far surfaces of the map may be off (default: 0.5)", metavar="M")
+    ground_sigma: float | None = flag(
+        None, "how well the ground's height is known (default: by the bases)", metavar="M"
+    )
+    out: Path | None = flag(
+        None, "GeoJSON to write (default: PHOTO_places.geojson in --found)", metavar="FILE"
+    )
+    json: bool = flag(False, "print JSON, for scripts")
+
+
+OPTIONS = {"": LocateOptions}
+
+
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    options = _parser().parse_args(argv)
+    options = parsed(Parser("lodbench locate", _ABOUT, _EPILOG), argv, LocateOptions)
     from lodbench.harness.photo.placing import PlacesRequest, place_photo
 
     if not options.pixel and options.mask is None:
         raise ConfigError("There is nothing to place.", "Give --pixel U V, or --mask FILE.")
     for name in ("pixel", "map", "ground"):
         require_within(f"--{name}-sigma", getattr(options, f"{name}_sigma"), 0)
-    sigmas = {"pixel_sigma_px": options.pixel_sigma, "map_sigma_m": options.map_sigma}
+    sigmas: dict[str, Any] = {"pixel_sigma_px": options.pixel_sigma, "map_sigma_m": options.map_sigma}
     sigmas = {name: value for name, value in sigmas.items() if value is not None}
     request = PlacesRequest(
-        **map_settings(options),
+        **options.map.settings(),
         photo=options.photo,
         found=options.found,
-        pixels=[tuple(pixel) for pixel in options.pixel],
+        pixels=options.pixel,
         mask=options.mask,
         out=options.out,
         ground_sigma_m=options.ground_sigma,
@@ -80,7 +112,7 @@ def main(argv: Sequence[str]) -> int:
 
 def describe(placed: PlacedPhoto) -> str:
     """Returns a line per pixel or region, and notes."""
-    from lodbench.harness.photo.placed import earth_of, true_ellipse
+    from lodbench.harness.photo.placing import earth_of, true_ellipse
 
     on_earth = placed.frame is not None
     has_regions = any(each.outline is not None for each in placed.features)
@@ -107,40 +139,3 @@ def describe(placed: PlacedPhoto) -> str:
     lines += [f"note: {note}" for note in placed.notes]
     lines += [] if placed.map is None else [f"map: {placed.map}"]
     return "\n".join([format_columns(rows), *lines])
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser("lodbench locate", _ABOUT, _EPILOG)
-    add = parser.add_argument
-    add("photo", type=Path, metavar="PHOTO", help="a photo that lodbench localize has placed")
-    add_map_options(parser)
-    add(
-        "--found",
-        type=Path,
-        default=Path("localized"),
-        metavar="DIR",
-        help="folder that lodbench localize wrote (default: localized)",
-    )
-    add(
-        "--pixel",
-        type=float,
-        nargs=2,
-        action="append",
-        default=[],
-        metavar=("U", "V"),
-        help="column and row, in the photo as stored; may be repeated",
-    )
-    add("--mask", type=Path, metavar="FILE", help="mask of the photo: its white regions become polygons")
-    add("--pixel-sigma", type=float, metavar="PX", help="how well pixels are pointed at (default: 1)")
-    add("--map-sigma", type=float, metavar="M", help="how far surfaces of the map may be off (default: 0.5)")
-    add(
-        "--ground-sigma",
-        type=float,
-        metavar="M",
-        help="how well the ground's height is known (default: by the bases)",
-    )
-    add(
-        "--out", type=Path, metavar="FILE", help="GeoJSON to write (default: PHOTO_places.geojson in --found)"
-    )
-    add("--json", action="store_true", help="print JSON, for scripts")
-    return parser

@@ -13,7 +13,7 @@ from lodbench.cli.parser import Parser
 from lodbench.errors import ConfigError, require_within
 
 if TYPE_CHECKING:
-    from lodbench.harness.mask.session import MaskSession
+    from lodbench.harness.mask import MaskSession
 
 _FORMATS = ("labelme", "coco", "geojson")
 _EXAMPLES = """\
@@ -32,8 +32,8 @@ examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = _parser().parse_args(argv)
-    from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
-    from lodbench.harness.mask.session import (
+    from lodbench.cli.parts import require_one_mask_source, segmenter_of
+    from lodbench.harness.mask import (
         Untouched,
         opened_session,
         require_untouched,
@@ -83,11 +83,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _check_out(out: Path, photo: Path) -> None:
-    """Makes sure that a mask can be saved under a name.
-
-    Raises:
-        ConfigError: It is a folder, no PNG file, or the photo itself.
-    """
+    """Makes sure that a mask can be saved under a name."""
     from lodbench.photos.files import mask_name
 
     if out.is_dir():
@@ -101,11 +97,7 @@ def _check_out(out: Path, photo: Path) -> None:
 
 
 def _start(options: argparse.Namespace, polygons: Path | None, out: Path) -> Path | None:
-    """Returns the mask to start from: what was named, else the one that was saved before.
-
-    Raises:
-        ConfigError: The mask that was saved before, perhaps by hand, would be replaced unasked.
-    """
+    """Returns the mask to start from: what was named, else the one that was saved before."""
     named: Path | None = options.mask
     # Polygons were written from that mask: what comes back is meant to replace it.
     if options.out is not None or polygons is not None or not out.exists():
@@ -125,13 +117,9 @@ def _keep_hint(out: Path) -> str:
 def _serve(
     session: MaskSession, options: argparse.Namespace, out: Path, save: Callable[[], tuple[Path, ...]]
 ) -> None:
-    """Serves the page until it is closed, or Ctrl+C, which keeps strokes that were not saved beside the mask.
-
-    Raises:
-        ConfigError: Nobody may listen at the port, or somebody else does.
-    """
-    from lodbench.harness.mask.server import MaskServer
-    from lodbench.harness.mask.session import saved
+    """Serves the page until it is closed, or Ctrl+C, which keeps unsaved strokes beside the mask."""
+    from lodbench.harness.local_page import MaskServer
+    from lodbench.harness.mask import saved
     from lodbench.harness.tracebacks import last_write
 
     def saved_words() -> str:

@@ -11,7 +11,7 @@ from typing import Any
 from omegaconf import DictConfig
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
-from lodbench.cli.source_profiles import profile_of
+from lodbench.cli.parts import profile_of
 from lodbench.errors import ConfigError
 from lodbench.execution.executor import QUERIES, ExecutorParams
 from lodbench.harness.render import RenderParams, render_poses

@@ -2,52 +2,59 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from lodbench.citymodel.imagery import Imagery, open_imagery
 from lodbench.citymodel.scene import Scene
 from lodbench.cli.parser import Parser
-from lodbench.cli.verify import add_path_options, read_config, run_folders, verify_folder
+from lodbench.cli.verify import DataOptions, read_config, run_folders, verify_folder
 from lodbench.errors import ConfigError
 from lodbench.harness.runs.answer import FLIGHTS_FOLDER
 from lodbench.harness.runs.places import flight_findings, pages_of_run, scene_of, view_of_run
 from lodbench.harness.runs.report import run_report, title_of
 from lodbench.harness.runs.stored import require_writable
+from lodbench.params import flag, parsed, part, word
 from lodbench.storage import write_text
+
+_ABOUT = """\
+Write one HTML page of a run, pictures inside, and one of each flight that a method solved as a whole; numbers
+are verified on the way. Beside it PAGE_3d.html shows city and cameras in three dimensions.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportOptions:
+    """What the command is given."""
+
+    runs: tuple[Path, ...] = word("run folders", metavar="RUN")
+    out: Path | None = flag(
+        None,
+        "the page, of one run (report.html in the run folder); its other pages are written beside it",
+        metavar="FILE",
+    )
+    data: DataOptions = part(DataOptions)
+    imagery: Path | None = flag(None, "orthophoto (GeoTIFF, JPEG 2000) under the maps", metavar="FILE")
+
+
+OPTIONS = {"": ReportOptions}
 
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code: 1 if a run's numbers do not follow from its poses."""
-    parser = Parser(
-        "lodbench report",
-        description="Write one HTML page of a run, pictures inside, and one of each flight that a method "
-        "solved as a whole; numbers are verified on the way. Beside it PAGE_3d.html shows city and cameras "
-        "in three dimensions.",
-    )
-    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run folders")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE",
-        help="the page, of one run (report.html in the run folder); its other pages are written beside it",
-    )
-    add_path_options(parser)
-    parser.add_argument(
-        "--imagery", type=Path, metavar="FILE", help="orthophoto (GeoTIFF, JPEG 2000) under the maps"
-    )
-    options = parser.parse_args(argv)
+    parser = Parser("lodbench report", _ABOUT)
+    options = parsed(parser, argv, ReportOptions)
     folders = run_folders(options.runs, options.out)
     require_writable(options.out, folders, endings=(".html", ".htm"))
     return max(_report(folder, options) for folder in folders)
 
 
-def _report(run: Path, options: argparse.Namespace) -> int:
+def _report(run: Path, options: ReportOptions) -> int:
     """Writes the pages of a run; returns the exit code."""
-    verdict = verify_folder(run, options.dataset_root, options.city_model)
+    verdict = verify_folder(run, options.data.dataset_root, options.data.city_model)
     out = options.out or run / "report.html"
     tilt = str(read_config(run)["tilt"])
     scene = scene_of(verdict)
@@ -78,11 +85,7 @@ def _report(run: Path, options: argparse.Namespace) -> int:
 
 
 def _imagery(path: Path | None, scene: Scene | None) -> Imagery | None:
-    """Returns what lies under the maps, or None.
-
-    Raises:
-        LodbenchError: It cannot be read, lies elsewhere, or the city is not there.
-    """
+    """Returns what lies under the maps, or None."""
     if path is None:
         return None
     if scene is None:

@@ -12,6 +12,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
+from lodbench.cli.parts import default_segmenter, named_segmenter
 from lodbench.cli.run_dataset import (
     data_identity,
     made_method,
@@ -21,7 +22,6 @@ from lodbench.cli.run_dataset import (
     with_prior,
     with_source,
 )
-from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import ConfigError
 from lodbench.evaluation.basin import BasinStep, basin_steps, protocol_lines

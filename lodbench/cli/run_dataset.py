@@ -11,8 +11,8 @@ from lodbench.checks import FAULT, OK, Check
 from lodbench.citymodel.lifespans import date_in
 from lodbench.citymodel.options import PATH_OPTIONS
 from lodbench.cli.configs import config_files
-from lodbench.cli.setting_help import settings_of
-from lodbench.cli.source_profiles import option_pairs, profile_of
+from lodbench.cli.parts import option_pairs, profile_of
+from lodbench.cli.settings import settings_of
 from lodbench.datasets.own import find_mask, require_some_mask
 from lodbench.datasets.prior_sources import FilePrior, prior_digest
 from lodbench.datasets.query import Dataset

@@ -6,11 +6,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from lodbench.cli.console import report_fault
-from lodbench.cli.parser import Parser
+from lodbench.cli.parser import Parser, report_fault
 from lodbench.errors import DatasetError
 from lodbench.execution.progress import format_seconds
-from lodbench.harness.runs.status import RunStatus, find_runs, read_status
+from lodbench.harness.runs.stored import RunStatus, find_runs, read_status
 from lodbench.reporting.aligned_text import count_of, plain_text
 
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.cli.parser import Parser
-from lodbench.cli.place_options import add_height_options, height_flags, height_options
+from lodbench.cli.place_options import HeightFlags
 from lodbench.errors import ConfigError, DatasetError, require_within
+from lodbench.params import flag, parsed, part, word
 from lodbench.storage.paths import require_regular
 
 if TYPE_CHECKING:
@@ -34,14 +35,47 @@ examples:
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class TraceOptions:
+    """What the command is given."""
+
+    model: Path = word("folder with cameras, images and points3D", metavar="COLMAP_MODEL")
+    images: Path = flag(..., "the model's photos", metavar="DIR")
+    polygons: Path | None = flag(None, "what was traced before; without a page", metavar="FILE")
+    save: Path = flag(Path("traced.json"), "of the page (traced.json)", metavar="FILE")
+    out: Path = flag(Path("map.city.json"), "the map (map.city.json)", metavar="FILE")
+    compare: Path | None = flag(None, "another tracing, or a city model in the same frame", metavar="FILE")
+    scale: float | None = flag(None, "metres per unit of the model", metavar="METRES")
+    start: Path | None = flag(None, "rough poses in the map's frame, or similarity.json", metavar="FILE")
+    crs: str | None = flag(
+        None,
+        "the map's reference system; without --start, photos' GPS places it",
+        metavar="CODE",
+        sets=("crs",),
+    )
+    metric: bool = flag(False, "the model is in the map's coordinates already")
+    heights: HeightFlags = part(HeightFlags, "heights: from the drone's datum to the city's")
+    benchmark: Path | None = flag(None, "write a dataset of photos not used for the map", metavar="DIR")
+    queries: tuple[str, ...] = flag(
+        (), "those (every second that is not traced)", metavar="PATTERN", nargs="+", action="store"
+    )
+    seed: int = flag(0, "of the benchmark's priors (default: 0)")
+    port: int = flag(0, "of the page (any that is free)")
+    json: bool = flag(False, "print JSON, for scripts")
+
+
+OPTIONS = {"": TraceOptions}
+
+
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    options = _parser().parse_args(argv)
+    parser = Parser("lodbench trace", "Trace a map of roofs in the photos of a COLMAP model.", _EPILOG)
+    options = parsed(parser, argv, TraceOptions)
     from lodbench.citymodel.convert import check_target, convert_city
     from lodbench.datasets.own import require_new_folder
+    from lodbench.harness.tracing import read_tracing
     from lodbench.harness.tracing.outputs import compared, map_of, to_json, write_benchmark
     from lodbench.harness.tracing.solve import Model
-    from lodbench.harness.tracing.tracing import read_tracing
 
     _require_given(options)
     check_target(options.out)
@@ -63,7 +97,7 @@ def main(argv: Sequence[str]) -> int:
         result["queries"] = list(written.names)
         lines.append(f"written: {written.folder}, {len(written.names)} photos not used for the map")
         lines += [f"left out: {name}: {reason}" for name, reason in written.left_out]
-    if others is not None:
+    if others is not None and options.compare is not None:
         result["compared"] = compared(solved.buildings, others)
         lines += _comparison(result["compared"], options.compare)
     sys.stdout.write((json.dumps(result, indent=2) if options.json else "\n".join(lines)) + "\n")
@@ -100,8 +134,8 @@ def _comparison(rows: Sequence[dict[str, Any]], path: Path) -> list[str]:
 
 def _others(path: Path, model: Model) -> list[Footprint]:
     """Returns the buildings to compare with: those of another tracing, or of a city model."""
+    from lodbench.harness.tracing import is_tracing, read_tracing
     from lodbench.harness.tracing.outputs import Footprint, footprints_of
-    from lodbench.harness.tracing.tracing import is_tracing, read_tracing
 
     if not is_tracing(path):
         return footprints_of(path)
@@ -109,8 +143,8 @@ def _others(path: Path, model: Model) -> list[Footprint]:
     return [Footprint(b.roof.name, b.footprint, b.roof.height) for b in solved.buildings]
 
 
-def _request(options: argparse.Namespace) -> Any:
-    from lodbench.harness.tracing.tracing import TraceRequest
+def _request(options: TraceOptions) -> Any:
+    from lodbench.harness.tracing import TraceRequest
 
     return TraceRequest(
         model=options.model,
@@ -119,12 +153,12 @@ def _request(options: argparse.Namespace) -> Any:
         crs=options.crs,
         scale=options.scale,
         is_metric=options.metric,
-        heights=height_options(options),
-        queries=None if options.benchmark is None else tuple(options.queries),
+        heights=options.heights.options(),
+        queries=None if options.benchmark is None else options.queries,
     )
 
 
-def _require_given(options: argparse.Namespace) -> None:
+def _require_given(options: TraceOptions) -> None:
     for folder in (options.model, options.images):
         if not folder.is_dir():
             raise DatasetError(f"{folder} is not a folder.", "Check the path.")
@@ -145,20 +179,16 @@ def _require_given(options: argparse.Namespace) -> None:
         )
     if options.queries and options.benchmark is None:
         raise ConfigError("--queries is not used without --benchmark.", "Give --benchmark DIR.")
-    if height_flags(options) and (options.crs is None or placed):
+    if options.heights.given() and (options.crs is None or placed):
         raise ConfigError(
-            f"{height_flags(options)[0]} is about the photos' own heights.", "Give --crs, and no --start."
+            f"{options.heights.given()[0]} is about the photos' own heights.", "Give --crs, and no --start."
         )
 
 
 def _serve(model: Model, file: Path, port: int) -> None:
-    """Serves the page until it is closed, or Ctrl+C.
-
-    Raises:
-        ConfigError: The port cannot be listened at, or nothing was saved.
-    """
+    """Serves the page until it is closed, or Ctrl+C."""
+    from lodbench.harness.tracing import read_tracing
     from lodbench.harness.tracing.outputs import TraceServer
-    from lodbench.harness.tracing.tracing import read_tracing
 
     if file.exists():
         read_tracing(file, model.views)
@@ -173,25 +203,3 @@ def _serve(model: Model, file: Path, port: int) -> None:
         server.serve_forever()
     if not file.exists():
         raise ConfigError("Nothing was saved.", "Save on the page before Close.")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser("lodbench trace", "Trace a map of roofs in the photos of a COLMAP model.", _EPILOG)
-    add = parser.add_argument
-    add("model", type=Path, metavar="COLMAP_MODEL", help="folder with cameras, images and points3D")
-    add("--images", type=Path, required=True, metavar="DIR", help="the model's photos")
-    add("--polygons", type=Path, metavar="FILE", help="what was traced before; without a page")
-    add("--save", type=Path, default=Path("traced.json"), metavar="FILE", help="of the page (traced.json)")
-    add("--out", type=Path, default=Path("map.city.json"), metavar="FILE", help="the map (map.city.json)")
-    add("--compare", type=Path, metavar="FILE", help="another tracing, or a city model in the same frame")
-    add("--scale", type=float, metavar="METRES", help="metres per unit of the model")
-    add("--start", type=Path, metavar="FILE", help="rough poses in the map's frame, or similarity.json")
-    add("--crs", metavar="CODE", help="the map's reference system; without --start, photos' GPS places it")
-    add("--metric", action="store_true", help="the model is in the map's coordinates already")
-    add_height_options(parser)
-    add("--benchmark", type=Path, metavar="DIR", help="write a dataset of photos not used for the map")
-    add("--queries", nargs="+", default=[], metavar="PATTERN", help="those (every second that is not traced)")
-    add("--seed", type=int, default=0, help="of the benchmark's priors (default: 0)")
-    add("--port", type=int, default=0, help="of the page (any that is free)")
-    add("--json", action="store_true", help="print JSON, for scripts")
-    return parser

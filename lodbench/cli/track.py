@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lodbench.cli.parser import Parser
-from lodbench.cli.place_options import (
-    add_height_options,
-    add_map_options,
-    add_rough_pose_options,
-    city_settings,
-    rough_settings,
-)
-from lodbench.cli.segmenters import require_frames_looked_at, require_one_mask_source, segmenter_of
+from lodbench.cli.parts import require_frames_looked_at, require_one_mask_source, segmenter_of
+from lodbench.cli.place_options import HeightFlags, MapOptions, PlaceOptions, city_settings
 from lodbench.errors import DatasetError, require_within
+from lodbench.params import flag, parsed, part, word
 from lodbench.reporting.aligned_text import plain_text
 from lodbench.segmentation.registry import FOR_PHOTOS
 
@@ -42,9 +37,34 @@ examples:
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class TrackOptions:
+    """What the command is given."""
+
+    footage: Path = word("what OpenCV reads, or photos in turn", metavar="VIDEO|DIR")
+    map: MapOptions = part(MapOptions)
+    masks: Path | None = flag(None, "masks of the frames, named as these", metavar="DIR")
+    segmenter: str | None = flag(
+        None, f"makes masks instead ({FOR_PHOTOS})", metavar="NAME", sets=("segmenter",)
+    )
+    segmenter_option: tuple[str, ...] = flag((), "may be repeated", metavar="KEY=VALUE")
+    every: int = flag(1, "take every Nth frame (1)", metavar="N")
+    fps: float | None = flag(None, "frames per second, before what they say", metavar="RATE")
+    place: PlaceOptions = part(PlaceOptions, "rough pose of the first frame, before what it says")
+    heights: HeightFlags = part(HeightFlags, "heights: from the drone's datum to the city's")
+    out: Path = flag(Path("tracked"), "(tracked)", metavar="DIR")
+    json: bool = flag(False, "print JSON, for scripts")
+
+
+OPTIONS = {"": TrackOptions}
+
+
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    options = _parser().parse_args(argv)
+    parser = Parser(
+        "lodbench track", "Find where each frame of a video, or of photos in turn, was taken.", _EPILOG
+    )
+    options = parsed(parser, argv, TrackOptions)
     from lodbench.datasets.own import require_some_mask
     from lodbench.harness.track import TrackRequest, track
     from lodbench.harness.track_frames import Footage
@@ -67,8 +87,9 @@ def main(argv: Sequence[str]) -> int:
         name = options.segmenter or FOR_PHOTOS
         segmenter = segmenter_of(name, options.segmenter_option)
         require_frames_looked_at(segmenter, name)
-    own = {"footage": footage, "masks": options.masks, "segmenter": segmenter}
-    done = track(TrackRequest(**city_settings(options), **rough_settings(options), **own))
+    city = city_settings(options.map, options.heights, options.out)
+    own: dict[str, Any] = {"footage": footage, "masks": options.masks, "segmenter": segmenter}
+    done = track(TrackRequest(**city, **options.place.settings(options.heights), **own))
     sys.stdout.write(_as_json(done) if options.json else describe(done))
     if all(frame.pose is None for frame in done.frames):
         return 1
@@ -117,22 +138,3 @@ def _as_json(done: Track) -> str:
     ]
     values = {"frames": frames, "rate": done.rate, "seconds": done.seconds, "cpu_s": done.cpu_s}
     return json.dumps({**values, "notes": list(done.notes)}, indent=2, ensure_ascii=False) + "\n"
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        "lodbench track", "Find where each frame of a video, or of photos in turn, was taken.", _EPILOG
-    )
-    add = parser.add_argument
-    add("footage", type=Path, metavar="VIDEO|DIR", help="what OpenCV reads, or photos in turn")
-    add_map_options(parser)
-    add("--masks", type=Path, metavar="DIR", help="masks of the frames, named as these")
-    add("--segmenter", metavar="NAME", help=f"makes masks instead ({FOR_PHOTOS})")
-    add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated")
-    add("--every", type=int, default=1, metavar="N", help="take every Nth frame (1)")
-    add("--fps", type=float, metavar="RATE", help="frames per second, before what they say")
-    add_rough_pose_options(parser, "rough pose of the first frame, before what it says")
-    add_height_options(parser)
-    add("--out", type=Path, default=Path("tracked"), metavar="DIR", help="(tracked)")
-    add("--json", action="store_true", help="print JSON, for scripts")
-    return parser

@@ -9,7 +9,7 @@ from typing import Any, TypeVar, cast
 from omegaconf import DictConfig
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
-from lodbench.cli.setting_help import names_method
+from lodbench.cli.settings import names_method
 from lodbench.errors import ConfigError, Words
 from lodbench.params import to_params
 from lodbench.plugins import blaming, load_plugin
@@ -71,7 +71,7 @@ def task(config: DictConfig) -> None:
     _tell(f"training {name} on {params.data} into {params.out}")
     segmenter, _ = make_segmenter(name, settings)
     with blaming("segmenters", name, "be trained"):
-        trained = train_network(cast(Any, segmenter), params, _tell)
+        trained = train_network(cast("Any", segmenter), params, _tell)
     if trained.history:
         sys.stdout.write(report(trained))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
 import sys
 from collections.abc import Sequence
@@ -22,16 +21,16 @@ from yaml.tokens import (
     FlowSequenceStartToken,
 )
 
-from lodbench.cli.parser import OldName, Parser
+from lodbench.cli.parser import Parser
 from lodbench.cli.run_dataset import with_masks, with_prior, with_source
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_settings, open_dataset
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.evaluation.queries import has_truth
 from lodbench.harness.runs.artefacts import is_own, without_paths
-from lodbench.harness.runs.status import PLAN_FILE
-from lodbench.harness.runs.stored import read_run
+from lodbench.harness.runs.stored import PLAN_FILE, read_run
 from lodbench.harness.runs.verify import Verdict, verify_run
+from lodbench.params import flag, parsed, part, word
 from lodbench.reporting.aligned_text import count_of, plain_text
 from lodbench.segmentation.registry import make_segmenter
 
@@ -41,22 +40,39 @@ If the dataset is missing, only summary.json is compared with queries.csv, a wea
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class DataOptions:
+    """Where the data of a run lies now."""
+
+    dataset_root: str | None = flag(None, "where the dataset lies now", metavar="DIR", sets=("dataset.root",))
+    city_model: str | None = flag(
+        None, "where the city model lies now", "--city", metavar="FILE", old="--city-model", sets=("city",)
+    )
+
+    @property
+    def is_given(self) -> bool:
+        """Returns whether either is named."""
+        return bool(self.dataset_root or self.city_model)
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerifyOptions:
+    """What the command is given."""
+
+    run: Path = word("run folder", metavar="RUN")
+    data: DataOptions = part(DataOptions)
+
+
+OPTIONS = {"": VerifyOptions}
+
+
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     parser = Parser("lodbench verify", "Score a run again from its stored poses and compare.", _EPILOG)
-    parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
-    add_path_options(parser)
-    options = parser.parse_args(argv)
-    verdict = verify_folder(options.run, options.dataset_root, options.city_model)
+    options = parsed(parser, argv, VerifyOptions)
+    verdict = verify_folder(options.run, options.data.dataset_root, options.data.city_model)
     sys.stdout.write(describe(verdict))
     return 1 if verdict.differences else 0
-
-
-def add_path_options(parser: argparse.ArgumentParser) -> None:
-    """Adds the options that say where the data lies now."""
-    parser.add_argument("--dataset-root", metavar="DIR", help="where the dataset lies now")
-    parser.add_argument("--city", dest="city_model", metavar="FILE", help="where the city model lies now")
-    parser.add_argument("--city-model", dest="city_model", action=OldName)
 
 
 def verify_folder(folder: Path, dataset_root: str | None = None, city_model: str | None = None) -> Verdict:
@@ -104,12 +120,7 @@ def reopen_dataset(folder: Path, dataset_root: str | None = None, city_model: st
 
 
 def _require_useful(config: dict[str, Any], root: str | None, city: str | None) -> None:
-    """Checks the places that are said to be the data's now.
-
-    Raises:
-        ConfigError: The run's dataset has none there to be.
-        DatasetError: There is nothing.
-    """
+    """Checks the places that are said to be the data's now."""
     known = dataset_settings(config["dataset"]["name"])
     for option, path, setting in (("--dataset-root", root, "root"), ("--city", city, "city_model")):
         if path is not None and setting not in known:
@@ -181,16 +192,11 @@ def read_config(folder: Path) -> dict[str, Any]:
         raise DatasetError(f"{path} is not a readable configuration.", "Name a run folder.") from error
     if not isinstance(config, dict) or not {"dataset", "method", "tilt"} <= set(config):
         raise DatasetError(f"{path} is not the configuration of a run.")
-    return cast(dict[str, Any], config)
+    return cast("dict[str, Any]", config)
 
 
 def _require_plain(text: str) -> None:
-    """Makes sure that a YAML text takes no longer to read than what a run writes.
-
-    Raises:
-        ValueError: It is longer, has aliases, which may grow without end, or is nested deeply: each bracket
-            costs the reader a look at all around it.
-    """
+    """Makes sure that a YAML text takes no longer to read than what a run writes."""
     depth = 0
     for token in scan(text) if len(text) <= _MAX_CONFIG else [AliasToken("", None, None)]:
         depth += isinstance(token, _OPENING)

@@ -52,7 +52,7 @@ from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.photos.files import mask_names
 from lodbench.storage import write_text
-from lodbench.storage.seal import is_sealed, seal_of
+from lodbench.storage.paths import is_sealed, seal_of
 
 TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"
 SEQUENCE_FILE, LENS_FILE, MEASUREMENTS_FILE = "sequences.txt", "lens_percent.txt", "measurements.txt"

@@ -159,7 +159,7 @@ class SensorPrior:
 
     def _heights(self) -> HeightOptions:
         try:
-            kind = cast(HeightSource, self.heights)
+            kind = cast("HeightSource", self.heights)
             return HeightOptions(kind, self.takeoff_m, self.geoid_m, self.offset_m)
         except ConfigError as fault:
             raise ConfigError(in_settings(fault.message), in_settings(fault.hint)) from fault

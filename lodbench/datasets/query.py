@@ -43,6 +43,7 @@ class Query:
             where nobody says, or it was calibrated.
         camera_sigmas: Standard deviations of all of the camera's numbers; None: as of a calibrated one.
         measured: What was measured beside the photo, deviations of the prior among it; None for nothing.
+        time_s: When it was taken, seconds from any moment of its sequence; None where nobody says.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Query:
     lens_percent: float | None = None
     camera_sigmas: CameraSigmas | None = None
     measured: Measurements | None = None
+    time_s: float | None = None
 
     def __post_init__(self) -> None:
         # A method that writes into them would change what is stored, and what the next method is shown.

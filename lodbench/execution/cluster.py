@@ -156,11 +156,7 @@ class DaskWorkers:
         return is_there
 
     def _wait(self, running: set[Any]) -> Any:
-        """Returns futures that are done, and those that are not.
-
-        Raises:
-            TimeoutError: None was done for as long as workers are waited for.
-        """
+        """Returns futures that are done, and those that are not."""
         wait: Any = import_module("distributed").wait
         until = time.monotonic() + self._timeout_s
         while True:

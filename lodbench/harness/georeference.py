@@ -22,7 +22,7 @@ from lodbench.datasets.exchange.geojson import camera_feature, footprint_feature
 from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm, write_pix4d
 from lodbench.datasets.exchange.posed import FoundPose, read_json
 from lodbench.datasets.own import find_mask, find_photo, shared_files
-from lodbench.datasets.query import Entry, Query
+from lodbench.datasets.query import Query
 from lodbench.errors import DatasetError, LodbenchError, QueryFault
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
@@ -30,16 +30,16 @@ from lodbench.geometry.similarity import FEWEST_POSES, FittedSimilarity, Similar
 from lodbench.harness.city import open_city, require_near_city
 from lodbench.harness.georeference_start import ROUGH_DEG, ROUGH_M, rough_start
 from lodbench.harness.map_findings import contradiction_features
+from lodbench.harness.photo import CityRequest, PhotoRequest
+from lodbench.harness.photo.flights import solved_flight
 from lodbench.harness.photo.outputs import ground_below_m
-from lodbench.harness.photo.request import CityRequest
+from lodbench.harness.photo.prepare import pinhole_mask
 from lodbench.methods import Estimate, Method
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
-from lodbench.methods.timed_localize import localize_flight
 from lodbench.photos.map_frame import MapFrame
-from lodbench.photos.undistort import pinhole_of, undistorted
+from lodbench.photos.undistort import pinhole_of
 from lodbench.reporting.answers import is_trusted
-from lodbench.segmentation import check_mask, notes_of, resized
-from lodbench.segmentation.masks import read_mask
+from lodbench.segmentation import notes_of, resized
 from lodbench.storage import make_folder, random_stream, write_text
 
 
@@ -260,7 +260,7 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
     lost = {name for name, _ in left_out}
     used = [name for name in places if name not in lost]
     _require_enough(len(used), len(images), left_out)
-    fitted = _fitted({i.name: i.pose for i in images}, {name: places[name] for name in used}, city.scene)
+    fitted = _fitted({i.name: i.pose for i in images}, {name: places[name] for name in used})
     notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ()) + start.notes
     placed = Georeferenced(
         fitted=fitted,
@@ -336,15 +336,21 @@ def _mask(
     request: GeoreferenceRequest, name: str, file: Path | None, camera: Camera, pinhole: Camera
 ) -> NDArray[np.float32]:
     """Returns the probability of building in a photo as its pinhole sees it, at a size that methods need."""
-    if request.masks is not None:
-        if file is None:
-            raise DatasetError(f"{request.masks} holds no mask of it")
-        probability = read_mask(file)
-    else:
-        if file is None or request.segmenter is None:
-            raise DatasetError(f"there is no photo of it in {request.images}")
-        probability = request.segmenter.segment(Entry(name, "", camera, None, file, None))
-    mask = np.asarray(undistorted(check_mask(probability, camera), camera, pinhole))
+    has_masks = request.masks is not None
+    if file is None:
+        raise DatasetError(
+            f"{request.masks} holds no mask of it"
+            if has_masks
+            else f"there is no photo of it in {request.images}"
+        )
+    photo = PhotoRequest(
+        city=request.city,
+        out=request.out,
+        segmenter=request.segmenter,
+        photo=file,
+        mask=file if has_masks else None,
+    )
+    mask = pinhole_mask(photo, camera, pinhole, name)
     width = min(_MASK_WIDTH, mask.shape[1])
     return resized(mask, width, max(1, round(width * pinhole.height / pinhole.width)))
 
@@ -353,16 +359,16 @@ def _solved(request: GeoreferenceRequest, queries: Mapping[str, Query], city: Op
     method = request.method
     assert isinstance(method, SupportsFlights)  # noqa: S101 - the command has looked
     streams = [partial(random_stream, request.seed, "georeference", name) for name in queries]
-    return localize_flight(method, list(queries.values()), CityMap(city.scene), streams)
+    return solved_flight(method, list(queries.values()), CityMap(city.scene), streams, request.out)
 
 
-def _fitted(model: Mapping[str, Pose], places: Mapping[str, Estimate], scene: Scene) -> FittedSimilarity:
+def _fitted(model: Mapping[str, Pose], places: Mapping[str, Estimate]) -> FittedSimilarity:
     """Returns the similarity that lays the model on the poses found, weighed by how sure each is."""
     unknown = np.diag([*ROUGH_M, *[ROUGH_DEG] * 3]) ** 2
     spreads = np.array(
         [np.diagonal(unknown if each.covariance is None else each.covariance) for each in places.values()]
     )
-    found = [each.pose.shifted(scene.origin) for each in places.values()]
+    found = [each.pose for each in places.values()]
     sigma_m, sigma_deg = np.sqrt(spreads[:, :3]), np.sqrt(spreads[:, 3:].mean(axis=1))
     fitted = fit_similarity([model[name] for name in places], found, sigma_m, sigma_deg)
     # What photos of a flight are wrong about, they are wrong about alike: their number makes nothing surer.

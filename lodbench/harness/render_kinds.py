@@ -140,7 +140,7 @@ def _write_silhouette(view: View) -> list[Path]:
 
 
 def _write_depth(view: View) -> list[Path]:
-    depth = cast(DepthRenderer, view.renderer).depth(view.camera, view.pose)
+    depth = cast("DepthRenderer", view.renderer).depth(view.camera, view.pose)
     content = io.BytesIO()
     np.save(content, depth)
     write_bytes(view.file(".npy"), content.getvalue())
@@ -154,7 +154,7 @@ def depth_in_centimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 
 def _write_label(view: View) -> list[Path]:
-    building = cast(LayerRenderer, view.renderer).draw(view.camera, view.pose).building
+    building = cast("LayerRenderer", view.renderer).draw(view.camera, view.pose).building
     return _write_png(view, (building + 1).astype(np.uint16), "label")
 
 
@@ -174,13 +174,13 @@ def _write_label_names(scene: Scene, out: Path) -> list[Path]:
 
 
 def _write_colour(view: View) -> list[Path]:
-    colour = cast(LayerRenderer, view.renderer).draw(view.camera, view.pose).colour
+    colour = cast("LayerRenderer", view.renderer).draw(view.camera, view.pose).colour
     return _write_png(view, np.ascontiguousarray(colour[:, :, ::-1]), "colour")
 
 
 def _write_instances(view: View) -> list[Path]:
     """Writes every building's silhouette, hidden or not, as run lengths in the form of COCO."""
-    instances = cast(InstanceRenderer, view.renderer).instances(view.camera, view.pose)
+    instances = cast("InstanceRenderer", view.renderer).instances(view.camera, view.pose)
     names, found = view.renderer.scene.building_ids, []
     for building, mask in instances.masks():
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))

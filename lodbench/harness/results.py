@@ -106,11 +106,7 @@ def _opened(dataset: str | Path | Dataset, city: str | Path | None) -> tuple[Dat
 
 
 def _settings(part: object) -> dict[str, Any]:
-    """Returns the settings of a method or a segmenter.
-
-    Raises:
-        ConfigError: It has some and does not keep them as its protocol asks: runs name their folder by them.
-    """
+    """Returns the settings of a method or a segmenter."""
     params: Any = getattr(part, "params", None)
     if is_dataclass(params) and not isinstance(params, type):
         return asdict(params)

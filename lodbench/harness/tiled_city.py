@@ -33,7 +33,7 @@ from lodbench.citymodel.source import Source, open_sources
 from lodbench.citymodel.subset import reproject
 from lodbench.errors import CityModelError, LodbenchError
 from lodbench.execution.executor import ExecutorParams, spread
-from lodbench.execution.lock import only_one_in
+from lodbench.execution.guards import only_one_in
 from lodbench.findings import Findings
 from lodbench.storage import digest_of, make_folder, remove_leftovers
 from lodbench.storage.disk import disk

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from lodbench.errors import STOPPED, LodbenchError, QueryFault
 from lodbench.storage import make_folder, write_text
-from lodbench.storage.atomic import final_name, writable
+from lodbench.storage.disk import final_name, writable
 
 
 def keep_traceback(folder: Path, name: str, error: BaseException) -> Path:

@@ -7,7 +7,8 @@ import logging
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -20,14 +21,17 @@ from lodbench.datasets.exchange.geojson import camera_feature, nowhere_feature, 
 from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.own import require_some_mask
+from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city, require_near_city
-from lodbench.harness.photo.request import RoughRequest
+from lodbench.harness.photo import RoughRequest
 from lodbench.harness.tracebacks import last_write
 from lodbench.harness.track_frames import Footage, Mask, MaskMaker, Shot, with_masks
-from lodbench.methods.tracking import LOST, Frame, Tracker, TrackingParams
+from lodbench.methods.protocol import Follower
+from lodbench.methods.timed_localize import localize_next
+from lodbench.methods.tracking import LOST, Tracking, TrackingParams, state_of
 from lodbench.photos.camera import PhotoCamera, camera_from_photo, camera_given, require_photo_size
 from lodbench.photos.files import in_pose_lines
 from lodbench.photos.map_frame import MapFrame
@@ -36,7 +40,7 @@ from lodbench.photos.notes import place_notes
 from lodbench.photos.pose import pose_at, pose_from_photo
 from lodbench.photos.undistort import pinhole_of
 from lodbench.segmentation import notes_of
-from lodbench.storage import hide_formula, make_folder, write_text
+from lodbench.storage import hide_formula, make_folder, random_stream, write_text
 
 TABLE_FILE, MAP_FILE, POSES_FILE = "track.csv", "track.geojson", "poses.txt"
 # Frames of all videos have the same names: only this tells whose they are.
@@ -178,10 +182,10 @@ def track(request: TrackRequest) -> Track:
     pinhole = pinhole_of(camera.camera)
     maker = MaskMaker(camera.camera, pinhole, request.masks, request.segmenter)
     prior = start.shifted(-scene.origin)
-    tracker = Tracker(CityMap(scene), pinhole, prior, request.params, camera.lens_percent)
+    first = Query("", "", pinhole, prior, lens_percent=camera.lens_percent)
     frames: list[TrackedFrame] = []
     with _keeping(frames, request, frame):
-        seconds, cpu_s = _follow(request.footage, maker, tracker, scene.origin, frames)
+        seconds, cpu_s = _follow(request, maker, first, CityMap(scene), frames)
     if request.masks is not None:
         require_some_mask(request.masks, [each.name for each in frames])
     notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ())
@@ -207,18 +211,15 @@ def _keeping(frames: Sequence[TrackedFrame], request: TrackRequest, frame: MapFr
 
 
 def _follow(
-    footage: Footage,
-    maker: MaskMaker,
-    tracker: Tracker,
-    origin: NDArray[np.float64],
-    frames: list[TrackedFrame],
+    request: TrackRequest, maker: MaskMaker, first: Query, city_map: CityMap, frames: list[TrackedFrame]
 ) -> tuple[dict[str, float], float]:
     """Adds frame after frame; returns the wall times and the processor time, as ``Track`` has them."""
     poses_s = started = cpu = masks_s = 0.0
+    follower = Tracking(request.params).begin(first, city_map)
     with Progress("frames", None) as progress:
-        for shot, mask in with_masks(footage.shots(), maker):
+        for shot, mask in with_masks(request.footage.shots(), maker):
             began = time.perf_counter()
-            frames.append(_tracked(tracker, shot, mask, origin))
+            frames.append(_tracked(follower, first, city_map, shot, mask))
             poses_s += time.perf_counter() - began
             if len(frames) == 1:
                 # The first is searched for: what it takes says nothing of the rate.
@@ -228,14 +229,18 @@ def _follow(
     return seconds, time.process_time() - cpu
 
 
-def _tracked(tracker: Tracker, shot: Shot, mask: Mask | str, origin: NDArray[np.float64]) -> TrackedFrame:
+def _tracked(
+    follower: Follower, first: Query, city_map: CityMap, shot: Shot, mask: Mask | str
+) -> TrackedFrame:
     """Returns what becomes of a frame, given its mask, or why there is none."""
     if isinstance(mask, str):
         return TrackedFrame(shot.name, shot.time_s, LOST, None, 0.0, mask)
-    found = tracker.track(Frame(shot.name, shot.time_s, mask))
-    pose = None if found.state == LOST else found.pose.shifted(origin)
+    query = replace(first, name=shot.name, time_s=shot.time_s, building_probability=mask)
+    found = localize_next(follower, query, city_map, partial(random_stream, 0, "track", shot.name))
+    state = state_of(found)
+    pose = None if state == LOST else found.pose.shifted(city_map.scene.origin)
     sigmas = None if found.covariance is None else _sigmas(found.covariance)
-    reported = found.state, pose, found.score, "", sigmas, found.probability
+    reported = state, pose, found.score, "", sigmas, found.probability or 0.0
     return TrackedFrame(shot.name, shot.time_s, *reported)
 
 

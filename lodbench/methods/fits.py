@@ -95,14 +95,14 @@ def make_fit(name: str, query: Query, size: tuple[int, int]) -> Fit:
     """
     make = load_plugin("fits", name)
     if fit_input(name) == Input.IMAGE:
-        return cast(Fit, make(query_photo(query), size))
+        return cast("Fit", make(query_photo(query), size))
     # Averaging in float32 may step out of [0, 1] by rounding.
     small = np.clip(resized(query.mask, *size), np.float32(0), np.float32(1))
     if not (small >= BUILDING_THRESHOLD).any():
         raise QueryFault(
             "the mask holds no building", "Buildings are white (255) in a mask, all else is black."
         )
-    return cast(Fit, make(small))
+    return cast("Fit", make(small))
 
 
 def query_photo(query: Query) -> Photo:

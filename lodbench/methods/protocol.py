@@ -154,6 +154,27 @@ class SupportsFlights(Protocol):
         ...
 
 
+class Follower(Protocol):
+    """What a method knows of a sequence so far."""
+
+    def next(self, query: Query, streams: Streams) -> Estimate:
+        """Returns the estimated pose of the query that was taken next.
+
+        Raises:
+            QueryFault: There is no estimate; the sequence goes on.
+        """
+        ...
+
+
+@runtime_checkable
+class SupportsSequences(Protocol):
+    """A method that answers queries as they come, in the order they were taken, each from those before."""
+
+    def begin(self, first: Query, city_map: CityMap) -> Follower:
+        """Returns what answers a sequence, given the camera and the prior of its first query."""
+        ...
+
+
 @runtime_checkable
 class SupportsWeights(Protocol):
     """A method that reads files besides its code: a run's digest names their content."""

@@ -14,11 +14,12 @@ import numpy as np
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
-from lodbench.execution.single_threaded_blas import single_threaded_blas
+from lodbench.execution.guards import single_threaded_blas
 from lodbench.methods.assessment import assessed
 from lodbench.methods.protocol import (
     Estimate,
     FlightEstimate,
+    Follower,
     Method,
     Streams,
     SupportsBatches,
@@ -90,6 +91,20 @@ def localize_flight(
     seconds = (time.perf_counter() - started) / max(1, len(queries))
     answers = [each if isinstance(each, QueryFault) else _measured(each, drawn, seconds) for each in answers]
     return FlightEstimate(answers, found.findings)
+
+
+def localize_next(follower: Follower, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
+    """Returns the estimate of a sequence's next query, with the poses it had drawn and the time it took.
+
+    Raises:
+        QueryFault: There is no estimate.
+        TypeError: The method returned something else.
+    """
+    city_map.usage.take()
+    started = time.perf_counter()
+    estimate = follower.next(query, streams)
+    drawn = sum(city_map.usage.take().values())
+    return _measured(_assessed(estimate, query, city_map, follower), drawn, time.perf_counter() - started)
 
 
 def weight_files(method: Method) -> tuple[Path, ...]:

@@ -1,13 +1,14 @@
 """Frames of a video one after the other: each starts from the last pose and motion (docs/adr/0014, point 14).
 
-Outlines are aligned from where the last motion leads; a lost camera is searched for.
+Outlines are aligned from where the last motion leads; a lost camera is searched for. Of a frame in which it
+is lost the answer is where the motion leads, with probability 0 and the note ``LOST``.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,10 @@ from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault, require_numbers
 from lodbench.estimation.outline_alignment import Aligner
 from lodbench.estimation.probability import probability_within
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Pose
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
-from lodbench.storage import random_stream
+from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
 
 Floats = NDArray[np.float64]
 
@@ -36,9 +37,10 @@ TRACKED, FOUND, LOST = "tracked", "found again", "lost"
 
 @dataclass(frozen=True, slots=True)
 class TrackingParams:
-    """The settings of ``lodbench track``.
+    """The settings of tracking.
 
     Attributes:
+        name: Of the method.
         fine_size: Width and height of masks whose outlines are aligned last, pixels; half of it before.
         steps: Alignment steps on masks of half the size.
         final_steps: And at full size.
@@ -55,6 +57,7 @@ class TrackingParams:
         most_m: The widest search.
     """
 
+    name: str = "tracking"
     fine_size: tuple[int, int] = (602, 448)
     steps: int = 5
     final_steps: int = 2
@@ -70,7 +73,7 @@ class TrackingParams:
     most_m: float = 120.0
 
     def __post_init__(self) -> None:
-        require_numbers(self, "track", self.__slots__[1:], 0, ends="(]")  # all but the size
+        require_numbers(self, "track", self.__slots__[2:], 0, ends="(]")  # all but name and size
 
     def photo(self, seconds: float) -> ContourAlignmentParams:
         """Returns the parameters by which a frame is aligned, so many seconds after the last."""
@@ -100,40 +103,6 @@ class TrackingParams:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame:
-    """A frame to track.
-
-    Attributes:
-        name: Of the frame.
-        time_s: When it was taken, seconds.
-        mask: (H, W) probability of building.
-    """
-
-    name: str
-    time_s: float
-    mask: NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Tracked:
-    """What became of a frame.
-
-    Attributes:
-        pose: Scene frame; where the camera is thought to be, should it be lost.
-        state: ``tracked``, ``found again`` or ``lost``.
-        score: IoU of silhouette and mask.
-        covariance: (6, 6) of centre (metres) and angles (degrees); None for a camera that is lost.
-        probability: Of being within (2 m, 2 deg), by one frame alone; 0 for a camera that is lost.
-    """
-
-    pose: Pose
-    state: str
-    score: float
-    covariance: Floats | None = None
-    probability: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Place:
     """Where a frame may have been taken: (6,) its pose, the IoU there, the covariance, and how likely."""
 
@@ -143,53 +112,76 @@ class _Place:
     probability: float = 0.0
 
 
+class Tracking:
+    """The method: a sequence is followed from its first photo's prior, which may be off as a drone's sensors.
+
+    Of the photos that follow, priors are not used. Where nobody says when they were taken, they are a second
+    apart.
+    """
+
+    name = "tracking"
+    params_type = TrackingParams
+    requires = frozenset({"mask"})
+
+    def __init__(self, params: TrackingParams | None = None) -> None:
+        self.params = params or TrackingParams()
+
+    def begin(self, first: Query, city_map: CityMap) -> Tracker:
+        """Returns what answers a sequence."""
+        return Tracker(city_map, first.prior, self.params)
+
+    def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
+        """Returns the pose of a sequence of one photo."""
+        return self.begin(query, city_map).next(query, streams)
+
+    def localize_flight(
+        self, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
+    ) -> FlightEstimate:
+        """Returns the poses of a sequence whose photos are all there."""
+        tracker = self.begin(queries[0], city_map)
+        return FlightEstimate([tracker.next(*each) for each in zip(queries, streams, strict=True)])
+
+
 class Tracker:
     """Poses of frames in the order they were taken.
 
     Args:
         city_map: The map.
-        camera: Pinhole of all frames.
-        start: Rough pose of the first frame, scene frame, as wrong as a drone's sensors.
+        start: Rough pose of the first frame, scene frame.
         params: How.
-        lens_percent: Standard deviation of the camera's focal length, percent, as of ``Query``;
-            for frames that are searched for: those that follow another are aligned with the lens as declared.
     """
 
-    def __init__(
-        self,
-        city_map: CityMap,
-        camera: Camera,
-        start: Pose,
-        params: TrackingParams | None = None,
-        lens_percent: float | None = None,
-    ) -> None:
-        self._map, self._camera, self.params = city_map, camera, params or TrackingParams()
-        self._lens_percent = lens_percent
+    def __init__(self, city_map: CityMap, start: Pose, params: TrackingParams) -> None:
+        self._map, self.params = city_map, params
         self._vector: Floats = vector_from_pose(start)
         self._motion: Floats = np.zeros(6)
         self._time_s: float | None = None
         self._ious: deque[float] = deque(maxlen=_REMEMBERED)
         self._lost = 0
+        self._count = 0
 
-    def track(self, frame: Frame) -> Tracked:
+    def next(self, query: Query, streams: Streams) -> Estimate:
         """Returns where the camera was; it is lost where nothing near fits as well as the last frames did."""
-        if not (frame.mask >= 0.5).any():
-            return self._keep(frame, _Place(self._predicted(frame), 0.0), LOST)
+        if query.time_s is None:
+            query = replace(query, time_s=float(self._count))
+        self._count += 1
+        if not (query.mask >= 0.5).any():
+            return self._keep(query, _Place(self._predicted(query), 0.0), LOST)
         if self._time_s is None:
-            found = self._searched(frame, self._vector, ContourAlignmentParams())
-            return self._keep(frame, found, TRACKED if found.iou >= self.params.least_iou else LOST)
-        predicted = self._predicted(frame)
+            found = self._searched(query, self._vector, ContourAlignmentParams(), streams)
+            return self._keep(query, found, TRACKED if found.iou >= self.params.least_iou else LOST)
+        predicted = self._predicted(query)
         if not self._lost:
-            found = self._aligned(frame, predicted)
+            found = self._aligned(query, predicted)
             if found.iou >= self._least():
-                return self._keep(frame, found, TRACKED)
-        found = self._searched(frame, predicted, self.params.search(self._lost + 1))
+                return self._keep(query, found, TRACKED)
+        found = self._searched(query, predicted, self.params.search(self._lost + 1), streams)
         if found.iou >= self._least():
-            return self._keep(frame, found, FOUND)
-        return self._keep(frame, _Place(predicted, found.iou), LOST)
+            return self._keep(query, found, FOUND)
+        return self._keep(query, _Place(predicted, found.iou), LOST)
 
-    def _predicted(self, frame: Frame) -> Floats:
-        seconds = 0.0 if self._time_s is None else frame.time_s - self._time_s
+    def _predicted(self, query: Query) -> Floats:
+        seconds = 0.0 if self._time_s is None else _time_of(query) - self._time_s
         return np.asarray(self._vector + self._motion * min(max(seconds, 0.0), _LONGEST_S))
 
     def _least(self) -> float:
@@ -197,14 +189,14 @@ class Tracker:
         usual = float(np.median(self._ious)) if self._ious else 0.0
         return max(self.params.least_iou, self.params.fit * usual)
 
-    def _aligned(self, frame: Frame, predicted: Floats) -> _Place:
+    def _aligned(self, query: Query, predicted: Floats) -> _Place:
         """Returns the place that outlines lead to from where the motion leads.
 
         Should they lead nowhere, they start again from the last pose: the motion may have ended.
         """
-        seconds = max(frame.time_s - (self._time_s or 0.0), 0.0)
+        seconds = max(_time_of(query) - (self._time_s or 0.0), 0.0)
         model = self.params.photo(seconds).outline_model()
-        aligner = Aligner(self._query(frame, predicted), self._map, model)
+        aligner = Aligner(_from(query, predicted), self._map, model)
         best = self._steps(aligner, predicted)
         if best.iou < self._least() and np.abs(self._motion).max() > 0:
             again = self._steps(aligner, self._vector)
@@ -224,40 +216,57 @@ class Tracker:
         covariance = np.asarray(np.linalg.inv(here.posterior.information))[:6, :6]
         return _Place(vector[:6], here.iou, covariance, probability_within(covariance, vector[:6]))
 
-    def _searched(self, frame: Frame, around: Floats, params: ContourAlignmentParams) -> _Place:
+    def _searched(
+        self, query: Query, around: Floats, params: ContourAlignmentParams, streams: Streams
+    ) -> _Place:
         """Returns the best place within a search; its IoU is 0 where none fits."""
-        streams = partial(random_stream, 0, "track", frame.name)
         try:
-            found = ContourAlignment(params).localize(self._query(frame, around), self._map, streams)
+            found = ContourAlignment(params).localize(_from(query, around), self._map, streams)
         except QueryFault:
             return _Place(around, 0.0)
         vector, probability = vector_from_pose(found.pose), found.probability or 0.0
         return _Place(vector, float(found.score), found.covariance, probability)
 
-    def _query(self, frame: Frame, around: Floats) -> Query:
-        prior = pose_from_vector(around)
-        return Query(frame.name, "", self._camera, prior, frame.mask, lens_percent=self._lens_percent)
-
-    def _keep(self, frame: Frame, found: _Place, state: str) -> Tracked:
+    def _keep(self, query: Query, found: _Place, state: str) -> Estimate:
         """Remembers what became of a frame, and returns it."""
         if state == LOST:
             self._lost += 1
         else:
-            self._motion = self._motion_to(frame, found.vector) if state == TRACKED else np.zeros(6)
+            self._motion = self._motion_to(query, found.vector) if state == TRACKED else np.zeros(6)
             self._lost = 0
             self._ious.append(found.iou)
             self._vector = found.vector
-            self._time_s = frame.time_s
-        pose = pose_from_vector(found.vector)
-        if state == LOST:
-            return Tracked(pose, state, found.iou)
-        return Tracked(pose, state, found.iou, found.covariance, found.probability)
+            self._time_s = _time_of(query)
+        # One frame tells how sure it is by itself: nothing of it is calibrated.
+        known = (None, 0.0) if state == LOST else (found.covariance, found.probability)
+        return Estimate(
+            pose_from_vector(found.vector),
+            found.iou,
+            covariance=known[0],
+            probability=known[1],
+            notes=() if state == TRACKED else (state,),
+            is_assessed=True,
+        )
 
-    def _motion_to(self, frame: Frame, vector: Floats) -> Floats:
+    def _motion_to(self, query: Query, vector: Floats) -> Floats:
         """Returns the motion per second, (6,), after a frame was tracked."""
-        if self._time_s is None or frame.time_s <= self._time_s:
+        if self._time_s is None or _time_of(query) <= self._time_s:
             return np.zeros(6)
         step = vector - self._vector
         step[3:] = (step[3:] + 180.0) % 360.0 - 180.0
-        new = step / (frame.time_s - self._time_s)
+        new = step / (_time_of(query) - self._time_s)
         return np.asarray(_NEWS * new + (1.0 - _NEWS) * self._motion if self._motion.any() else new)
+
+
+def state_of(found: Estimate) -> str:
+    """Returns what became of a frame: ``TRACKED``, ``FOUND`` or ``LOST``."""
+    return found.notes[0] if found.notes else TRACKED
+
+
+def _from(query: Query, around: Floats) -> Query:
+    """Returns a query whose search starts elsewhere; frames that follow another have the lens as declared."""
+    return replace(query, prior=pose_from_vector(around))
+
+
+def _time_of(query: Query) -> float:
+    return query.time_s or 0.0

@@ -11,8 +11,7 @@ from lodbench.errors import LodbenchError
 from lodbench.storage import digest_of, write_text
 from lodbench.storage.arrays import file_check
 from lodbench.storage.disk import disk, make_folder
-from lodbench.storage.paths import cache_limit_bytes, cache_root, path_name
-from lodbench.storage.pruning import mark_used, prune_cache
+from lodbench.storage.paths import cache_limit_bytes, cache_root, mark_used, path_name, prune_cache
 
 _LOGGER = logging.getLogger(__name__)
 _FOLDER = "prepared"

@@ -282,8 +282,8 @@ def pose_from_photo(
 
 def latitude_longitude_of(photo: PhotoMetadata, given: RoughPlace) -> tuple[float, float]:
     """Returns latitude and longitude of a photo of which both are stated or given, degrees, WGS 84."""
-    latitude = cast(float, _first(given.latitude_deg, photo.latitude_deg))
-    return latitude, cast(float, _first(given.longitude_deg, photo.longitude_deg))
+    latitude = cast("float", _first(given.latitude_deg, photo.latitude_deg))
+    return latitude, cast("float", _first(given.longitude_deg, photo.longitude_deg))
 
 
 def pose_at(
@@ -305,8 +305,8 @@ def pose_at(
     """
     given = given or RoughPlace()
     require_stated(photo, given=given, knows_place=True)
-    yaw = cast(float, _first(given.heading_deg, photo.gimbal_yaw_deg))
-    pitch = cast(float, _first(given.pitch_deg, photo.gimbal_pitch_deg))
+    yaw = cast("float", _first(given.heading_deg, photo.gimbal_yaw_deg))
+    pitch = cast("float", _first(given.pitch_deg, photo.gimbal_pitch_deg))
     roll = _first(given.roll_deg, photo.gimbal_roll_deg) or 0.0
     return Pose.from_center(rotation_from_dji(yaw, pitch, roll, convergence_deg), center)
 
@@ -315,7 +315,7 @@ def _height(
     photo: PhotoMetadata, frame: MapFrame, options: HeightOptions, latitude: float, longitude: float
 ) -> float:
     source = options.source_for(photo)
-    stated = cast(float, _stated_height(photo, source))
+    stated = cast("float", _stated_height(photo, source))
     if source == "takeoff" and options.takeoff_m is not None:
         height = options.takeoff_m + stated
     elif source == "ellipsoid" and options.geoid_m is not None:

@@ -16,8 +16,7 @@ from lodbench.rendering import engine_layout, selection, topology
 from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_text
 from lodbench.storage.arrays import map_array, write_arrays
 from lodbench.storage.json_text import parse_json
-from lodbench.storage.paths import cache_limit_bytes, cache_root
-from lodbench.storage.pruning import mark_used, prune_cache
+from lodbench.storage.paths import cache_limit_bytes, cache_root, mark_used, prune_cache
 
 _LOGGER = logging.getLogger(__name__)
 

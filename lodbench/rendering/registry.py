@@ -61,7 +61,7 @@ def make_renderer(name: str, scene: Scene, threads: int | None = None) -> Scorer
         RenderingError: A library the renderer needs is absent.
     """
     renderer = open_renderer(name, scene, threads)
-    return cast(Scorer, renderer) if hasattr(renderer, "counts") else RenderAndCompare(renderer)
+    return cast("Scorer", renderer) if hasattr(renderer, "counts") else RenderAndCompare(renderer)
 
 
 class RenderAndCompare:

@@ -22,7 +22,6 @@ from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
 from lodbench.reporting.aligned_text import csv_cell, plain_text
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
 from lodbench.reporting.page import facts, markup, rendered
-from lodbench.reporting.run_names import settings_apart
 from lodbench.reporting.summaries import common_photos, numbers_of, plugin_metrics
 from lodbench.reporting.table_columns import (
     Column,
@@ -33,7 +32,7 @@ from lodbench.reporting.table_columns import (
     segmenter_columns,
 )
 from lodbench.reporting.table_formats import format_html, format_latex, format_markdown
-from lodbench.reporting.tables import PRIOR_METHOD, Line, RecallTable
+from lodbench.reporting.tables import PRIOR_METHOD, Line, RecallTable, settings_apart
 from lodbench.storage import digest_of
 
 if TYPE_CHECKING:

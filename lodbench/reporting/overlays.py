@@ -13,7 +13,7 @@ from lodbench.geometry import Camera, Pose
 from lodbench.photos.pictures import read_picture
 from lodbench.rendering import Renderer
 from lodbench.storage import write_bytes
-from lodbench.storage.atomic import writable
+from lodbench.storage.disk import writable
 
 Picture = NDArray[np.uint8]
 Mask = NDArray[np.bool_]

@@ -18,6 +18,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lodbench.errors import InputChanged
 
 
@@ -120,3 +122,16 @@ def read_content(path: Path, digest: str | None = None) -> bytes:
             "Put it back, or give the same command again to answer what is there now.",
         )
     return content
+
+
+def random_stream(seed: int, *names: str | int) -> np.random.Generator:
+    """Returns the generator of a seed and a path of names: (dataset, query, stage, step).
+
+    The same path gives the same numbers on every machine and in every order of work; different
+    paths give independent numbers (Philox keyed by a 128-bit hash).
+    """
+    path = "\x1f".join([str(seed), *(f"{type(name).__name__}:{name}" for name in names)])
+    key = int.from_bytes(
+        hashlib.blake2b(path.encode(errors="surrogatepass"), digest_size=16).digest(), "little"
+    )
+    return np.random.Generator(np.random.Philox(key=key))

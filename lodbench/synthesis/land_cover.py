@@ -223,7 +223,7 @@ def draw_land_cover(view: TopView, generator: np.random.Generator) -> LandCover:
 
 def distance_in(mask: NDArray[np.bool_], cell_m: float) -> Grid:
     """Returns the distance of each cell of a mask from the nearest cell outside it, metres."""
-    return cast(Grid, cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) * np.float32(cell_m))
+    return cast("Grid", cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) * np.float32(cell_m))
 
 
 def _blocks(view: TopView) -> tuple[NDArray[np.int32], Grid, Floats]:
@@ -244,7 +244,7 @@ def _blocks(view: TopView) -> tuple[NDArray[np.int32], Grid, Floats]:
     number = int(nearest.max()) + 1
     area = np.bincount(nearest[core], minlength=number)
     share = np.bincount(nearest[core & built], minlength=number) / np.maximum(area, 1)
-    return nearest, cast(Grid, away * np.float32(cell)), share
+    return nearest, cast("Grid", away * np.float32(cell)), share
 
 
 def _streets(block: NDArray[np.int32], away_m: Grid, cell_m: float) -> tuple[Grid, Grid]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lodbench.errors import RenderingError
 from lodbench.kernels.looks import SurfaceClass
-from lodbench.storage.atomic import write_bytes
+from lodbench.storage.disk import write_bytes
 
 Points = NDArray[np.float64]
 Triangles = NDArray[np.int64]

@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import pytest
 
 from lodbench.cli import main
-from lodbench.cli.localize import _masks_for, parser
+from lodbench.cli.localize import LocalizeOptions, parser
+from lodbench.params import options_of
 from lodbench.storage.json_text import parse_json
 from tests.fault_commands import CRS, prepare_inputs
 
@@ -98,5 +99,6 @@ def test_a_method_without_a_score_says_so(files, capsys, tmp_path):
 def test_a_segmenter_that_is_named_goes_before_masks_among_the_photos(tmp_path):
     (tmp_path / "masks").mkdir()
     words = [str(tmp_path), "--city", "city.obj"]
-    assert _masks_for(parser().parse_args(words)) == tmp_path / "masks"
-    assert _masks_for(parser().parse_args([*words, "--segmenter", "compact"])) is None
+    assert options_of(parser().parse_args(words), LocalizeOptions).masks_used == tmp_path / "masks"
+    named = parser().parse_args([*words, "--segmenter", "compact"])
+    assert options_of(named, LocalizeOptions).masks_used is None

@@ -11,7 +11,7 @@ from lodbench.cli.commands import load_command
 from lodbench.cli.completion import CONFIGURED
 from lodbench.cli.configs import config_files
 from lodbench.cli.parser import Parser, seen
-from lodbench.cli.setting_help import config_text, groups_of, settings_in, settings_of_group
+from lodbench.cli.settings import config_text, groups_of, settings_in, settings_of_group
 from lodbench.errors import ConfigError
 
 FLAGGED = [name for name in COMMANDS if name not in CONFIGURED]

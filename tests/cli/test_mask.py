@@ -15,8 +15,8 @@ from PIL import Image
 
 from lodbench.cli import main
 from lodbench.errors import DatasetError
-from lodbench.harness.mask.server import MaskServer
-from lodbench.harness.mask.session import MaskSession
+from lodbench.harness.local_page import MaskServer
+from lodbench.harness.mask import MaskSession
 from lodbench.photos.files import find_photos
 
 
@@ -375,7 +375,7 @@ class TestCommand:
             (photo.parent / "photo_mask.png").write_bytes(b"by hand")
             return MaskSession(*given)
 
-        monkeypatch.setattr("lodbench.harness.mask.session.MaskSession", opened)
+        monkeypatch.setattr("lodbench.harness.mask.MaskSession", opened)
         assert main(["mask", str(photo), "--mask", str(photo.parent / "traced.png"), "--no-page"]) == 2
         told = capsys.readouterr().err
         assert "photo_mask.png was written by another program" in told

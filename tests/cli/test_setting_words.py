@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from lodbench.citymodel import open_scene
+from lodbench.cli.parts import option_pairs
 from lodbench.cli.run_dataset import with_date
-from lodbench.cli.setting_help import Setting, settings_in, settings_of
-from lodbench.cli.source_profiles import option_pairs
+from lodbench.cli.settings import Setting, settings_in, settings_of
 from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError

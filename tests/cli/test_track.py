@@ -16,11 +16,13 @@ from pyproj import Transformer
 from lodbench.citymodel import open_scene
 from lodbench.cli import main
 from lodbench.datasets.pose_text import read_poses
+from lodbench.datasets.query import Query
 from lodbench.errors import DatasetError
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.harness.track_frames import Footage as TrackedFootage
-from lodbench.methods.tracking import Frame, Tracked, Tracker
+from lodbench.methods.protocol import Estimate, Streams
+from lodbench.methods.tracking import Tracker
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from tests.town import CAMERA, box_obj
 
@@ -328,16 +330,16 @@ def test_photos_with_masks_are_not_decoded_but_of_the_camera_s_size(capsys, foot
 
 
 def test_what_was_tracked_until_it_was_stopped_is_written(capsys, caplog, footage, tmp_path, monkeypatch):
-    once = Tracker.track
+    once = Tracker.next
     done: list[str] = []
 
-    def stopped(self: Tracker, frame: Frame) -> Tracked:
+    def stopped(self: Tracker, query: Query, streams: Streams) -> Estimate:
         if len(done) == 3:
             raise KeyboardInterrupt
-        done.append(frame.name)
-        return once(self, frame)
+        done.append(query.name)
+        return once(self, query, streams)
 
-    monkeypatch.setattr(Tracker, "track", stopped)
+    monkeypatch.setattr(Tracker, "next", stopped)
     words = footage.words("photos", "--masks", footage.folder / "masks", "--fps", 4, "--out", tmp_path)
     assert main(words) == 130
     assert [row["frame"] for row in rows(tmp_path)] == done

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from lodbench.cli.dataset_card import config_card, main
+from lodbench.cli.dataset_list import config_card, main_card
 from lodbench.datasets.cards import card_croissant, croissant_text, read_card
 from lodbench.datasets.codes import CATALOGUE
 from lodbench.datasets.pose_text import format_pose
@@ -39,8 +39,8 @@ def test_the_demo_s_card_says_what_its_generator_does():
 
 class TestCommand:
     def test_writes_what_a_dataset_has(self, tmp_path, capsys):
-        assert main(["card", "demo", "--out", str(tmp_path)]) == 0
-        assert main(["card", "swiss_epfl", "--out", str(tmp_path)]) == 0
+        assert main_card(["card", "demo", "--out", str(tmp_path)]) == 0
+        assert main_card(["card", "swiss_epfl", "--out", str(tmp_path)]) == 0
         written = {"demo.md", "swiss_epfl.md", "swiss_epfl.croissant.json"}
         assert {path.name for path in tmp_path.iterdir()} == written
         assert [Path(line).name for line in capsys.readouterr().out.splitlines()] == [
@@ -54,7 +54,7 @@ class TestCommand:
     )
     def test_says_what_there_is_not(self, words, match):
         with pytest.raises(ConfigError, match=match):
-            main(["card", *words])
+            main_card(["card", *words])
 
 
 @pytest.mark.parametrize("name", sorted(SPECS))

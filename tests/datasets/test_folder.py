@@ -11,8 +11,8 @@ from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.priors import UniformPrior, with_uniform_priors
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, CameraSigmas, Pose
+from lodbench.harness.runs import queries_digest
 from lodbench.harness.runs.prepare import Preparation
-from lodbench.harness.runs.result import queries_digest
 
 POSE = "1 0 0 0 1 2 3"
 CAMERA = "PINHOLE 640 512 9 9 3 2"

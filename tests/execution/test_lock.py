@@ -3,12 +3,12 @@ import sys
 
 import pytest
 
-from lodbench.execution.lock import only_one_in
+from lodbench.execution.guards import only_one_in
 
 pytestmark = pytest.mark.attack
 
 CODE = (
-    "import sys; from pathlib import Path; from lodbench.execution.lock import only_one_in\n"
+    "import sys; from pathlib import Path; from lodbench.execution.guards import only_one_in\n"
     "with only_one_in(Path(sys.argv[1])): print('in', flush=True)\n"
 )
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg  # noqa: F401 - its BLAS is one of its own
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from lodbench.execution.single_threaded_blas import single_threaded_blas
+from lodbench.execution.guards import single_threaded_blas
 
 
 def threads() -> set[int]:

@@ -17,8 +17,8 @@ from lodbench.cli import main
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.errors import ConfigError
 from lodbench.harness import RunSettings, run_method
-from lodbench.harness.runs import code_digest as module
-from lodbench.harness.runs.code_digest import code_digest
+from lodbench.harness import runs as module
+from lodbench.harness.runs import code_digest
 from lodbench.methods.registry import make_method
 from lodbench.plugins import PlugIn
 from lodbench.segmentation.masks import MaskFiles, MasksParams

@@ -1,14 +1,17 @@
 """Tracking: from the last pose and motion, lost where nothing fits, found again by search."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
+from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.methods.tracking import Frame, Tracker, TrackingParams
+from lodbench.methods.tracking import Tracker, Tracking, TrackingParams, state_of
+from lodbench.storage import random_stream
 from tests.town import CAMERA
 
 STEP_S = 0.5
@@ -22,11 +25,15 @@ def path(count: int) -> list[Pose]:
     ]
 
 
-def frames(city_map, poses: list[Pose]) -> list[Frame]:
+def frames(city_map, poses: list[Pose]) -> list[Query]:
+    masks = [city_map.render(CAMERA, pose).astype(np.float32) for pose in poses]
     return [
-        Frame(f"f{k}", STEP_S * k, city_map.render(CAMERA, pose).astype(np.float32))
-        for k, pose in enumerate(poses)
+        Query(f"f{k}", "", CAMERA, start(poses[0]), mask, time_s=STEP_S * k) for k, mask in enumerate(masks)
     ]
+
+
+def tracked(tracker: Tracker, frame: Query):
+    return tracker.next(frame, partial(random_stream, 0, frame.name))
 
 
 def start(pose: Pose) -> Pose:
@@ -37,10 +44,11 @@ def start(pose: Pose) -> Pose:
 
 def test_each_frame_is_found_from_the_last(city_map):
     poses = path(8)
-    tracker = Tracker(city_map, CAMERA, start(poses[0]))
-    for frame, pose in zip(frames(city_map, poses), poses, strict=True):
-        found = tracker.track(frame)
-        assert found.state == "tracked"
+    all_frames = frames(city_map, poses)
+    tracker = Tracking().begin(all_frames[0], city_map)
+    for frame, pose in zip(all_frames, poses, strict=True):
+        found = tracked(tracker, frame)
+        assert state_of(found) == "tracked"
         error = pose_error(found.pose, pose)
         assert error.translation_m < 0.6
         assert error.rotation_deg < 0.3
@@ -53,29 +61,31 @@ def test_motion_carries_over_frames_that_are_gone(city_map):
     # Every third frame only: 9 m from one to the next, further than outlines reach without the motion.
     poses = path(10)
     all_frames = frames(city_map, poses)
-    tracker = Tracker(city_map, CAMERA, start(poses[0]))
+    tracker = Tracking().begin(all_frames[0], city_map)
     for k in (0, 1, 2, 3, 6, 9):
-        found = tracker.track(all_frames[k])
-        assert found.state == "tracked"
+        found = tracked(tracker, all_frames[k])
+        assert state_of(found) == "tracked"
         assert pose_error(found.pose, poses[k]).translation_m < 0.6
 
 
 def test_a_lost_camera_says_so_and_is_found_again(city_map):
     poses = path(9)
     all_frames = frames(city_map, poses)
-    blind = np.zeros_like(all_frames[0].mask)
+    blind = np.zeros(all_frames[0].mask.shape, np.float32)
     wrong = blind.copy()
     wrong[:70, :70] = 1.0
-    all_frames[3], all_frames[4] = replace(all_frames[3], mask=blind), replace(all_frames[4], mask=wrong)
+    all_frames[3], all_frames[4] = (
+        replace(all_frames[k], building_probability=mask) for k, mask in ((3, blind), (4, wrong))
+    )
     # When it sees again, it is where no motion leads: 25 m aside.
     poses[5:] = [pose.shifted((0.0, 25.0, 0.0)) for pose in poses[5:]]
     all_frames[5:] = [
-        replace(frame, mask=city_map.render(CAMERA, pose).astype(np.float32))
+        replace(frame, building_probability=city_map.render(CAMERA, pose).astype(np.float32))
         for frame, pose in zip(all_frames[5:], poses[5:], strict=True)
     ]
-    tracker = Tracker(city_map, CAMERA, start(poses[0]))
-    found = [tracker.track(frame) for frame in all_frames]
-    states = [each.state for each in found]
+    tracker = Tracking().begin(all_frames[0], city_map)
+    found = [tracked(tracker, frame) for frame in all_frames]
+    states = list(map(state_of, found))
     assert states[:5] == ["tracked"] * 3 + ["lost"] * 2
     assert [each.covariance is None for each in found] == [state == "lost" for state in states]
     assert [each.probability == 0.0 for each in found] == [state == "lost" for state in states]
@@ -101,9 +111,10 @@ def test_a_lens_that_is_hardly_known_leaves_the_first_place_open(city_map):
     first, second = frames(city_map, poses)
     sigmas_m = []
     for percent in (None, 3.0):
-        tracker = Tracker(city_map, CAMERA, start(poses[0]), lens_percent=percent)
-        found = tracker.track(first)
+        first = replace(first, lens_percent=percent)
+        tracker = Tracking().begin(first, city_map)
+        found = tracked(tracker, first)
         assert pose_error(found.pose, poses[0]).translation_m < 2.0
         sigmas_m.append(np.sqrt(np.trace(found.covariance[:3, :3])))
-        assert tracker.track(second).state == "tracked"
+        assert state_of(tracked(tracker, second)) == "tracked"
     assert sigmas_m[1] > 1.5 * sigmas_m[0]

@@ -7,10 +7,9 @@ import re
 import pytest
 
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.reporting.run_names import names_of
 from lodbench.reporting.summaries import read_summary, with_seconds, with_settings
 from lodbench.reporting.table_formats import FORMATS, format_csv, format_text
-from lodbench.reporting.tables import tables_of
+from lodbench.reporting.tables import names_of, tables_of
 
 
 def summary(variant: str, recall: float, tilt: str = "truth", queries: str = "q", masks: str = "m") -> dict:

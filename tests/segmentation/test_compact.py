@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lodbench.cli.flags import in_syntax_of
+from lodbench.cli.settings import in_syntax_of
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.segmentation.compact import Compact, CompactParams

@@ -21,8 +21,7 @@ from lodbench.storage import (
 )
 from lodbench.storage.disk import disk
 from lodbench.storage.json_text import parse_json
-from lodbench.storage.paths import cache_limit_bytes, cache_root, data_root
-from lodbench.storage.pruning import mark_used, prune_cache
+from lodbench.storage.paths import cache_limit_bytes, cache_root, data_root, mark_used, prune_cache
 
 
 def test_what_can_be_written_to_is_known_beforehand(tmp_path):

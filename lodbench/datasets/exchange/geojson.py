@@ -24,7 +24,7 @@ from lodbench.photos.map_frame import (
     survey_row,
 )
 from lodbench.storage import write_bytes, write_text
-from lodbench.storage.atomic import writable
+from lodbench.storage.disk import writable
 
 if TYPE_CHECKING:
     import sqlite3

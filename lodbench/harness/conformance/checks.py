@@ -126,11 +126,7 @@ def _params_type_of(group: str, part: Any) -> Any:
 
 
 def _params_of(params_type: Any, config: Mapping[str, Any], section: str) -> Any:
-    """Returns parameters filled from a configuration.
-
-    Raises:
-        ConfigError: A setting is unknown, or its value is not to be had.
-    """
+    """Returns parameters filled from a configuration."""
     return to_params(
         {key: value for key, value in config.items() if _has(params_type, key)}, params_type, section
     )

@@ -113,7 +113,7 @@ def refuses(call: Callable[[], object], what: str) -> str:
 def trial_dataset(folder: Path) -> tuple[Scene, Dataset]:
     """Returns the blocks, and a dataset of three views; photos and masks are written to a folder."""
     scene = scene_of_blocks(BLOCKS)
-    painter = cast(LayerRenderer, open_renderer("raster", scene, 1))
+    painter = cast("LayerRenderer", open_renderer("raster", scene, 1))
     entries, truth = [], {}
     for k, (pitch, roll, yaw, *center) in enumerate(TRUTHS):
         pose = Pose.from_euler(EulerAngles(pitch, roll, yaw), center)

@@ -159,11 +159,7 @@ def export_run(export: Export, form: ExportFormat, out: Path | None = None) -> E
 
 
 def _require_room(written: Path, path: Path) -> None:
-    """Checks that no file is replaced that is no such export.
-
-    Raises:
-        ConfigError: One would be.
-    """
+    """Checks that no file is replaced that is no such export."""
     if written.is_dir():
         for each in written.iterdir():
             _require_room(each, path / each.name)

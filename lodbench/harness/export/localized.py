@@ -117,11 +117,7 @@ def _values_in(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
 
 
 def _answers_in(folder: Path) -> list[_Answer]:
-    """Returns the answers in a folder.
-
-    Raises:
-        DatasetError: One is not as `lodbench localize` writes it.
-    """
+    """Returns the answers in a folder."""
     answers = []
     for file, values in _values_in(folder):
         try:
@@ -162,11 +158,7 @@ def _table_rows(folder: Path) -> Iterator[tuple[Path, str]]:
 
 
 def _paths_of(folder: Path, answers: Sequence[_Answer], posed: Sequence[Path]) -> list[Path]:
-    """Returns the photos' files, by the paths in the tables where several photos have one name.
-
-    Raises:
-        DatasetError: Two photos cannot be told apart.
-    """
+    """Returns the photos' files, by the paths in the tables where several photos have one name."""
     counts = Counter(answer.photo for answer in answers)
     repeated = [photo for photo in posed if counts[photo.name] > 1 and photo.is_file()]
     by_digest = {file_digest(photo): photo for photo in repeated}
@@ -183,11 +175,7 @@ def _paths_of(folder: Path, answers: Sequence[_Answer], posed: Sequence[Path]) -
 
 
 def _one_crs(folder: Path, answers: Sequence[_Answer]) -> str | None:
-    """Returns the reference system of all answers; None for a local frame.
-
-    Raises:
-        DatasetError: There are several.
-    """
+    """Returns the reference system of all answers; None for a local frame."""
     first = answers[0]
     for other in answers[1:]:
         if first.crs != other.crs and (

@@ -17,8 +17,8 @@ from lodbench.datasets.own import find_mask
 from lodbench.datasets.pose_files import brought, read_pose_file
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
+from lodbench.harness.photo import RoughPoses
 from lodbench.harness.photo.prepare import PreparedPhoto
-from lodbench.harness.photo.request import RoughPoses
 from lodbench.methods.flight.relative_poses import FEWEST_PHOTOS
 from lodbench.photos.files import PHOTO_SUFFIXES, copies_among, mask_name
 from lodbench.photos.metadata import read_photo_metadata

@@ -20,6 +20,7 @@ from lodbench.evaluation import PoseError
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
 from lodbench.harness.map_findings import city_and_marks, contradiction_features
+from lodbench.harness.photo import PhotoRequest
 from lodbench.harness.photo.flight_inputs import (
     masks_of,
     names_of,
@@ -40,10 +41,9 @@ from lodbench.harness.photo.many import (
     write_answers,
 )
 from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo
-from lodbench.harness.photo.request import PhotoRequest
 from lodbench.harness.tracebacks import told_as_fault
 from lodbench.methods import Estimate
-from lodbench.methods.protocol import FlightEstimate, SupportsFlights
+from lodbench.methods.protocol import FlightEstimate, Streams, SupportsFlights
 from lodbench.methods.timed_localize import localize_flight
 from lodbench.photos.files import Flight, split_flights
 from lodbench.photos.map_frame import MapFrame
@@ -190,22 +190,33 @@ def _solve(
                 )
             )
         streams = [partial(random_stream, request.seed, "localize", "photo") for _ in queries]
-        try:
-            with told_as_fault(f"method {method.name}", request.out, "flight"):
-                found = localize_flight(method, queries, city_map, streams)
-        except QueryFault as fault:
-            found = FlightEstimate([fault] * len(queries))
-    estimates = [
-        each
-        if isinstance(each, QueryFault)
-        else replace(
-            each,
-            pose=each.pose.shifted(origin),
-            alternatives=tuple(pose.shifted(origin) for pose in each.alternatives),
-        )
-        for each in found.estimates
-    ]
-    return FlightEstimate(estimates, found.findings)
+        return solved_flight(method, queries, city_map, streams, request.out)
+
+
+def solved_flight(
+    method: SupportsFlights,
+    queries: Sequence[Query],
+    city_map: CityMap,
+    streams: Sequence[Streams],
+    out: Path,
+) -> FlightEstimate:
+    """Returns a method's answers to the photos of a flight, in the city's coordinates.
+
+    What a plug-in's code raises is the fault of each of them; where it raised is kept in the folder ``out``.
+    """
+    origin = city_map.scene.origin
+    try:
+        with told_as_fault(f"method {getattr(method, 'name', '')}", out, "flight"):
+            found = localize_flight(method, queries, city_map, streams)
+    except QueryFault as fault:
+        return FlightEstimate([fault] * len(queries))
+
+    def placed(each: Estimate) -> Estimate:
+        others = tuple(pose.shifted(origin) for pose in each.alternatives)
+        return replace(each, pose=each.pose.shifted(origin), alternatives=others)
+
+    answers = [each if isinstance(each, QueryFault) else placed(each) for each in found.estimates]
+    return FlightEstimate(answers, found.findings)
 
 
 def _taken(flight: Flight, names: Sequence[str]) -> list[str]:

@@ -20,9 +20,9 @@ from lodbench.datasets.inputs import Input, declared_inputs, require_inputs
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.harness.city import HEIGHT_HINT, height_above_m, open_city
+from lodbench.harness.photo import LocalizedPhoto, PhotoRequest
 from lodbench.harness.photo.outputs import PhotoView, photo_features, write_photo_overlay
 from lodbench.harness.photo.prepare import PreparedPhoto, pinhole_mask, prepare_photo, undistorted_photo
-from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
 from lodbench.harness.tracebacks import told_as_fault
 from lodbench.methods import Estimate, Method
 from lodbench.methods.fits import NothingFits

@@ -15,8 +15,8 @@ from lodbench.datasets.exchange.geojson import nowhere_feature, write_geojson
 from lodbench.datasets.own import find_mask
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.execution import Progress
+from lodbench.harness.photo import LocalizedPhoto, PhotoRequest
 from lodbench.harness.photo.localize import localize_photo
-from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
 from lodbench.harness.tracebacks import last_write
 from lodbench.photos.files import find_photos, require_photos
 from lodbench.photos.map_frame import SURVEY_COLUMNS, survey_row
@@ -24,7 +24,7 @@ from lodbench.photos.pose import PoseNotStated
 from lodbench.reporting.answers import rounded_down
 from lodbench.reporting.flight_words import PriorSource, constants_in_words, map_in_words
 from lodbench.storage import hide_formula, make_folder, write_text
-from lodbench.storage.atomic import writable
+from lodbench.storage.disk import writable
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from lodbench.datasets.exchange.photogrammetry import write_sidecar
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city
-from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
+from lodbench.harness.photo import LocalizedPhoto, PhotoRequest
 from lodbench.methods import Estimate
 from lodbench.photos.map_frame import MapFrame, survey_row
 from lodbench.photos.undistort import undistorted

@@ -15,8 +15,8 @@ from lodbench.datasets.query import Entry
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.harness.city import require_near_city, require_same_region
+from lodbench.harness.photo import PhotoRequest
 from lodbench.harness.photo.outputs import PhotoView
-from lodbench.harness.photo.request import PhotoRequest
 from lodbench.harness.tracebacks import told_as_fault
 from lodbench.photos.camera import (
     PhotoCamera,
@@ -134,13 +134,16 @@ def _camera(request: PhotoRequest, photo: PhotoMetadata) -> PhotoCamera:
     return camera_given(request.camera, request.camera_sigmas)
 
 
-def pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDArray[np.float32]:
+def pinhole_mask(
+    request: PhotoRequest, camera: Camera, pinhole: Camera, name: str = ""
+) -> NDArray[np.float32]:
     """Returns the (H, W) float32 probability of building at each pixel, in [0, 1], as the pinhole sees it.
 
     Args:
         request: Has the mask, or who makes it.
         camera: Of the photo as stored, lens included.
         pinhole: The camera that is localised.
+        name: Of the photo, where it is not its file's.
 
     Raises:
         DatasetError: There is neither, or the segmenter looks at the map.
@@ -155,7 +158,7 @@ def pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDAr
             "Make one with lodbench dataset init, and use lodbench run.",
         )
     elif request.segmenter is not None:
-        entry = Entry(request.photo.name, "", camera, None, request.photo, None)
+        entry = Entry(name or request.photo.name, "", camera, None, request.photo, None)
         part = f"segmenter {request.segmenter.name}"
         with told_as_fault(part, request.out, request.photo.name):
             probability = request.segmenter.segment(entry)

@@ -23,7 +23,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query, Reference
 from lodbench.errors import LodbenchError
-from lodbench.execution.single_threaded_blas import single_threaded_blas
+from lodbench.execution.guards import single_threaded_blas
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.remote.wire import (
     MalformedMessage,
@@ -34,7 +34,7 @@ from lodbench.harness.remote.wire import (
     packed,
     unpacked,
 )
-from lodbench.harness.runs.code_digest import code_digest, words_in
+from lodbench.harness.runs import code_digest, words_in
 from lodbench.methods.protocol import Estimate, Method, SupportsFlights, SupportsPrepare, SupportsTrial
 from lodbench.methods.registry import configure_method
 from lodbench.methods.timed_localize import weight_files
@@ -107,11 +107,11 @@ class RemoteMap:
     @cached_property
     def scene(self) -> Scene:
         """Returns the city, sent over when it is first requested."""
-        return cast(Scene, self._pipe.ask("scene"))
+        return cast("Scene", self._pipe.ask("scene"))
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the silhouette from one pose."""
-        return cast(NDArray[np.bool_], self._pipe.ask("draw", "render", {}, camera, pose))
+        return cast("NDArray[np.bool_]", self._pipe.ask("draw", "render", {}, camera, pose))
 
     def __getattr__(self, kind: str) -> Callable[..., Any]:
         """Returns what draws a kind of view: ``silhouettes``, ``depth`` and so on."""
@@ -199,7 +199,7 @@ class Served:
     def prepare(self, references: Sequence[Reference], folder: Path) -> None:
         """Lets the method prepare."""
         assert isinstance(self._method, SupportsPrepare)  # noqa: S101
-        self._method.prepare(cast(CityMap, self._map), references, Workspace(folder))
+        self._method.prepare(cast("CityMap", self._map), references, Workspace(folder))
 
     @single_threaded_blas
     def localize(self, query: Query, offers: dict[str, bool]) -> Estimate:
@@ -208,7 +208,7 @@ class Served:
         true_pixels = partial(self._pipe.ask, "true_pixels") if offers["true_pixels"] else None
         query = replace(query, segment=segment, true_pixels=true_pixels)
         assert self._method is not None  # noqa: S101
-        return self._method.localize(query, cast(CityMap, self._map), streams_of(self._pipe))
+        return self._method.localize(query, cast("CityMap", self._map), streams_of(self._pipe))
 
 
 def main() -> None:

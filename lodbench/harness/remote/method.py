@@ -182,7 +182,7 @@ class RemoteMethod:
         # What this environment tells its Python is no matter of the other's.
         kept = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
         # -P: nothing is imported from the folder that this was started in; plug-ins are installed there.
-        child = self._child = Child([cast(str, self._runner.python), "-P", "-m", _MODULE], kept)
+        child = self._child = Child([cast("str", self._runner.python), "-P", "-m", _MODULE], kept)
         weakref.finalize(self, child.close)
         self._told = None
         try:

@@ -121,11 +121,7 @@ class Child:
         self._write(packed({"number": self._number, **message}), deadline)
 
     def _has_said(self) -> bool:
-        """Tells whether bytes wait that were not requested.
-
-        Raises:
-            EOFError: The pipe is closed.
-        """
+        """Tells whether bytes wait that were not requested."""
         if not select.select([self._out], [], [], 0)[0]:
             return False
         if not os.read(self._out, 1):

@@ -17,7 +17,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.query import Entry, Query
 from lodbench.errors import STOPPED, ConfigError, InputChanged, LodbenchError, QueryFault, WorkersGone
 from lodbench.evaluation.predictions import Prediction, encoded_mask
-from lodbench.execution.lock import staying_here
+from lodbench.execution.guards import staying_here
 from lodbench.geometry import Pose
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.tracebacks import keep_traceback, words_of
@@ -33,7 +33,7 @@ from lodbench.methods.timed_localize import (
 )
 from lodbench.segmentation import binary_mask, no_wider
 from lodbench.storage import make_folder, write_text
-from lodbench.storage.atomic import writable
+from lodbench.storage.disk import writable
 
 # What flights say besides poses, one file each.
 FLIGHTS_FOLDER = "flights"
@@ -77,12 +77,7 @@ class Asked:
 def _stored_estimate(
     found: Estimate, prepare_s: float, mask_png: str, preparation: Preparation
 ) -> Prediction:
-    """Returns an estimate as it is stored.
-
-    Raises:
-        ValueError: It holds what cannot be stored: the ledger and the tables take finite numbers and texts.
-        LodbenchError: One of its poses is none.
-    """
+    """Returns an estimate as it is stored."""
     fault = number_fault(found) or uncertainty_fault(found) or note_fault(found)
     if fault:
         raise ValueError(fault)

@@ -17,17 +17,16 @@ from lodbench.evaluation.queries import summarize_queries
 from lodbench.evaluation.recall import SplitSummary
 from lodbench.execution import Ledger, Progress
 from lodbench.geometry import rotations_at_yaws
+from lodbench.harness.runs import chosen_entries
 from lodbench.harness.runs.artefacts import summary_of
 from lodbench.harness.runs.prepare import Preparation
-from lodbench.harness.runs.result import chosen_entries
 from lodbench.harness.runs.run import Run
 from lodbench.rendering import Scorer
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.figures import RecallCurve, draw_cost_maps, draw_recall_curves
-from lodbench.reporting.run_names import title_of
 from lodbench.reporting.summaries import numbers_of
 from lodbench.reporting.table_formats import format_latex, format_markdown
-from lodbench.reporting.tables import Line, RecallTable
+from lodbench.reporting.tables import Line, RecallTable, title_of
 from lodbench.segmentation import binary_mask
 from lodbench.storage import digest_of, make_folder, write_bytes, write_text
 

@@ -21,15 +21,15 @@ from lodbench.geometry import Pose
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, open_predictions
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.reporting.aligned_text import count_of
-from lodbench.reporting.comparison import (
+from lodbench.reporting.figures import BudgetPoint
+from lodbench.reporting.page import Picture, markup, rendered
+from lodbench.reporting.run_figures import (
     PAIRED_NOTE,
     ErrorCurve,
     agreement_text,
     comparison_cells,
     draw_comparison,
 )
-from lodbench.reporting.figures import BudgetPoint
-from lodbench.reporting.page import Picture, markup, rendered
 from lodbench.reporting.table_formats import format_html
 from lodbench.reporting.tables import RecallTable
 

@@ -17,11 +17,11 @@ from lodbench.errors import STOPPED
 from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, is_answered, own_failure
 from lodbench.execution import Progress
-from lodbench.execution.lock import staying_here
+from lodbench.execution.guards import staying_here
 from lodbench.geometry import Pose
+from lodbench.harness.runs import Result
 from lodbench.harness.runs.predict import PREDICTIONS_FILE
 from lodbench.harness.runs.prepare import Preparation, prior_of
-from lodbench.harness.runs.result import Result
 from lodbench.harness.runs.verify import Verdict
 from lodbench.plugins import blaming
 from lodbench.rendering import Renderer, make_renderer

@@ -240,7 +240,7 @@ def _answers(
         # The process that was started goes on by itself, and has workers score its large grids.
         prepare_method(*work.prepared_with(city_map))
         shared = SharedScorer(city_map.scorer, workers, _score_here)
-        shared_map = city_map.with_scorer(cast(Scorer, shared))
+        shared_map = city_map.with_scorer(cast("Scorer", shared))
         for batch in batches:
             yield work.answers(preparation, shared_map, batch)
 

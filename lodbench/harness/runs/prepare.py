@@ -19,8 +19,7 @@ from lodbench.datasets.faults import camera_fault
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Dataset, Entry, Query, Reference
 from lodbench.errors import STOPPED, ConfigError, LodbenchError, QueryFault, nearest_names
-from lodbench.execution.lock import staying_here
-from lodbench.execution.single_threaded_blas import single_threaded_blas
+from lodbench.execution.guards import single_threaded_blas, staying_here
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.runs.requirements import require_near, require_photo
 from lodbench.harness.tracebacks import keep_traceback, words_of

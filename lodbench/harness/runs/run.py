@@ -24,9 +24,17 @@ from lodbench.evaluation.predictions import Prediction, evaluate
 from lodbench.evaluation.protocols import protocol_named
 from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams, own_digest
 from lodbench.execution.fan_out import expect_workers
-from lodbench.execution.lock import only_one_in
+from lodbench.execution.guards import only_one_in
 from lodbench.harness.city import city_digests, open_city
-from lodbench.harness.runs.code_digest import code_digest, words_in
+from lodbench.harness.runs import (
+    Result,
+    chosen_entries,
+    code_digest,
+    flights_digest,
+    queries_digest,
+    truth_digest,
+    words_in,
+)
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
 from lodbench.harness.runs.prepare import (
     Preparation,
@@ -47,8 +55,7 @@ from lodbench.harness.runs.requirements import (
     required_inputs,
     tell_flights,
 )
-from lodbench.harness.runs.result import Result, chosen_entries, flights_digest, queries_digest, truth_digest
-from lodbench.harness.runs.status import PLAN_FILE
+from lodbench.harness.runs.stored import PLAN_FILE
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsFlights
 from lodbench.plugins import blaming, load_plugin
@@ -269,11 +276,7 @@ def _read_inputs(
 
 
 def _require_unchanged(before: dict[str, str], after: dict[str, str], folder: Path) -> None:
-    """Sets the answers apart if what they were made from is no longer what names the run's folder.
-
-    Raises:
-        DatasetError: It is not.
-    """
+    """Sets the answers apart if what they were made from is no longer what names the run's folder."""
     changed = [name for name, digest in after.items() if before[name] != digest]
     if not changed:
         return

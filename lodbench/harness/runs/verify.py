@@ -25,11 +25,11 @@ from lodbench.evaluation.protocols import LODLOC, protocol_named
 from lodbench.evaluation.queries import ERROR, NO_TRUTH, PARTS, PRIOR_ERROR, has_truth, is_without_truth
 from lodbench.geometry import wrap_deg
 from lodbench.harness.city import city_digests, open_city
+from lodbench.harness.runs import Result, chosen_entries, flights_digest, queries_digest
 from lodbench.harness.runs.artefacts import summary_of
 from lodbench.harness.runs.compare import TOLERANCE_DEG, TOLERANCE_M, changed_answers, is_without_ledger
 from lodbench.harness.runs.predict import PREDICTIONS_FILE
 from lodbench.harness.runs.prepare import prior_of
-from lodbench.harness.runs.result import Result, chosen_entries, flights_digest, queries_digest
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.reporting.summaries import plugin_metrics, without_metrics

@@ -26,8 +26,8 @@ from lodbench.datasets.own import OwnImage, Written, find_photo, write_dataset
 from lodbench.datasets.own_sources import named_apart
 from lodbench.datasets.priors import UniformPrior
 from lodbench.harness.local_page import LocalServer, saved_or_why
+from lodbench.harness.tracing import parse_tracing, write_tracing
 from lodbench.harness.tracing.solve import Building, Model, TracedMap
-from lodbench.harness.tracing.tracing import parse_tracing, write_tracing
 from lodbench.segmentation.masks import read_photo
 from lodbench.storage import random_stream
 

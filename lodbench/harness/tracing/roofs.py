@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shapely import Polygon
 
 from lodbench.errors import DatasetError
-from lodbench.harness.tracing.tracing import Traced, View, triangulated
+from lodbench.harness.tracing import Traced, View, triangulated
 
 Floats = NDArray[np.float64]
 

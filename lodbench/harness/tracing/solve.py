@@ -16,8 +16,8 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry.similarity import Similarity
 from lodbench.harness.georeference_start import rough_start
+from lodbench.harness.tracing import Traced, TraceRequest, View, posed_views, triangulated
 from lodbench.harness.tracing.roofs import Roof, snapped_roof, traced_roof
-from lodbench.harness.tracing.tracing import Traced, TraceRequest, View, posed_views, triangulated
 from lodbench.photos.map_frame import MapFrame
 from lodbench.storage import random_stream
 

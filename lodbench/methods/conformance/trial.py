@@ -105,7 +105,7 @@ def make_trial(folder: Path, method: object) -> Trial:
     requires = declared_inputs(method, "requires", {Input.MASK})
     is_textured = Input.TEXTURED_MAP in requires
     city_map = CityMap(scene, threads=1, textured=_speckled(scene) if is_textured else None)
-    painter = cast(LayerRenderer, open_renderer("raster", scene, 1))
+    painter = cast("LayerRenderer", open_renderer("raster", scene, 1))
     has_mask = Input.MASK in requires
 
     def picture(name: str, pose: Pose) -> Path:

@@ -1,4 +1,6 @@
-"""Linear algebra whose sums have one order: BLAS on one thread while results are made.
+"""What work is kept from: threads of BLAS, other processes in its folder, another working folder.
+
+BLAS is on one thread while results are made, so that sums have one order.
 
 OpenBLAS splits long sums over its threads, so that the last digits of a product depend on how many there
 are; a pose that an optimiser takes through them then differs too. For the small systems of a query its
@@ -7,9 +9,14 @@ threads gain nothing, and those of many workers only wait for each other.
 
 from __future__ import annotations
 
+import fcntl
+import logging
+import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache, wraps
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 Arguments = ParamSpec("Arguments")
@@ -69,3 +76,42 @@ def _libraries() -> Any:
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
+
+
+_LOGGER = logging.getLogger(__name__)
+
+
+@contextmanager
+def only_one_in(folder: Path) -> Iterator[None]:
+    """Holds a folder for this process; waits, and says so, while another has it.
+
+    The lock is the system's and ends with the process, however that happens; no file is left. Where the file
+    system knows no locks there is none.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            _LOGGER.warning("Another process is at work in %s: waiting for it.", folder)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        except OSError:
+            pass
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def staying_here() -> Iterator[None]:
+    """Returns to the working folder after the block, whatever it did; decorates functions too."""
+    try:
+        here = Path.cwd()
+    except FileNotFoundError:  # it was removed: no relative path leads anywhere
+        yield
+        return
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            os.chdir(here)

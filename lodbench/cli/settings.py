@@ -1,4 +1,4 @@
-"""Commands in Hydra's grammar: their words, and their help, every setting with its meaning from the YAML."""
+"""Commands of settings: their words, their help from the YAML, and messages in the syntax that was typed."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
+from lodbench.cli.commands import ACTIONS, COMMANDS
 from lodbench.cli.configs import config_files
 from lodbench.cli.parser import tell_old_name
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError, Option, Words, nearest_names
+from lodbench.params import flags_of
 from lodbench.plugins import config_folders, find_plugin
 
 # Hydra's own flags; the second part takes a value.
@@ -271,3 +273,84 @@ def _attributes(described: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
         for kind in reversed(described.__mro__):
             for name, words in _ATTRIBUTE.findall(kind.__doc__ or ""):
                 yield f"{prefix}{name}", " ".join(words.split())
+
+
+# Benches draw their dataset: what its settings are called there.
+_SAME = {name: f"--{name}" for name in ("city", "crs", "lod", "method", "segmenter")}
+_OF_VIEWS = {
+    "lod": "--map-lod",
+    "roof_height": "--roof-height",
+    "dataset.num_views": "--views",
+    "dataset.mask_iou": "--mask-iou",
+    "dataset.tilt_deg": "--tilt-width",
+    "dataset.range_m": "--prior-range",
+    "dataset.height_m": "--prior-height",
+    "dataset.camera_height_m": "--camera-height",
+    "dataset.building_share": "--building-share",
+}
+_OF_BENCH = {
+    "accuracy": _SAME | _OF_VIEWS,
+    "flights": _SAME | {"lod": "--map-lod"},
+    "real": _SAME | {"dataset.root": "--query"},
+}
+# Settings of a part are words of one flag.
+_PARTS = {"method": "--method-option", "segmenter": "--segmenter-option", "prior": "--set"}
+# These take settings as ``KEY=VALUE`` alone.
+_CHECKS = ("check-method", "check-plugin")
+
+
+def in_syntax_of(words: Sequence[str], text: Words) -> Words:
+    """Returns a message with its options in the syntax of the command that was typed.
+
+    Args:
+        words: The command and all that follows it.
+        text: As a library has it.
+
+    Example:
+        >>> root = Words("Set `dataset.root=FOLDER`.")
+        >>> in_syntax_of(["run", "dataset=folder"], root)
+        'Set dataset.root=FOLDER.'
+        >>> in_syntax_of(["run", "--dataset", "folder"], root)
+        'Set --root FOLDER.'
+        >>> in_syntax_of(["verify", "RUN"], root)
+        'Set --dataset-root FOLDER.'
+        >>> in_syntax_of(["localize", "a.jpg"], Words("`default_height_m=9`, or lodbench run method=region."))
+        '--option default_height_m=9, or lodbench run method=region.'
+        >>> in_syntax_of(["check-plugin", "segmenter", "mine"], Words("Set `segmenter.weights=FILE`."))
+        'Set segmenter.weights=FILE.'
+        >>> in_syntax_of(["bench", "flights"], Words("Ask for `lod=2.2`."))
+        'Ask for --map-lod 2.2.'
+    """
+    command = words[0]
+    if command in SETTINGS_COMMANDS and has_flags_alone(words[1:]):
+        return text.rewritten(lambda option: _flag(option, f"--{short_name(command, option.name)}"))
+    if command in SETTINGS_COMMANDS or command in _CHECKS:
+        return text
+    own = _flags_declared(words)
+    return text.rewritten(lambda option: _flag(option, own.get(option.name, _part(option))))
+
+
+def _flags_declared(words: Sequence[str]) -> dict[str, str]:
+    """Returns the flags of a command by the settings that they set, as its ``OPTIONS`` declare them."""
+    command, action = words[0], words[1] if len(words) > 1 else ""
+    if command == "bench":
+        return _OF_BENCH.get(action, _SAME)
+    place = ACTIONS.get(action, ("",))[0] if command == "dataset" else COMMANDS.get(command, ("",))[0]
+    module = import_module(place.partition(":")[0]) if place else None
+    kinds: dict[str, type] = getattr(module, "OPTIONS", {})
+    kind = kinds.get(action, kinds.get(""))
+    return _SAME if kind is None else flags_of(kind)
+
+
+def _part(option: Option) -> str:
+    section, _, name = option.name.partition(".")
+    return _PARTS.get(section, "") if name else ""
+
+
+def _flag(option: Option, flag: str) -> str:
+    """Returns an option as a flag, which may be one that is followed by KEY=VALUE; "" leaves it."""
+    if option.is_flag or not flag:
+        return option.words
+    takes_pair = flag in ("--option", *_PARTS.values())
+    value = option.words.partition(".")[2] or option.words if takes_pair else option.value
+    return f"{flag} {value}".rstrip()

@@ -1,16 +1,23 @@
-"""Source profiles: what is known of a publisher's files, and how a user adds to it."""
+"""Parts by name: profiles of how a publisher writes files, and segmenters; and options that a user adds."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import sys
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.cli.configs import config_files, read_config
+from lodbench.datasets.inputs import Input
+from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, nearest_names
+from lodbench.segmentation import Segmenter
+from lodbench.segmentation.registry import AUTO, FOR_PHOTOS, chosen_segmenter, make_segmenter
 
+# Settings of reading a city that have no flag of their own.
+READ_SETTINGS = tuple(each.name for each in fields(ReadOptions) if each.name not in ("crs", "date"))
 DATE_HELP = "leave out buildings whose end date is before it, if the file has end dates (default: today)"
 
 
@@ -97,3 +104,74 @@ def _value(text: str) -> Any:
         # Lists of words need no quotes, as in the settings of a run.
         is_list = text.startswith("[") and text.endswith("]")
         return [_value(part.strip()) for part in text[1:-1].split(",")] if is_list else text
+
+
+# A segmenter and its parameters.
+Made = tuple[Segmenter, Any]
+
+
+def segmenter_of(name: str, words: Sequence[str] = ()) -> Segmenter:
+    """Returns a segmenter with some options set, ``key=value`` each.
+
+    Raises:
+        LodbenchError: There is none of this name, an option is not one of it, or its weights are missing.
+    """
+    return make_segmenter(name, option_pairs(words))[0]
+
+
+def require_frames_looked_at(segmenter: Segmenter, name: str) -> None:
+    """Makes sure that a segmenter makes masks of pixels, as frames of a video need it.
+
+    Raises:
+        ConfigError: It does not, such as one that reads masks.
+    """
+    if not hasattr(segmenter, "probability"):
+        raise ConfigError(f"`--segmenter {name}` looks at no frames.", f"{FOR_PHOTOS} does.")
+
+
+def require_one_mask_source(options: Any, *flags: str) -> None:
+    """Refuses a segmenter beside masks that are made already: one of the two would be looked at for nothing.
+
+    Args:
+        options: With ``segmenter``, and ``segmenter_option`` where the command has it.
+        flags: The command's options that name masks.
+
+    Raises:
+        ConfigError: Both were given.
+    """
+    named = [flag for flag in flags if getattr(options, flag.removeprefix("--")) is not None]
+    makers = ["--segmenter"] if options.segmenter is not None else []
+    makers += ["--segmenter-option"] if getattr(options, "segmenter_option", []) else []
+    if named and makers:
+        raise ConfigError(
+            f"`{makers[0]}` is not used with `{named[0]}`.", f"Leave `{makers[0]}` or `{named[0]}` out."
+        )
+
+
+def named_segmenter(values: Mapping[str, Any]) -> Made | None:
+    """Returns the segmenter that a configuration's section names; None for ``auto``.
+
+    Raises:
+        LodbenchError: As for ``segmenter_of``.
+    """
+    return None if values.get("name") == AUTO else make_segmenter(str(values.get("name", "")), values)
+
+
+def default_segmenter(
+    dataset: Dataset, wanted: Collection[Input] = frozenset({Input.MASK}), splits: tuple[str, ...] = ()
+) -> Made:
+    """Returns the segmenter of a dataset where none is named; prints which and why, if masks are wanted.
+
+    Args:
+        dataset: What is to be segmented.
+        wanted: What the method looks at of what a segmenter makes.
+        splits: That are run; the dataset's default ones if none is named.
+
+    Raises:
+        DatasetError: Masks are needed, and the splits have neither masks nor photos.
+        ConfigError: A split is not one of the dataset.
+    """
+    name, reason = chosen_segmenter(dataset, wanted, splits)
+    if wanted:
+        sys.stdout.write(f"segmenter={name}: {reason}; segmenter=NAME takes another\n")
+    return make_segmenter(name)
