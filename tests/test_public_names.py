@@ -22,11 +22,11 @@ PLUG_INS = {
         egeniouss ortholoc anyvisloc semcitylocked demo_train real_flights
     """.split(),
     "lodbench.segmenters": """
-        none masks instances map_instances compact compact_instances efficient_unet map_guided oracle
-        noisy_oracle sam2_unet sam1_adapter semantic fastsam
+        none masks instances map_instances compact compact_instances compact_classes classes efficient_unet
+        map_guided oracle noisy_oracle sam2_unet sam1_adapter semantic fastsam
     """.split(),
     "lodbench.renderers": ["silhouette", "reference", "raster", "pyrender", "open3d"],
-    "lodbench.fits": ["iou", "soft_iou", "confident_iou", "boundary", "region"],
+    "lodbench.fits": ["iou", "soft_iou", "confident_iou", "boundary", "semantic_iou", "region"],
     "lodbench.priors": ["file", "sensor", "uniform", "basin"],
     "lodbench.pose_formats": "lines c2w colmap tum kapture nerfstudio metashape pix4d odm table".split(),
     "lodbench.export_formats": """

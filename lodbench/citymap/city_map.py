@@ -16,10 +16,19 @@ from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.kernels.arguments import EdgeFaces
 from lodbench.kernels.projection import visible_buildings
-from lodbench.rendering import DepthRenderer, Fit, Instances, IouCounts, Scorer, ViewEdges, make_renderer
+from lodbench.rendering import (
+    DepthRenderer,
+    Fit,
+    Instances,
+    IouCounts,
+    Scorer,
+    SemanticIouFit,
+    ViewEdges,
+    make_renderer,
+)
 from lodbench.rendering.bits import Words
 from lodbench.rendering.edges import edge_faces, edge_pairs, edges_in_view
-from lodbench.rendering.projection import require_poses, view_planes
+from lodbench.rendering.projection import require_poses, require_size, view_planes
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.selection import bounding_spheres
 from lodbench.rendering.silhouette import SilhouetteRenderer
@@ -32,6 +41,8 @@ if TYPE_CHECKING:
     from lodbench.synthesis.photo import PhotoRenderer
 
 Floats = NDArray[np.float64]
+# Class maps that are drawn before they are compared.
+_AT_ONCE = 32
 
 
 class CityMap:
@@ -127,8 +138,13 @@ class CityMap:
         return self.scorer.counts(camera, rotations, centers, mask)
 
     def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
-        """Returns the similarity of N silhouettes to a query, (N,) in [0, 1]; see ``Fit``."""
+        """Returns the similarity of N silhouettes, or class maps, to a query, (N,) in [0, 1]; see ``Fit``."""
         self.usage.add("fit", len(centers))
+        if isinstance(fit, SemanticIouFit):
+            require_size(camera, fit.size)
+            parts = [slice(k, k + _AT_ONCE) for k in range(0, len(centers), _AT_ONCE)]
+            drawn = (self._raster.classes(camera, rotations[part], centers[part]) for part in parts)
+            return np.concatenate([np.zeros(0), *map(fit, drawn)])
         return self.scorer.fit(camera, rotations, centers, fit)
 
     def instances(self, camera: Camera, rotations: Floats, centers: Floats) -> tuple[Instances, ...]:
@@ -164,6 +180,11 @@ class CityMap:
         """Returns (N, H, W) indices into ``scene.building_ids`` of what is seen, -1 for none."""
         self.usage.add("buildings", len(centers))
         return self._raster.buildings(camera, rotations, centers)
+
+    def classes(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.uint8]:
+        """Returns (N, H, W) classes of what is seen: 1 roofs, 2 walls, by slope, 0 for neither."""
+        self.usage.add("classes", len(centers))
+        return self._raster.classes(camera, rotations, centers)
 
     def colour(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.uint8]:
         """Returns (N, H, W, 3) RGB pictures of the textured map, or where there is none, of made-up surfaces.

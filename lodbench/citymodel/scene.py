@@ -15,6 +15,10 @@ from lodbench.citymodel.lods import group_cuts
 from lodbench.citymodel.raw import GrowingArray, starts_of
 from lodbench.errors import CityModelError
 
+# Classes of surfaces; 0 is all else: ground, sky, what no map holds.
+ROOF, WALL = 1, 2
+# Surfaces whose normal is steeper than this are roofs; the renderers draw the same so.
+ROOF_Z = 0.3
 # Triangles merged at a time: some twenty times their size is held meanwhile.
 _CHUNK_TRIANGLES = 1 << 16
 
@@ -65,6 +69,21 @@ class Scene:
         """Returns the lower and upper corner, (3,) each, metres in the local frame."""
         points = self.vertices.astype(np.float64)
         return points.min(axis=0), points.max(axis=0)
+
+    def surface_classes(self) -> NDArray[np.uint8]:
+        """Returns the (T,) class of each triangle by its slope: ``ROOF`` up to 72.5 deg, else ``WALL``."""
+        normals = self._normals()
+        is_roof = np.abs(normals[:, 2]) > ROOF_Z * np.linalg.norm(normals, axis=1)
+        return np.where(is_roof, ROOF, WALL).astype(np.uint8)
+
+    def areas_m2(self) -> NDArray[np.float64]:
+        """Returns the (T,) area of each triangle."""
+        return np.asarray(0.5 * np.linalg.norm(self._normals(), axis=1))
+
+    def _normals(self) -> NDArray[np.float64]:
+        """Returns (T, 3) normals as long as twice the triangle's area."""
+        corners = self.vertices[self.triangles].astype(np.float64)
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
     def digest(self) -> str:
         """Returns a 16-digit hexadecimal fingerprint of the geometry."""

@@ -65,7 +65,8 @@ def task(config: DictConfig) -> None:
     if not hasattr(load_plugin("segmenters", name), "build"):
         raise ConfigError(
             f"segmenter={name} has no network to train.",
-            "Trainable: compact, compact_instances, efficient_unet, sam2_unet, sam1_adapter.",
+            "Trainable: compact, compact_instances, compact_classes, efficient_unet, sam2_unet, "
+            "sam1_adapter.",
         )
     # Loading torch and the first step take a while: what is going on is said before.
     _tell(f"training {name} on {params.data} into {params.out}")

@@ -11,6 +11,7 @@
         Query_image/            the photos (optional; or images/)
         masks/                  building masks, 255 = building (optional)
         instances/              labels of single buildings, 0 = none, one value per building (optional)
+        classes/                labels of surfaces, 0 = neither, 1 = roof, 2 = wall (optional)
         sequences.txt           name sequence: which photos belong to one flight (optional)
         lens_percent.txt        name percent: standard deviation of a focal length known badly (optional)
         measurements.txt        name east=0.02 range=81.2 ...: deviations of the prior, a laser's range, a
@@ -35,7 +36,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
 from lodbench.datasets.exchange.posed import read_json
 from lodbench.datasets.inputs import read_references
-from lodbench.datasets.instance_labels import INSTANCES_FOLDER
+from lodbench.datasets.instance_labels import CLASSES_FOLDER, INSTANCES_FOLDER
 from lodbench.datasets.pose_text import (
     format_camera,
     format_pose,
@@ -278,6 +279,7 @@ def _entry(
         mask=_first_file(folder / "masks", mask_names(name)),
         hypotheses=priors,
         instances=_first_file(folder / INSTANCES_FOLDER, [Path(name).stem + ".png"]),
+        classes=_first_file(folder / CLASSES_FOLDER, [Path(name).stem + ".png"]),
     )
 
 

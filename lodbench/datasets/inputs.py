@@ -18,6 +18,7 @@ class Input(StrEnum):
     Attributes:
         MASK: Probability of building at each pixel. Of a dataset: masks made beforehand.
         INSTANCES: A mask of each building in the photo. Of a dataset: labels made beforehand.
+        CLASSES: Roof, wall or neither at each pixel. Of a dataset: labels made beforehand.
         MASK_ON_DEMAND: Such a mask where the method calls ``Query.segment``, and only then.
         IMAGE: The photo.
         REFERENCES: Posed pictures of the place.
@@ -30,6 +31,7 @@ class Input(StrEnum):
 
     MASK = "mask"
     INSTANCES = "instances"
+    CLASSES = "classes"
     MASK_ON_DEMAND = "mask_on_demand"
     IMAGE = "image"
     REFERENCES = "references"
@@ -46,6 +48,11 @@ _WORDS = {
     Input.INSTANCES: (
         "a mask of each building",
         "Put labels (0 = none, one value per building) in each split's folder instances, or name a segmenter "
+        "that makes them: `segmenter=NAME`.",
+    ),
+    Input.CLASSES: (
+        "masks of roofs and walls",
+        "Put labels (0 = neither, 1 = roof, 2 = wall) in each split's folder classes, or name a segmenter "
         "that makes them: `segmenter=NAME`.",
     ),
     Input.MASK_ON_DEMAND: ("what makes masks", "Name a segmenter that makes them: `segmenter=NAME`."),
@@ -93,6 +100,7 @@ def inputs_of(dataset: Dataset, entries: Sequence[Entry]) -> frozenset[Input]:
     has = {
         Input.MASK: any(entry.mask is not None for entry in entries),
         Input.INSTANCES: any(entry.instances is not None for entry in entries),
+        Input.CLASSES: any(entry.classes is not None for entry in entries),
         Input.IMAGE: any(entry.image is not None for entry in entries),
         Input.REFERENCES: bool(dataset.references),
         Input.TEXTURED_MAP: dataset.textured_map is not None,

@@ -1,4 +1,4 @@
-"""Instance labels: pictures whose grey says which building a pixel belongs to, 0 for none."""
+"""Labels: pictures whose grey is the number of a pixel's building, or its class; 0 for none."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from lodbench.errors import QueryFault
 from lodbench.photos.pictures import decoded, encoded, has_too_many_pixels
 from lodbench.storage.digest import read_content
 
-# Folder of a split's label files.
-INSTANCES_FOLDER = "instances"
+# Folders of a split's label files: of buildings, and of classes of surfaces (1 roof, 2 wall).
+INSTANCES_FOLDER, CLASSES_FOLDER = "instances", "classes"
+_CLASS_VALUES = "0 = neither, 1 = roof, 2 = wall"
 # More buildings in one photo than this are no buildings.
 _MOST = 2000
 # Values of all masks of a photo together: 1 GB.
 _MOST_VALUES = 2**30
 
 
-def read_labels(path: Path) -> NDArray[np.uint16]:
-    """Returns the (H, W) labels of a grey PNG of 8 or 16 bits.
+def read_labels(path: Path, what: str = INSTANCES_FOLDER) -> NDArray[np.uint16]:
+    """Returns the (H, W) labels of a grey PNG of 8 or 16 bits; faults name ``what`` they are.
 
     Raises:
         QueryFault: The file is missing, is no such picture or has too many pixels, or has more than 2000
@@ -29,21 +30,32 @@ def read_labels(path: Path) -> NDArray[np.uint16]:
     try:
         content = read_content(path)
     except OSError as error:
-        raise QueryFault(f"instances {path.name} cannot be read: {error.strerror}") from error
+        raise QueryFault(f"{what} {path.name} cannot be read: {error.strerror}") from error
     if has_too_many_pixels(content):
-        raise QueryFault(f"instances {path.name} has too many pixels")
+        raise QueryFault(f"{what} {path.name} has too many pixels")
     labels = decoded(content, as_stored=True)
     if labels is None or labels.ndim != 2 or labels.dtype not in (np.uint8, np.uint16):
-        raise QueryFault(
-            f"instances {path.name} is not a grey image of 8 or 16 bits: 0, then one per building"
-        )
+        values = "0, then one per building" if what == INSTANCES_FOLDER else _CLASS_VALUES
+        raise QueryFault(f"{what} {path.name} is not a grey image of 8 or 16 bits: {values}")
     seen = np.zeros(2**16, np.bool_)
     for row in labels:  # all at once it takes eight times the picture
         seen[row] = True
     count = int(seen[1:].sum())
     if count > _MOST:
-        raise QueryFault(f"instances {path.name} has {count} labels: is it a photo?")
+        raise QueryFault(f"{what} {path.name} has {count} labels: is it a photo?")
     return labels.astype(np.uint16)
+
+
+def read_classes(path: Path) -> NDArray[np.uint8]:
+    """Returns the (H, W) classes of a grey PNG: 1 for roofs, 2 for walls, 0 for all else.
+
+    Raises:
+        QueryFault: As for ``read_labels``, or there is another value.
+    """
+    labels = read_labels(path, CLASSES_FOLDER)
+    if labels.max(initial=0) > 2:
+        raise QueryFault(f"classes {path.name} hold the value {labels.max()}", _CLASS_VALUES)
+    return labels.astype(np.uint8)
 
 
 def encoded_labels(labels: NDArray[np.uint16]) -> bytes:

@@ -31,6 +31,8 @@ class Query:
         image: The photo, or None where the dataset has none.
         hypotheses: All rough poses the dataset states, the prior first; may be empty.
         instances: (N, H, W) bool, read-only, a mask of each building, for a method that requires them.
+        classes: (H, W) uint8, read-only, 1 for roofs, 2 for walls, 0 for all else, for a method that requires
+            them.
         segment: Returns the mask that the segmenter makes, for a method that requires masks on demand; or
             the mask again, guided by the map from a better pose (scene frame), where the segmenter is one
             that looks at the map; None otherwise. Raises QueryFault.
@@ -54,6 +56,7 @@ class Query:
     image: Path | None = None
     hypotheses: tuple[Pose, ...] = ()
     instances: NDArray[np.bool_] | None = None
+    classes: NDArray[np.uint8] | None = None
     segment: Callable[[Pose], NDArray[np.float32]] | None = None
     true_pixels: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
     sequence: str = ""
@@ -65,7 +68,7 @@ class Query:
 
     def __post_init__(self) -> None:
         # A method that writes into them would change what is stored, and what the next method is shown.
-        for name in ("building_probability", "instances"):
+        for name in ("building_probability", "instances", "classes"):
             given = getattr(self, name)
             if isinstance(given, np.ndarray):
                 shown = given.view()
@@ -99,6 +102,7 @@ class Entry:
         sequence: Name of the flight it was taken on, unique within its split; "" where nobody says.
         reconstructed: Its pose in a reconstruction of its flight, in a frame of that.
         instances: Labels of its buildings made beforehand, see ``lodbench.datasets.instance_labels``.
+        classes: Classes of surfaces made beforehand, see ``lodbench.datasets.instance_labels``.
         lens_percent: As of ``Query``.
         camera_sigmas: Likewise.
         measured: Likewise.
@@ -114,6 +118,7 @@ class Entry:
     sequence: str = ""
     reconstructed: Pose | None = None
     instances: Path | None = None
+    classes: Path | None = None
     lens_percent: float | None = None
     camera_sigmas: CameraSigmas | None = None
     measured: Measurements | None = None

@@ -2,7 +2,7 @@
 
 iou: the paper's. soft_iou: with the probabilities as they are. confident_iou: the mask, each pixel weighted
 by how sure the network is. boundary: chamfer distance of outlines. region, of ``methods.region``: no mask,
-what the photo looks like inside and outside.
+what the photo looks like inside and outside. semantic_iou: of roofs and of walls, with a mask of classes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lodbench.geometry import Camera, rotations_at_yaws
 from lodbench.photos.pictures import read_picture
 from lodbench.plugins import load_plugin
 from lodbench.rendering import BoundaryFit, Fit, IouFit, SoftIouFit
-from lodbench.segmentation import BUILDING_THRESHOLD, resized
+from lodbench.segmentation import BUILDING_THRESHOLD, resized, resized_classes
 
 Probability = NDArray[np.float32]
 Photo = NDArray[Any]
@@ -69,14 +69,14 @@ def boundary(probability: Probability) -> Fit:
 
 
 def fit_input(name: str) -> Input:
-    """Returns what the fit of a name looks at: the mask, or the photo.
+    """Returns what the fit of a name looks at: the mask, a mask of classes, or the photo.
 
     Raises:
         ConfigError: There is no such fit, or it is broken or looks at something else.
     """
     wanted = getattr(load_plugin("fits", name), "input", Input.MASK)
-    if wanted not in (Input.MASK, Input.IMAGE):
-        raise ConfigError(f"The fit {name} looks at {wanted!r}, neither mask nor image.")
+    if wanted not in (Input.MASK, Input.CLASSES, Input.IMAGE):
+        raise ConfigError(f"The fit {name} looks at {wanted!r}, which is neither mask nor classes nor image.")
     return Input(wanted)
 
 
@@ -85,8 +85,9 @@ def make_fit(name: str, query: Query, size: tuple[int, int]) -> Fit:
 
     Args:
         name: An entry point under ``lodbench.fits``: makes a fit of a (height, width) probability, or, where
-            it says ``input = "image"``, of a photo as of ``read_picture`` and the size.
-        query: Has a mask, or a photo.
+            it says ``input = "classes"``, of (height, width) classes, or, where it says ``input = "image"``,
+            of a photo as of ``read_picture`` and the size.
+        query: Has a mask, a mask of classes, or a photo.
         size: Width and height of the silhouettes to compare.
 
     Raises:
@@ -96,6 +97,13 @@ def make_fit(name: str, query: Query, size: tuple[int, int]) -> Fit:
     make = load_plugin("fits", name)
     if fit_input(name) == Input.IMAGE:
         return cast("Fit", make(query_photo(query), size))
+    if fit_input(name) == Input.CLASSES:
+        if query.classes is None:
+            raise QueryFault("there is no mask of roofs and walls")
+        classes = resized_classes(query.classes, *size)
+        if not classes.any():
+            raise QueryFault("the mask holds neither roof nor wall", "Roofs are 1 in it, walls are 2.")
+        return cast("Fit", make(classes))
     # Averaging in float32 may step out of [0, 1] by rounding.
     small = np.clip(resized(query.mask, *size), np.float32(0), np.float32(1))
     if not (small >= BUILDING_THRESHOLD).any():

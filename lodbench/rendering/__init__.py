@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from lodbench.rendering.fit import BoundaryFit as BoundaryFit
     from lodbench.rendering.fit import Fit as Fit
     from lodbench.rendering.fit import IouFit as IouFit
+    from lodbench.rendering.fit import SemanticIouFit as SemanticIouFit
     from lodbench.rendering.fit import SoftIouFit as SoftIouFit
     from lodbench.rendering.instances import Instances as Instances
     from lodbench.rendering.photo_bins import AppearanceBins as AppearanceBins
@@ -54,6 +55,7 @@ __all__, __getattr__, __dir__ = lazy_names(
         "RegionFit": "region_fit",
         "Renderer": "protocol",
         "Scorer": "protocol",
+        "SemanticIouFit": "fit",
         "SoftIouFit": "fit",
         "ViewEdges": "edges",
         "appearance_bins": "photo_bins",

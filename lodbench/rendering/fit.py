@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.scene import ROOF, WALL
 from lodbench.errors import RenderingError
 from lodbench.kernels.masks import (
     count_bits,
@@ -158,6 +159,34 @@ class BoundaryFit:
         has_both = (lengths > 0) & (length > 0)
         mean = to_query / np.maximum(lengths, 1) + from_query / max(length, 1)
         return np.where(has_both, 1.0 - mean / (2.0 * self.reach_px), 0.0)
+
+
+class SemanticIouFit:
+    """Mean over roofs and walls of the IoU of what is visible of each; one that the query lacks is left out.
+
+    It compares class maps, not silhouettes: ``CityMap.fit`` draws them for it.
+
+    Args:
+        classes: (H, W) query, of ``ROOF``, ``WALL`` and 0.
+    """
+
+    # What ``lodbench.methods.fits`` makes it from.
+    input = "classes"
+
+    def __init__(self, classes: NDArray[np.uint8]) -> None:
+        self.size = _size_of(classes)
+        self._query = {k: classes == k for k in (ROOF, WALL) if (classes == k).any()}
+
+    def __call__(self, classes: NDArray[np.uint8]) -> Floats:
+        """Returns the (N,) mean IoU of N (H, W) class maps. Eq. (L10) of docs/methods/lodlocv2.md."""
+        ious = np.zeros((len(classes), max(len(self._query), 1)))
+        for column, (k, wanted) in enumerate(self._query.items()):
+            area = np.count_nonzero(wanted)
+            # One by one: counting along axes takes ten times as long.
+            for row, drawn in enumerate(classes == k):
+                shared = np.count_nonzero(drawn & wanted)
+                ious[row, column] = shared / (area + np.count_nonzero(drawn) - shared)
+        return np.asarray(ious.mean(axis=1))
 
 
 def _size_of(picture: NDArray[np.generic]) -> tuple[int, int]:

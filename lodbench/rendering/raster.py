@@ -6,6 +6,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -132,6 +133,21 @@ class RasterRenderer:
 
         self.draw_views(camera, rotations, centers, resolve)
         return buildings
+
+    def classes(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.uint8]:
+        """Returns (N, H, W) classes of surfaces, ``ROOF``, ``WALL`` or 0; arguments as for ``depths``."""
+        classes = np.empty((len(centers), camera.height, camera.width), dtype=np.uint8)
+
+        def resolve(view: int, band: Band, buffer: Buffer) -> None:
+            classes[view, :, band.first : band.stop] = self._classes.take(buffer.winner[:, : band.height]).T
+
+        self.draw_views(camera, rotations, centers, resolve)
+        return classes
+
+    @cached_property
+    def _classes(self) -> NDArray[np.uint8]:
+        # The last is that of no triangle, -1, which ``take`` counts from the end.
+        return np.append(self.scene.surface_classes(), np.uint8(0))
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the (H, W) silhouette seen from a pose."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.raw import take_segments
-from lodbench.citymodel.scene import Scene, building_boxes
+from lodbench.citymodel.scene import ROOF_Z, Scene, building_boxes
 from lodbench.rendering.ground import Ground
 
 Floats = NDArray[np.float64]
@@ -17,8 +17,6 @@ Floats = NDArray[np.float64]
 GROUND = "ground"
 # How far a surface of the map may be off along its normal: a standard deviation, metres.
 MAP_SIGMA_M = 0.5
-# Surfaces whose normal is steeper than this are roofs; the renderers draw the same so.
-_ROOF_Z = 0.3
 # A hit of a building this many standard deviations below the ground is one of its cellar.
 _BURIED = 2.0
 # Shares of a triangle that rounding may cost at its edges, and the least way of a ray, in its lengths.
@@ -94,7 +92,7 @@ class Surfaces:
         normals[is_hit] = self._normals(triangle[is_hit], directions[is_hit])
         ground = self.ground.at(points[is_ground, :2])
         normals[is_ground], sigma[is_ground] = ground.normals, ground.sigma_m
-        roofs = np.where(np.abs(normals[:, 2]) > _ROOF_Z, "roof", "wall")
+        roofs = np.where(np.abs(normals[:, 2]) > ROOF_Z, "roof", "wall")
         kind = np.where(is_hit, roofs, np.where(is_ground, GROUND, ""))
         return Hits(points, normals, sigma, np.where(is_hit, building, -1), tuple(map(str, kind)))
 

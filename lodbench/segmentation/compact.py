@@ -1,8 +1,9 @@
-"""``segmenter=compact``: the small network that comes with the package; needs OpenCV only."""
+"""``segmenter=compact``, ``compact_instances``, ``compact_classes``: small networks, run by OpenCV."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,11 @@ from numpy.typing import NDArray
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.instance_labels import masks_of_labels
 from lodbench.datasets.query import Entry
-from lodbench.errors import require_within
+from lodbench.errors import ConfigError, QueryFault, require_within
 from lodbench.segmentation.packaged_network import PackagedNetwork, packaged_file
 from lodbench.segmentation.probability import check_normalise, probability_of
 from lodbench.segmentation.protocol import BUILDING_THRESHOLD
-from lodbench.storage import digest_of
+from lodbench.storage import digest_of, file_digest
 from lodbench.synthesis.instance_degradation import filled
 
 
@@ -199,3 +200,103 @@ def told_apart(mask: NDArray[np.bool_], inside: NDArray[np.bool_]) -> NDArray[np
     is_building = sizes[:, cv2.CC_STAT_AREA] >= _LEAST_PX
     is_building[0] = False
     return filled(np.where(is_building[parts], parts, -1).astype(np.int32), mask)
+
+
+@dataclass(frozen=True, slots=True)
+class CompactClassesParams:
+    """Settings of ``segmenter=compact_classes``.
+
+    Attributes:
+        name: Name to report.
+        size: Long side that photos are brought to, pixels.
+        weights: ONNX file of ``lodbench train segmenter=compact_classes``; the package has none.
+
+    Raises:
+        ConfigError: A setting is out of range.
+    """
+
+    name: str = "compact_classes"
+    size: int = 512
+    weights: str | None = None
+
+    def __post_init__(self) -> None:
+        require_within("segmenter.size", self.size, 32, 4096)
+
+
+class CompactClasses(PackagedNetwork):
+    """The network of ``compact`` with three classes: roofs, walls, and all else, whose logit is 0."""
+
+    params_type = CompactClassesParams
+    provides = frozenset({Input.MASK, Input.CLASSES})
+    weights_name = "compact_classes"
+    learns = "classes"
+    channels = 2
+
+    @cached_property
+    def weights_digest(self) -> str:
+        """Returns the SHA-256 of the ONNX file.
+
+        Raises:
+            ConfigError: None is named.
+        """
+        if self.params.weights is None:
+            raise ConfigError(
+                f"segmenter={self.name} comes without weights.",
+                f"`segmenter.weights=FILE` of lodbench train segmenter={self.name} init=package.",
+            )
+        return file_digest(self._path)
+
+    def segment(self, entry: Entry) -> NDArray[np.float32]:
+        """Returns the (h, w) float32 mask, 0 or 1.
+
+        Raises:
+            QueryFault: The query has no photo, or it cannot be read.
+        """
+        return np.asarray(self.segment_classes(entry) > 0, dtype=np.float32)
+
+    def segment_classes(self, entry: Entry) -> NDArray[np.uint8]:
+        """Returns (h, w) uint8, 1 for roofs, 2 for walls, 0 for all else, at the working size.
+
+        Raises:
+            QueryFault: The query has no photo, or it cannot be read.
+        """
+        # The cache holds fractions of one.
+        halves = self.cached(entry, lambda photo: np.float32(0.5) * self._likeliest(photo))
+        return np.rint(2 * halves).astype(np.uint8)
+
+    def probability(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Returns the (h, w) float32 probability of roof or wall of a (H, W, 3) RGB photo."""
+        odds = np.exp(np.clip(self.logits(photo).astype(np.float64), -50.0, 50.0)).sum(axis=2)
+        return np.asarray(odds / (1.0 + odds), dtype=np.float32)
+
+    def _likeliest(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
+        logits = self.logits(photo)
+        if np.isnan(logits).any():
+            raise QueryFault("the network's answer holds NaN", "Its weights are damaged.")
+        return np.where(logits.max(axis=2) > 0, 1 + logits.argmax(axis=2), 0).astype(np.float32)
+
+    def notes(self) -> tuple[str, ...]:
+        """Returns whose weights it has."""
+        return (f"segmenter {self.name}, weights of {Path(self.params.weights or '').name}",)
+
+    def new_net(self, is_filled: bool) -> Any:
+        """Returns the torch network with random weights."""
+        from lodbench.segmentation.nets.compact import CompactNet
+
+        return CompactNet(self.channels)
+
+    def build(self, init: str | None) -> Any:
+        """Returns the torch network; from the weights of ``compact`` all but its last layer are taken.
+
+        Raises:
+            ConfigError: The file holds no weights of either network.
+        """
+        if init is None or Path(init).resolve() != packaged_weights().resolve():
+            return super().build(init)
+        net, known = self.new_net(False), Compact(CompactParams()).build(init).state_dict()
+        net.load_state_dict({k: v for k, v in known.items() if not k.startswith("head.")}, strict=False)
+        return net
+
+    def packaged_weights(self) -> Path:
+        """Returns the weights of ``compact``, for a training to start from."""
+        return packaged_weights()

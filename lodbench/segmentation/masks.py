@@ -1,4 +1,4 @@
-"""``segmenter=masks``: masks made beforehand, from the dataset's ``masks`` folder or another one."""
+"""``segmenter=masks``, ``instances``, ``classes``: masks and labels made beforehand, from folders."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.inputs import Input
-from lodbench.datasets.instance_labels import masks_of_labels, read_labels
+from lodbench.datasets.instance_labels import masks_of_labels, read_classes, read_labels
 from lodbench.datasets.own import find_mask
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
@@ -69,6 +69,47 @@ def _grey(image: NDArray[Any], name: str) -> NDArray[Any]:
     if (alpha != alpha[:1, :1]).any():
         raise QueryFault(f"mask {name} has an alpha channel that varies: white means building, without alpha")
     return colours[:, :, 0]
+
+
+@dataclass(frozen=True, slots=True)
+class ClassFilesParams:
+    """Settings of ``segmenter=classes``: none."""
+
+    name: str = "classes"
+
+
+class ClassFiles:
+    """Reads each query's labels of roofs and walls from the dataset; the mask is where there is one."""
+
+    params_type = ClassFilesParams
+    name = "classes"
+    requires = frozenset({Input.CLASSES})
+    provides = frozenset({Input.MASK, Input.CLASSES})
+
+    def __init__(self, params: ClassFilesParams) -> None:
+        self.params = params
+
+    def segment(self, entry: Entry) -> NDArray[np.float32]:
+        """Returns the (H, W) float32 mask, 0 or 1.
+
+        Raises:
+            QueryFault: As for ``segment_classes``.
+        """
+        return np.asarray(self.segment_classes(entry) > 0, dtype=np.float32)
+
+    def segment_classes(self, entry: Entry) -> NDArray[np.uint8]:
+        """Returns (H, W) uint8, 1 for roofs, 2 for walls, 0 for all else.
+
+        Raises:
+            QueryFault: There are no labels for this query, or they cannot be read.
+        """
+        if entry.classes is None:
+            raise QueryFault("no labels in the classes folder")
+        return read_classes(entry.classes)
+
+    def fingerprint(self, entries: tuple[Entry, ...]) -> str:
+        """Returns a digest of the label files' names and contents."""
+        return digest_of([[entry.key, content_digest(entry.classes)] for entry in entries])
 
 
 @dataclass(frozen=True, slots=True)

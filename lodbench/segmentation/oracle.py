@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.scene import ROOF, WALL
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.instance_labels import masks_of_labels
 from lodbench.datasets.query import Entry
@@ -70,7 +71,7 @@ class Oracle:
 
     params_type: type[OracleParams] = OracleParams
     requires: frozenset[Input] = frozenset()
-    provides = frozenset({Input.MASK, Input.INSTANCES})
+    provides = frozenset({Input.MASK, Input.INSTANCES, Input.CLASSES})
 
     def __init__(self, params: OracleParams) -> None:
         self.params = params
@@ -92,6 +93,14 @@ class Oracle:
         """
         raise QueryFault(f"segmenter={self.name} needs the truth")
 
+    def segment_classes(self, entry: Entry) -> NDArray[np.uint8]:
+        """Never answers, as ``segment``.
+
+        Raises:
+            QueryFault: Always.
+        """
+        raise QueryFault(f"segmenter={self.name} needs the truth")
+
     def from_silhouette(self, silhouette: Mask, key: str) -> NDArray[np.float32]:
         """Returns the (H, W) float32 mask, 0 or 1, made of the true silhouette of the query ``key``."""
         return silhouette.astype(np.float32)
@@ -104,6 +113,10 @@ class Oracle:
             key: The query's.
         """
         return masks_of_labels(buildings + 1)
+
+    def from_classes(self, classes: NDArray[np.uint8], key: str) -> NDArray[np.uint8]:
+        """Returns the (H, W) classes made of those that the query ``key`` shows in truth."""
+        return classes
 
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns nothing: a run's digests are of the settings, the city and the true poses already."""
@@ -131,3 +144,21 @@ class NoisyOracle(Oracle):
         stream = random_stream(params.seed, "noisy_oracle", key, "instances")
         labels = degraded_instances(buildings, mask, stream, merged=params.merged, split=params.split)
         return masks_of_labels(labels)
+
+    def from_classes(self, classes: NDArray[np.uint8], key: str) -> NDArray[np.uint8]:
+        """Returns the classes with a network's errors: together they are the mask.
+
+        The border between roofs and walls wobbles like an outline; what was added to the mask is of the
+        nearest class.
+        """
+        import cv2
+
+        mask = self.from_silhouette(classes > 0, key) > 0
+        if not mask.any() or not classes.any():
+            return np.zeros_like(classes)
+        away = [cv2.distanceTransform((classes != k).view(np.uint8), cv2.DIST_L2, 5) for k in (ROOF, WALL)]
+        params = self.params
+        assert isinstance(params, NoisyOracleParams)  # noqa: S101
+        stream = random_stream(params.seed, "noisy_oracle", key, "classes")
+        roofs, _ = degrade_mask(away[0] < away[1], params.iou, stream, trees=False)
+        return np.where(mask, np.where(roofs, ROOF, WALL), 0).astype(np.uint8)

@@ -27,7 +27,7 @@ from lodbench.segmentation.probability import (
 from lodbench.storage import file_digest
 
 # What a file calls the answer of a network, by what that has learnt: networks may be alike in all else.
-_ANSWERS = {"masks": "logits", "interiors": "interiors"}
+_ANSWERS = {"masks": "logits", "interiors": "interiors", "classes": "classes"}
 
 # Logits of networks that have learnt something stay below a few hundred.
 _MOST_LOGIT = 1e6
@@ -55,6 +55,8 @@ class PackagedNetwork(PhotoSegmenter):
     # Sides of what the network sees are multiples of this.
     stride = 32
     learns = "masks"
+    # Logits per pixel.
+    channels = 1
 
     def __init__(self, params: Any) -> None:
         super().__init__(params)
@@ -109,7 +111,7 @@ class PackagedNetwork(PhotoSegmenter):
         return without_unsure_parts(super().probability(photo), sure)
 
     def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Returns (h, w) logits of a (H, W, 3) RGB photo whose long side is brought to ``size``.
+        """Returns (h, w), or (h, w, channels), logits of a (H, W, 3) RGB photo, its long side ``size``.
 
         Raises:
             ConfigError: The weights are no network of this kind.
@@ -130,7 +132,7 @@ class PackagedNetwork(PhotoSegmenter):
 
     def _run(self, tile: NDArray[np.uint8]) -> NDArray[np.float32]:
         blob = np.ascontiguousarray(tile.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
-        hint = f"lodbench train segmenter={self.name} writes networks that answer one value per pixel."
+        hint = f"lodbench train segmenter={self.name} writes networks that answer {self.channels} per pixel."
         try:
             self._net.setInput(blob)
             found = np.asarray(self._net.forward(), np.float32)
@@ -138,14 +140,14 @@ class PackagedNetwork(PhotoSegmenter):
             if is_out_of_memory(error):
                 raise
             raise ConfigError(f"{self._path} is no network of photos: OpenCV cannot ask it.", hint) from error
-        if found.shape != (1, 1, *tile.shape[:2]):
+        if found.shape != (1, self.channels, *tile.shape[:2]):
             raise ConfigError(
                 f"{self._path} answers {found.shape} to a photo of {tile.shape[:2]}.",
                 hint,
             )
         if self.params.weights:
             _require_logits(found, self._path, hint)
-        return np.asarray(found[0, 0])
+        return np.asarray(found[0, 0] if self.channels == 1 else found[0].transpose(1, 2, 0))
 
     def build(self, init: str | None) -> Any:
         """Returns the torch network, with random weights, those of a checkpoint or those of an ONNX file.

@@ -122,21 +122,25 @@ def is_out_of_memory(error: BaseException) -> bool:
 
 
 def tiled(photo: Photo, parts: int, stride: int, run: Callable[[Photo], Floats]) -> Floats:
-    """Returns (H, W) answers joined from ``parts`` x ``parts`` tiles, faded into each other.
+    """Returns (H, W), or (H, W, channels), answers joined from ``parts`` x ``parts`` tiles, faded together.
 
     Args:
         photo: (H, W, 3), sides multiples of ``stride``.
         parts: Tiles along each side.
         stride: Sides of tiles are multiples of this.
-        run: Returns the (h, w) answer to a tile.
+        run: Returns the (h, w), or (h, w, channels), answer to a tile.
     """
-    total, weights = np.zeros(photo.shape[:2], np.float64), np.zeros(photo.shape[:2], np.float64)
+    total, weights = np.zeros(0), np.zeros(photo.shape[:2], np.float64)
     for rows in _spans(photo.shape[0], parts, stride):
         for columns in _spans(photo.shape[1], parts, stride):
             fade = np.minimum.outer(_fade(rows), _fade(columns))
-            total[rows, columns] += fade * run(np.ascontiguousarray(photo[rows, columns]))
+            answer = run(np.ascontiguousarray(photo[rows, columns]))
+            if not total.size:
+                total = np.zeros((*photo.shape[:2], *answer.shape[2:]), np.float64)
+            # Transposed, a weight per pixel is one for all of its channels.
+            total[rows, columns] += (fade.T * answer.T).T
             weights[rows, columns] += fade
-    return (total / weights).astype(np.float32)
+    return (total.T / weights.T).T.astype(np.float32)
 
 
 def _spans(length: int, parts: int, stride: int) -> Iterator[slice]:

@@ -32,7 +32,7 @@ class Segmenter(Protocol):
         name: As its entry point's.
         requires: What it needs of the dataset, of ``lodbench.datasets.inputs.Input``; nothing if it says
             nothing.
-        provides: ``mask``, ``instances`` or both; a mask if it says nothing.
+        provides: ``mask``, ``instances``, ``classes`` or several; a mask if it says nothing.
     """
 
     name: str
@@ -116,6 +116,21 @@ class MapGuidedInstanceSegmenter(Protocol):
         ...
 
 
+@runtime_checkable
+class ClassSegmenter(Protocol):
+    """A segmenter that tells roofs, walls and all else apart; it provides ``classes``."""
+
+    name: str
+
+    def segment_classes(self, entry: Entry) -> NDArray[np.uint8]:
+        """Returns (H, W) uint8, 1 for roofs, 2 for walls, 0 for all else; any size of the photo's aspect.
+
+        Raises:
+            QueryFault: This query cannot be segmented.
+        """
+        ...
+
+
 def notes_of(segmenter: object) -> tuple[str, ...]:
     """Returns what a reader of results must know about a segmenter; none where it says nothing."""
     notes = getattr(segmenter, "notes", None)
@@ -173,6 +188,27 @@ def check_instances(masks: ArrayLike, camera: Camera) -> NDArray[np.bool_]:
     return given
 
 
+def check_classes(classes: ArrayLike, camera: Camera) -> NDArray[np.uint8]:
+    """Returns classes of surfaces as (H, W) uint8.
+
+    Raises:
+        QueryFault: They are not such an array of 0, 1 and 2, or their aspect is not the camera's.
+    """
+    given = np.asarray(classes)
+    if given.ndim != 2 or given.dtype != np.uint8 or given.max(initial=0) > 2:
+        raise QueryFault(f"classes are {given.dtype} of shape {given.shape}, not 0, 1, 2 (height, width)")
+    check_mask(given > 0, camera)
+    return given
+
+
+def resized_classes(classes: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    """Returns the (height, width) classes: of each target pixel the one that takes most of its area."""
+    if classes.shape == (height, width):
+        return classes
+    shares = [resized((classes == k).astype(np.float32), width, height) for k in range(3)]
+    return np.asarray(np.argmax(shares, axis=0), dtype=np.uint8)
+
+
 def _check_range(mask: NDArray[Any]) -> None:
     if not np.isfinite(mask).all():
         raise QueryFault("the mask has values that are not finite")
@@ -212,7 +248,8 @@ class TrainableSegmenter(Protocol):
     Attributes:
         params: Its settings, a frozen dataclass.
         stride: Sides of pictures are padded to multiples of this.
-        learns: Optional: ``masks``, which is meant where it is missing, or ``interiors`` of single buildings.
+        learns: Optional: ``masks``, which is meant where it is missing, ``interiors`` of single buildings,
+            or ``classes``.
     """
 
     params: Any
@@ -221,8 +258,8 @@ class TrainableSegmenter(Protocol):
     def build(self, init: str | None) -> Any:
         """Returns the network as a torch module, from a weights file or with random weights.
 
-        It takes (B, 3, H, W) float32 RGB in [0, 1] and returns a tuple of logits (B, 1, H, W), the
-        answer first.
+        It takes (B, 3, H, W) float32 RGB in [0, 1] and returns a tuple of logits (B, 1, H, W), or
+        (B, 2, H, W) of roofs and walls, the answer first.
 
         Raises:
             LodbenchError: The file does not hold weights of this network.

@@ -97,6 +97,14 @@ def chosen_segmenter(
             "compact_instances",
             "the method asks for single buildings, and the dataset has no labels of them",
         )
+    if Input.CLASSES in wanted:
+        labelled = sum(entry.classes is not None for entry in entries)
+        if not labelled:
+            raise DatasetError(
+                f"The method needs masks of roofs and walls, and {dataset.name} has none.",
+                "Name a segmenter that makes them: `segmenter=compact_classes segmenter.weights=FILE`.",
+            )
+        return "classes", f"{labelled} of {total} queries have labels of roofs and walls"
     if dataset.segmenter is not None:
         return dataset.segmenter, f"as {dataset.name} says"
     masks = sum(entry.mask is not None for entry in entries)

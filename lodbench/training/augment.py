@@ -24,7 +24,7 @@ def flipped(
 
     Args:
         photo: (H, W, 3).
-        mask: (H, W).
+        mask: (H, W), or (H, W, classes).
         generator: The only source of randomness.
         axes: 1 for left to right, 0 for top to bottom.
     """
@@ -41,12 +41,12 @@ def random_crop(
 
     Args:
         photo: (H, W, 3).
-        mask: (H, W) in [0, 1].
+        mask: (H, W), or (H, W, classes), in [0, 1].
         side: Pixels.
         scale: Range of the enlargement, drawn evenly in its logarithm.
         generator: The only source of randomness.
     """
-    height, width = mask.shape
+    height, width = mask.shape[:2]
     factor = float(np.exp(generator.uniform(np.log(scale[0]), np.log(scale[1]))))
     # Level cameras tilt little: a right way up with slight turns, not any angle.
     turn = np.deg2rad(generator.normal(0.0, 6.0))

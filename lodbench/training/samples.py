@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -11,8 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.scene import ROOF, WALL
 from lodbench.datasets.faults import aspect_fault, mask_fault
-from lodbench.datasets.instance_labels import read_labels
+from lodbench.datasets.instance_labels import read_classes, read_labels
 from lodbench.errors import ConfigError, DatasetError, LodbenchError, require_choice, require_within
 from lodbench.photos.files import PHOTO_SUFFIXES
 from lodbench.photos.pictures import picture_size, read_picture
@@ -22,9 +24,12 @@ from lodbench.storage import digest_of
 from lodbench.storage.arrays import file_check
 
 Photo = NDArray[np.uint8]
-# What a network may learn: where buildings are, or, from their labels, what lies well within one of them.
-MASKS, INTERIORS = "masks", "interiors"
-_FOLDERS = {MASKS: "masks", INTERIORS: "labels"}
+# What a network may learn: where buildings are; from their labels, what lies well within one of them; from
+# those of surfaces, roofs and walls.
+MASKS, INTERIORS, CLASSES = "masks", "interiors", "classes"
+_FOLDERS = {MASKS: "masks", INTERIORS: "labels", CLASSES: "classes"}
+SETTINGS = {INTERIORS: "labels", CLASSES: "classes"}
+_READERS: dict[str, Callable[[Path], NDArray[Any]]] = {INTERIORS: read_labels, CLASSES: read_classes}
 _HELD_OUT = 20
 # Of views to validate on those with fewer buildings say little: one wrong shed halves their IoU.
 LEAST_SHARE = 0.05
@@ -37,11 +42,11 @@ class Sample:
     Attributes:
         key: Set, split and name: unique.
         photo: The picture's file.
-        mask: The mask's file; that of the labels of single buildings where interiors are learnt.
+        mask: The mask's file; that of the labels of single buildings, or surfaces, where these are learnt.
         is_ground: Whether it is a photo without buildings, whose ground may lie elsewhere as well.
         working_scale: Of a photo with a mask traced by hand: what brings it to the size a network works at.
             Crops are cut from all of its pixels, at this times their own scale.
-        learns: ``masks`` or ``interiors``.
+        learns: ``masks``, ``interiors`` or ``classes``.
     """
 
     key: str
@@ -54,6 +59,8 @@ class Sample:
     def read(self, size: int, square: bool) -> tuple[Photo, NDArray[np.float32]]:
         """Returns the picture (H, W, 3) RGB uint8 and the mask (H, W) float32 in [0, 1].
 
+        Where classes are learnt it is (H, W, 2): roofs and walls.
+
         Args:
             size: Long side to bring them to; 0 for as they are.
             square: Whether the other side becomes as long, whatever the aspect.
@@ -63,7 +70,7 @@ class Sample:
         """
         try:
             photo = read_photo(self.photo)
-            mask = read_labels(self.mask) if self.learns == INTERIORS else read_mask(self.mask)
+            mask = _READERS.get(self.learns, read_mask)(self.mask)
         except LodbenchError as fault:
             raise DatasetError(f"{self.key}: {fault.message}") from fault
         height, width = photo.shape[:2]
@@ -77,6 +84,8 @@ class Sample:
         if self.learns == INTERIORS:
             labels = cv2.resize(mask, (width, height), interpolation=cv2.INTER_NEAREST)
             return photo, interiors(labels).astype(np.float32)
+        if self.learns == CLASSES:
+            mask = np.stack([mask == ROOF, mask == WALL], axis=2).astype(np.float32)
         return photo, _brought(mask, width, height)
 
 
@@ -95,7 +104,7 @@ def find_samples(folder: Path, split: str, learns: str = MASKS) -> list[Sample]:
     Args:
         folder: Of one set, or of several.
         split: ``train``, ``val`` or ``test``.
-        learns: ``masks``, or ``interiors`` of the labels of single buildings.
+        learns: ``masks``, or ``interiors`` of the labels of single buildings, or ``classes``.
 
     Raises:
         DatasetError: The folder is missing, or a picture cannot be read, has no mask, or no labels, or a mask
@@ -114,11 +123,11 @@ def find_samples(folder: Path, split: str, learns: str = MASKS) -> list[Sample]:
                 without.append(photo)
     if without:
         hint = "An unfinished set: give the generate-training-data command again, it goes on."
-        if learns == INTERIORS:
-            hint = "generate-training-data `labels=true` writes them."
-        kind = _FOLDERS[learns].removesuffix("s")
+        if learns in SETTINGS:
+            hint = f"generate-training-data `{SETTINGS[learns]}=true` writes them."
+        lacking, first = _FOLDERS[learns], without[0].name
         raise DatasetError(
-            f"{len(without)} pictures in {folder} have no {kind}, the first is {without[0].name}.", hint
+            f"{len(without)} pictures in {folder} have no {lacking}, the first is {first}.", hint
         )
     _require_fitting(samples)
     return samples

@@ -26,7 +26,15 @@ from lodbench.training.photo_sets import (
     repeated,
     traced_samples,
 )
-from lodbench.training.samples import MASKS, Sample, TrainParams, find_samples, samples_digest, split_samples
+from lodbench.training.samples import (
+    MASKS,
+    SETTINGS,
+    Sample,
+    TrainParams,
+    find_samples,
+    samples_digest,
+    split_samples,
+)
 
 
 def write_curves(history: list[dict[str, float]], path: Path) -> None:
@@ -157,7 +165,7 @@ def _samples(
     """Returns the views to train on, those to validate on, and what the latter are."""
     learns = getattr(segmenter, "learns", MASKS)
     if learns != MASKS:
-        _require_labels(segmenter, params, data)
+        _require_labels(segmenter, params, data, learns)
     if is_posed(data):
         learnt, held_out = posed_samples(data, out / SILHOUETTES, params.city), []
     else:
@@ -179,8 +187,8 @@ def _folders(names: Sequence[str]) -> list[Path]:
     return [Path(name).expanduser() for name in names]
 
 
-def _require_labels(segmenter: TrainableSegmenter, params: TrainParams, data: Path) -> None:
-    """Makes sure that all a network learns from says which building is which.
+def _require_labels(segmenter: TrainableSegmenter, params: TrainParams, data: Path, learns: str) -> None:
+    """Makes sure that all a network learns from says which building, or what surface, is where.
 
     Raises:
         ConfigError: Something of it has masks only.
@@ -189,8 +197,8 @@ def _require_labels(segmenter: TrainableSegmenter, params: TrainParams, data: Pa
     named = next((name for name, folders in masked.items() if folders), "data" if is_posed(data) else None)
     if named:
         raise ConfigError(
-            f"{segmenter.params.name} learns single buildings, and {named} has masks only.",
-            "`data=FOLDER` of generate-training-data `labels=true`.",
+            f"{segmenter.params.name} learns {learns}, and {named} has masks of buildings only.",
+            f"`data=FOLDER` of generate-training-data `{SETTINGS[learns]}=true`.",
         )
 
 

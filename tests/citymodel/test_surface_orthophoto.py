@@ -84,6 +84,11 @@ def test_squares_follow_the_heights_within_the_tolerance() -> None:
     assert len(corners) < 0.2 * 2 * heights.size
 
 
+def test_level_ground_is_two_triangles_a_square():
+    corners = square_corners(np.zeros((33, 33), np.float32), 0.25)
+    np.testing.assert_array_equal(corners, [[[0, 0], [32, 0], [32, 32]], [[0, 0], [32, 32], [0, 32]]])
+
+
 def test_the_mesh_has_the_colours_of_their_places(tmp_path: Path) -> None:
     heights = heights_of([HOUSE])
     picture = colours(heights)

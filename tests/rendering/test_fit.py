@@ -9,7 +9,7 @@ from mask_blobs import blobs, packed
 
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotations_at_yaws
-from lodbench.rendering import BoundaryFit, IouFit, SoftIouFit, make_renderer
+from lodbench.rendering import BoundaryFit, IouFit, SemanticIouFit, SoftIouFit, make_renderer
 
 SIZES = [(1, 1), (1, 9), (63, 5), (64, 7), (65, 1), (127, 30), (128, 12), (150, 41)]
 
@@ -43,6 +43,20 @@ class TestAgainstPlainNumpy:
         for query in queries:
             expected = [(m & query).sum() / max(1, (m | query).sum()) for m in masks]
             np.testing.assert_array_equal(IouFit(query)(packed(masks)), expected)
+
+    def test_semantic_iou(self, width, height):
+        rng = np.random.default_rng(5)
+        drawn, query = rng.integers(0, 3, (2, 6, height, width)).astype(np.uint8)
+        query[1][query[1] == 2] = 0
+        query[2] = 0
+        for wanted in query:
+            ious = [
+                [((m == k) & (wanted == k)).sum() / ((m == k) | (wanted == k)).sum() for m in drawn]
+                for k in (1, 2)
+                if (wanted == k).any()
+            ]
+            expected = np.mean(ious, axis=0) if ious else np.zeros(6)
+            np.testing.assert_array_equal(SemanticIouFit(wanted)(drawn), expected)
 
     def test_weighted_iou_of_a_mask(self, width, height):
         rng = np.random.default_rng(2)

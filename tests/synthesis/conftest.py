@@ -77,5 +77,5 @@ def box_file(tmp_path_factory):
 def small_set(box_file, tmp_path_factory):
     """A finished training set with everything in it, and its parameters."""
     out = tmp_path_factory.mktemp("set") / "data"
-    params = GenerateParams(str(box_file), str(out), labels=True, depth=True, **SMALL, **WHOLE)
+    params = GenerateParams(str(box_file), str(out), labels=True, classes=True, depth=True, **SMALL, **WHOLE)
     return params, generate_training_data(params)

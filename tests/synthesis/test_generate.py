@@ -38,6 +38,9 @@ def test_labels_and_depth_belong_to_the_masks(small_set):
     for path in sorted((made.out / "train" / "masks").iterdir()):
         mask = read_mask(path) > 0.5
         labels = cv2.imread(str(made.out / "train" / "labels" / path.name), cv2.IMREAD_UNCHANGED)
+        classes = cv2.imread(str(made.out / "train" / "classes" / path.name), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_array_equal(classes > 0, labels > 0)
+        assert set(classes.ravel()) <= {0, 1, 2}
         depth = cv2.imread(str(made.out / "train" / "depth" / path.name), cv2.IMREAD_UNCHANGED)
         assert labels.dtype == depth.dtype == np.uint16
         np.testing.assert_array_equal(labels > 0, mask)

@@ -72,7 +72,10 @@ def test_faults_of_the_data(views, tmp_path, capsys):
     assert main(["train", f"data={views}", "segmenter=masks"]) == 2
     told = capsys.readouterr().err
     assert "no network to train" in told
-    assert "Trainable: compact, compact_instances, efficient_unet, sam2_unet, sam1_adapter." in told
+    assert (
+        "Trainable: compact, compact_instances, compact_classes, efficient_unet, sam2_unet, sam1_adapter."
+        in told
+    )
 
 
 def test_a_mask_of_another_aspect_is_refused_before_training(views, tmp_path):

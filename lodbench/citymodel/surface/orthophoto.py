@@ -176,5 +176,5 @@ def _off(heights: Floats, row: NDArray[Any], column: NDArray[Any], side: int) ->
     a, b, c, d = corner[:, 0], corner[:, 1], corner[:, 2], corner[:, 3]
     lower = a + (b - a) * down + (c - b) * right
     upper = a + (d - a) * right + (c - d) * down
-    off = np.abs(own - np.where(down >= right, lower, upper)).reshape(len(own), -1)
+    off = np.abs(own - np.where(down >= right, lower, upper)).reshape(len(own), (side + 1) ** 2)
     return np.where(np.isnan(off).any(axis=1), np.inf, off.max(axis=1, initial=0.0))

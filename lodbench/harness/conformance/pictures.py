@@ -23,6 +23,7 @@ from lodbench.plugins import load_plugin
 from lodbench.segmentation import (
     MapGuidedInstanceSegmenter,
     MapGuidedSegmenter,
+    check_classes,
     check_instances,
     check_mask,
 )
@@ -242,7 +243,11 @@ def _correspondences(truth: Pose, outliers: float, number: int) -> tuple[Floats,
 
 
 # What makes each kind of masks.
-_MEMBERS = {Input.MASK: "segment", Input.INSTANCES: "segment_instances"}
+_MEMBERS = {
+    Input.MASK: "segment",
+    Input.INSTANCES: "segment_instances",
+    Input.CLASSES: "segment_classes",
+}
 
 
 def segmenter_rules(tried: Tried) -> Rules:
@@ -281,9 +286,9 @@ def segmenter_rules(tried: Tried) -> Rules:
 
 def _declared(part: Any, provides: Sequence[Input]) -> str:
     """It has what makes the masks that it declares."""
-    require(bool(provides), "provides nothing", "mask, instances or both.")
+    require(bool(provides), "provides nothing", "mask, instances, classes or several.")
     for kind in provides:
-        require(kind in _MEMBERS, f"provides {kind}, which no segmenter makes", "mask, instances or both.")
+        require(kind in _MEMBERS, f"provides {kind}, which no segmenter makes", "mask, instances, classes.")
         require(hasattr(part, _MEMBERS[kind]), f"{kind} declared, but there is no {_MEMBERS[kind]}")
     if Input.MAP in declared_inputs(part, "requires"):
         require(hasattr(part, "segment_from"), "map required, but there is no segment_from")
@@ -300,6 +305,9 @@ def _masks(tried: Tried, provides: Sequence[Input]) -> str:
         if masks.ndim == 3:
             check_instances(masks, CAMERA)
             continue
+        if masks.dtype == np.uint8:
+            check_classes(masks, CAMERA)
+            continue
         require(masks.dtype == np.float32, f"a mask of {masks.dtype}", "Return float32.")
         check_mask(masks, CAMERA)
     return f"{len(given)} of {len(found)} answers, of their type and the photo's aspect"
@@ -314,6 +322,8 @@ def _answer(tried: Tried, segmenter: Any, kind: Input, entry: Entry) -> NDArray[
             masks = segmenter.segment_instances_from(entry, pose, CityMap(tried.scene))
         elif kind == Input.INSTANCES:
             masks = segmenter.segment_instances(entry)
+        elif kind == Input.CLASSES:
+            masks = segmenter.segment_classes(entry)
         elif isinstance(segmenter, MapGuidedSegmenter):
             masks = segmenter.segment_from(entry, entry.prior or tried.truths[0], CityMap(tried.scene))
         else:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lodbench.datasets.codes import GPS_IN_IMAGE, IMAGE_SIZE, IMAGE_UNREADABLE, MASK_UNFIT
 from lodbench.datasets.faults import is_decodable, mask_fault
-from lodbench.datasets.instance_labels import read_labels
+from lodbench.datasets.instance_labels import read_classes, read_labels
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, QueryFault
 from lodbench.execution import Progress
@@ -35,10 +35,11 @@ def check_photos(dataset: Dataset, with_pixels: bool, findings: Findings) -> Non
 
 
 def _mask_faults(entry: Entry, with_pixels: bool) -> Iterator[str]:
-    """Yields what is wrong with a query's mask, and with its labels of single buildings."""
+    """Yields what is wrong with a query's mask, and with its labels of single buildings and of surfaces."""
     readers: tuple[tuple[Path | None, Callable[[Path], object]], ...] = (
         (entry.mask, read_mask),
         (entry.instances, read_labels),
+        (entry.classes, read_classes),
     )
     for file, read in readers:
         if file is None:

@@ -31,10 +31,12 @@ from lodbench.photos.measurements import Measurements
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation import (
+    ClassSegmenter,
     InstanceSegmenter,
     MapGuidedInstanceSegmenter,
     MapGuidedSegmenter,
     Segmenter,
+    check_classes,
     check_instances,
     check_mask,
 )
@@ -58,9 +60,9 @@ class Preparation:
         scene: The city; queries are moved into its local frame.
         segmenter: Makes the masks.
         tilt: ``prior``, or ``truth`` to replace the prior's pitch and roll by the true ones.
-        needs: What is looked at of ``mask``, ``mask_on_demand`` and ``instances``, which are made by the
-            segmenter, of the truth, ``true_pixels``, and of ``image``, which must then be fit for the
-            camera; no more is made.
+        needs: What is looked at of ``mask``, ``mask_on_demand``, ``instances`` and ``classes``, which
+            the segmenter makes, of the truth, ``true_pixels``, and of ``image``, which must then be fit for
+            the camera; no more is made.
         city_map: The map that a segmenter may look at; one of its own if None.
     """
 
@@ -128,6 +130,7 @@ class Preparation:
                 for pose in entry.hypotheses
             ),
             instances=self._instances(entry, camera, local) if Input.INSTANCES in self.needs else None,
+            classes=self._classes(entry, camera) if Input.CLASSES in self.needs else None,
             segment=partial(self._probability, entry, camera) if segments else None,
             true_pixels=self._true_pixels(entry, camera) if Input.TRUE_PIXELS in self.needs else None,
             sequence=entry.sequence,
@@ -169,6 +172,15 @@ class Preparation:
         if not isinstance(self.segmenter, InstanceSegmenter):
             raise QueryFault(f"segmenter={self.segmenter.name} has no segment_instances")
         return check_instances(self.segmenter.segment_instances(entry), camera)
+
+    def _classes(self, entry: Entry, camera: Camera) -> NDArray[np.uint8]:
+        if isinstance(self.segmenter, Oracle):
+            small, truth = self._true_view(self.segmenter, entry, camera)
+            (seen,) = self._raster.classes(small, truth.rotation[None], truth.center[None])
+            return self.segmenter.from_classes(seen, entry.key)
+        if not isinstance(self.segmenter, ClassSegmenter):
+            raise QueryFault(f"segmenter={self.segmenter.name} has no segment_classes")
+        return check_classes(self.segmenter.segment_classes(entry), camera)
 
     def _from_truth(self, oracle: Oracle, entry: Entry, camera: Camera) -> NDArray[np.float32]:
         """Returns what an oracle makes of the silhouette at the truth."""

@@ -10,6 +10,8 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from lodbench.citymodel.crs import is_same_plane
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.faults import camera_fault, mask_fault, photo_fault
@@ -28,7 +30,7 @@ from lodbench.segmentation.masks import MaskFiles
 from lodbench.segmentation.oracle import Oracle
 
 # What segmenters make, from whatever they themselves need.
-SEGMENTED = frozenset({Input.MASK, Input.INSTANCES, Input.MASK_ON_DEMAND})
+SEGMENTED = frozenset({Input.MASK, Input.INSTANCES, Input.CLASSES, Input.MASK_ON_DEMAND})
 _LACKING = "the dataset has none"
 
 
@@ -85,6 +87,8 @@ def require_run_inputs(
 
 
 _LOG = logging.getLogger(__name__)
+# Share of a map's area below which it has no surfaces of a class.
+_LEAST_AREA = 0.01
 # Masks that a run looks at before it begins.
 _FEW = 24
 _TILE_HINT = "Is it the right tile, and its reference system right? lodbench city info says where it is."
@@ -118,6 +122,23 @@ def require_same_place(dataset: Dataset, entries: Sequence[Entry], scene: Scene)
             f"{nearest / 1000:.1f} km off.",
             _TILE_HINT,
         )
+
+
+def require_surfaces(method: Method, scene: Scene) -> None:
+    """Makes sure that a map has roofs and walls apart, where a method compares them.
+
+    Raises:
+        DatasetError: One of them takes less than a hundredth of its area: footprints, roofs without walls.
+    """
+    if Input.CLASSES not in segmented_inputs(method):
+        return
+    areas = np.bincount(scene.surface_classes(), scene.areas_m2(), minlength=3)[1:]
+    for name, area in zip(("roofs", "walls"), areas, strict=True):
+        if area < _LEAST_AREA * areas.sum():
+            raise DatasetError(
+                f"method={method.name} compares roofs and walls, and the map has no {name}.",
+                "Take a map with both, or compare silhouettes: leave `method.fit` out.",
+            )
 
 
 def require_near(prior: Pose, scene: Scene) -> None:

@@ -52,6 +52,7 @@ from lodbench.harness.runs.requirements import (
     require_pictures,
     require_run_inputs,
     require_same_place,
+    require_surfaces,
     required_inputs,
     tell_flights,
 )
@@ -205,6 +206,7 @@ def _opened(
     require_pictures(dataset, entries, method, segmenter)
     tell_flights(method, entries)
     scene, dataset = _open_city(dataset)
+    require_surfaces(method, scene)
     require_same_place(dataset, entries, scene)
     require_direction(dataset, entries, scene)
     doubts = doubts_of(dataset, entries, scene, method, segmenter)

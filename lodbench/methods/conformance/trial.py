@@ -126,6 +126,9 @@ def make_trial(folder: Path, method: object) -> Trial:
         mask = _silhouette(city_map, truth) if has_mask else None
         instances = _instances(city_map, truth) if Input.INSTANCES in requires else None
         query = Query(photo.name, "trial", _CAMERA, prior, mask, photo, (prior,), instances=instances)
+        if Input.CLASSES in requires:
+            (classes,) = city_map.classes(_CAMERA, truth.rotation[None], truth.center[None])
+            query = replace(query, classes=classes)
         if Input.MASK_ON_DEMAND in requires:
             query = replace(query, segment=partial(_silhouette, city_map, truth))
         if Input.TRUE_PIXELS in requires:

@@ -22,7 +22,7 @@ class LodLocV2Params:
         name: Name to report.
         variant: ``full``; ``no_refine`` stops after the grid; ``no_select`` starts the filter at the prior.
         fit: What poses are ranked by, an entry point under ``lodbench.fits``; the paper's is ``iou``.
-            ``region`` looks at the photo and needs no mask.
+            ``semantic_iou`` compares roofs and walls apart; ``region`` looks at the photo and needs no mask.
         coarse_size: Width and height of masks in the grid stage, pixels.
         range_x_m: Full width of the grid, metres; likewise y and z.
         range_y_m: See range_x_m.

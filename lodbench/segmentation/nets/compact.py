@@ -53,10 +53,13 @@ class CompactNet(nn.Module):
     """A U-shaped residual network, 1.5 million weights; every operation has an ONNX and OpenCV form.
 
     Photos come in as (B, 3, H, W) float32 RGB in [0, 1], sides multiples of ``STRIDE``; out come, as a
-    tuple of one, logits (B, 1, H, W). Plain 3 x 3 convolutions: one core runs them near its peak.
+    tuple of one, logits (B, channels, H, W). Plain 3 x 3 convolutions: one core runs them near its peak.
+
+    Args:
+        channels: One, buildings against all else; or one per class, against a last class whose logit is 0.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, channels: int = 1) -> None:
         super().__init__()
         widths = (16, 40, 72, 112, 144)
         self.stem = _conv(3, widths[0], stride=2)
@@ -67,7 +70,7 @@ class CompactNet(nn.Module):
             [_Merge(144, 112, 96), _Merge(96, 72, 64), _Merge(64, 40, 48), _Merge(48, 16, 24)]
         )
         # The last doubling rearranges four channels into a square of pixels.
-        self.head = nn.Sequential(nn.Conv2d(24, 4, 3, padding=1), nn.PixelShuffle(2))
+        self.head = nn.Sequential(nn.Conv2d(24, 4 * channels, 3, padding=1), nn.PixelShuffle(2))
 
     def forward(self, photos: Tensor) -> tuple[Tensor, ...]:
         """Returns the logits of photos, see the class."""

@@ -72,6 +72,7 @@ class GenerateParams:
     overlap: float = _setting(0.002, (0.0, 1.0))
     images: bool = True
     labels: bool = False
+    classes: bool = False
     depth: bool = False
     occluders_in_mask: bool = False
     naming: str = _setting("index", among=("index", "pose"))

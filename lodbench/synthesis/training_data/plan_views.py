@@ -236,6 +236,13 @@ class ViewWriter:
         building = self._raster.draw(self._camera, view.pose).building
         return encoded((building + 1).astype(np.uint16), ".png")
 
+    def _classes(self, view: PlannedView) -> bytes:
+        pose = view.pose
+        (classes,) = self._raster.classes(self._camera, pose.rotation[None], pose.center[None])
+        if self._params.occluders_in_mask:
+            classes[self._photos.occluders(self._camera, pose)] = 0
+        return encoded(classes, ".png")
+
     def _depth(self, view: PlannedView) -> bytes:
         depth = self._photos.depth(self._camera, view.pose).astype(np.float64)
         return encoded(np.rint(np.minimum(depth * 100.0, _MOST)).astype(np.uint16), ".png")
@@ -276,6 +283,7 @@ def files_of(params: GenerateParams, view: PlannedView, folder: Path) -> list[Pa
         "images": (params.images, params.format),
         "masks": (True, "png"),
         "labels": (params.labels, "png"),
+        "classes": (params.classes, "png"),
         "depth": (params.depth, "png"),
     }
     root = folder / view.split

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -31,7 +32,7 @@ def steps_per_epoch(count: int, batch: int) -> int:
 def batches(
     samples: list[Sample], params: TrainParams, epoch: int, first_step: int, rank: int, ranks: int
 ) -> Iterator[tuple[Tensor, Tensor]]:
-    """Yields pictures (B, 3, H, W) and masks (B, 1, H, W) of an epoch from a step on.
+    """Yields pictures (B, 3, H, W) and masks (B, 1 or classes, H, W) of an epoch from a step on.
 
     Args:
         samples: All training views.
@@ -81,9 +82,10 @@ def _changed(sample: Sample, params: TrainParams, epoch: int, grounds: list[Samp
         low, high = ((sample.working_scale or 1.0) * end for end in params.scale)
         photo, mask = random_crop(photo, mask, params.crop, (low, high), generator)
     if params.augment == "strong":
+        buildings = mask if mask.ndim == 2 else mask.sum(axis=2)
         if grounds and not (sample.is_ground or traced) and generator.random() < _COVERED:
-            photo = covered(photo, mask, _ground(grounds, photo.shape, generator), generator)
-        return other_appearance(photo, mask, generator), mask
+            photo = covered(photo, buildings, _ground(grounds, photo.shape, generator), generator)
+        return other_appearance(photo, buildings, generator), mask
     if params.augment == "full":
         return relit(photo, generator, params.one_band), mask
     return as_floats(photo), mask
@@ -108,12 +110,25 @@ def as_floats(photo: NDArray[np.uint8]) -> Floats:
 
 
 def as_tensors(photos: list[Floats], masks: list[Floats]) -> tuple[Tensor, Tensor]:
-    """Returns pictures (H, W, 3) and masks (H, W) as (B, 3, H, W) and (B, 1, H, W)."""
+    """Returns pictures (H, W, 3) and masks (H, W) as (B, 3, H, W) and (B, 1, H, W).
+
+    Masks (H, W, classes) become (B, classes, H, W).
+    """
     images = np.stack(photos).transpose(0, 3, 1, 2)
+    truth = np.stack(masks)
+    truth = truth[:, None] if truth.ndim == 3 else truth.transpose(0, 3, 1, 2)
     return (
         torch.from_numpy(np.ascontiguousarray(images)),
-        torch.from_numpy(np.ascontiguousarray(np.stack(masks)[:, None])),
+        torch.from_numpy(np.ascontiguousarray(truth)),
     )
+
+
+def against_rest(logits: Tensor) -> Tensor:
+    """Returns the logits of each class against all others, of (B, C, H, W); one alone is that already.
+
+    Two are roofs and walls; the third class, all else, has the logit 0.
+    """
+    return logits if logits.shape[1] == 1 else logits - F.softplus(logits.flip(1))
 
 
 @torch.no_grad()
@@ -128,6 +143,8 @@ def validation_iou(
 ) -> dict[str, float]:
     """Returns the mean IoU per view and that of all pixels pooled, over views with 5 % buildings or more.
 
+    Where classes are learnt each that takes 5 % of a view counts as a view.
+
     A network is left in the mode, training or not, that it came in.
     """
     was_training = net.training
@@ -136,11 +153,11 @@ def validation_iou(
     for sample in samples:
         photo, mask = sample.read(size, square)
         images, truth = as_tensors([as_floats(photo)], [mask])
-        logits = Padding(net, stride)(images.to(device))[0].float().cpu()
-        found, wanted = logits >= 0, truth >= 0.5
-        if wanted.float().mean() >= LEAST_SHARE:
-            shared_counts.append(int((found & wanted).sum()))
-            union_counts.append(int((found | wanted).sum()))
+        logits = against_rest(Padding(net, stride)(images.to(device))[0].float().cpu())
+        for found, wanted in zip(logits[0] >= 0, truth[0] >= 0.5, strict=True):
+            if wanted.float().mean() >= LEAST_SHARE:
+                shared_counts.append(int((found & wanted).sum()))
+                union_counts.append(int((found | wanted).sum()))
         advance()
     net.train(was_training)
     if not union_counts:

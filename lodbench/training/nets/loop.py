@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from lodbench.errors import ConfigError
 from lodbench.execution import Progress
 from lodbench.segmentation.nets.weights import Padding
-from lodbench.training.nets.batches import batches, steps_per_epoch, validation_iou
+from lodbench.training.nets.batches import against_rest, batches, steps_per_epoch, validation_iou
 from lodbench.training.nets.checkpoints import TrainingProcess, save_checkpoint
 from lodbench.training.samples import Sample, TrainParams
 
@@ -37,8 +37,8 @@ def structure_loss(logits: Tensor, truth: Tensor, weighting: str) -> Tensor:
     """Returns the mean over a batch of weighted cross-entropy plus weighted IoU loss.
 
     Args:
-        logits: (B, 1, H, W).
-        truth: (B, 1, H, W) in [0, 1]; soft at edges.
+        logits: (B, 1 or classes, H, W), each against all else.
+        truth: Of that shape, in [0, 1]; soft at edges.
         weighting: ``paper``; or ``released``, whose cross-entropy is the plain mean over the batch,
             because the published code passes ``reduce`` where ``reduction`` is meant.
     """
@@ -57,7 +57,7 @@ def structure_loss(logits: Tensor, truth: Tensor, weighting: str) -> Tensor:
 
 def total_loss(outputs: tuple[Tensor, ...], truth: Tensor, weighting: str) -> Tensor:
     """Returns the sum of the losses of all heads: deep supervision."""
-    losses = [structure_loss(logits.float(), truth, weighting) for logits in outputs]
+    losses = [structure_loss(against_rest(logits.float()), truth, weighting) for logits in outputs]
     return torch.stack(losses).sum()
 
 
