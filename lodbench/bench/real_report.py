@@ -22,7 +22,7 @@ from lodbench.evaluation.recall import Threshold, hits_of
 from lodbench.evaluation.statistics import bootstrap_ratio
 from lodbench.geometry import Pose
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
-from lodbench.methods.fits import query_photo
+from lodbench.methods.fits import photo_edges
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.figures import SERIES, draw_figure
@@ -333,8 +333,11 @@ class EdgeBound:
             QueryFault: There is no photo, or too few roof lines are in view.
         """
         prior = vector_from_pose(query.prior)
-        edges = EdgeLikelihood(query_photo(query), query.camera, city_map, prior, self._sigmas)
-        found = edges.refined(vector_from_pose(self._truths[query.name]))
+        edges = photo_edges(query)
+        if edges is None:
+            raise QueryFault("there is no photo that can be decoded")
+        likelihood = EdgeLikelihood(edges, query.camera, city_map, prior, self._sigmas)
+        found = likelihood.refined(vector_from_pose(self._truths[query.name]))
         if found is None:
             raise QueryFault("too few roof lines are in view")
         return Estimate(pose_from_vector(found.vector), 1.0, covariance=found.covariance)

@@ -35,8 +35,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         sys.stdout.write(f"lodbench {__version__}\n")
         return 0
+    import gc
     import logging
 
+    # What a command imports are some hundred thousand objects that stay: looked through once, not 400 times.
+    gc.set_threshold(50_000, 10, 10)
     from lodbench.cli.parser import PlainFormatter, SaidOnce, report_fault
     from lodbench.errors import LodbenchError
 

@@ -8,7 +8,7 @@ maximisation over a narrowing deviation; docs/adr/0011, point 11).
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,8 @@ from lodbench.geometry.pose_vector import pose_from_vector
 
 Floats = NDArray[np.float64]
 
-# Photos are looked at so wide, points of lines are so far apart; none is taken so near the border, pixels.
-_WIDTH, _SPACING_PX, _BORDER_PX = 1200, 6.0, 3.0
+# Points of lines are so far apart; none is taken so near the border, pixels.
+_SPACING_PX, _BORDER_PX = 6.0, 3.0
 # Standard deviations of an edge about its line, pixels: from an answer's error to that of map and edges.
 _SIGMAS_PX = (8.0, 6.0, 4.0, 3.0, 2.0, 1.5, 1.5, 1.5)
 _STEPS, _REACH, _FEWEST_POINTS = 2, 3.0, 12
@@ -64,7 +64,7 @@ class EdgeLikelihood:
     Blocks of pitched roofs are left out: their drawn edges are not where roofs end.
 
     Args:
-        photo: (H, W) or (H, W, 3) BGR, 8 bits.
+        edges: The photo's.
         camera: Pinhole, of any size.
         city_map: Whose roof lines are compared.
         prior: (6,) metres and degrees.
@@ -72,11 +72,9 @@ class EdgeLikelihood:
     """
 
     def __init__(
-        self, photo: NDArray[Any], camera: Camera, city_map: CityMap, prior: Floats, sigmas: Floats
+        self, edges: PhotoEdges, camera: Camera, city_map: CityMap, prior: Floats, sigmas: Floats
     ) -> None:
-        self._camera = camera.scaled_to_width(min(_WIDTH, camera.width))
-        self._size = np.array([self._camera.width, self._camera.height])
-        self._edges = PhotoEdges(photo, (self._camera.width, self._camera.height))
+        self._camera, self._size, self._edges = camera.scaled(*edges.size), np.array(edges.size), edges
         self._map, self._is_flat = city_map, ~pitched_blocks(city_map.scene)
         self._prior, self._free = np.append(prior, np.zeros(CAMERA - POSES)), np.flatnonzero(sigmas > 0)
         self._sigmas = sigmas[self._free]

@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.rendering.photo_bins import mean_around
+from lodbench.rendering.photo_bins import gradient_forms
 
 Floats = NDArray[np.float64]
 
-# The part of the width that the mean strength is taken over, and the least of it, of CIE Lab's 0 to 100.
-_AROUND_SHARE, _LEAST_MEAN = 12.0, 0.05
+# The least mean strength of a photo's changes, of CIE Lab's 0 to 100.
+_LEAST_MEAN = 0.05
 # Distance of samples across a line, pixels: between pixels interpolation flattens an edge by as much at each,
 # which moves no top (half of that moves it by up to a quarter of a pixel).
 _STEP_PX = 1.0
@@ -79,19 +79,7 @@ class PhotoEdges:
 
     def __init__(self, photo: NDArray[Any], size: tuple[int, int], blur_px: float = 1.0) -> None:
         self.size = size
-        small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        if small.ndim == 2:
-            small = np.repeat(small[..., None], 3, axis=2)
-        lab = cv2.GaussianBlur(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), (0, 0), blur_px)
-        # Channels apart: sums over an axis of three take ten times as long.
-        across, down = (
-            cv2.split(cv2.Sobel(lab, cv2.CV_32F, *axis, scale=0.125)) for axis in ((1, 0), (0, 1))
-        )
-        pairs = ((across, across), (across, down), (down, down))
-        xx, xy, yy = (sum(a * b for a, b in zip(one, other, strict=True)) for one, other in pairs)
-        around = mean_around(np.sqrt(np.asarray(xx + yy)), size[0] / _AROUND_SHARE) + np.float32(_LEAST_MEAN)
-        # The strength along a direction is a quadratic form of it: three numbers say all.
-        self._forms = np.stack([xx, xy, yy], axis=2) / (around**2)[..., None]
+        self._forms = gradient_forms(photo, size, blur_px, _LEAST_MEAN)
 
     def across(self, pixels: Floats, normals: Floats, reach_px: float) -> Candidates:
         """Returns the edges across lines, to a fraction of a pixel.

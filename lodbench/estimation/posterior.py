@@ -152,9 +152,11 @@ _POSES, _ROUNDS = 128, 12
 # Draws lie a little wider than what they stand for, and part of each round's width stays from the one before:
 # tails that no draw reaches are lost.
 _WIDTH, _KEPT = 1.1, 0.3
-# The share of the nats that counts in the first draw, and the least.
-_FIRST_SHARE, _LEAST_SHARE = 0.25, 0.05
+# The share of the nats that counts in the first draw, the least, and how exactly its logarithm is found.
+_FIRST_SHARE, _LEAST_SHARE, _SHARE_STEP = 0.25, 0.05, 0.01
 _PLACE = slice(0, 3)
+# What places are told apart by, as a share of them.
+_EPSILON = 8.881784197001252e-16
 # The least variance: what is known exactly, as the tilt of priors of the true one.
 _LEAST_SQUARE = 1e-18
 
@@ -249,11 +251,48 @@ def _share_that_leaves(least_m: float, poses: Floats, log_likelihood: Floats, re
     least = math.log(_LEAST_SHARE)
     if excess(0.0) >= 0.0:
         return 1.0
-    return (
-        math.exp(scipy.optimize.brentq(excess, least, 0.0, xtol=0.01))
-        if excess(least) > 0.0
-        else _LEAST_SHARE
-    )
+    return math.exp(_root(excess, least, 0.0, _SHARE_STEP)) if excess(least) > 0.0 else _LEAST_SHARE
+
+
+def _root(value: Callable[[float], float], low: float, high: float, step: float) -> float:
+    """Returns where a function that changes its sign between two places is 0, to a step.
+
+    Brent's method (Brent, "Algorithms for minimization without derivatives", 1973, chapter 4), as
+    ``scipy.optimize.brentq`` has it, whose import takes a sixth of a second.
+    """
+    before, now = (low, value(low)), (high, value(high))
+    beyond, last = before, high - low
+    moved = last
+    while True:
+        if (before[1] < 0.0) != (now[1] < 0.0):
+            beyond, last = before, now[0] - before[0]
+            moved = last
+        if abs(beyond[1]) < abs(now[1]):
+            before, now, beyond = now, beyond, now
+        least, half = 0.5 * (step + _EPSILON * abs(now[0])), 0.5 * (beyond[0] - now[0])
+        if now[1] == 0.0 or abs(half) < least:
+            return now[0]
+        tried = math.inf
+        if abs(last) > least and abs(now[1]) < abs(before[1]):
+            tried = _interpolated(before, now, beyond)
+        if 2.0 * abs(tried) < min(abs(last), 3.0 * abs(half) - least):
+            last, moved = moved, tried
+        else:
+            last = moved = half
+        before = now
+        place = now[0] + (moved if abs(moved) > least else math.copysign(least, half))
+        now = place, value(place)
+
+
+def _interpolated(
+    before: tuple[float, float], now: tuple[float, float], beyond: tuple[float, float]
+) -> float:
+    """Returns how far from the present place (x, y) a line, or a hyperbola through three, is 0."""
+    rise = (before[1] - now[1]) / (before[0] - now[0])
+    if before[0] == beyond[0]:
+        return -now[1] * (now[0] - before[0]) / (now[1] - before[1])
+    other = (beyond[1] - now[1]) / (beyond[0] - now[0])
+    return -now[1] * (beyond[1] * other - before[1] * rise) / (other * rise * (beyond[1] - before[1]))
 
 
 def _moments(poses: Floats, logs: Floats) -> tuple[Floats, Floats]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import fcntl
 import logging
 import os
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -25,25 +26,31 @@ Result = TypeVar("Result")
 _lock = threading.Lock()
 # What the first of the calls under way set aside, and None for each of the others.
 _under_way: list[Any] = []
+# Read by OpenBLAS when it is loaded; what loads SciPy's.
+_THREADS, _SCIPY = "OPENBLAS_NUM_THREADS", "scipy.linalg"
 
 
 def single_threaded_blas(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     """Returns a function that runs with BLAS on one thread; what was set before is set again after it.
 
     The libraries' thread counts are the process's: threads that call at the same time share them, and the
-    last one to leave restores.
+    last one to leave restores. SciPy brings a BLAS of its own: one that is loaded meanwhile keeps one thread.
     """
 
     @wraps(function)
     def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
         with _lock:
-            _under_way.append(None if _under_way else _take_control(_limit))
+            _under_way.append(None if _under_way else (_take_control(_limit), os.environ.get(_THREADS)))
+            os.environ[_THREADS] = "1"
         try:
             return function(*args, **kwargs)
         finally:
             with _lock:
                 if len(_under_way) == 1:
-                    _take_control(_under_way[0].restore_original_limits)
+                    limits, threads = _under_way[0]
+                    _take_control(limits.restore_original_limits)
+                    os.environ.pop(_THREADS)
+                    os.environ |= {} if threads is None else {_THREADS: threads}
                 # The first stays until the last has left.
                 _under_way.pop()
 
@@ -51,7 +58,7 @@ def single_threaded_blas(function: Callable[Arguments, Result]) -> Callable[Argu
 
 
 def _limit() -> Any:
-    return _libraries().limit(limits=1, user_api="blas")
+    return _libraries(_SCIPY in sys.modules).limit(limits=1, user_api="blas")
 
 
 def _take_control(change: Callable[[], Result]) -> Result:
@@ -70,9 +77,8 @@ def _take_control(change: Callable[[], Result]) -> Result:
 
 
 @cache
-def _libraries() -> Any:
-    # SciPy brings a BLAS of its own, which must be loaded to be found.
-    import scipy.linalg  # noqa: F401
+def _libraries(_has_scipy: bool) -> Any:
+    """Returns the libraries that are loaded; looked for once without SciPy and once with it."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

@@ -24,14 +24,14 @@ from lodbench.estimation.probability import probability_within
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.camera_sigmas import UNKNOWN, CameraSigmas
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.methods.fits import EDGES_WIDTH, photo_edges
 from lodbench.methods.protocol import Estimate
 from lodbench.methods.search_params import SearchRange
-from lodbench.photos.pictures import read_picture
 
 Floats = NDArray[np.float64]
 
-# Edges are looked at in photos so wide, pixels; points of lines are so far apart.
-_WIDTH, _SPACING_PX, FEWEST_POINTS, _LOWEST_RISE = 1200, 4.0, 30, 0.2
+# Points of lines are so far apart, pixels.
+_SPACING_PX, FEWEST_POINTS, _LOWEST_RISE = 4.0, 30, 0.2
 # What outlines are off by where they are weighed against the prior, and over which length alike, pixels.
 _NOISE_PX, _TOGETHER_PX = 2.0, 40.0
 # Covariances of single photos allow for more than errors are: on 98 answers over two real flights and two
@@ -68,7 +68,7 @@ def assessed(
     if estimate.probability is None or estimate.is_assessed:
         return estimate
     vector = vector_from_pose(estimate.pose)
-    camera = query.camera.scaled_to_width(min(_WIDTH, query.camera.width))
+    camera = query.camera.scaled_to_width(min(EDGES_WIDTH, query.camera.width))
     lines, laid = _lines_at(city_map, camera, estimate.pose)
     notes = list(estimate.notes)
     covariance, probability = estimate.covariance, float(estimate.probability)
@@ -161,8 +161,8 @@ def edge_excess(edges: PhotoEdges, laid: Projected) -> float | None:
 
 
 def _edge_doubts(query: Query, laid: Projected, lines: ModelLines, camera: Camera) -> Iterator[str]:
-    picture = None if query.image is None else read_picture(query.image)
-    if picture is None or len(lines) < FEWEST_POINTS:
+    edges = photo_edges(query) if len(lines) >= FEWEST_POINTS else None
+    if edges is None:
         return
     inside = ((laid.pixels > 0) & (laid.pixels < (camera.width, camera.height))).all(axis=1)
     shown = replace(
@@ -172,7 +172,7 @@ def _edge_doubts(query: Query, laid: Projected, lines: ModelLines, camera: Camer
         by_camera=laid.by_camera[inside],
         by_place=laid.by_place[inside],
     )
-    excess = edge_excess(PhotoEdges(picture, (camera.width, camera.height)), shown)
+    excess = edge_excess(edges, shown)
     if excess is not None and excess < _LEAST_EXCESS:
         yield "poor fit: edges in the photo match the map's roof edges no better than by chance"
 

@@ -8,6 +8,8 @@ what the photo looks like inside and outside. semantic_iou: of roofs and of wall
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -17,6 +19,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
+from lodbench.estimation.photo_edges import PhotoEdges
 from lodbench.geometry import Camera, rotations_at_yaws
 from lodbench.photos.pictures import read_picture
 from lodbench.plugins import load_plugin
@@ -128,6 +131,31 @@ def query_photo(query: Query) -> Photo:
     if all((part == photo[0, 0]).all() for part in (photo[::32, ::32], photo)):
         raise QueryFault(f"the photo {query.image.name} has one colour everywhere")
     return photo
+
+
+# Edges are looked at in photos so wide, pixels.
+EDGES_WIDTH = 1200
+
+
+def photo_edges(query: Query) -> PhotoEdges | None:
+    """Returns the edges of a query's photo, up to 1200 pixels wide; None where none can be decoded.
+
+    The last photo's are kept: what finds a pose and what doubts it look at the same.
+    """
+    if query.image is None:
+        return None
+    try:
+        stat = query.image.stat()
+    except OSError:
+        return None
+    small = query.camera.scaled_to_width(min(EDGES_WIDTH, query.camera.width))
+    return _photo_edges(query.image, (stat.st_mtime_ns, stat.st_size), (small.width, small.height))
+
+
+@lru_cache(1)
+def _photo_edges(path: Path, stamp: tuple[int, int], size: tuple[int, int]) -> PhotoEdges | None:
+    picture = read_picture(path)
+    return None if picture is None else PhotoEdges(picture, size)
 
 
 class Particles(NamedTuple):

@@ -147,8 +147,11 @@ def _texture(grey: Picture) -> Picture:
 
 def _levels(values: Picture, count: int) -> NDArray[np.int64]:
     """Returns which of some equally full parts each value lies in; equal values share one."""
-    edges = np.quantile(values, np.arange(1, count) / count)
-    return np.searchsorted(edges, values, side="right").astype(np.int64)
+    levels = np.zeros(values.shape, dtype=np.int64)
+    # So few are compared in less time than they are searched.
+    for edge in np.quantile(values, np.arange(1, count) / count):
+        levels += values >= edge
+    return levels
 
 
 Levels = NDArray[np.uint8]
@@ -156,6 +159,32 @@ Levels = NDArray[np.uint8]
 # The part of the width that the mean strength is taken over.
 # Every so many-th row and column says where one level ends and the next begins.
 _STEP = 3
+
+
+def gradient_forms(
+    photo: NDArray[Any], size: tuple[int, int], blur_px: float, least_mean: float
+) -> NDArray[np.float32]:
+    """Returns (H, W, 3) xx, xy and yy of the gradients of L, a and b, over their mean strength around.
+
+    The square of the strength along any direction is a quadratic form of these: sums over the channels.
+
+    Args:
+        photo: (H, W) or (H, W, 3) BGR, 8 bits.
+        size: Width and height to work at, pixels.
+        blur_px: Standard deviation of the blur before, pixels of that size.
+        least_mean: Added to the mean strength, of CIE Lab's 0 to 100 a pixel.
+    """
+    small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    if small.ndim == 2:
+        small = np.repeat(small[..., None], 3, axis=2)
+    small /= np.float32(255)
+    lab = cv2.GaussianBlur(cv2.cvtColor(small, cv2.COLOR_BGR2LAB), (0, 0), blur_px)
+    # Channels apart: numpy's sums over an axis of three take ten times as long.
+    across, down = (cv2.split(cv2.Sobel(lab, cv2.CV_32F, *axis, scale=0.125)) for axis in ((1, 0), (0, 1)))
+    pairs = ((across, across), (across, down), (down, down))
+    xx, xy, yy = (one[0] * other[0] + one[1] * other[1] + one[2] * other[2] for one, other in pairs)
+    squares = (mean_around(np.sqrt(xx + yy), size[0] / _AROUND_SHARE) + np.float32(least_mean)) ** 2
+    return np.asarray(cv2.merge([xx / squares, xy / squares, yy / squares]), dtype=np.float32)
 
 
 def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Levels:
@@ -170,29 +199,15 @@ def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: fl
         size: Width and height to work at, pixels.
         blur_px: Standard deviation of the blur, pixels of that size.
     """
-    small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    if small.ndim == 2:
-        small = np.repeat(small[..., None], 3, axis=2)
-    lab = cv2.GaussianBlur(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), (0, 0), blur_px)
-    across, down = (cv2.Sobel(lab, cv2.CV_32F, *axis, scale=0.125) for axis in ((1, 0), (0, 1)))
-    # The strength along a direction is a quadratic form of it: three sums over the channels say all.
-    xx, xy, yy = (_over_channels(*pair) for pair in ((across, across), (across, down), (down, down)))
-    around = mean_around(np.sqrt(xx + yy), size[0] / _AROUND_SHARE) + np.float32(1e-3)
+    forms = gradient_forms(photo, size, blur_px, 1e-3)
     angles = np.arange(DIRECTIONS) * (np.pi / DIRECTIONS)
     turns = np.stack(
         [np.cos(angles) ** 2, 2.0 * np.cos(angles) * np.sin(angles), np.sin(angles) ** 2], axis=1
     )
-    forms = np.ascontiguousarray(np.stack([xx, xy, yy], axis=2) / (around**2)[..., None])
     some = np.sqrt(np.maximum(forms[::_STEP, ::_STEP] @ turns.T, 0.0)) * FINE_STEPS
     levels: Levels = np.empty((*forms.shape[:2], DIRECTIONS), dtype=np.uint8)
     looked_up(forms, turns, _level_table(np.minimum(some, FINEST).astype(np.int64)), levels)
     return levels
-
-
-def _over_channels(one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.float32]:
-    """Returns the (H, W) sums of products over three channels; numpy's own over so short an axis are slow."""
-    product = one * other
-    return np.asarray(product[..., 0] + product[..., 1] + product[..., 2])
 
 
 def _level_table(steps: NDArray[np.int64]) -> Levels:

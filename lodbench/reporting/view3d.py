@@ -97,10 +97,11 @@ def photo_jpeg(pixels: NDArray[np.uint8]) -> bytes:
 
 def _city(scene: Scene, places: Floats, middle: Floats) -> tuple[dict[str, Any], int]:
     """Returns corners and triangles as differences of whole numbers, which pack well; how many triangles."""
-    from scipy.spatial import KDTree
-
     chosen = np.arange(len(scene.triangles))
     if len(chosen) > MAX_TRIANGLES:
+        # Small cities do without its import.
+        from scipy.spatial import KDTree
+
         away, _ = KDTree(places).query(scene.vertices[scene.triangles[:, 0], :2])
         chosen = np.sort(np.argpartition(away, MAX_TRIANGLES)[:MAX_TRIANGLES])
     used, triangles = np.unique(scene.triangles[chosen], return_inverse=True)

@@ -10,6 +10,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.estimation.edge_alignment import EdgeLikelihood
 from lodbench.estimation.lens import LensErrors
+from lodbench.estimation.photo_edges import PhotoEdges
 from lodbench.geometry.pose_vector import vector_from_pose
 from tests.town import BOXES, CAMERA, box_obj, true_poses
 
@@ -39,6 +40,10 @@ def photo_of(city_map, pose, camera=WIDE):
     return cv2.cvtColor(np.clip(grey, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR)
 
 
+def edges_of(photo):
+    return PhotoEdges(photo, (WIDE.width, WIDE.height))
+
+
 def metres(found, truth):
     return float(np.linalg.norm((found - vector_from_pose(truth))[:3]))
 
@@ -47,7 +52,7 @@ def metres(found, truth):
 def test_an_answer_metres_off_is_refined_to_the_edges(city_map, truth, seed):
     away = np.random.default_rng(seed).normal(0.0, 1.0, 6) * (1.0, 1.0, 1.5, 0.2, 0.2, 0.4)
     start = vector_from_pose(truth) + away
-    found = EdgeLikelihood(photo_of(city_map, truth), WIDE, city_map, start, SIGMAS).refined(start)
+    found = EdgeLikelihood(edges_of(photo_of(city_map, truth)), WIDE, city_map, start, SIGMAS).refined(start)
     assert metres(found.vector, truth) < 0.3 * metres(start, truth)
     assert found.evidence > 10.0
     assert found.gain > 5.0
@@ -62,7 +67,7 @@ def test_a_focal_length_in_doubt_is_refined_along(city_map, truth):
     start, doubted = vector_from_pose(truth), known + 0.02 * (np.arange(10) == 6)
     free = np.append(np.full(2, 5.8), np.append(known[2:6], doubted[6:]))
     held, refined = (
-        EdgeLikelihood(photo, WIDE, city_map, start, sigmas)
+        EdgeLikelihood(edges_of(photo), WIDE, city_map, start, sigmas)
         for sigmas in (np.append(free[:6], np.zeros(4)), free)
     )
     one, other = held.refined(start), refined.refined(start)
@@ -75,7 +80,7 @@ def test_a_focal_length_in_doubt_is_refined_along(city_map, truth):
 def test_a_photo_of_nothing_proves_nothing(city_map, truth):
     noise = np.random.default_rng(0).integers(0, 256, (900, 1200, 3), dtype=np.uint8)
     start = vector_from_pose(truth)
-    found = EdgeLikelihood(noise, WIDE, city_map, start, SIGMAS).refined(start)
+    found = EdgeLikelihood(edges_of(noise), WIDE, city_map, start, SIGMAS).refined(start)
     assert found is None or found.evidence < 10.0
 
 
@@ -83,4 +88,7 @@ def test_pitched_roofs_drawn_as_blocks_are_left_out(city_map, truth):
     scene = replace(city_map.scene, pitched=np.ones(city_map.scene.num_buildings, dtype=bool))
     start = vector_from_pose(truth)
     blocks = CityMap(scene, threads=1)
-    assert EdgeLikelihood(photo_of(city_map, truth), WIDE, blocks, start, SIGMAS).refined(start) is None
+    assert (
+        EdgeLikelihood(edges_of(photo_of(city_map, truth)), WIDE, blocks, start, SIGMAS).refined(start)
+        is None
+    )

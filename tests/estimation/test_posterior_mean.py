@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+import scipy.optimize
 
-from lodbench.estimation.posterior import posterior_mean
+from lodbench.estimation.posterior import _root, posterior_mean
 
 X = np.linspace(-8.0, 8.0, 4001)
 MODE, COVARIANCE = np.full(6, 0.3), np.diag([4.0, 1.0, 2.0, 0.5, 0.5, 1.0])
@@ -116,3 +117,14 @@ def test_sharp_evidence_is_tempered_until_the_place_is_wide_enough(least_m, expe
     share = (each_m**-2 - prior_m**-2) / sharp_m**-2
     expected = seen + (before - seen) * (prior_m**-2 / (share / sharp_m**2 + prior_m**-2))
     np.testing.assert_allclose(found, expected, atol=0.03)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_a_root_is_where_scipy_has_it_to_the_bit(seed):
+    zero, bend, wave = np.random.default_rng(seed).uniform((-2.9, 0.2, 0.0), (-0.1, 5.0, 0.4))
+
+    def value(place):
+        away = zero - place
+        return float(np.expm1(bend * away) / bend + wave * np.sin(3.0 * away))
+
+    assert _root(value, -3.0, 0.0, 0.01) == scipy.optimize.brentq(value, -3.0, 0.0, xtol=0.01)

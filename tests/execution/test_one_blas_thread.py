@@ -1,5 +1,8 @@
 """BLAS on one thread while results are made."""
 
+import os
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -61,6 +64,24 @@ def test_threads_that_overlap_restore_what_was_before_the_first() -> None:
         second()
         assert seen == [{1}]
         assert threads() == {3}
+
+
+def test_a_blas_that_is_loaded_inside_has_one_thread_and_later_ones_as_many_as_before() -> None:
+    script = """
+import os
+from threadpoolctl import threadpool_info
+from lodbench.execution.single_threaded_blas import single_threaded_blas
+
+@single_threaded_blas
+def inside():
+    import scipy.linalg
+    return sorted(library["num_threads"] for library in threadpool_info())
+
+print(inside(), os.environ.get("OPENBLAS_NUM_THREADS"), inside())
+"""
+    known = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=known)
+    assert done.stdout.split("\n")[0] == "[1, 1] None [1, 1]"
 
 
 def test_sums_do_not_depend_on_the_threads_there_are() -> None:

@@ -7,6 +7,7 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
+import scipy.ndimage
 
 from lodbench.datasets.priors import UniformPrior
 from lodbench.evaluation import pose_error
@@ -14,7 +15,7 @@ from lodbench.geometry.pose_vector import pose_from_vector
 from lodbench.methods.region import Region, RegionParams
 from lodbench.methods.region import line_likelihood as line_search
 from lodbench.methods.region.evidence import Photo, PosePosterior
-from lodbench.methods.region.search import Problem
+from lodbench.methods.region.search import Problem, local_maxima
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 
@@ -86,3 +87,14 @@ def test_a_second_search_finds_what_regions_do_not_see(city_map, drawn, truths):
             found.append(pose_error(estimate.pose, truth).translation_m)
     # The last bits of sums differ between machines, and the search with them.
     assert max(errors[2]) < 3.0 < 10.0 < max(errors[1])
+
+
+@pytest.mark.parametrize("turns_around", [False, True])
+def test_the_first_starts_are_local_maxima(turns_around):
+    grid = FAST.grid()
+    fits = np.random.default_rng(0).random(len(grid))
+    values = fits.reshape([axis.count for axis in (grid.yaw, grid.x, grid.y, grid.z)])
+    ends = ["wrap" if turns_around else "nearest", *["nearest"] * 3]
+    highest = np.flatnonzero(values >= scipy.ndimage.maximum_filter(values, size=3, mode=ends))
+    expected = highest[np.argsort(-fits[highest])]
+    assert local_maxima(fits, grid, turns_around, len(expected)) == expected.tolist()

@@ -17,7 +17,6 @@ import csv
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
@@ -297,6 +296,9 @@ def _packet(pose: Pose, frame: MapFrame) -> str:
         "drone-dji:GimbalRollDegree": f"{roll:+.4f}",
     }
     spaces = "".join(f' xmlns:{name}="{uri}"' for name, uri in _NAMESPACES.items())
+    # It brings clients of the network along.
+    from xml.sax.saxutils import quoteattr
+
     listed = "".join(f"\n   {name}={quoteattr(value)}" for name, value in properties.items())
     return (
         '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>\n<x:xmpmeta xmlns:x="adobe:ns:meta/">\n'

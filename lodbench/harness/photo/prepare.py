@@ -37,7 +37,6 @@ from lodbench.photos.pose import (
     require_stated,
 )
 from lodbench.photos.undistort import pinhole_of, undistorted
-from lodbench.reporting.overlays import write_picture
 from lodbench.segmentation import MapGuidedSegmenter, check_mask
 from lodbench.segmentation.masks import read_mask
 
@@ -117,13 +116,16 @@ def undistorted_photo(view: PhotoView, folder: Path) -> Path:
     Raises:
         DatasetError: Its pixels cannot be decoded.
     """
+    import cv2
+
     pixels = view.undistorted()
     if pixels is None:
         raise DatasetError(
             f"The pixels of {view.name} cannot be decoded.", "It may be damaged or cut off: copy it again."
         )
-    path = folder / f"{Path(view.name).stem}.png"
-    write_picture(path, pixels)
+    # Without compression, which would take longer than all that is made of it.
+    path = folder / f"{Path(view.name).stem}.bmp"
+    path.write_bytes(cv2.imencode(path.suffix, pixels)[1].tobytes())
     return path
 
 

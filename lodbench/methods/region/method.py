@@ -20,7 +20,7 @@ from lodbench.estimation.posterior import shares_of
 from lodbench.estimation.probability import TRUSTED, beyond_range, probability_within
 from lodbench.estimation.state_vector import TILT
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
-from lodbench.methods.fits import query_photo
+from lodbench.methods.fits import photo_edges, query_photo
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region.answer import Answer, PoseFinalizer
 from lodbench.methods.region.evidence import Photo, PosePosterior
@@ -234,7 +234,10 @@ def _edge_alignment(
     if query.measured is not None:
         of_prior = query.measured.over(of_prior)
     sigmas = np.array([*of_prior, 0.01 * params.lens_percent, k1, 0.0, 0.0])
-    found = EdgeLikelihood(query_photo(query), query.camera, city_map, prior, sigmas).refined(vector)
+    edges = photo_edges(query)
+    if edges is None:
+        return None
+    found = EdgeLikelihood(edges, query.camera, city_map, prior, sigmas).refined(vector)
     if found is None or found.gain <= 0.0 or found.evidence < _LEAST_EVIDENCE:
         return None
     return found if np.trace(found.covariance[:3, :3]) < np.trace(covariance[:3, :3]) else None

@@ -6,7 +6,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
@@ -80,8 +79,12 @@ def local_maxima(fits: Floats, grid: PoseGrid, turns_around: bool, most: int) ->
         most: How many at most.
     """
     values = fits.reshape([axis.count for axis in (grid.yaw, grid.x, grid.y, grid.z)])
-    ends = ["wrap" if turns_around else "nearest", "nearest", "nearest", "nearest"]
-    is_maximum = (values >= scipy.ndimage.maximum_filter(values, size=3, mode=ends)).ravel()
+    highest = values
+    for axis in range(values.ndim):
+        around = [(1, 1) if axis == k else (0, 0) for k in range(values.ndim)]
+        padded = np.pad(highest, around, mode="wrap" if turns_around and axis == 0 else "edge")
+        highest = np.lib.stride_tricks.sliding_window_view(padded, 3, axis).max(axis=-1)
+    is_maximum = (values >= highest).ravel()
     places = np.stack(np.unravel_index(np.arange(len(fits)), values.shape), axis=1)
     chosen: list[int] = []
     for i in np.lexsort([-fits, ~is_maximum]):
