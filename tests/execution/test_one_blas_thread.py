@@ -70,7 +70,7 @@ def test_a_blas_that_is_loaded_inside_has_one_thread_and_later_ones_as_many_as_b
     script = """
 import os
 from threadpoolctl import threadpool_info
-from lodbench.execution.single_threaded_blas import single_threaded_blas
+from lodbench.execution.guards import single_threaded_blas
 
 @single_threaded_blas
 def inside():
