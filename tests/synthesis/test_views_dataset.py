@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+import lodbench
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.rendering.silhouette import SilhouetteRenderer
@@ -164,3 +165,23 @@ def test_settings_out_of_range_are_refused(city, bad):
 def test_a_missing_city_is_one_line(tmp_path):
     with pytest.raises(DatasetError, match="does not exist"):
         open_views(ViewsParams(str(tmp_path / "no.obj")))
+
+
+def test_measurements_are_as_wrong_as_stated_and_change_nothing_that_is_drawn(city):
+    plain = open_views(ViewsParams(str(city), num_views=3))
+    known = open_views(ViewsParams(str(city), num_views=3, rtk_m=0.2, laser_m=0.5))
+    assert known.root == plain.root
+    scene, errors = open_scene(city), []
+    for before, entry in zip(plain.entries, known.entries, strict=True):
+        truth = known.truth[entry.key]
+        assert (before.measured, entry.hypotheses) == (None, (entry.prior,))
+        assert entry.measured.sigmas == (0.2, 0.2, 0.2, None, None, None)
+        np.testing.assert_allclose(entry.prior.rotation, before.prior.rotation, atol=1e-12)
+        errors.append((entry.prior.center - truth.center) / 0.2)
+        middle = [0.5 * entry.camera.width, 0.5 * entry.camera.height]
+        met = lodbench.locate(scene, entry.camera, truth, middle)
+        errors.append([(entry.measured.laser.range_m - np.linalg.norm(met.place - truth.center)) / 0.5])
+        assert entry.measured.laser.sigma_m == 0.5
+    errors = np.concatenate(errors)
+    assert 0.3 < errors.std() < 2.0
+    assert np.abs(errors).max() < 4.0
