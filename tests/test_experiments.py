@@ -27,6 +27,10 @@ EXPERIMENTS = {
         "--city CITY --photos 5 --path orbit --mask-iou 0.97",
         {"median error of a camera, median of flights", "flights placed"},
     ),
+    "heights_by_photos": (
+        "--city CITY --photos 8 --path orbit",
+        {"median error of a height, orbit 0", "heights measured, orbit 0"},
+    ),
     "scale": (
         "--buildings 2300 --views 2 --hypotheses 14",
         {"opening", "hypotheses that count differently, footprint in the core"},

@@ -34,6 +34,7 @@ examples:
   lodbench city info Massachusetts-25-000.zip --source open_city_model --option ground_m=12
   lodbench city check houses.shp --option height_column=HOEHE --option ground_m=430
   lodbench city make --footprints berlin.osm.pbf --dsm dsm/ --dtm dtm.tif berlin.city.json
+  lodbench city make --footprints houses.gpkg --dtm dtm.tif --photos flight --poses localized town.city.json
   lodbench city convert tile.city.json town.glb --lod 2.2
   lodbench city convert lod2.gml blocks.obj --lod 1 --roof-height median
   lodbench city convert tiles/ centre.city.jsonl --to-crs EPSG:25832 --bbox 691000 5335000 692000 5336000
@@ -114,6 +115,16 @@ class MakeOptions:
     )
     dsm: Path | None = flag(None, "surface model: .tif, .asc, .laz, or a folder of tiles", metavar="FILE")
     dtm: Path | None = flag(None, "terrain model (default: estimated from the surface model)", metavar="FILE")
+    photos: Path | None = flag(
+        None,
+        "photos that measure roofs: a dataset with true poses, or with --poses a folder of photos",
+        metavar="DIR",
+    )
+    poses: Path | None = flag(
+        None,
+        "what localize wrote of these photos, a COLMAP model, or another file of poses with cameras",
+        metavar="FILE",
+    )
     tiles_read: TileOptions = part(TileOptions)
 
 
@@ -179,7 +190,7 @@ _ACTIONS: dict[str, tuple[type, str]] = {
     ),
     "make": (
         MakeOptions,
-        "write footprints as LoD1 buildings, as high as a surface model or attributes say, with a page",
+        "write footprints as buildings, as high as a surface model, photos or attributes say, and a page",
     ),
     "convert": (
         ConvertOptions,
@@ -312,10 +323,12 @@ def _make(wanted: MakeOptions, options: ReadOptions) -> int:
     check_target(wanted.out)
     given = [path for path in (wanted.footprints, wanted.dsm, wanted.dtm) if path is not None]
     require_other(wanted.out, given)
+    if wanted.poses is not None and wanted.photos is None:
+        raise ConfigError("--poses are those of photos.", "Name their folder: --photos DIR")
     surface, terrain = (None if path is None else str(path) for path in (wanted.dsm, wanted.dtm))
     options = replace(options, surface=surface or options.surface, terrain=terrain or options.terrain)
     with ProgressCallback(f"reading {wanted.footprints.name}", "MB", 1_000_000) as progress:
-        made = make_city(wanted.footprints, wanted.out, options, progress)
+        made = make_city(wanted.footprints, wanted.out, options, progress, wanted.photos, wanted.poses)
     wanted.tiles_read.write(made, lambda: format_made(made))
     return 0
 

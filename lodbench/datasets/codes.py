@@ -94,10 +94,10 @@ UNLIKE_RECONSTRUCTION = FindingCode(
     543, _W, "A true pose differs from the dataset's reconstruction, or that cannot be read."
 )
 READING_INFERRED = FindingCode(
-    544, _I, "What the dataset's documentation leaves open was decided by the data itself."
+    544, _I, "Something that the dataset's documentation does not state was inferred from the data."
 )
-READING_UNFIT = FindingCode(
-    545, _W, "A setting for what the documentation leaves open does not fit the data."
+READING_CONTRADICTED = FindingCode(
+    545, _W, "The data contradicts a setting for something that its documentation does not state."
 )
 HEIGHTS_UNLIKE = FindingCode(
     546, _E, "Cameras are not as high above the city's ground as they can be: another vertical datum."

@@ -221,9 +221,10 @@ class SensorPrior:
 
 
 def _stated(entry: Entry) -> PhotoMetadata:
-    if entry.image is None:
+    photo = entry.stored or entry.image
+    if photo is None:
         raise DatasetError("there is no photo")
-    return read_photo_metadata(entry.image)
+    return read_photo_metadata(photo)
 
 
 def _pose_of(entry: Entry, stated: PhotoMetadata, frame: MapFrame, heights: HeightOptions) -> Pose:

@@ -106,6 +106,7 @@ class Entry:
         lens_percent: As of ``Query``.
         camera_sigmas: Likewise.
         measured: Likewise.
+        stored: The photo as its camera stored it, with its metadata, where ``image`` is a copy of it.
     """
 
     name: str
@@ -122,6 +123,7 @@ class Entry:
     lens_percent: float | None = None
     camera_sigmas: CameraSigmas | None = None
     measured: Measurements | None = None
+    stored: Path | None = None
 
     def with_prior(self, prior: Pose | None, hypotheses: tuple[Pose, ...]) -> Entry:
         """Returns the query with another prior, whose deviations nobody has stated."""

@@ -1,4 +1,4 @@
-"""A city made of footprints: as high as a surface model or attributes say, and a page of what says what."""
+"""A city made of footprints: as high as a surface model, photos or attributes say, and a page of it."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import read_city_model
 from lodbench.citymodel.source import open_sources
 from lodbench.errors import CityModelError
+from lodbench.harness.city_photos import with_photo_heights
 from lodbench.reporting.map_figure import Marked, draw_plan
 from lodbench.reporting.page import markup, rendered
 from lodbench.storage import write_text
@@ -34,6 +35,8 @@ _LEFT_OUT = {
     UNDERGROUND: "below the ground",
     GEOMETRY_EMPTY: "no area",
 }
+# Blocks are this high until photos measure them, metres.
+_DEFAULT_M = 9.0
 
 
 def make_city(
@@ -41,23 +44,29 @@ def make_city(
     out: Path,
     options: ReadOptions,
     progress: Callable[[int, int], None] | None = None,
+    photos: Path | None = None,
+    poses: Path | None = None,
 ) -> dict[str, Any]:
     """Writes footprints as LoD1 buildings that say where their heights come from, and a page of it.
 
     Attributes of each building: ``measuredHeight``, ``height_from``, ``ground_from``; of those measured in a
-    surface model ``eaves_height_m``, ``ridge_height_m`` and ``roof_cells`` too.
+    surface model ``eaves_height_m``, ``ridge_height_m`` and ``roof_cells`` too, in photos ``height_sigma_m``
+    and ``height_photos``.
 
     Args:
         footprints: A file of footprints.
         out: The city to write; the page is beside it, with ``.html`` in place of its last ending.
         options: ``surface``, ``terrain``, and how columns are called.
         progress: As for ``read_city_model``.
+        photos: Photos that measure heights where no surface model does; see ``with_photo_heights``.
+        poses: Their poses, where they are no dataset.
 
     Returns:
         What was written, as JSON values by name.
 
     Raises:
         CityModelError: A file cannot be read, is no file of footprints, or no footprint has a height.
+        DatasetError: There are no photos with known poses and cameras.
         OSError: The disk is full.
     """
     if any(source.vector_path is None for source in open_sources(footprints)):
@@ -65,7 +74,13 @@ def make_city(
             f"{footprints} is no file of footprints by its ending.",
             "Known: .osm.pbf, .osm, .gpkg, .geojson, .shp, .fgb, .gdb, .parquet.",
         )
-    model = read_city_model(footprints, options=replace(options, has_details=True), progress=progress)
+    # Photos measure the roofs of blocks, also of those that nothing else gives a height.
+    default_m = _DEFAULT_M if photos is not None and options.default_height_m is None else None
+    detailed = replace(options, has_details=True, default_height_m=options.default_height_m or default_m)
+    model = read_city_model(footprints, options=detailed, progress=progress)
+    used = 0
+    if photos is not None:
+        model, used = with_photo_heights(model, photos, poses, keeps_default=default_m is None)
     buildings = _buildings(model)
     left_out: dict[str, list[str]] = defaultdict(list)
     for item in model.findings.items:
@@ -79,11 +94,13 @@ def make_city(
     lines = [f"Footprints: {footprints.name}."]
     lines += [f"Surface model: {Path(options.surface).name}."] if options.surface else []
     lines += [f"Terrain model: {Path(options.terrain).name}."] if options.terrain else []
+    lines += [f"Photos: {used}."] if used else []
     write_text(page, city_page(out.name, [" ".join(lines)], buildings, left_out, reported))
     return {
         "written": str(out),
         "page": str(page),
         "buildings": len(buildings),
+        "photos": used,
         "crs": model.crs,
         "heights_from": dict(Counter(each.height_from for each in buildings).most_common()),
         "grounds_from": dict(Counter(each.ground_from for each in buildings).most_common()),
@@ -114,6 +131,7 @@ def _buildings(model: CityModel) -> list[MadeBuilding]:
             reported["height_from"],
             reported["ground_from"],
             rings[n],
+            reported.get("height_sigma_m"),
         )
         for n, (name, ground, reported) in enumerate(
             zip(model.building_ids, ground_m.tolist(), attributes, strict=True)
@@ -134,6 +152,7 @@ class MadeBuilding(NamedTuple):
         ground_m: Height of the ground.
         height_from, ground_from: What gave them, in words.
         rings: (N, 2) east and north each, of its outline and holes.
+        sigma_m: Standard deviation of the height, None where nothing says.
     """
 
     name: str
@@ -142,6 +161,7 @@ class MadeBuilding(NamedTuple):
     height_from: str
     ground_from: str
     rings: Sequence[NDArray[np.float64]]
+    sigma_m: float | None = None
 
 
 def city_page(
@@ -169,7 +189,12 @@ def city_page(
         for name, of_source in by_source.items()
     }
     rows = [
-        (name, len(own), *(f"{value:.1f}" for value in np.percentile([b.height_m for b in own], (5, 50, 95))))
+        (
+            name,
+            len(own),
+            *(f"{value:.1f}" for value in np.percentile([b.height_m for b in own], (5, 50, 95))),
+            _median([b.sigma_m for b in own if b.sigma_m is not None]),
+        )
         for name, own in by_source.items()
     ]
     # Those that no surface model measured are to be looked at first.
@@ -185,3 +210,7 @@ def city_page(
         count=len(buildings),
         findings=findings,
     )
+
+
+def _median(sigmas_m: Sequence[float]) -> str:
+    return f"{np.median(sigmas_m):.2f}" if sigmas_m else ""

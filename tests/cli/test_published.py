@@ -11,9 +11,14 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
+from lodbench.citymap import CityMap
+from lodbench.citymodel import open_scene
+from lodbench.citymodel.mesh.texture_files import open_textured_map
 from lodbench.cli import main
 from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.datasets.registry import open_dataset
 from lodbench.segmentation.registry import chosen_segmenter
+from tests.data.own_layouts import DRONE, write_ortholoc
 from tests.data.published_layouts import write_lodlocv2, write_swiss
 from tests.town import write_dataset
 
@@ -267,3 +272,49 @@ def test_masks_of_another_folder_and_what_verify_reads_again(tmp_path, capsys):
     assert "masks" in capsys.readouterr().out
     assert run((root, city), tmp_path / "none", "segmenter=masks", f"segmenter.folder={tmp_path}") == 2
     assert "holds no mask of any image" in capsys.readouterr().err
+
+
+def show_map(root: Path, is_plain: bool) -> None:
+    """Draws in OrthoLoC's samples what their photos would show: the orthophoto, or a lawn with the tower."""
+    dataset = open_dataset({"name": "ortholoc", "root": str(root)})
+    scene = open_scene(dataset.city_model)
+    city_map = CityMap(scene, textured=open_textured_map(dataset.textured_map, scene))
+    for entry in dataset.entries:
+        pose = dataset.truth[entry.key].shifted(-scene.origin)
+        (shown,) = city_map.colour(entry.camera, pose.rotation[None], pose.center[None])
+        if is_plain:
+            lawn = np.random.default_rng(0).normal((50, 90, 60), 4, shown.shape).astype(np.uint8)
+            tower = city_map.render(entry.camera, pose)[..., None]
+            shown = np.where(tower, np.array([190, 90, 70], np.uint8), lawn)
+        path = next(root.glob(f"full/{entry.split}/{Path(entry.name).stem}.npz"))
+        with np.load(path) as arrays:
+            changed = dict(arrays)
+        np.savez(path, **{**changed, "image_query": shown})
+
+
+@pytest.mark.parametrize(
+    ("words", "is_found"),
+    [
+        ("method=region", True),
+        ("method=region dataset.focal=unknown", False),
+        ("method=uavd4l", True),
+    ],
+)
+def test_methods_run_over_a_surface_model_with_its_orthophoto(
+    lodbench, tmp_path, monkeypatch, words, is_found
+):
+    monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path / "cache"))
+    write_ortholoc(tmp_path / "data", camera=DRONE.scaled(640, 480))
+    show_map(tmp_path / "data", is_plain="region" in words)
+    told = ["run", "dataset=ortholoc", f"dataset.root={tmp_path / 'data'}", "prior=uniform", *words.split()]
+    done = lodbench(*told, LODBENCH_CACHE=str(tmp_path / "cache"))
+    assert done.returncode == 0, done.stderr
+    splits = summary_of(tmp_path)["splits"]
+    assert {name: split["num_queries"] for name, split in splits.items()} == {
+        "test_inPlace": 2,
+        "test_outPlace": 1,
+    }
+    failed = {name: split["num_failed"] for name, split in splits.items()}
+    assert failed == {"test_inPlace": 0, "test_outPlace": 0}
+    if is_found:
+        assert splits["test_inPlace"]["median_translation_m"] < 2.0

@@ -15,7 +15,7 @@ from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_tex
 from lodbench.datasets.published.ortholoc import cell_offset
 from lodbench.geometry import Camera, EulerAngles, Pose
 from tests.photos.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
-from tests.town import box_obj, town_gml, true_poses
+from tests.town import BOXES, box_obj, town_gml, true_poses
 
 FLIP = np.diag([1.0, -1.0, -1.0])
 PHONE = Camera(96, 128, 110.0, 110.0, 48.0, 64.0)
@@ -79,14 +79,16 @@ def write_egeniouss(root: Path, reading: str = "c2w_opencv") -> dict[str, Pose]:
     return truth
 
 
-def write_ortholoc(root: Path, half_px: float = 0.5, count: int = 3) -> dict[str, Pose]:
+def write_ortholoc(
+    root: Path, half_px: float = 0.5, count: int = 3, camera: Camera = DRONE
+) -> dict[str, Pose]:
     """Writes OrthoLoC: npz samples; pixels count from their centres if ``half_px`` is a half."""
     truth = {}
     for k, pose in enumerate(list(true_poses(count).values())):
         folder = root / "full" / ("test_inPlace" if k < count - 1 else "test_outPlace")
         folder.mkdir(parents=True, exist_ok=True)
         name = f"L01_{'R' if k else 'xDOP'}{k:04d}"
-        np.savez(folder / f"{name}.npz", **ortholoc_arrays(name, pose, half_px, k))
+        np.savez(folder / f"{name}.npz", **ortholoc_arrays(name, pose, half_px, k, camera))
     stems = [
         (p.parent.name, p.stem)
         for s in ("test_inPlace", "test_outPlace")
@@ -98,23 +100,29 @@ def write_ortholoc(root: Path, half_px: float = 0.5, count: int = 3) -> dict[str
     return truth
 
 
-def ortholoc_arrays(name: str, pose: Pose, half_px: float, seed: int) -> dict[str, np.ndarray]:
-    """Returns the arrays of a sample: flat ground at 2 m with a tower, seen by a pinhole."""
+def ortholoc_arrays(
+    name: str, pose: Pose, half_px: float, seed: int, camera: Camera = DRONE
+) -> dict[str, np.ndarray]:
+    """Returns the arrays of a sample: flat ground at 2 m with the houses of ``BOXES``, seen by a pinhole."""
     step, cells = 2.0, 100
     east, north = np.meshgrid(
         (np.arange(cells) - cells / 2 + 0.5) * step, (cells / 2 - np.arange(cells) - 0.5) * step
     )
-    heights = np.where((np.abs(east) < 20) & (np.abs(north) < 15), 27.0, 2.0)
+    heights = np.full(east.shape, 2.0)
+    for west, south, right, up, _, top in BOXES:
+        heights[(east > west) & (east < right) & (north > south) & (north < up)] = top
     dsm = np.stack([east, north, heights], axis=2).astype(np.float32)
     dsm[:3, :3] = np.nan
-    intrinsics = np.array([[DRONE.fx, 0, DRONE.cx - half_px], [0, DRONE.fy, DRONE.cy - half_px], [0, 0, 1.0]])
-    columns, rows = np.meshgrid(np.arange(DRONE.width), np.arange(DRONE.height))
+    intrinsics = np.array(
+        [[camera.fx, 0, camera.cx - half_px], [0, camera.fy, camera.cy - half_px], [0, 0, 1.0]]
+    )
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     zero = 0.5 - half_px
     rays = (
         np.stack(
             [
-                (columns + zero - intrinsics[0, 2]) / DRONE.fx,
-                (rows + zero - intrinsics[1, 2]) / DRONE.fy,
+                (columns + zero - intrinsics[0, 2]) / camera.fx,
+                (rows + zero - intrinsics[1, 2]) / camera.fy,
                 np.ones(rows.shape),
             ],
             axis=2,
@@ -124,7 +132,7 @@ def ortholoc_arrays(name: str, pose: Pose, half_px: float, seed: int) -> dict[st
     points = pose.center + rays * ((2.0 - pose.center[2]) / rays[..., 2:])
     return {
         "sample_id": np.array(name),
-        "image_query": picture(seed, DRONE)[..., ::-1],
+        "image_query": picture(seed, camera)[..., ::-1],
         "image_dop": np.random.default_rng(seed).integers(0, 256, (100, 100, 3), dtype=np.uint8),
         "dsm": dsm,
         "point_map": points.astype(np.float32),

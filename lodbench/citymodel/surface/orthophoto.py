@@ -76,13 +76,13 @@ def green_of(grid: SurfaceGrid, options: ReadOptions) -> Callable[[Span, Span], 
         return None
     path = Path(options.orthophoto)
 
-    def is_green(rows: Span, columns: Span) -> NDArray[np.bool_]:
-        colours = read_colours(path, grid, rows, columns, 1).astype(np.float32)
-        total = np.maximum(colours.sum(axis=2), 1.0)
-        excess = (2.0 * colours[..., 1] - colours[..., 0] - colours[..., 2]) / total
-        return np.asarray(excess > _GREEN)
+    return lambda rows, columns: are_green(read_colours(path, grid, rows, columns, 1))
 
-    return is_green
+
+def are_green(colours: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Returns which of (..., 3) RGB colours are of leaves and grass."""
+    red, green, blue = np.moveaxis(colours.astype(np.float32), -1, 0)
+    return np.asarray((2.0 * green - red - blue) / np.maximum(red + green + blue, 1.0) > _GREEN)
 
 
 def read_textured_surface(path: Path, options: ReadOptions) -> TexturedMesh:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import SURFACE_NO_DATUM, SURFACE_PLANTS, SURFACE_SIMPLIFIED
 from lodbench.citymodel.crs import resolve_crs
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity, starts_of
 from lodbench.citymodel.surface.files import open_surface
-from lodbench.citymodel.surface.grid import SurfaceGrid
+from lodbench.citymodel.surface.grid import Span, SurfaceGrid
 from lodbench.citymodel.surface.ground import find_ground
 from lodbench.citymodel.surface.orthophoto import green_of
 from lodbench.citymodel.surface.regions import LEAST_RISE_M, TOLERANCE_M, RegionCounts, windows_of
@@ -35,6 +37,27 @@ def read_surface(path: Path, source: str, options: ReadOptions) -> RawCity:
         NotACity: Nothing rises above the ground.
     """
     grid = open_surface(path, options.crs)
+    return surface_city(grid, source, options, green_of(grid, options))
+
+
+def surface_city(
+    grid: SurfaceGrid,
+    source: str,
+    options: ReadOptions,
+    is_green: Callable[[Span, Span], NDArray[np.bool_]] | None = None,
+) -> RawCity:
+    """Returns what rises above the ground of a grid; see ``read_surface``.
+
+    Args:
+        grid: Heights.
+        source: Name for messages.
+        options: ``terrain``.
+        is_green: Tells which cells of two spans are green; None where no orthophoto says so.
+
+    Raises:
+        CityModelError: The grid has no height.
+        NotACity: Nothing rises above the ground.
+    """
     findings, counts = Findings(), RegionCounts()
     ground = find_ground(grid, options, findings)
     columns: dict[str, GrowingArray] = {
@@ -45,7 +68,7 @@ def read_surface(path: Path, source: str, options: ReadOptions) -> RawCity:
         "kind": GrowingArray(np.uint8),
     }
     ids: list[str] = []
-    for window in windows_of(grid, ground, counts, green_of(grid, options)):
+    for window in windows_of(grid, ground, counts, is_green):
         solids = solids_of(window)
         if solids is None:
             continue

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.roof_types import word_of
+from lodbench.citymodel.vector.roof_shapes import SHAPES
 from lodbench.errors import CityModelError, nearest_names
 
 # Best first. Names are compared in lower case without separators; Shapefile cuts them at ten letters.
@@ -126,11 +127,12 @@ class Columns:
         In OpenStreetMap's Simple 3D Buildings ``building:levels`` does not count storeys within the roof.
         """
         rise = np.zeros(self._count)
-        for name, factor in (
-            ("roof:levels", options.storey_height_m / unit_m),
-            ("roof:height", 1.0 / unit_m),
+        for known, factor in (
+            ("rooflevels", options.storey_height_m / unit_m),
+            ("roofheight", 1.0 / unit_m),
         ):
-            if name in self._table:
+            name = find_column(list(self._table), (known,))
+            if name is not None:
                 values = factor * self._numbers(name)
                 rise = np.where(np.isfinite(values) & (values >= 0), values, rise)
         return rise
@@ -190,6 +192,29 @@ class Columns:
         columns = [self._table[name].tolist() for name in names if name is not None]
         words = (next(filter(None, map(word_of, row)), "") for row in zip(*columns, strict=True))
         return [(row, word) for row, word in enumerate(words) if word]
+
+    def stated_roofs(self, options: ReadOptions, unit_m: float = 1.0) -> dict[int, tuple[str, float, bool]]:
+        """Returns shape, rise and whether the ridge runs across of the roofs whose columns say them.
+
+        Rises are in the columns' unit, 0 of flat roofs; those of others that no column states are left out.
+        """
+        names = list(self._table)
+        shape, turn = (find_column(names, (known,)) for known in ("roofshape", "rooforientation"))
+        if shape is None:
+            return {}
+        rise = self._roof_rise(options, unit_m)
+        across = np.full(self._count, "") if turn is None else self._table[turn]
+        words = [word_of(value).lower() for value in self._table[shape].tolist()]
+        return {
+            n: (word, 0.0 if word == "flat" else float(rise[n]), str(across[n]).lower() == "across")
+            for n, word in enumerate(words)
+            if word == "flat" or (word in SHAPES and rise[n] > 0)
+        }
+
+    def parents(self) -> dict[int, str]:
+        """Returns the building that footprints are parts of, by its id, where a column says so."""
+        values = self._table.get("part_of")
+        return {} if values is None else {n: str(name) for n, name in enumerate(values.tolist()) if name}
 
     def ids(self) -> list[str]:
         """Returns one id per footprint: the id column where it is one, else numbers from 1."""

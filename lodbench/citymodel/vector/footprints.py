@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,6 @@ from lodbench.citymodel.codes import (
     GROUND_DEFAULTED,
     HEIGHT_DEFAULTED,
     HEIGHT_MISSING,
-    READER_WARNING,
     RING_TOO_SHORT,
     UNDERGROUND,
 )
@@ -30,12 +29,12 @@ from lodbench.citymodel.roof_types import pitched_buildings
 from lodbench.citymodel.surface.roofs import MeasuredFootprints, measure_footprints
 from lodbench.citymodel.terrain import HIGHEST_M, LOWEST_M, ground_under
 from lodbench.citymodel.vector.columns import Columns
-from lodbench.citymodel.vector.gdal import missing_bytes, read_vector
-from lodbench.citymodel.vector.osm import building_columns
+from lodbench.citymodel.vector.gdal import missing_bytes
+from lodbench.citymodel.vector.roof_shapes import shaped_building
+from lodbench.citymodel.vector.tables import read_table
 from lodbench.citymodel.vector.wkb import WkbPolygons
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
-from lodbench.storage.json_text import parse_json
 
 
 def surfaces_as_read(polygons: WkbPolygons, columns: Columns, source: str, crs: str | None) -> RawCity:
@@ -69,9 +68,6 @@ def surfaces_as_read(polygons: WkbPolygons, columns: Columns, source: str, crs: 
     )
 
 
-_EXTRA_HINT = "Install it: pip install 'lodbench[vector]'."
-
-
 def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
     """Returns blocks of level 1 over the footprints of a vector file.
 
@@ -96,7 +92,7 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
         if options.is_strict:
             raise CityModelError(f"{source} is cut off: {what}.", "Download or export the file again.")
         findings.add(FILE_CUT_OFF, source, what)
-    crs, geometries, table = _read_table(path, source, options, findings)
+    crs, geometries, table = read_table(path, source, options, findings)
     if options.crs is None and crs is None:
         raise CityModelError(
             f"{source} names no reference system (a Shapefile needs its .prj).", "Name it: `crs=EPSG:4326`."
@@ -178,7 +174,7 @@ def _blocks(
     pitched = pitched_buildings(columns.roof_types(), len(ids))
     objects = None
     if options.has_details:
-        first = np.unique(owner, return_index=True)[1]
+        first, parents = np.unique(owner, return_index=True)[1], columns.parents()
         stated = [
             {
                 "measuredHeight": round(float(heights[n]) * unit_m, 3),
@@ -186,12 +182,13 @@ def _blocks(
                 "ground_from": str(ground_from[k]),
             }
             | ({} if measured is None else measured.attributes(n))
+            | ({"part_of": parents[n]} if n in parents else {})
             for n, k in zip(used.tolist(), first.tolist(), strict=True)
         ]
         named = tuple(ids[n] for n in used)
         lone = np.full(len(used), -1, np.int32), np.arange(len(used), dtype=np.int32)
         objects = CityObjects(named, ("Building",) * len(used), *lone, tuple(stated))
-    return RawCity(
+    city = RawCity(
         source=source,
         format="footprints",
         srs_names=(crs,),
@@ -210,6 +207,60 @@ def _blocks(
         pitched=None if pitched is None else pitched[used],
         part=None if objects is None else building.reshape(-1).astype(np.int32),
         objects=objects,
+    )
+    flat, counts = np.unique(owner, return_counts=True)
+    is_measured = np.zeros(len(ids), np.bool_) if measured is None else np.isfinite(measured.height_m)
+    shaped = {
+        int(np.searchsorted(used, n)): stated
+        for n, stated in columns.stated_roofs(options, unit_m).items()
+        # Of a roof that was measured its middle is known, not its ridge.
+        if n in flat[counts == 1] and not is_measured[n]
+    }
+    is_in_degrees = known is not None and bool(known.horizontal.is_geographic)
+    squeeze = float(np.cos(np.radians(np.median(rings[:, 1])))) if is_in_degrees else 1.0
+    return _with_roofs(city, shaped, squeeze)
+
+
+def _with_roofs(city: RawCity, shaped: Mapping[int, tuple[str, float, bool]], squeeze: float) -> RawCity:
+    """Returns a city of blocks with level 2 of the buildings whose roofs are stated.
+
+    Args:
+        city: Its blocks.
+        shaped: Shape, rise of the roof, and whether its ridge runs across, by building.
+        squeeze: As for ``shaped_building``.
+    """
+    wanted = np.flatnonzero((city.kind == SurfaceKind.ROOF) & np.isin(city.building, list(shaped)))
+    floors = {int(city.building[n]): n for n in np.flatnonzero(city.kind == SurfaceKind.GROUND).tolist()}
+    made, owners = [], []
+    for n in wanted.tolist():
+        building = int(city.building[n])
+        shape, rise, is_across = shaped[building]
+        starts = city.ring_starts[city.polygon_starts[n] : city.polygon_starts[n + 1] + 1].tolist()
+        rings = [city.points[start:end] for start, end in pairwise(starts)]
+        floor = float(city.points[city.ring_starts[city.polygon_starts[floors[building]]], 2])
+        top = float(rings[0][0, 2])
+        faces = shaped_building(
+            [ring[:, :2] for ring in rings], shape, (floor, top - rise, top), is_across, squeeze
+        )
+        made += faces or []
+        owners += [building] * len(faces or [])
+    if not made:
+        return city
+    rings = [ring for face in made for ring in face.rings]
+    added = np.asarray(owners, np.int32)
+    lengths = [*np.diff(city.ring_starts), *map(len, rings)]
+    counts = [*np.diff(city.polygon_starts), *(len(face.rings) for face in made)]
+    return replace(
+        city,
+        lods=("1", "2"),
+        points=np.concatenate([city.points, *rings]),
+        ring_starts=starts_of(np.asarray(lengths, np.int64)),
+        polygon_starts=starts_of(np.asarray(counts, np.int64)),
+        building=np.concatenate([city.building, added]),
+        lod=np.concatenate([city.lod, np.ones(len(made), np.int16)]),
+        kind=np.concatenate([city.kind, np.array([face.kind for face in made], np.uint8)]),
+        srs=np.concatenate([city.srs, np.zeros(len(made), np.int16)]),
+        part=None if city.part is None else np.concatenate([city.part, added]),
     )
 
 
@@ -336,55 +387,3 @@ def _kept_polygons(
     items, new_starts = take_segments(ring_starts, np.flatnonzero(ring_kept))
     counts = np.bincount(ring_polygon[ring_kept], minlength=len(owner))[~is_lost]
     return points[items], new_starts, starts_of(counts), owner[~is_lost]
-
-
-def _read_table(
-    path: str, source: str, options: ReadOptions, findings: Findings
-) -> tuple[str | None, list[bytes | None], dict[str, NDArray[np.generic]]]:
-    if path.lower().endswith((".parquet", ".geoparquet")):
-        return _read_parquet(path, source)
-    try:
-        (meta, _, geometries, values), stated = read_vector(path, source, options.layer)
-    except CityModelError:
-        raise
-    except Exception as error:  # pyogrio has a dozen kinds, and GDAL's messages are the useful part
-        raise CityModelError(
-            f"{source} cannot be read as a vector file: {str(error).rstrip('.')}.",
-            "Try to open it in a GIS, or export it again as GeoPackage.",
-        ) from None
-    for text in stated:
-        findings.add(READER_WARNING, source, text)
-    table = {str(name): np.asarray(column) for name, column in zip(meta["fields"], values, strict=True)}
-    if path.lower().endswith((".pbf", ".osm")):
-        table = building_columns(table, len(geometries))
-    return meta["crs"], list(geometries), table
-
-
-def _read_parquet(
-    path: str, source: str
-) -> tuple[str | None, list[bytes | None], dict[str, NDArray[np.generic]]]:
-    """Reads GeoParquet through pyarrow, since the GDAL inside pyogrio has no Parquet driver."""
-    try:
-        import pyarrow.parquet as parquet
-    except ImportError:
-        raise CityModelError(f"Reading {source} needs pyarrow.", _EXTRA_HINT) from None
-    try:
-        content = parquet.read_table(Path(path))
-        geo: dict[str, Any] = parse_json((content.schema.metadata or {})[b"geo"])
-        primary = geo["primary_column"]
-        column = dict(geo["columns"][primary])
-        geometries = content.column(primary).to_pylist()
-    except KeyError:
-        raise CityModelError(
-            f"{source} is Parquet, but not GeoParquet: it has no geo metadata.",
-            "Export it as GeoParquet or GeoPackage.",
-        ) from None
-    except (OSError, ValueError, TypeError) as error:
-        raise CityModelError(f"{source} cannot be read as GeoParquet: {error}.", "Export it again.") from None
-    if str(column.get("encoding", "WKB")).upper() != "WKB":
-        raise CityModelError(f"{source} stores geometry as {column['encoding']}.", "Only WKB is read.")
-    # GeoParquet: a crs left out is longitude and latitude; null is unknown.
-    crs = column.get("crs", "OGC:CRS84")
-    names = [name for name in content.column_names if name != primary]
-    table = {name: np.asarray(content.column(name).to_pylist()) for name in names}
-    return (json.dumps(crs) if isinstance(crs, dict) else crs), geometries, table

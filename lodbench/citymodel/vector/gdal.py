@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import struct
 import sys
+import tempfile
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator
@@ -17,7 +18,7 @@ from pathlib import Path, PurePosixPath
 from types import ModuleType
 from typing import Any
 
-from lodbench.citymodel.vector.osm import IS_BUILDING, LAYER
+from lodbench.citymodel.vector.osm import IS_BUILDING, LAYER, OSM_CONFIG
 from lodbench.errors import CityModelError, nearest_names
 
 VECTOR_DRIVERS = {
@@ -86,9 +87,14 @@ def read_vector(path: str, source: str, layer: str | None) -> tuple[Any, list[st
         if layer is not None or suffix in _LAYERED:
             layer, stated = _choose_layer(pyogrio, place, source, layer)
         if VECTOR_DRIVERS.get(suffix) == "OSM":
-            # Else what belongs to other layers is kept in memory.
-            pyogrio.set_gdal_config_options({"OGR_INTERLEAVED_READING": "YES"})
-            table = pyogrio.raw.read(place, layer=layer or LAYER, where=IS_BUILDING)
+            with tempfile.NamedTemporaryFile("w", suffix=".ini") as config:
+                config.write(OSM_CONFIG)
+                config.flush()
+                # Interleaved: else what belongs to other layers is kept in memory.
+                settings = {"OGR_INTERLEAVED_READING": "YES", "OSM_CONFIG_FILE": config.name}
+                pyogrio.set_gdal_config_options(settings)
+                table = pyogrio.raw.read(place, layer=layer or LAYER, where=IS_BUILDING)
+                pyogrio.set_gdal_config_options({"OSM_CONFIG_FILE": None})
         else:
             table = pyogrio.raw.read(place, layer=layer)
     return table, stated + list(dict.fromkeys(str(item.message) for item in caught))

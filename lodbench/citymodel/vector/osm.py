@@ -1,19 +1,36 @@
-"""OpenStreetMap extracts: tags of buildings as columns, as its wiki's Simple 3D Buildings names them."""
+"""OpenStreetMap extracts: buildings and their parts, as its wiki's Simple 3D Buildings has them."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 LAYER = "multipolygons"
-IS_BUILDING = "building IS NOT NULL AND building <> 'no'"
+_PART = "building:part"
+IS_BUILDING = " OR ".join(f'("{tag}" IS NOT NULL AND "{tag}" <> \'no\')' for tag in ("building", _PART))
+# GDAL's own configuration takes closed ways that are nothing but parts of buildings for lines.
+OSM_CONFIG = f"""\
+closed_ways_are_polygons=building,{_PART}
+attribute_name_laundering=no
+[points]
+[lines]
+[multipolygons]
+osm_id=yes
+attributes=building,{_PART}
+other_tags=yes
+[multilinestrings]
+[other_relations]
+"""
+# Of an outline less than this share that no part covers is what drawing leaves.
+_LEAST_REST = 0.02
 # Tags that columns of heights, undersides, roofs and places are made of.
 _TAGS = (
     "height", "building:levels", "min_height", "building:min_level", "roof:height", "roof:levels",
-    "roof:shape", "location",
+    "roof:shape", "roof:orientation", "location",
 )  # fmt: skip
 # GDAL hands over tags without a column of their own as one text: "key"=>"value","key"=>"value".
 _PAIR = re.compile(r'"((?:[^"\\]|\\.)*)"=>"((?:[^"\\]|\\.)*)"')
@@ -38,6 +55,54 @@ def building_columns(columns: dict[str, NDArray[Any]], count: int) -> dict[str, 
         if any(value is not None for value in values):
             table[tag] = np.array(values, object)
     return table
+
+
+def resolve_parts(
+    geometries: Sequence[bytes | None], table: dict[str, NDArray[Any]], columns: dict[str, NDArray[Any]]
+) -> tuple[list[bytes | None], dict[str, NDArray[Any]]]:
+    """Returns outlines without what their parts cover, the parts, and the rows of the table that are left.
+
+    Parts replace the outline's block where they lie on it if they have a height, or storeys; others are left
+    out. The column ``part_of`` is the id of the outline that holds a part, or "".
+
+    Args:
+        geometries: Of all polygons, WKB.
+        table: ``building_columns`` of them.
+        columns: Of GDAL's layer.
+    """
+    buildings, parts = (columns.get(name, np.full(len(geometries), None)) for name in ("building", _PART))
+    is_part = np.array([b in (None, "", "no") for b in buildings], np.bool_)
+    is_part &= np.array([p not in (None, "", "no") for p in parts], np.bool_)
+    if not is_part.any():
+        return list(geometries), table
+    import shapely
+
+    heights = [table[name] for name in ("height", "building:levels") if name in table]
+    has_height = np.array([any(_is_positive(each[n]) for each in heights) for n in range(len(geometries))])
+    shapes = shapely.make_valid(shapely.from_wkb(np.array(list(geometries), object), on_invalid="ignore"))
+    used, outlines = np.flatnonzero(is_part & has_height), np.flatnonzero(~is_part)
+    part_of = np.full(len(geometries), "", object)
+    kept = list(geometries)
+    # Of both: the pairs of an outline and a part with a place inside it.
+    inside = shapely.point_on_surface(shapes[used])
+    first, second = shapely.STRtree(inside).query(shapes[outlines], predicate="covers")
+    for outline in np.unique(first).tolist():
+        row, own = int(outlines[outline]), used[second[first == outline]]
+        part_of[own] = table["osm_id"][row]
+        rest = shapely.difference(shapes[row], shapely.union_all(shapes[own]))
+        faces = [face for face in shapely.get_parts(rest) if shapely.get_dimensions(face) == 2]
+        is_left = sum(face.area for face in faces) > _LEAST_REST * shapes[row].area
+        kept[row] = shapely.to_wkb(shapely.multipolygons(faces)) if is_left else None
+    rows = [n for n, kind in enumerate(is_part) if (has_height[n] if kind else kept[n] is not None)]
+    table = {name: values[rows] for name, values in {**table, "part_of": part_of}.items()}
+    return [kept[n] for n in rows], table
+
+
+def _is_positive(value: object) -> bool:
+    try:
+        return float(str(value).replace(",", ".")) > 0
+    except ValueError:
+        return False
 
 
 def _ids(columns: dict[str, NDArray[Any]], count: int) -> list[str]:

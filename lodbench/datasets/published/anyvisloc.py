@@ -6,15 +6,15 @@ Its coordinates are x east, y south, z up: a left-handed frame. Here y is negate
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.codes import READING_INFERRED, READING_UNFIT
+from lodbench.datasets.codes import READING_CONTRADICTED, READING_INFERRED
 from lodbench.datasets.exchange.posed import read_json
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.published.layout import advice
@@ -24,19 +24,18 @@ from lodbench.datasets.published.own_layout import (
     OwnLayoutParams,
     as_dataset,
     find_parts,
-    kept_folder,
     read_arrays,
     require_word,
     without_lens,
-    write_grid,
 )
+from lodbench.datasets.published.raster_maps import Raster, RasterMap, kept_maps, kept_pictures, pinhole
 from lodbench.datasets.published.spec import Host, Part, PublishedSpec, SplitSpec
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError, require_within
 from lodbench.findings import Findings
 from lodbench.geometry import Camera, EulerAngles, Pose, wrap_deg
-from lodbench.photos.pictures import encoded, read_picture
-from lodbench.storage import random_stream, write_bytes
+from lodbench.photos.pictures import read_picture
+from lodbench.storage import random_stream
 
 _REPOSITORY = "https://github.com/UAV-AVL/Benchmark"
 SPEC = PublishedSpec(
@@ -135,9 +134,8 @@ def open_anyvisloc(params: AnyVisLocParams) -> Dataset:
         raise DatasetError(f"{scene} holds no L??_????.npz.", advice(found))
     samples = [_read(path) for path in files]
     poses = _poses(params.poses, samples, findings)
-    pictures = kept_folder(SPEC.id, files, scene.name, lambda folder: _write_pictures(folder, samples))
-    reference = _reference(scene)
-    city = found.city_model or _map(scene, reference, params.map, params.map_stride)
+    pictures = kept_pictures(SPEC.id, files, scene.name, lambda: _pictures(samples))
+    city, textured, note = _map(scene, _reference(scene), params.map, params.map_stride)
     entries, truth = [], {}
     for sample, pose in zip(samples, poses, strict=True):
         image = sample.photo or pictures / f"{sample.path.stem}.png"
@@ -147,16 +145,17 @@ def open_anyvisloc(params: AnyVisLocParams) -> Dataset:
         entry = Entry(name, scene.name, _camera(sample, image), prior, image, None, hypotheses)
         entries.append(entry)
         truth[entry.key] = pose
-    return as_dataset(
+    dataset = as_dataset(
         found,
         without_lens(SPEC.id, entries),
         truth,
         findings,
-        city_model=city,
-        textured_map=city,
+        city_model=found.city_model or city,
+        textured_map=textured,
         lod=params.lod,
         default_splits=(),
     )
+    return replace(dataset, notes=(*dataset.notes, *filter(None, [note])))
 
 
 def _scene(home: Path, name: str | None) -> Path:
@@ -192,15 +191,8 @@ def _camera(sample: _Sample, image: Path) -> Camera:
         if read is None:
             raise DatasetError(f"{image} cannot be read as a picture.")
         size = read.shape[1::-1]
-    (fx, skew, cx), (_, fy, cy), last = sample.arrays["K"].astype(float).tolist()
-    k1, k2, p1, p2, k3 = sample.arrays["dist"].astype(float).tolist()
-    lens = (k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)
-    try:
-        if skew or last != [0.0, 0.0, 1.0]:
-            raise LodbenchError("no pinhole without skew")
-        return Camera(size[0], size[1], fx, fy, cx + 0.5, cy + 0.5, lens if any(lens) else (), "FULL_OPENCV")
-    except LodbenchError as error:
-        raise DatasetError(f"{sample.path}: K: {error.message.rstrip('.')}.") from error
+    lens = (*sample.arrays["dist"].astype(float).tolist(), 0.0, 0.0, 0.0)
+    return pinhole(f"{sample.path}: K", sample.arrays["K"], size, 0.5, lens)
 
 
 def _poses(reading: str, samples: Sequence[_Sample], findings: Findings) -> list[Pose]:
@@ -226,7 +218,7 @@ def _poses(reading: str, samples: Sequence[_Sample], findings: Findings) -> list
             "Set `dataset.poses=euler` (place and angles) or matrix.",
         )
     else:
-        findings.add(READING_UNFIT, "dataset.poses", words)
+        findings.add(READING_CONTRADICTED, "dataset.poses", words)
     return [pose or other for pose, other in zip(matrices, by_angles, strict=True)]
 
 
@@ -273,11 +265,8 @@ def _prior(params: AnyVisLocParams, name: str, truth: Pose) -> Pose | None:
     return drawn.draw(level, random_stream(0, SPEC.id, params.scene or "", name, "prior"))
 
 
-def _write_pictures(folder: Path, samples: Sequence[_Sample]) -> None:
-    for sample in samples:
-        if sample.photo is None:
-            picture = np.ascontiguousarray(sample.arrays["image"][..., 2::-1])
-            write_bytes(folder / f"{sample.path.stem}.png", encoded(picture, ".png"), False)
+def _pictures(samples: Sequence[_Sample]) -> Iterator[tuple[str, NDArray[Any]]]:
+    return ((each.path.stem, each.arrays["image"]) for each in samples if each.photo is None)
 
 
 def _reference(scene: Path) -> tuple[Path, dict[str, Any]]:
@@ -288,8 +277,10 @@ def _reference(scene: Path) -> tuple[Path, dict[str, Any]]:
     return file, modes
 
 
-def _map(scene: Path, reference: tuple[Path, dict[str, Any]], name: str, stride: int) -> Path:
-    """Returns a folder with the textured mesh of a map: surface model under orthophoto.
+def _map(
+    scene: Path, reference: tuple[Path, dict[str, Any]], name: str, stride: int
+) -> tuple[Path, Path, str]:
+    """Returns city, textured map and note of a map, see ``kept_maps``.
 
     Raises:
         DatasetError: The reference does not say where they lie, or one cannot be read.
@@ -306,22 +297,14 @@ def _map(scene: Path, reference: tuple[Path, dict[str, Any]], name: str, stride:
     if min(*picture_step, *dsm_step) <= 0:
         raise DatasetError(f"{file}: a resolution of {name} is not above 0.")
 
-    def write(folder: Path) -> None:
+    def maps() -> Iterator[RasterMap]:
         picture = read_picture(picture_file)
         if picture is None:
             raise DatasetError(f"{picture_file} cannot be read as a picture.")
-        heights = _heights(dsm_file)[::stride, ::stride]
-        rows, columns = np.mgrid[0 : heights.shape[0], 0 : heights.shape[1]] * stride
-        x = dsm_origin[0] + (columns + 0.5) * dsm_step[0]
-        south = dsm_origin[1] + (rows + 0.5) * dsm_step[1]
-        height, width = picture.shape[:2]
-        corners = np.stack(
-            [(x - origin[0]) / (picture_step[0] * width), (south - origin[1]) / (picture_step[1] * height)],
-            axis=2,
-        )
-        write_grid(folder, name, np.stack([x, -south, heights], axis=2), picture, corners)
+        surface = Raster(_heights(dsm_file), dsm_origin[0], -dsm_origin[1], tuple(dsm_step.tolist()))
+        yield RasterMap(name, surface, Raster(picture, origin[0], -origin[1], tuple(picture_step.tolist())))
 
-    return kept_folder(f"{SPEC.id}-map", [file, picture_file, dsm_file], [scene.name, name, stride], write)
+    return kept_maps(SPEC.id, [file, picture_file, dsm_file], [scene.name, name], stride, maps)
 
 
 def _file(reference: Path, stated: dict[str, Any], key: str) -> Path:
@@ -351,7 +334,7 @@ def _pair(
     return pair
 
 
-def _heights(path: Path) -> NDArray[np.float64]:
+def _heights(path: Path) -> NDArray[Any]:
     try:
         heights = np.load(path, mmap_mode="r", allow_pickle=False)
         plane = heights[..., 0] if heights.ndim == 3 else heights
@@ -360,4 +343,4 @@ def _heights(path: Path) -> NDArray[np.float64]:
     except (OSError, ValueError, EOFError) as error:
         reason = str(error).splitlines()[0].rstrip(".")[:120]
         raise DatasetError(f"{path} is no surface model: {reason}.", "Download it again.") from error
-    return np.asarray(plane, dtype=np.float64)
+    return np.asarray(plane)

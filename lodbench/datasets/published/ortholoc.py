@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,18 +21,22 @@ from lodbench.datasets.published.own_layout import (
     OwnLayoutParams,
     as_dataset,
     find_parts,
-    kept_folder,
     read_arrays,
     require_word,
-    write_grid,
+)
+from lodbench.datasets.published.raster_maps import (
+    Raster,
+    RasterMap,
+    kept_maps,
+    kept_pictures,
+    pinhole,
+    raster_of,
 )
 from lodbench.datasets.published.spec import Host, Part, PublishedSpec, SplitSpec
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError, require_within
 from lodbench.findings import Findings
 from lodbench.geometry import Camera, CameraSigmas, Pose
-from lodbench.photos.pictures import encoded
-from lodbench.storage import make_folder, write_bytes
 
 _REPOSITORY = "https://github.com/deepscenario/OrthoLoC"
 _SPLITS = ("test_inPlace", "test_outPlace", "val", "train")
@@ -129,13 +133,8 @@ def open_ortholoc(params: OrthoLocParams) -> Dataset:
     samples = [_read(split, path) for split, path in files]
     half = _half_pixel(params.pixel_origin, samples, findings)
     paths = [path for _, path in files]
-    pictures = kept_folder(SPEC.id, paths, "pictures", lambda folder: _write_pictures(folder, samples))
-    city = found.city_model or kept_folder(
-        f"{SPEC.id}-map",
-        paths,
-        params.map_stride,
-        lambda folder: _write_maps(folder, paths, params.map_stride),
-    )
+    pictures = kept_pictures(SPEC.id, paths, "pictures", lambda: _pictures(samples))
+    city, textured, note = kept_maps(SPEC.id, paths, "", params.map_stride, lambda: _maps(paths))
     entries, truth = [], {}
     for index, sample in enumerate(samples):
         camera, sigmas = _camera(sample, half, params.focal)
@@ -152,13 +151,13 @@ def open_ortholoc(params: OrthoLocParams) -> Dataset:
         entries,
         truth,
         findings,
-        city_model=city,
-        textured_map=city,
+        city_model=found.city_model or city,
+        textured_map=textured,
         lod=params.lod,
         submission=partial(_predictions, [entry.key for entry in entries]),
     )
-    note = "there are no priors; prior=uniform draws them around the truth"
-    return replace(dataset, notes=(*dataset.notes, note))
+    priors = "there are no priors; prior=uniform draws them around the truth"
+    return replace(dataset, notes=(*dataset.notes, *filter(None, [priors, note])))
 
 
 def _predictions(keys: Sequence[str], poses: Mapping[str, Pose | None]) -> str:
@@ -190,14 +189,8 @@ def _read(split: str, path: Path) -> _Sample:
 
 def _camera(sample: _Sample, half_px: float, focal: str) -> tuple[Camera, CameraSigmas | None]:
     """Returns a sample's camera, or a guess at it and how good that is where it is not to be known."""
-    (fx, skew, cx), (_, fy, cy), last = sample.intrinsics.tolist()
     width, height = sample.size
-    try:
-        if skew or last != [0.0, 0.0, 1.0]:
-            raise LodbenchError("no pinhole without skew")
-        camera = Camera(width, height, fx, fy, cx + half_px, cy + half_px)
-    except LodbenchError as error:
-        raise DatasetError(f"{sample.path}: intrinsics: {error.message.rstrip('.')}.") from error
+    camera = pinhole(f"{sample.path}: intrinsics", sample.intrinsics, sample.size, half_px)
     if focal == "known":
         return camera, None
     guess = _FOCAL_GUESS * max(width, height)
@@ -238,20 +231,18 @@ def _half_pixel(reading: str, samples: Sequence[_Sample], findings: Findings) ->
     return _ORIGINS[fitting[0]]
 
 
-def _write_pictures(folder: Path, samples: Sequence[_Sample]) -> None:
+def _pictures(samples: Sequence[_Sample]) -> Iterator[tuple[str, NDArray[Any]]]:
+    wanted = {"image_query": _ARRAYS["image_query"]}
     for sample in samples:
-        picture = read_arrays(sample.path, {"image_query": _ARRAYS["image_query"]})["image_query"]
-        target = make_folder(folder / sample.split) / f"{sample.path.stem}.png"
-        write_bytes(target, encoded(np.ascontiguousarray(picture[..., ::-1]), ".png"), False)
+        yield f"{sample.split}/{sample.path.stem}", read_arrays(sample.path, wanted)["image_query"]
 
 
-def _write_maps(folder: Path, paths: Sequence[Path], stride: int) -> None:
+def _maps(paths: Sequence[Path]) -> Iterator[RasterMap]:
+    """Yields each sample's map where its cell of the dataset is; its orthophoto covers its surface model."""
     for index, path in enumerate(paths):
         arrays = read_arrays(path, _MAP)
-        dsm, picture = arrays["dsm"], np.ascontiguousarray(arrays["image_dop"][..., ::-1])
-        if not np.isfinite(dsm).all(axis=2).any():
-            raise DatasetError(f"{path}: dsm holds no height.", "Download it again.")
-        rows, columns = np.mgrid[0 : dsm.shape[0] : stride, 0 : dsm.shape[1] : stride]
-        corners = np.stack([(columns + 0.5) / dsm.shape[1], (rows + 0.5) / dsm.shape[0]], axis=2)
-        places = dsm[rows, columns].astype(np.float64) + np.array(cell_offset(index))
-        write_grid(folder, f"{index:04d}_{path.stem}", places, picture, corners)
+        heights = raster_of(arrays["dsm"] + np.array(cell_offset(index)), str(path))
+        (rows, columns), (lines, samples) = heights.values.shape, arrays["image_dop"].shape[:2]
+        cell = heights.cell[0] * columns / samples, heights.cell[1] * rows / lines
+        picture = Raster(arrays["image_dop"][..., ::-1], heights.west, heights.north, cell)
+        yield RasterMap(f"{index:04d}_{path.stem}", heights, picture)

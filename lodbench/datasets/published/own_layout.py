@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.codes import READING_INFERRED, READING_UNFIT
+from lodbench.datasets.codes import READING_CONTRADICTED, READING_INFERRED
 from lodbench.datasets.exchange.posed import LayoutGuard, content
 from lodbench.datasets.pose_text import lines_to_text, parse_camera
 from lodbench.datasets.published.layout import Survey, advice, require_data, survey
@@ -179,7 +179,7 @@ def choose_reading(
     )
     if wanted != AUTO:
         if wanted not in fitting:
-            findings.add(READING_UNFIT, setting, words)
+            findings.add(READING_CONTRADICTED, setting, words)
         return wanted
     if len(fitting) != 1:
         raise DatasetError(
@@ -355,38 +355,13 @@ def without_lens(name: str, entries: Sequence[Entry]) -> list[Entry]:
     cameras = [[key, repr(camera)] for key, (_, camera) in sorted(bent.items())]
     folder = kept_folder(name, (photo for photo, _ in bent.values()), cameras, write)
     return [
-        replace(entry, image=folder / f"{entry.key}.png", camera=pinhole_of(bent[entry.key][1]))
+        replace(
+            entry,
+            image=folder / f"{entry.key}.png",
+            camera=pinhole_of(bent[entry.key][1]),
+            stored=entry.image,
+        )
         if entry.key in bent
         else entry
         for entry in entries
     ]
-
-
-def write_grid(folder: Path, name: str, places: Floats, picture: NDArray[np.uint8], corners: Floats) -> None:
-    """Writes a surface model with its orthophoto as a textured OBJ: ``NAME.obj``, ``.mtl`` and ``.png``.
-
-    Args:
-        folder: Where to.
-        name: A plain name.
-        places: (H, W, 3) centres of cells, metres, east north up; what is not finite is a hole.
-        picture: (h, w, 3) BGR of the orthophoto.
-        corners: (H, W, 2) where each cell is in the orthophoto: 0 to 1 from its left and from its top.
-    """
-    height, width = places.shape[:2]
-    number = np.arange(1, height * width + 1).reshape(height, width)
-    is_whole: NDArray[np.bool_] = np.asarray(np.isfinite(places).all(axis=2))
-    squares = is_whole[:-1, :-1] & is_whole[:-1, 1:] & is_whole[1:, :-1] & is_whole[1:, 1:]
-    # Counter-clockwise from above: rows run south.
-    quads = np.stack([number[1:, :-1], number[1:, 1:], number[:-1, 1:], number[:-1, :-1]], axis=2)[squares]
-    lines = [f"mtllib {name}.mtl", f"usemtl {name}"]
-    # Holes keep their numbers; no face has them.
-    lines += [f"v {x:.3f} {y:.3f} {z:.3f}" for x, y, z in np.nan_to_num(places.reshape(-1, 3)).tolist()]
-    lines += [f"vt {u:.6f} {1.0 - v:.6f}" for u, v in corners.reshape(-1, 2).tolist()]
-    lines += [f"f {a}/{a} {b}/{b} {c}/{c} {d}/{d}" for a, b, c, d in quads.tolist()]
-    contents = {
-        f"{name}.obj": lines_to_text(lines).encode(),
-        f"{name}.mtl": f"newmtl {name}\nmap_Kd {name}.png\n".encode(),
-        f"{name}.png": encoded(picture, ".png"),
-    }
-    for file, data in contents.items():
-        write_bytes(folder / file, data, False)

@@ -102,7 +102,7 @@ def open_semcitylocked(params: SemCityParams) -> Dataset:
     if not entries:
         raise DatasetError(f"{folder} holds no photos.", "They are JPEG, as the drone stored them.")
     options = ReadOptions() if city is None else ReadOptions(up_axis=_up_axis(city, params, findings))
-    return as_dataset(
+    dataset = as_dataset(
         found,
         without_lens(SPEC.id, entries),
         {entry.key: known[Path(entry.name).stem] for entry in entries if Path(entry.name).stem in known},
@@ -113,6 +113,8 @@ def open_semcitylocked(params: SemCityParams) -> Dataset:
         photo_crs=params.crs,
         photo_origin=None if params.origin is None else tuple(params.origin),
     )
+    note = "there are no priors; prior=sensor takes the photos' own, with dataset.crs and dataset.origin"
+    return replace(dataset, notes=(*dataset.notes, note))
 
 
 def _true_poses(params: SemCityParams) -> dict[str, Pose]:

@@ -151,7 +151,9 @@ class RoofCurve(NamedTuple):
 _Shown: TypeAlias = tuple[SweepPicture, NDArray[np.bool_]]
 
 
-def sweep_roofs(pictures: Sequence[SweepPicture], city_map: CityMap) -> dict[int, RoofCurve]:
+def sweep_roofs(
+    pictures: Sequence[SweepPicture], city_map: CityMap, heights_m: Floats = HEIGHTS_M
+) -> dict[int, RoofCurve]:
     """Returns how well heights explain the photos, by row of the building.
 
     Heights are against the map, as poses have it: what all are wrong about alike is in all of them. Buildings
@@ -160,16 +162,17 @@ def sweep_roofs(pictures: Sequence[SweepPicture], city_map: CityMap) -> dict[int
     Args:
         pictures: The photos, where they were found to be taken; their exposures are made alike, in place.
         city_map: The map.
+        heights_m: (H,) ascending, by how much higher than in the map a roof may be.
     """
     if len(pictures) < _FEWEST_PHOTOS:
         return {}
     near = _near(city_map.scene, pictures)
     rows, counts = np.unique(np.concatenate(near), return_counts=True)
     roofs = _roofs(city_map.scene, rows[counts >= _FEWEST_PHOTOS])
-    seen = _seen(pictures, near, roofs, city_map)
-    edges = _edge_evidence(pictures, near, city_map)
+    seen = _seen(pictures, near, roofs, city_map, heights_m)
+    edges = _edge_evidence(pictures, near, city_map, heights_m)
     _take_exposures_away(roofs, seen)
-    curves = {row: _curve(roofs[row], photos) for row, photos in seen.items()}
+    curves = {row: _curve(roofs[row], photos, heights_m) for row, photos in seen.items()}
     return {
         row: curve for row in {**edges, **curves} if (curve := _together(curves.get(row), edges.get(row)))
     }
@@ -198,12 +201,12 @@ def _together(curve: RoofCurve | None, edges: EdgeEvidence | None) -> RoofCurve 
     """Returns what a roof's colours and edges say; None where neither says anything."""
     if edges is None:
         return curve
-    colours = RoofCurve(np.zeros(len(HEIGHTS_M)), 0) if curve is None else curve
+    colours = RoofCurve(np.zeros(len(edges.logs)), 0) if curve is None else curve
     return RoofCurve(colours.nats + edges.nats(), max(colours.photos, edges.photos))
 
 
 def _edge_evidence(
-    pictures: Sequence[SweepPicture], near: Sequence[NDArray[np.int64]], city_map: CityMap
+    pictures: Sequence[SweepPicture], near: Sequence[NDArray[np.int64]], city_map: CityMap, heights_m: Floats
 ) -> dict[int, EdgeEvidence]:
     """Returns what edges of roofs say, by row of the building."""
     rows, counts = np.unique(np.concatenate(near), return_counts=True)
@@ -216,14 +219,14 @@ def _edge_evidence(
     for picture, of_photo in zip(pictures, near, strict=True):
         rows = np.array([row for row in of_photo.tolist() if row in edges], dtype=np.int64)
         points = np.concatenate([edges[row][:, :3] for row in rows.tolist()] or [np.zeros((0, 3))])
-        is_seen = _sees(picture, points, city_map)
+        is_seen = _sees(picture, points, city_map, heights_m)
         owner = np.repeat(np.arange(len(rows)), [len(edges[row]) for row in rows.tolist()])
         shares = np.bincount(owner, is_seen, len(rows)) / np.maximum(
             np.bincount(owner, minlength=len(rows)), 1
         )
         shown.append(rows)
         is_seen_of.append(is_seen & (shares >= _SHARE)[owner])
-    found = edge_evidence(pictures, shown, edges, is_seen_of, HEIGHTS_M)
+    found = edge_evidence(pictures, shown, edges, is_seen_of, heights_m)
     return {row: evidence for row, evidence in found.items() if evidence.photos >= _FEWEST_OF_EDGES}
 
 
@@ -260,6 +263,7 @@ def _seen(
     near: Sequence[NDArray[np.int64]],
     roofs: Mapping[int, Floats],
     city_map: CityMap,
+    heights_m: Floats,
 ) -> dict[int, list[_Shown]]:
     """Returns by building the photos that show its roof best, and which of its points."""
     found: dict[int, list[_Shown]] = {row: [] for row in roofs}
@@ -268,7 +272,7 @@ def _seen(
         if not rows:
             continue
         points, ends = np.concatenate([roofs[row] for row in rows]), np.cumsum([len(roofs[r]) for r in rows])
-        is_seen_of = np.split(_sees(picture, points[:, :3], city_map), ends[:-1])
+        is_seen_of = np.split(_sees(picture, points[:, :3], city_map, heights_m), ends[:-1])
         for row, is_seen in zip(rows, is_seen_of, strict=True):
             if is_seen.mean() >= _SHARE:
                 found[row].append((picture, is_seen.copy()))
@@ -283,9 +287,7 @@ def _best(points: Floats, photos: Sequence[_Shown]) -> list[_Shown]:
     return sorted(photos, key=lambda photo: -_pixels_of(points, [photo]))[:_MOST_PHOTOS]
 
 
-def _sees(
-    picture: SweepPicture, points: Floats, city_map: CityMap, heights_m: Floats = HEIGHTS_M
-) -> NDArray[np.bool_]:
+def _sees(picture: SweepPicture, points: Floats, city_map: CityMap, heights_m: Floats) -> NDArray[np.bool_]:
     """Returns which of (N, 3) points of the map a photo shows, at every height they may have."""
     pixels, depths = picture.project(points)
     is_seen = picture.holds(pixels, depths) & (depths < _COARSEST_M * picture.camera.fx)
@@ -314,7 +316,7 @@ def _take_exposures_away(roofs: Mapping[int, Floats], seen: Mapping[int, Sequenc
             picture.shift_colours(-np.median(together, axis=0))
 
 
-def _curve(points: Floats, photos: Sequence[_Shown], heights_m: Floats = HEIGHTS_M) -> RoofCurve | None:
+def _curve(points: Floats, photos: Sequence[_Shown], heights_m: Floats) -> RoofCurve | None:
     """Returns how well heights of a roof explain its photos; None where too little is seen often enough.
 
     Eq. (F21) of docs/methods/flight.md.

@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lodbench.citymodel import open_scene
+from lodbench.citymodel.mesh.texture_files import read_textured
 from lodbench.cli import main
 from lodbench.datasets.published.catalogue import SPECS
-from lodbench.datasets.registry import open_dataset
+from lodbench.datasets.registry import make_priors, open_dataset
 from lodbench.errors import DatasetError
 from tests.data import own_layouts as layouts
 from tests.datasets.published.damages import GT, LOADERS
+from tests.photos.dji_photo import PROPERTIES
 
 
 def settings_of(name: str, root: Path) -> dict[str, object]:
@@ -128,7 +131,7 @@ class TestWhatIsLeftOpen:
 
     def test_a_reading_that_is_set_counts_and_is_doubted(self, tmp_path):
         layouts.write_egeniouss(tmp_path)
-        assert "READING_UNFIT" in codes(opened("egeniouss", tmp_path, poses="w2c_opengl"))
+        assert "READING_CONTRADICTED" in codes(opened("egeniouss", tmp_path, poses="w2c_opengl"))
 
     def test_another_vertical_datum_is_noticed(self, tmp_path, capsys):
         layouts.write_egeniouss(tmp_path)
@@ -208,30 +211,76 @@ class TestTracks:
         assert len(opened("ortholoc", tmp_path, samples="L01_R*").entries) == 2
 
 
+class TestSensors:
+    def test_undistorted_photos_keep_what_they_state(self, tmp_path):
+        from pyproj import Transformer
+
+        layouts.write_semcitylocked(tmp_path)
+        lon, lat = float(PROPERTIES["GpsLongitude"]), float(PROPERTIES["GpsLatitude"])
+        east, north = Transformer.from_crs(4326, 25832, always_xy=True).transform(lon, lat)
+        dataset = opened("semcitylocked", tmp_path, crs="EPSG:25832", origin=[east - 7, north + 4, 80.0])
+        assert all(entry.image.suffix == ".png" for entry in dataset.entries)
+        placed = make_priors("sensor", {}).apply(dataset, 0)
+        for entry in placed.entries:
+            np.testing.assert_allclose(entry.prior.center, [7, -4, 123.41], atol=0.01)
+
+
 class TestMaps:
     def test_a_surface_model_lies_where_its_sample_does(self, tmp_path):
-        from lodbench.citymodel import open_scene
-
         layouts.write_ortholoc(tmp_path)
         dataset = opened("ortholoc", tmp_path, map_stride=1)
+        corners = read_textured(dataset.textured_map).corners.reshape(-1, 3)
+        # A cell of 2 km, ground of 200 m with seven houses, the tallest of 38 m, in each.
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        np.testing.assert_allclose((low, high), ([-99, -99, 2], [4099, 99, 40]), atol=1e-3)
         scene = open_scene(dataset.city_model)
-        points = scene.vertices + scene.origin
-        # A cell of 2 km, ground of 200 m; a tower of 25 m in each.
-        low, high = points.min(axis=0), points.max(axis=0)
-        np.testing.assert_allclose((low, high), ([-99, -99, 2], [4099, 99, 27]), atol=1e-3)
-        near = points[np.abs(points[:, 0] - 2000) < 500]
-        assert near[near[:, 2] > 20].min(axis=0).tolist() == pytest.approx([1981, -13, 27], abs=1e-3)
+        assert (scene.num_buildings, scene.lod, scene.crs) == (21, "2", None)
+        houses = np.split(scene.vertices + scene.origin, scene.vertex_starts[1:-1])
+        tallest = [house for house in houses if house[:, 2].max() > 39]
+        for k, house in enumerate(sorted(tallest, key=lambda house: house[0, 0])):
+            wanted = [-4 + 2000 * k, 0, 2], [22 + 2000 * k, 30, 40]
+            np.testing.assert_allclose((house.min(axis=0), house.max(axis=0)), wanted, atol=1e-3)
 
     def test_south_is_turned_to_north_and_origins_add_up(self, tmp_path):
-        from lodbench.citymodel import open_scene
-
         layouts.write_anyvisloc(tmp_path)
-        scene = open_scene(opened("anyvisloc", tmp_path, map_stride=1).city_model)
-        tall = (scene.vertices + scene.origin)[scene.vertices[:, 2] + scene.origin[2] > 20]
+        dataset = opened("anyvisloc", tmp_path, map_stride=1)
         # Columns 30 to 49 and rows 20 to 29 of cells of 3 x 4 m from 110 m west and 115 m north on.
-        np.testing.assert_allclose(tall.min(axis=0)[:2], [-110 + 3 * 30.5, 115 - 4 * 29.5], atol=1e-3)
-        np.testing.assert_allclose(tall.max(axis=0)[:2], [-110 + 3 * 49.5, 115 - 4 * 20.5], atol=1e-3)
+        for points, side in (
+            (read_textured(dataset.textured_map).corners.reshape(-1, 3), 0.5),
+            (city_points(dataset), 0.0),
+        ):
+            tall = points[points[:, 2] > 20]
+            wanted = [-110 + 3 * (30 + side), 115 - 4 * (30 - side)]
+            np.testing.assert_allclose(tall.min(axis=0)[:2], wanted, atol=1e-3)
+            wanted = [-110 + 3 * (50 - side), 115 - 4 * (20 + side)]
+            np.testing.assert_allclose(tall.max(axis=0)[:2], wanted, atol=1e-3)
 
+    def test_a_map_that_shows_no_building_is_one_all_the_same(self, tmp_path):
+        layouts.write_anyvisloc(tmp_path)
+        path = tmp_path / "Scene_01" / "satellite_dsm.npy"
+        np.save(path, np.full((60, 80), 3.0, np.float32))
+        dataset = opened("anyvisloc", tmp_path, map="satellite")
+        assert dataset.city_model == dataset.textured_map
+        assert any("no building rises" in note for note in dataset.notes)
+        assert open_scene(dataset.city_model).num_buildings == 1
+
+    def test_cells_on_no_grid_are_refused(self, tmp_path):
+        layouts.write_ortholoc(tmp_path)
+        path = next(tmp_path.glob("full/test_inPlace/*.npz"))
+        with np.load(path) as arrays:
+            changed = dict(arrays)
+        for dsm in (changed["dsm"][:, ::-1], changed["dsm"][:1], changed["dsm"] * [1, 0, 1]):
+            np.savez(path, **{**changed, "dsm": dsm.astype(np.float32)})
+            with pytest.raises(DatasetError, match="no regular grid"):
+                opened("ortholoc", tmp_path)
+
+
+def city_points(dataset) -> np.ndarray:
+    scene = open_scene(dataset.city_model)
+    return scene.vertices + scene.origin
+
+
+class TestPictures:
     def test_distorted_photos_are_undistorted_once(self, tmp_path):
         layouts.write_anyvisloc(tmp_path, dist=(-0.08, 0.01, 0.0, 0.0, 0.0))
         first = opened("anyvisloc", tmp_path).entries[0]
