@@ -43,7 +43,7 @@ def train_heads(settings: LodLocTraining, tell: Callable[[str], None] = lambda l
     """
     require("torch", "torch", "lodbench train method=lodloc")
     from lodbench.segmentation.nets.compact import STRIDE
-    from lodbench.segmentation.nets.onnx import write_onnx
+    from lodbench.segmentation.nets.weights import write_onnx
 
     from .nets.loop import train
     from .nets.net import WireframeNet

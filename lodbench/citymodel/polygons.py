@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.axis_order import faces_tell_north_first
-from lodbench.citymodel.bases import mend_heights, move_bases, tell_unused
 from lodbench.citymodel.cleaning import clean_polygons, drop_repeats, frame_origin, report_outliers
 from lodbench.citymodel.codes import CRS_MIXED, DUPLICATE_ID
 from lodbench.citymodel.crs import require_crs
@@ -21,6 +20,7 @@ from lodbench.citymodel.model import CityModel, CityObjects, Polygons, Solids
 from lodbench.citymodel.options import INTERIORS, ReadOptions
 from lodbench.citymodel.pictures import Pictures
 from lodbench.citymodel.raw import RawCity
+from lodbench.citymodel.terrain import mend_heights, move_bases, tell_unused
 from lodbench.citymodel.triangulate import newell
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings

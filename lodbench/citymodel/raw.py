@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from lodbench.citymodel.lifespans import Period, common_period
-from lodbench.citymodel.model import CityObjects, ObjectTable, Solids
+from lodbench.citymodel.model import CityObjects, ObjectTable, Solids, pitched_buildings
 from lodbench.citymodel.options import AxisOrder
 from lodbench.citymodel.pictures import Pictures, PictureTable, blank, merge_pictures
-from lodbench.citymodel.roof_types import pitched_buildings
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.bench import Report
+from lodbench.bench.photo_masks import TracedOptions, open_traced_photos
 from lodbench.bench.real_query import RealOptions, RealSet, measure_real
-from lodbench.bench.traced_photos import TracedOptions, open_traced_photos
 from lodbench.citymodel.scene import Scene
 from lodbench.cli.parts import default_segmenter, option_pairs, segmenter_of
 from lodbench.datasets.folder import FolderParams, open_folder

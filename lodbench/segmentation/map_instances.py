@@ -20,7 +20,7 @@ from lodbench.segmentation.masks import read_photo
 from lodbench.segmentation.probability import resized_photo
 from lodbench.segmentation.protocol import BUILDING_THRESHOLD
 from lodbench.storage import digest_of
-from lodbench.synthesis.instance_degradation import filled
+from lodbench.synthesis.mask_degradation import filled
 
 Mask = NDArray[np.bool_]
 

@@ -13,8 +13,7 @@ from lodbench.datasets.instance_labels import masks_of_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault, require_numbers, require_within
 from lodbench.storage import random_stream
-from lodbench.synthesis.instance_degradation import degraded_instances
-from lodbench.synthesis.mask_degradation import degrade_mask
+from lodbench.synthesis.mask_degradation import degrade_mask, degraded_instances
 
 Mask = NDArray[np.bool_]
 

@@ -155,8 +155,7 @@ class PackagedNetwork(PhotoSegmenter):
         Raises:
             ConfigError: The file holds no weights of this network.
         """
-        from lodbench.segmentation.nets.onnx import load_onnx
-        from lodbench.segmentation.nets.weights import load_own
+        from lodbench.segmentation.nets.weights import load_onnx, load_own
 
         if init is not None and init.endswith(".onnx"):
             return load_onnx(self.new_net(True), Path(init).expanduser(), self.stride)
@@ -174,7 +173,7 @@ class PackagedNetwork(PhotoSegmenter):
 
     def store(self, net: Any, folder: Path) -> Path:
         """Writes a network as ONNX, its normalisations folded into the convolutions; returns the file."""
-        from lodbench.segmentation.nets.onnx import write_onnx
+        from lodbench.segmentation.nets.weights import write_onnx
 
         path = folder / f"{self.weights_name}.onnx"
         write_onnx(net, path, self.stride, self.stores_half, _ANSWERS[self.learns])

@@ -18,9 +18,9 @@ from lodbench.errors import DatasetError
 from lodbench.photos.pictures import read_picture
 from lodbench.storage import make_folder, random_stream, write_bytes
 from lodbench.storage.paths import cache_root
-from lodbench.synthesis.queries import written_once
 from lodbench.synthesis.town.build import CITY_FILE, DEMO_CODE, FINE_CITY_FILE, build_demo, code_digest
 from lodbench.synthesis.town.town import TOWN_VERSION, grow_town
+from lodbench.synthesis.view_sampling import written_once
 
 MAP_FILE = "textured_map.glb"
 # The code that each follows from; that of the town is in the demo's own name.
@@ -109,7 +109,7 @@ def instances_of_demo(demo: Dataset, city: Path, seed: int) -> Path:
     def write(folder: Path) -> None:
         from lodbench.datasets.instance_labels import encoded_labels
         from lodbench.rendering.raster import RasterRenderer
-        from lodbench.synthesis.instance_degradation import degraded_instances
+        from lodbench.synthesis.mask_degradation import degraded_instances
 
         scene = open_scene(city)
         raster = RasterRenderer(scene)

@@ -24,9 +24,16 @@ from lodbench.storage import digest_of, random_stream, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.mask_degradation import degrade_mask
-from lodbench.synthesis.queries import SyntheticQuery, write_queries, written_once
 from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer, reconstruct
-from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewCheck, target_near
+from lodbench.synthesis.view_sampling import (
+    FINE_SIZE,
+    RGB_CAMERA,
+    SyntheticQuery,
+    ViewCheck,
+    target_near,
+    write_queries,
+    written_once,
+)
 
 # Raised whenever the same settings would draw something else.
 FLIGHTS_VERSION = 1

@@ -19,8 +19,8 @@ from lodbench.geometry.lens import distort
 from lodbench.storage import make_folder, random_stream
 from lodbench.synthesis.photo import CameraResponse, Look, PhotoRenderer, draw_look, look_ranges
 from lodbench.synthesis.photo.renderer import photo_file
-from lodbench.synthesis.queries import SyntheticQuery
 from lodbench.synthesis.surroundings import make_surroundings
+from lodbench.synthesis.view_sampling import SyntheticQuery
 
 # What photos are drawn at, pixels.
 PHOTO_SIZE = (1204, 902)

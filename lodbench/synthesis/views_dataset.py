@@ -35,11 +35,17 @@ from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.surfaces import Surfaces
 from lodbench.storage import digest_of, random_stream, write_text
 from lodbench.storage.paths import cache_root
-from lodbench.synthesis.instance_degradation import degraded_instances
-from lodbench.synthesis.mask_degradation import degrade_mask
-from lodbench.synthesis.queries import SyntheticQuery, write_queries, written_once
+from lodbench.synthesis.mask_degradation import degrade_mask, degraded_instances
 from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer, draw_through_lens
-from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
+from lodbench.synthesis.view_sampling import (
+    FINE_SIZE,
+    RGB_CAMERA,
+    SyntheticQuery,
+    ViewSampling,
+    sample_views,
+    write_queries,
+    written_once,
+)
 
 # Raised whenever the same settings would draw something else.
 VIEWS_VERSION = 1

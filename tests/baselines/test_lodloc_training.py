@@ -124,7 +124,7 @@ def test_the_file_is_the_network_to_three_digits_and_half_as_large(tmp_path):
     from lodbench.baselines.lodloc.nets.net import start_from, unpacked
     from lodbench.baselines.lodloc.nets.packed_onnx import pack_onnx
 
-    from lodbench.segmentation.nets.onnx import write_onnx
+    from lodbench.segmentation.nets.weights import write_onnx
 
     torch.manual_seed(0)
     net, path = start_from(None).eval(), tmp_path / "net.onnx"

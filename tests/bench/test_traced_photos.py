@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lodbench.bench.traced_photos import TracedOptions, open_traced_photos
+from lodbench.bench.photo_masks import TracedOptions, open_traced_photos
 from lodbench.citymap import CityMap
 from lodbench.cli.bench import main
 from lodbench.errors import DatasetError

@@ -11,7 +11,7 @@ from lodbench.citymodel import ReadOptions
 from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.terrain import ground_under
 from lodbench.citymodel.vector.columns import find_column
-from lodbench.citymodel.vector.wkb import WkbPolygons
+from lodbench.citymodel.vector.gdal import WkbPolygons
 from lodbench.errors import CityModelError, ConfigError
 
 from .gml_text import write

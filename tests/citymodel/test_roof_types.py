@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import ReadOptions, mesh_city, mesh_model, open_scene, read_city_model
+from lodbench.citymodel.model import is_pitched
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.read import read_source
-from lodbench.citymodel.roof_types import is_pitched
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import read_scene, scene_folder, write_scene
 from lodbench.citymodel.source import open_sources

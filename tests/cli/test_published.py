@@ -139,7 +139,7 @@ def test_random_weights_enter_no_table(dataset, tmp_path, capsys, monkeypatch):
     import cv2
     import numpy as np
 
-    from lodbench.segmentation.sam2_unet import Sam2UNetSegmenter
+    from lodbench.segmentation.torch_segmenter import Sam2UNetSegmenter
 
     monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path / "cache"))
     photos = tmp_path / "data"

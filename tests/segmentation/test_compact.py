@@ -64,7 +64,7 @@ def test_an_exported_network_comes_back_and_answers_the_same(net, weights):
 
 
 def test_another_network_does_not_come_back_from_onnx(tmp_path):
-    from lodbench.segmentation.nets.onnx import write_onnx
+    from lodbench.segmentation.nets.weights import write_onnx
 
     class Other(torch.nn.Module):
         def __init__(self):
@@ -83,7 +83,7 @@ def test_another_network_does_not_come_back_from_onnx(tmp_path):
 
 
 def test_a_network_that_answers_probabilities_is_refused(net, tmp_path):
-    from lodbench.segmentation.nets.onnx import write_onnx
+    from lodbench.segmentation.nets.weights import write_onnx
 
     class Sure(torch.nn.Module):
         def __init__(self):
@@ -109,7 +109,7 @@ def test_a_network_that_answers_probabilities_is_refused(net, tmp_path):
     ],
 )
 def test_answers_that_would_make_the_whole_photo_building_are_refused(tmp_path, spoilt, said):
-    from lodbench.segmentation.nets.onnx import write_onnx
+    from lodbench.segmentation.nets.weights import write_onnx
 
     class Spoilt(torch.nn.Module):
         def __init__(self):

@@ -17,7 +17,7 @@ from lodbench.segmentation.nets import sam2_unet  # noqa: E402
 from lodbench.segmentation.nets import sam2_unet as hiera  # noqa: E402
 from lodbench.segmentation.nets.sam1_adapter import Sam1Adapter, fill_sam, high_frequencies  # noqa: E402
 from lodbench.segmentation.nets.weights import fill, read_weights, save_weights  # noqa: E402
-from lodbench.segmentation.sam2_unet import Sam2UNetParams, Sam2UNetSegmenter  # noqa: E402
+from lodbench.segmentation.torch_segmenter import Sam2UNetParams, Sam2UNetSegmenter  # noqa: E402
 
 
 @pytest.fixture(scope="module")

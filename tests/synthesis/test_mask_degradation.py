@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 
 from lodbench.errors import LodbenchError
 from lodbench.storage import random_stream
-from lodbench.synthesis.instance_degradation import degraded_instances
 from lodbench.synthesis.mask_degradation import (
     IOU_TOLERANCE,
     degrade_mask,
+    degraded_instances,
     distances_to_buildings,
     mask_iou,
     smooth_noise,

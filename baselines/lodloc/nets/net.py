@@ -9,8 +9,7 @@ from torch import Tensor, nn
 
 from lodbench.segmentation.compact import packaged_weights
 from lodbench.segmentation.nets.compact import STRIDE, CompactNet
-from lodbench.segmentation.nets.onnx import load_onnx
-from lodbench.segmentation.nets.weights import load_own
+from lodbench.segmentation.nets.weights import load_onnx, load_own
 
 # Channels of the trunk at a quarter and at half of the photo's size: its encoder's and its decoder's.
 _QUARTER, _HALF = 40 + 48, 16 + 24

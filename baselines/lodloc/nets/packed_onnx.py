@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lodbench.segmentation.nets.onnx import halve_kernels
+from lodbench.segmentation.nets.weights import halve_kernels
 from lodbench.storage import write_bytes
 
 # Of the input that the file states, pixels; it is run at any multiple of the stride.

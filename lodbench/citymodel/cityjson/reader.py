@@ -23,11 +23,10 @@ from lodbench.citymodel.json_documents import (
     points_of,
 )
 from lodbench.citymodel.lifespans import Lifespans
-from lodbench.citymodel.model import ObjectTable
+from lodbench.citymodel.model import ObjectTable, roof_type_of
 from lodbench.citymodel.options import types_of
 from lodbench.citymodel.pictures import PictureTable
 from lodbench.citymodel.raw import NotACity, PolygonCollector, RawCity
-from lodbench.citymodel.roof_types import roof_type_of
 from lodbench.errors import CityModelError
 
 _GROUP = "CityObjectGroup"

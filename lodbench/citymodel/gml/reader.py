@@ -30,11 +30,10 @@ from lodbench.citymodel.gml.walk import GeometryWalk
 from lodbench.citymodel.gml.xml import Element, NotFolded, XmlMembers, local_name, namespace_of
 from lodbench.citymodel.json_documents import paused_collector
 from lodbench.citymodel.lifespans import Lifespans
-from lodbench.citymodel.model import ObjectTable, Solids
+from lodbench.citymodel.model import ATTRIBUTES, ObjectTable, Solids, pitched_buildings, roof_type_of
 from lodbench.citymodel.options import types_of
 from lodbench.citymodel.pictures import PictureTable
 from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity, starts_of
-from lodbench.citymodel.roof_types import ATTRIBUTES, pitched_buildings, roof_type_of
 from lodbench.findings import Findings
 
 # Numbers are read when this much text has gathered: large enough that a parse is worth its call,

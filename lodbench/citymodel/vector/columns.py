@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.model import word_of
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.roof_types import word_of
 from lodbench.citymodel.vector.roof_shapes import SHAPES
 from lodbench.errors import CityModelError, nearest_names
 

@@ -22,17 +22,15 @@ from lodbench.citymodel.codes import (
 )
 from lodbench.citymodel.crs import resolve_crs
 from lodbench.citymodel.extrude import clean_rings, extrude
-from lodbench.citymodel.model import TALLEST_M, CityObjects, SurfaceKind
+from lodbench.citymodel.model import TALLEST_M, CityObjects, SurfaceKind, pitched_buildings
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of, take_segments
-from lodbench.citymodel.roof_types import pitched_buildings
 from lodbench.citymodel.surface.roofs import MeasuredFootprints, measure_footprints
 from lodbench.citymodel.terrain import HIGHEST_M, LOWEST_M, ground_under
 from lodbench.citymodel.vector.columns import Columns
-from lodbench.citymodel.vector.gdal import missing_bytes
+from lodbench.citymodel.vector.gdal import WkbPolygons, missing_bytes
 from lodbench.citymodel.vector.roof_shapes import shaped_building
 from lodbench.citymodel.vector.tables import read_table
-from lodbench.citymodel.vector.wkb import WkbPolygons
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 

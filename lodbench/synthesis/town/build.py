@@ -29,7 +29,6 @@ from lodbench.storage.json_text import parse_json
 from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.objects import SceneProps, write_props
 from lodbench.synthesis.photo import LookRanges, PhotoRenderer, draw_look
-from lodbench.synthesis.queries import SyntheticQuery, write_queries, written_once
 from lodbench.synthesis.town.props import demo_props
 from lodbench.synthesis.town.shapes import Points, look_named
 from lodbench.synthesis.town.streets import Terrain
@@ -37,11 +36,14 @@ from lodbench.synthesis.town.town import CRS_NAME, OLD_TOWN_RADIUS_M, ORIGIN_M, 
 from lodbench.synthesis.view_sampling import (
     FINE_SIZE,
     RGB_CAMERA,
+    SyntheticQuery,
     ViewCheck,
     ViewSampling,
     first_accepted,
     sample_views,
     view_of,
+    write_queries,
+    written_once,
 )
 
 if TYPE_CHECKING:

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.storage import random_stream
-from lodbench.synthesis.town.extrusion import Body, Strip, Wall
 from lodbench.synthesis.town.fittings import STOREY_M, Annex, Detail, RoofBox, balconies, chance, chimneys
-from lodbench.synthesis.town.roofs import Roof, half_hipped, shed
+from lodbench.synthesis.town.roofs import Body, Roof, Strip, Wall, half_hipped, shed
 from lodbench.synthesis.town.shapes import Points, Solid, TownLook, area, left_of, prism
 from lodbench.synthesis.town.streets import NOBODY, Occupancy, Terrain
 

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lodbench.citymodel.model import SurfaceKind
-from lodbench.synthesis.town.extrusion import Body, Strip
-from lodbench.synthesis.town.roofs import Roof, flat, gabled, hipped, mansard
+from lodbench.synthesis.town.roofs import Body, Roof, Strip, flat, gabled, hipped, mansard
 from lodbench.synthesis.town.shapes import (
     Points,
     Solid,

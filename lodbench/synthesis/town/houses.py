@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from lodbench.synthesis.town.buildings import Plan
-from lodbench.synthesis.town.extrusion import Strip
 from lodbench.synthesis.town.fittings import (
     Detail,
     annex,
@@ -19,7 +18,7 @@ from lodbench.synthesis.town.fittings import (
     lift_houses,
     town_roof,
 )
-from lodbench.synthesis.town.roofs import Roof, flat, gabled, hipped, mansard, serrated
+from lodbench.synthesis.town.roofs import Roof, Strip, flat, gabled, hipped, mansard, serrated
 from lodbench.synthesis.town.shapes import (
     Points,
     area,
