@@ -23,8 +23,7 @@ from lodbench.photos.files import traced_mask, traced_photos
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.overlays import draw_outline, write_picture
 from lodbench.segmentation import Segmenter, notes_of
-from lodbench.segmentation.masks import read_mask, read_photo
-from lodbench.segmentation.polygon_files import polygons_of
+from lodbench.segmentation.masks import polygons_of, read_mask, read_photo
 from lodbench.storage import random_stream, write_bytes
 
 Mask = NDArray[np.bool_]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any, TypeVar
@@ -10,10 +10,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from lodbench.citymodel.lifespans import Period, common_period
+from lodbench.citymodel.lifespans import Period
 from lodbench.citymodel.model import CityObjects, ObjectTable, Solids, pitched_buildings
 from lodbench.citymodel.options import AxisOrder
-from lodbench.citymodel.pictures import Pictures, PictureTable, blank, merge_pictures
+from lodbench.citymodel.pictures import Pictures, PictureTable, blank
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -93,57 +93,6 @@ class RawCity:
         return tuple(zip(names, self.axis_orders or (undecided,) * len(names), strict=True))
 
 
-def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
-    """Returns several tiles as one city; ids that two tiles share stay as they are.
-
-    Args:
-        source: Name of the folder or archive.
-        cities: One or more tiles, of any format; their points are taken from them.
-    """
-    first = cities[0]
-    systems = tuple(dict.fromkeys(system for city in cities for system in city.systems()))
-    lods = tuple(dict.fromkeys(name for city in cities for name in city.lods))
-    findings = Findings([item for city in cities for item in city.findings.items])
-    building_ids = tuple(name for city in cities for name in city.building_ids)
-    pictures, picture, uv = merge_pictures(
-        [(city.pictures, city.picture, city.uv, len(city.building), len(city.points)) for city in cities]
-    )
-    before = starts_of(np.asarray([len(city.building_ids) for city in cities]))
-    part, objects, solids, polygon_ids = _merge_objects(cities)
-    return RawCity(
-        source=source,
-        format=first.format,
-        version=first.version,
-        srs_names=tuple(name for name, _ in systems),
-        building_ids=building_ids,
-        num_parts=sum(city.num_parts for city in cities),
-        lods=lods,
-        points=_taken_points(cities),
-        ring_starts=starts_of(np.concatenate([np.diff(city.ring_starts) for city in cities])),
-        polygon_starts=starts_of(np.concatenate([np.diff(city.polygon_starts) for city in cities])),
-        building=_counted_on([city.building for city in cities], before[:-1]),
-        lod=np.concatenate([_renamed(c.lod, c.lods, lods) for c in cities]),
-        kind=np.concatenate([city.kind for city in cities]),
-        srs=np.concatenate([_renamed(c.srs, c.systems(), systems) for c in cities]),
-        has_closing_points=np.concatenate(
-            [np.broadcast_to(city.has_closing_points, len(city.ring_starts) - 1) for city in cities]
-        ),
-        findings=findings,
-        axis_orders=tuple(order for _, order in systems),
-        part=part,
-        objects=objects,
-        solids=solids,
-        polygon_ids=polygon_ids,
-        has_textures=any(city.has_textures for city in cities),
-        pictures=pictures,
-        picture=picture,
-        uv=uv,
-        pitched=joined([(city.pitched, len(city.building_ids)) for city in cities], False),
-        measured_m=joined([(city.measured_m, len(city.building_ids)) for city in cities], np.nan),
-        period=common_period(city.period for city in cities),
-    )
-
-
 def joined(cities: Sequence[tuple[NDArray[Scalar] | None, int]], lack: Any) -> NDArray[Scalar] | None:
     """Returns (B,) an attribute of the buildings of several cities in a row; None if no city has it.
 
@@ -156,76 +105,11 @@ def joined(cities: Sequence[tuple[NDArray[Scalar] | None, int]], lack: Any) -> N
     return np.concatenate([np.full(n, lack) if values is None else values for values, n in cities])
 
 
-def _taken_points(cities: list[RawCity]) -> NDArray[np.float64]:
-    """Returns the points of all cities, (P, 3), which have none afterwards: they are not held twice."""
-    points = GrowingArray(np.float64, (3,))
-    for city in cities:
-        points.extend(city.points)
-        city.points = np.zeros((0, 3))
-    return points.finish()
-
-
-def _counted_on(columns: Sequence[NDArray[np.int32]], firsts: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Returns columns of numbers in a row, those of each column counted from its first."""
-    return np.concatenate([c + n for c, n in zip(columns, firsts, strict=True)]).astype(np.int32)
-
-
-def _merge_objects(
-    cities: list[RawCity],
-) -> tuple[NDArray[np.int32] | None, CityObjects | None, Solids | None, tuple[str, ...]]:
-    """Returns parts, objects, solids and polygon ids of several tiles, as far as any has them."""
-    if all(city.objects is None for city in cities):
-        return None, None, None, ()
-    tables = [city.objects or buildings_only(city.building_ids) for city in cities]
-    parts = [city.part if city.part is not None else city.building for city in cities]
-    buildings = starts_of(np.asarray([len(city.building_ids) for city in cities]))[:-1]
-    firsts = starts_of(np.asarray([len(table) for table in tables]))[:-1]
-    polygons = starts_of(np.asarray([len(city.building) for city in cities]))[:-1]
-    objects = CityObjects(
-        tuple(name for table in tables for name in table.ids),
-        tuple(name for table in tables for name in table.types),
-        np.concatenate(
-            [np.where(t.parents < 0, -1, t.parents + n) for t, n in zip(tables, firsts, strict=True)]
-        ).astype(np.int32),
-        _counted_on([table.building for table in tables], buildings),
-        tuple(values for table in tables for values in (table.attributes or ({},) * len(table)))
-        if any(table.attributes for table in tables)
-        else (),
-    )
-    part = _counted_on(parts, firsts)
-    if all(city.solids is None for city in cities):
-        return part, objects, None, ()
-    stated = [
-        (city.solids, n, f)
-        for city, n, f in zip(cities, polygons, firsts, strict=True)
-        if city.solids is not None
-    ]
-    solids = Solids(
-        np.concatenate([s.part + f for s, _, f in stated]).astype(np.int32),
-        starts_of(np.concatenate([np.diff(s.shell_starts) for s, _, _ in stated])),
-        starts_of(np.concatenate([np.diff(s.face_starts) for s, _, _ in stated])),
-        np.concatenate([np.where(s.faces < 0, -1, s.faces + n) for s, n, _ in stated]),
-        np.concatenate([s.is_flipped for s, _, _ in stated]),
-        np.concatenate([np.where(s.composite < 0, -1, s.composite + n) for s, n, _ in stated]).astype(
-            np.int32
-        ),
-    )
-    ids = (city.polygon_ids or ("",) * len(city.building) for city in cities)
-    return part, objects, solids, tuple(chain.from_iterable(ids))
-
-
 def buildings_only(ids: tuple[str, ...]) -> CityObjects:
     """Returns the objects of a city whose source knows buildings alone."""
     return CityObjects(
         ids, ("Building",) * len(ids), np.full(len(ids), -1, np.int32), np.arange(len(ids), dtype=np.int32)
     )
-
-
-def _renamed(
-    indices: NDArray[np.int16], names: tuple[Hashable, ...], all_names: tuple[Hashable, ...]
-) -> NDArray[np.int16]:
-    table = np.asarray([all_names.index(name) for name in names], np.int16)
-    return table[indices] if len(table) else indices
 
 
 def starts_of(lengths: NDArray[np.integer]) -> NDArray[np.int64]:

@@ -14,7 +14,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePath, PurePosixPath
 from typing import BinaryIO, TypeVar
@@ -30,7 +30,7 @@ _MAX_RATIO = 250
 _RATIO_STARTS_AT_BYTES = 1 << 24
 
 
-class _StreamOver(io.RawIOBase):
+class StreamOver(io.RawIOBase):
     """A stream to be read that closes the one below it."""
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -48,7 +48,7 @@ class _StreamOver(io.RawIOBase):
         super().close()
 
 
-class BoundedStream(_StreamOver):
+class BoundedStream(StreamOver):
     """A decompressed stream that stops at a bomb and speaks of damage in words.
 
     Args:
@@ -86,31 +86,6 @@ class BoundedStream(_StreamOver):
                 f"{self._name} expands more than {_MAX_RATIO} times, which no city model does.",
                 "If you trust it, unpack it yourself and name the result.",
             )
-        return data
-
-
-class CountedStream(_StreamOver):
-    """A stream that tells how many bytes have been read from it.
-
-    Args:
-        stream: Where the bytes come from.
-        report: Called with the number of bytes after each read.
-    """
-
-    def __init__(self, stream: BinaryIO, report: Callable[[int], None]) -> None:
-        super().__init__(stream)
-        self._report = report
-
-    def read(self, size: int = -1) -> bytes:
-        """Returns up to ``size`` bytes, all that is left where it is negative."""
-        return self._counted(self._stream.read(size))
-
-    def readline(self, size: int | None = -1) -> bytes:
-        """Returns the next line, or its first ``size`` bytes."""
-        return self._counted(self._stream.readline(-1 if size is None else size))
-
-    def _counted(self, data: bytes) -> bytes:
-        self._report(len(data))
         return data
 
 
@@ -165,32 +140,6 @@ class Source:
         if not head.strip(b"\0 \r\n\t"):
             raise CityModelError(f"{self.name} is empty.", "Download or export the file again.")
         return head
-
-
-def count_bytes(sources: tuple[Source, ...], progress: Callable[[int, int], None]) -> tuple[Source, ...]:
-    """Returns the sources with every read counted towards one progress.
-
-    Args:
-        sources: What will be read.
-        progress: Called with the bytes read and their total, 0 where compression hides it.
-    """
-    is_packed = any("!" in source.name or source.name.endswith(".gz") for source in sources)
-    paths = {source.path for source in sources if source.path.is_file()}
-    total = 0 if is_packed else sum(path.stat().st_size for path in paths)
-    done = 0
-
-    def report(num_bytes: int) -> None:
-        nonlocal done
-        done += num_bytes
-        progress(min(done, total) if total else done, total)
-
-    def counted(source: Source) -> Source:
-        def open_stream() -> BinaryIO:
-            return CountedStream(source.open(), report)  # type: ignore[return-value]
-
-        return replace(source, open=open_stream)
-
-    return tuple(counted(source) for source in sources)
 
 
 def open_sources(path: Path, layers: Sequence[str] = ()) -> tuple[Source, ...]:

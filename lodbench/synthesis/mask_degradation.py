@@ -127,7 +127,6 @@ def filled(labels: Labels, mask: NDArray[np.bool_]) -> NDArray[np.uint16]:
 
 Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
-Labels = NDArray[np.int32]
 Pair = tuple[float, float]
 
 # Wobble at strength 1, metres.

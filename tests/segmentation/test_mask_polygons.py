@@ -8,7 +8,8 @@ from hypothesis import given, strategies
 from hypothesis.extra.numpy import arrays
 
 from lodbench.errors import DatasetError
-from lodbench.segmentation.polygon_files import mask_of, polygon_text, polygons_of, read_polygons
+from lodbench.segmentation.masks import mask_of, polygons_of
+from lodbench.segmentation.polygon_files import polygon_text, read_polygons
 
 
 def town():

@@ -27,8 +27,7 @@ from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.metadata import read_photo_metadata
 from lodbench.rendering.surfaces import MAP_SIGMA_M, Surfaces
 from lodbench.segmentation import check_mask
-from lodbench.segmentation.masks import read_mask
-from lodbench.segmentation.polygon_files import MaskPolygon, polygons_of
+from lodbench.segmentation.masks import MaskPolygon, polygons_of, read_mask
 from lodbench.storage import file_digest
 from lodbench.storage.json_text import parse_json
 

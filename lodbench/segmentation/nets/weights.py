@@ -195,7 +195,6 @@ def _fill(wanted: list[Tensor | None], found: list[Tensor]) -> None:
         tensor.copy_(values)
 
 
-Net = TypeVar("Net", bound=nn.Module)
 Weights = dict[str, Tensor]
 _SHOWN = 3
 
