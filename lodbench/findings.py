@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
 
 class Severity(Enum):
-    """How much a finding matters: an ERROR lost data, a WARNING changed it, INFO only tells."""
+    """How much a finding matters: an ERROR lost data, a WARNING changed it, INFO only states it."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -35,6 +35,11 @@ class FindingCode:
 
     def __str__(self) -> str:
         return f"{self.code} {self.name}"
+
+
+def graded(severity: Severity) -> Callable[[int, str], FindingCode]:
+    """Returns the constructor of codes of a severity, from their number and meaning."""
+    return lambda number, meaning: FindingCode(number, severity, meaning)
 
 
 def catalogue_of(module: Mapping[str, object]) -> dict[str, FindingCode]:

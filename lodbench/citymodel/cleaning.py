@@ -7,13 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import (
-    DUPLICATE_POINTS,
-    DUPLICATE_POLYGON,
-    FAR_AWAY,
-    RING_NOT_CLOSED,
-    RING_TOO_SHORT,
-)
+from lodbench.citymodel import codes
 from lodbench.citymodel.lods import group_cuts, select_polygons
 from lodbench.citymodel.model import Polygons, SurfaceKind
 from lodbench.citymodel.raw import RawCity, starts_of, take_segments
@@ -123,10 +117,10 @@ def _report_rings(
     """Adds the findings of rings, and of polygons that had none."""
     is_closed, is_repeated, is_short = marks
     ring_building = np.repeat(raw.building, np.diff(raw.polygon_starts))
-    _report(raw, RING_NOT_CLOSED, ring_building[~is_closed & (lengths > 0) & raw.has_closing_points])
-    _report(raw, DUPLICATE_POINTS, ring_building[is_repeated])
-    _report(raw, RING_TOO_SHORT, ring_building[is_short])
-    _report(raw, RING_TOO_SHORT, raw.building[is_lost & (np.diff(raw.polygon_starts) == 0)])
+    _report(raw, codes.RING_NOT_CLOSED, ring_building[~is_closed & (lengths > 0) & raw.has_closing_points])
+    _report(raw, codes.DUPLICATE_POINTS, ring_building[is_repeated])
+    _report(raw, codes.RING_TOO_SHORT, ring_building[is_short])
+    _report(raw, codes.RING_TOO_SHORT, raw.building[is_lost & (np.diff(raw.polygon_starts) == 0)])
 
 
 def _report(raw: RawCity, code: FindingCode, buildings: NDArray[np.int32]) -> None:
@@ -166,7 +160,7 @@ def drop_repeats(
     if is_kept.all():
         return polygons, kept_as, kept_as
     for owner in building[~is_kept].tolist():
-        findings.add(DUPLICATE_POLYGON, building_ids[owner])
+        findings.add(codes.DUPLICATE_POLYGON, building_ids[owner])
     rank = np.cumsum(is_kept) - 1
     kept = np.flatnonzero(is_kept)
     return select_polygons(polygons, kept), rank[kept_as], kept
@@ -256,7 +250,7 @@ def report_outliers(polygons: Polygons, building_ids: tuple[str, ...], findings:
     for building, n in zip(buildings.tolist(), first.tolist(), strict=True):
         east, north, up = polygons.points[far[n]].tolist()
         where = f"at {east:.0f}, {north:.0f}"
-        findings.add(FAR_AWAY, building_ids[building], where, place=(east, north, up))
+        findings.add(codes.FAR_AWAY, building_ids[building], where, place=(east, north, up))
 
 
 def number_rows(columns: list[NDArray[np.uint64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

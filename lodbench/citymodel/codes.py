@@ -8,150 +8,104 @@ ERROR lost data, a WARNING changed it or doubts it, INFO states what was decided
 
 from __future__ import annotations
 
-from lodbench.findings import FindingCode, Severity, catalogue_of
+from lodbench.findings import FindingCode, Severity, catalogue_of, graded
 
-_E, _W, _I = Severity.ERROR, Severity.WARNING, Severity.INFO
+_E, _W, _I = graded(Severity.ERROR), graded(Severity.WARNING), graded(Severity.INFO)
 
-RING_TOO_SHORT = FindingCode(
-    101, _W, "A ring has fewer than three distinct points, so no area; it is dropped."
-)
-DUPLICATE_POINTS = FindingCode(102, _W, "A ring repeats a point in a row; the repeats are removed.")
-RING_NOT_CLOSED = FindingCode(103, _W, "The last point of a GML ring is not its first; it is closed.")
-ZERO_AREA = FindingCode(104, _W, "A polygon has no area (its points lie on a line); it gets no triangles.")
-NOT_PLANAR = FindingCode(105, _W, "A corner of a polygon lies 1 cm to 1 m off its mean plane.")
-AREA_MISMATCH = FindingCode(
-    106, _E, "The triangles of a polygon do not add up to its area (it crosses itself)."
-)
-BAD_COORDINATE = FindingCode(107, _E, "A coordinate is not a finite number; the polygon is dropped.")
-BAD_COUNT = FindingCode(
-    108, _E, "A ring's number of coordinates does not fit its dimension; the polygon is dropped."
-)
-DUPLICATE_POLYGON = FindingCode(109, _W, "Duplicate polygon in one building and level; one copy kept.")
-RING_2D = FindingCode(110, _I, "A ring has no heights; z is 0.")
-FAR_FROM_PLANAR = FindingCode(
-    111, _E, "A corner of a polygon lies over 1 m off its mean plane: its shape is a guess."
-)
-RING_SELF_CONTACT = FindingCode(112, _W, "A ring touches or crosses itself.")
-RINGS_INTERSECT = FindingCode(113, _W, "Two rings of a polygon cross.")
-RINGS_EQUAL = FindingCode(114, _W, "Two rings of a polygon are the same.")
-INTERIOR_SPLIT = FindingCode(115, _W, "The holes of a polygon cut it in two.")
-HOLE_OUTSIDE = FindingCode(116, _W, "A hole of a polygon lies outside of its outline.")
-HOLES_NESTED = FindingCode(117, _W, "A hole of a polygon lies inside another.")
-HOLE_TURNED = FindingCode(118, _W, "A hole has the same orientation as its outline.")
-FOLDED = FindingCode(
-    119, _W, "A piece of a polygon is turned from its plane by over 20 degrees, within 1 cm of it."
-)
+RING_TOO_SHORT = _W(101, "A ring has fewer than three distinct points, so no area; it is dropped.")
+DUPLICATE_POINTS = _W(102, "A ring repeats a point in a row; the repeats are removed.")
+RING_NOT_CLOSED = _W(103, "The last point of a GML ring is not its first; it is closed.")
+ZERO_AREA = _W(104, "A polygon has no area (its points lie on a line); it gets no triangles.")
+NOT_PLANAR = _W(105, "A corner of a polygon lies 1 cm to 1 m off its mean plane.")
+AREA_MISMATCH = _E(106, "The triangles of a polygon do not add up to its area (it crosses itself).")
+BAD_COORDINATE = _E(107, "A coordinate is not a finite number; the polygon is dropped.")
+BAD_COUNT = _E(108, "A ring's number of coordinates does not fit its dimension; the polygon is dropped.")
+DUPLICATE_POLYGON = _W(109, "Duplicate polygon in one building and level; one copy kept.")
+RING_2D = _I(110, "A ring has no heights; z is 0.")
+FAR_FROM_PLANAR = _E(111, "A corner of a polygon lies over 1 m off its mean plane: its shape is a guess.")
+RING_SELF_CONTACT = _W(112, "A ring touches or crosses itself.")
+RINGS_INTERSECT = _W(113, "Two rings of a polygon cross.")
+RINGS_EQUAL = _W(114, "Two rings of a polygon are the same.")
+INTERIOR_SPLIT = _W(115, "The holes of a polygon cut it in two.")
+HOLE_OUTSIDE = _W(116, "A hole of a polygon lies outside of its outline.")
+HOLES_NESTED = _W(117, "A hole of a polygon lies inside another.")
+HOLE_TURNED = _W(118, "A hole has the same orientation as its outline.")
+FOLDED = _W(119, "A piece of a polygon is turned from its plane by over 20 degrees, within 1 cm of it.")
 
-UNDECLARED_PREFIX = FindingCode(201, _W, "XML uses a namespace prefix it never declares.")
-XLINK_UNRESOLVED = FindingCode(202, _E, "A reference to a geometry has no target in the file.")
-XLINK_REMOTE = FindingCode(203, _E, "A reference points to another file or server; it is never fetched.")
-XLINK_CYCLE = FindingCode(204, _W, "References form a cycle; it is broken.")
-DUPLICATE_ID = FindingCode(
-    205, _W, "Duplicate id; references go to the first object, later ones are renamed."
-)
-GEOMETRY_UNSUPPORTED = FindingCode(206, _E, "A geometry of a kind that is not read.")
-GEOMETRY_EMPTY = FindingCode(207, _I, "A geometry property holds no geometry.")
-ELEMENT_IGNORED = FindingCode(208, _I, "An element that carries no surface is ignored.")
-NOT_A_BUILDING = FindingCode(209, _I, "A city object that is not a building is left out.")
-BAD_INDEX = FindingCode(210, _E, "A face names a point that does not exist; it is dropped.")
-FILE_SKIPPED = FindingCode(211, _I, "A file among the tiles is not a city model, or has no building.")
-FILE_CUT_OFF = FindingCode(212, _E, "A file is shorter than its header says; what was cut is lost.")
-SEMANTICS_MISFIT = FindingCode(213, _W, "Semantic labels do not match the surfaces in nesting or number.")
-READER_WARNING = FindingCode(214, _W, "A warning of the library that reads the format.")
+UNDECLARED_PREFIX = _W(201, "XML uses a namespace prefix it never declares.")
+XLINK_UNRESOLVED = _E(202, "A reference to a geometry has no target in the file.")
+XLINK_REMOTE = _E(203, "A reference points to another file or server; it is never fetched.")
+XLINK_CYCLE = _W(204, "References form a cycle; it is broken.")
+DUPLICATE_ID = _W(205, "Duplicate id; references go to the first object, later ones are renamed.")
+GEOMETRY_UNSUPPORTED = _E(206, "A geometry of a kind that is not read.")
+GEOMETRY_EMPTY = _I(207, "A geometry property holds no geometry.")
+ELEMENT_IGNORED = _I(208, "An element that carries no surface is ignored.")
+NOT_A_BUILDING = _I(209, "A city object that is not a building is left out.")
+BAD_INDEX = _E(210, "A face names a point that does not exist; it is dropped.")
+FILE_SKIPPED = _I(211, "A file among the tiles is not a city model, or has no building.")
+FILE_CUT_OFF = _E(212, "A file is shorter than its header says; what was cut is lost.")
+SEMANTICS_MISFIT = _W(213, "Semantic labels do not match the surfaces in nesting or number.")
+READER_WARNING = _W(214, "A warning of the library that reads the format.")
 
-CRS_MISSING = FindingCode(301, _W, "No coordinate reference system is declared; taken as metres.")
-CRS_UNKNOWN = FindingCode(302, _W, "The declared reference system is not known; taken as metres.")
-CRS_IMPLAUSIBLE = FindingCode(
-    303, _W, "The coordinates lie outside the area of the declared reference system."
-)
-AXES_SWAPPED = FindingCode(304, _I, "The axis order differs from that of the declared reference system.")
-CRS_PROJECTED = FindingCode(305, _I, "Coordinates were projected to a metric reference system.")
-CRS_MAPPED = FindingCode(306, _I, "A non-standard CRS name was mapped to its EPSG code.")
-CRS_MIXED = FindingCode(
-    307, _W, "One file declares several reference systems; all are transformed to the first."
-)
-AXES_AMBIGUOUS = FindingCode(308, _W, "Either axis order is plausible; one was taken.")
-SCALE_OFF = FindingCode(
-    309, _W, "The scale of the declared reference system is off by more than 1e-3 at the data."
-)
-HEIGHTS_ELLIPSOIDAL = FindingCode(
-    310, _I, "Heights are above the ellipsoid, not above the sea; they stay as they are."
-)
-FAR_AWAY = FindingCode(
-    311, _W, "A building lies over 500 km from most others; its coordinates lose precision."
-)
+CRS_MISSING = _W(301, "No coordinate reference system is declared; taken as metres.")
+CRS_UNKNOWN = _W(302, "The declared reference system is not known; taken as metres.")
+CRS_IMPLAUSIBLE = _W(303, "The coordinates lie outside the area of the declared reference system.")
+AXES_SWAPPED = _I(304, "The axis order differs from that of the declared reference system.")
+CRS_PROJECTED = _I(305, "Coordinates were projected to a metric reference system.")
+CRS_MAPPED = _I(306, "A non-standard CRS name was mapped to its EPSG code.")
+CRS_MIXED = _W(307, "One file declares several reference systems; all are transformed to the first.")
+AXES_AMBIGUOUS = _W(308, "Either axis order is plausible; one was taken.")
+SCALE_OFF = _W(309, "The scale of the declared reference system is off by more than 1e-3 at the data.")
+HEIGHTS_ELLIPSOIDAL = _I(310, "Heights are above the ellipsoid, not above the sea; they stay as they are.")
+FAR_AWAY = _W(311, "A building lies over 500 km from most others; its coordinates lose precision.")
 
-LOD_ABSENT = FindingCode(
-    401, _W, "A building, or a part of one, has no geometry at the requested level of detail."
+LOD_ABSENT = _W(401, "A building, or a part of one, has no geometry at the requested level of detail.")
+LOD_SUBSTITUTED = _I(402, "The requested level is absent; a subdivision of it (1.2 for 1) is used.")
+BUILDING_EMPTY = _W(403, "A building has no polygon at any level of detail.")
+HEIGHT_MISSING = _E(405, "A footprint has no height between 0 and 1000 m; it is dropped.")
+HEIGHT_DEFAULTED = _W(406, "A footprint has no height between 0 and 1000 m; the default is used.")
+BASE_MOVED = _I(407, "Building bases were moved, as requested.")
+LOD_DERIVED = _I(408, "Level 1 was derived from a finer level.")
+LOD_UNDERIVABLE = _W(409, "A building has no footprint to derive level 1 from.")
+GROUND_DEFAULTED = _W(410, "No column or terrain gives the ground; ground_m is used.")
+OPTION_UNUSED = _W(411, "An option has no effect on this format.")
+NOT_STANDING = _I(412, "A building, or a part of one, does not exist at the reference date; it is left out.")
+CREATED_LATER = _I(413, "An object, or the record of it, was created after the reference date; it is kept.")
+STAYS_FLAT = _W(
+    414, "A building has a height, but no more than a footprint: it is flat unless level 1 is derived."
 )
-LOD_SUBSTITUTED = FindingCode(
-    402, _I, "The requested level is absent; a subdivision of it (1.2 for 1) is used."
-)
-BUILDING_EMPTY = FindingCode(403, _W, "A building has no polygon at any level of detail.")
-HEIGHT_MISSING = FindingCode(405, _E, "A footprint has no height between 0 and 1000 m; it is dropped.")
-HEIGHT_DEFAULTED = FindingCode(
-    406, _W, "A footprint has no height between 0 and 1000 m; the default is used."
-)
-BASE_MOVED = FindingCode(407, _I, "Building bases were moved, as requested.")
-LOD_DERIVED = FindingCode(408, _I, "Level 1 was derived from a finer level.")
-LOD_UNDERIVABLE = FindingCode(409, _W, "A building has no footprint to derive level 1 from.")
-GROUND_DEFAULTED = FindingCode(410, _W, "No column or terrain gives the ground; ground_m is used.")
-OPTION_UNUSED = FindingCode(411, _W, "An option has no effect on this format.")
-NOT_STANDING = FindingCode(
-    412, _I, "A building, or a part of one, does not exist at the reference date; it is left out."
-)
-CREATED_LATER = FindingCode(
-    413, _I, "An object, or the record of it, was created after the reference date; it is kept."
-)
-STAYS_FLAT = FindingCode(
-    414, _W, "A building has a height, but no more than a footprint: it is flat unless level 1 is derived."
-)
-HEIGHT_NO_DATA = FindingCode(
-    415,
-    _E,
-    "A corner has a no-data height, such as -9999; it is moved to the ground nearby.",
-)
-UNDERGROUND = FindingCode(416, _I, "A footprint lies below the ground; it is left out.")
-INTERIOR_SKIPPED = FindingCode(404, _I, "Rooms, storeys and furniture are left out of the mesh.")
+HEIGHT_NO_DATA = _E(415, "A corner has a no-data height, such as -9999; it is moved to the ground nearby.")
+UNDERGROUND = _I(416, "A footprint lies below the ground; it is left out.")
+INTERIOR_SKIPPED = _I(404, "Rooms, storeys and furniture are left out of the mesh.")
 
-SHELL_TOO_FEW_FACES = FindingCode(601, _W, "A shell of a solid has fewer than four faces.")
-SHELL_NOT_CLOSED = FindingCode(602, _W, "A shell has edges with only one face: it is not watertight.")
-NON_MANIFOLD_EDGE = FindingCode(603, _W, "A shell has edges that three faces or more share.")
-NON_MANIFOLD_VERTEX = FindingCode(604, _W, "A shell touches itself in a point.")
-SHELL_IN_PIECES = FindingCode(605, _W, "The faces of a shell are not connected.")
-FACE_TURNED = FindingCode(606, _W, "A face of a shell is oriented opposite to its neighbour.")
-SHELL_INSIDE_OUT = FindingCode(607, _W, "All faces of a shell have the wrong orientation.")
-PARTS_OVERLAP = FindingCode(608, _W, "Two parts of a building overlap.")
-SHELL_SELF_INTERSECTION = FindingCode(609, _W, "An edge of a shell passes through a face of it.")
-SHELLS_INTERSECT = FindingCode(610, _W, "Two shells of a solid intersect.")
-SHELLS_EQUAL = FindingCode(611, _W, "Two shells of a solid have the same corners.")
-SHELL_OUTSIDE = FindingCode(612, _W, "A hole of a solid lies outside of it.")
-SOLIDS_INTERSECT = FindingCode(613, _W, "Two solids of an object intersect.")
-SOLIDS_EQUAL = FindingCode(614, _W, "Two solids of an object have the same corners.")
-INTERIOR_DISCONNECTED = FindingCode(615, _W, "The holes of a solid divide its interior.")
-SOLIDS_DISCONNECTED = FindingCode(
-    616, _W, "The solids of a composite solid do not all share faces with each other."
-)
+SHELL_TOO_FEW_FACES = _W(601, "A shell of a solid has fewer than four faces.")
+SHELL_NOT_CLOSED = _W(602, "A shell has edges with only one face: it is not watertight.")
+NON_MANIFOLD_EDGE = _W(603, "A shell has edges that three faces or more share.")
+NON_MANIFOLD_VERTEX = _W(604, "A shell touches itself in a point.")
+SHELL_IN_PIECES = _W(605, "The faces of a shell are not connected.")
+FACE_TURNED = _W(606, "A face of a shell is oriented opposite to its neighbour.")
+SHELL_INSIDE_OUT = _W(607, "All faces of a shell have the wrong orientation.")
+PARTS_OVERLAP = _W(608, "Two parts of a building overlap.")
+SHELL_SELF_INTERSECTION = _W(609, "An edge of a shell passes through a face of it.")
+SHELLS_INTERSECT = _W(610, "Two shells of a solid intersect.")
+SHELLS_EQUAL = _W(611, "Two shells of a solid have the same corners.")
+SHELL_OUTSIDE = _W(612, "A hole of a solid lies outside of it.")
+SOLIDS_INTERSECT = _W(613, "Two solids of an object intersect.")
+SOLIDS_EQUAL = _W(614, "Two solids of an object have the same corners.")
+INTERIOR_DISCONNECTED = _W(615, "The holes of a solid divide its interior.")
+SOLIDS_DISCONNECTED = _W(616, "The solids of a composite solid do not all share faces with each other.")
 
-SURFACE_NO_DATA = FindingCode(701, _W, "Cells of a surface model have no height; nothing is drawn there.")
-SURFACE_NO_DATUM = FindingCode(
-    702, _I, "A surface model names no system of its heights; they are taken as they are."
+SURFACE_NO_DATA = _W(701, "Cells of a surface model have no height; nothing is drawn there.")
+SURFACE_NO_DATUM = _I(702, "A surface model names no system of its heights; they are taken as they are.")
+SURFACE_GROUND_ESTIMATED = _I(
+    703, "No terrain model is given; the ground is estimated from the surface model."
 )
-SURFACE_GROUND_ESTIMATED = FindingCode(
-    703, _I, "No terrain model is given; the ground is estimated from the surface model."
-)
-SURFACE_OFFSET = FindingCode(
-    704, _W, "Surface and terrain model have no ground in common: their zero heights may differ."
-)
-SURFACE_STEP = FindingCode(705, _W, "Heights of a surface model jump along a border between its tiles.")
-SURFACE_COARSE = FindingCode(706, _W, "Heights of a surface model are written in coarse steps.")
-SURFACE_PLANTS = FindingCode(
-    707, _I, "What rises above the ground and is no roof is taken as vegetation; it is left out."
-)
-SURFACE_SIMPLIFIED = FindingCode(708, _I, "A surface model is drawn in plane pieces, within a tolerance.")
-SURFACE_NO_ROOF = FindingCode(
-    709, _W, "A surface model shows no roof over a footprint; attributes count instead."
-)
+SURFACE_OFFSET = _W(704, "Surface and terrain model have no ground in common: their zero heights may differ.")
+SURFACE_STEP = _W(705, "Heights of a surface model jump along a border between its tiles.")
+SURFACE_COARSE = _W(706, "Heights of a surface model are written in coarse steps.")
+SURFACE_PLANTS = _I(707, "What rises above the ground and is no roof is taken as vegetation; it is left out.")
+SURFACE_SIMPLIFIED = _I(708, "A surface model is drawn in plane pieces, within a tolerance.")
+SURFACE_NO_ROOF = _W(709, "A surface model shows no roof over a footprint; attributes count instead.")
 
 # The published error codes of val3dity, the usual validator of 3D city models, for what it reports too.
 VAL3DITY: dict[FindingCode, str] = {

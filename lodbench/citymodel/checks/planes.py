@@ -8,17 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import (
-    FOLDED,
-    HOLE_OUTSIDE,
-    HOLE_TURNED,
-    HOLES_NESTED,
-    INTERIOR_SPLIT,
-    PARTS_OVERLAP,
-    RING_SELF_CONTACT,
-    RINGS_EQUAL,
-    RINGS_INTERSECT,
-)
+from lodbench.citymodel import codes
 from lodbench.citymodel.derive import part_blocks
 from lodbench.citymodel.lods import select_polygons
 from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
@@ -33,13 +23,13 @@ from lodbench.findings import FindingCode, Findings
 
 # What GEOS says is wrong, by the beginning of its reason.
 _REASONS: tuple[tuple[str, FindingCode], ...] = (
-    ("Ring Self-intersection", RING_SELF_CONTACT),
-    ("Self-intersection", RINGS_INTERSECT),
-    ("Hole lies outside", HOLE_OUTSIDE),
-    ("Nested holes", HOLES_NESTED),
-    ("Holes are nested", HOLES_NESTED),
-    ("Interior is disconnected", INTERIOR_SPLIT),
-    ("Duplicate Rings", RINGS_EQUAL),
+    ("Ring Self-intersection", codes.RING_SELF_CONTACT),
+    ("Self-intersection", codes.RINGS_INTERSECT),
+    ("Hole lies outside", codes.HOLE_OUTSIDE),
+    ("Nested holes", codes.HOLES_NESTED),
+    ("Holes are nested", codes.HOLES_NESTED),
+    ("Interior is disconnected", codes.INTERIOR_SPLIT),
+    ("Duplicate Rings", codes.RINGS_EQUAL),
 )
 _PLACE = re.compile(r"\[(\S+) (\S+)\]")
 _MAX_TURN_DEG = 20.0  # as val3dity has it
@@ -100,7 +90,7 @@ def check_planes(model: CityModel, findings: Findings) -> None:
     is_hole[polygons.polygon_starts[:-1]] = False
     is_turned = is_hole & shapely.is_ccw(rings) & has_area[ring_polygon]
     for n in np.unique(ring_polygon[is_turned]).tolist():
-        add(HOLE_TURNED, n, "a hole runs the way of its outline", np.zeros(2))
+        add(codes.HOLE_TURNED, n, "a hole runs the way of its outline", np.zeros(2))
 
 
 def _flattened(polygons: Polygons) -> _Flattened:
@@ -129,13 +119,13 @@ def _code_of(reason: str, rings: NDArray[Any]) -> FindingCode:
     """Returns the finding for the reason why a polygon of these rings is not valid."""
     import shapely
 
-    code = next((code for start, code in _REASONS if reason.startswith(start)), RING_SELF_CONTACT)
-    if code is not RINGS_INTERSECT:
+    code = next((code for start, code in _REASONS if reason.startswith(start)), codes.RING_SELF_CONTACT)
+    if code is not codes.RINGS_INTERSECT:
         return code
     if not shapely.is_simple(rings).all():
-        return RING_SELF_CONTACT
+        return codes.RING_SELF_CONTACT
     are_equal = any(shapely.equals(ring, rings[k + 1 :]).any() for k, ring in enumerate(rings))
-    return RINGS_EQUAL if are_equal else code
+    return codes.RINGS_EQUAL if are_equal else code
 
 
 def check_folds(model: CityModel, findings: Findings) -> None:
@@ -160,7 +150,7 @@ def check_folds(model: CityModel, findings: Findings) -> None:
         spots = corners[is_folded][where].mean(axis=1) + model.origin
         for n, spot in zip(at.tolist(), spots.tolist(), strict=True):
             building = model.building_ids[polygons.building[n]]
-            findings.add(FOLDED, building, "a fold", polygon=int(own[n]), place=tuple(spot))
+            findings.add(codes.FOLDED, building, "a fold", polygon=int(own[n]), place=tuple(spot))
 
 
 def check_parts(model: CityModel, findings: Findings) -> None:
@@ -195,7 +185,7 @@ def check_parts(model: CityModel, findings: Findings) -> None:
             spot = shapely.get_coordinates(shapely.point_on_surface(shared[n]))[0]
             place = np.array([*spot, max(bottom[a[n]], bottom[b[n]])]) + model.origin
             findings.add(
-                PARTS_OVERLAP,
+                codes.PARTS_OVERLAP,
                 model.building_ids[int(building[first[n]])],
                 f"LoD{lod}: {names[0]} and {names[1]}, {areas[n]:.2f} m2 over {heights[n]:.2f} m",
                 place=tuple(place.tolist()),

@@ -12,16 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel import codes
 from lodbench.citymodel.cleaning import connected_components, number_rows
-from lodbench.citymodel.codes import (
-    FACE_TURNED,
-    NON_MANIFOLD_EDGE,
-    NON_MANIFOLD_VERTEX,
-    SHELL_IN_PIECES,
-    SHELL_INSIDE_OUT,
-    SHELL_NOT_CLOSED,
-    SHELL_TOO_FEW_FACES,
-)
 from lodbench.citymodel.lods import select_polygons
 from lodbench.citymodel.model import CityModel, Polygons, Solids
 from lodbench.citymodel.raw import take_segments
@@ -70,16 +62,16 @@ def check_shells(model: CityModel, findings: Findings) -> None:
 
     num_faces = np.diff(solids.face_starts)
     for shell in np.flatnonzero(num_faces < _MIN_FACES).tolist():
-        report.add(SHELL_TOO_FEW_FACES, shell, -1, f"faces: {num_faces[shell]}")
+        report.add(codes.SHELL_TOO_FEW_FACES, shell, -1, f"faces: {num_faces[shell]}")
     count = np.bincount(edges.group)
     forward = np.bincount(edges.group, edges.start < edges.end)
     is_open = (count == 1)[edges.group]
     is_many = (count > 2)[edges.group]
     is_turned = ((count == 2) & (forward != 1))[edges.group]
     for code, is_met, words in (
-        (SHELL_NOT_CLOSED, is_open, "edges with one face only"),
-        (NON_MANIFOLD_EDGE, is_many, "edges with three faces or more"),
-        (FACE_TURNED, is_turned, "edges that both faces run along the same way"),
+        (codes.SHELL_NOT_CLOSED, is_open, "edges with one face only"),
+        (codes.NON_MANIFOLD_EDGE, is_many, "edges with three faces or more"),
+        (codes.FACE_TURNED, is_turned, "edges that both faces run along the same way"),
     ):
         _report_edges(report, code, edges, is_met, words)
     has_fault = np.zeros(num_shells, np.bool_)
@@ -190,7 +182,7 @@ def _check_vertices(report: ShellReport, edges: _Edges, is_sound: NDArray[np.boo
     shells, first_place, counts = np.unique(shell[where], return_index=True, return_counts=True)
     for number, place, count in zip(shells.tolist(), first_place.tolist(), counts.tolist(), strict=True):
         point = int(edges.point[corners[where[place]]])
-        report.add(NON_MANIFOLD_VERTEX, number, point, f"vertices where fans of faces touch: {count}")
+        report.add(codes.NON_MANIFOLD_VERTEX, number, point, f"vertices where fans of faces touch: {count}")
 
 
 def _check_pieces(report: ShellReport, edges: _Edges, solids: Solids, is_sound: NDArray[np.bool_]) -> None:
@@ -202,7 +194,7 @@ def _check_pieces(report: ShellReport, edges: _Edges, solids: Solids, is_sound: 
     shells, counts = np.unique(pairs[0], return_counts=True)
     for shell in shells[counts > 1].tolist():
         point = int(edges.point[own[np.argmax(edges.shell[own] == shell)]])
-        report.add(SHELL_IN_PIECES, shell, point, f"pieces: {int(counts[shells == shell][0])}")
+        report.add(codes.SHELL_IN_PIECES, shell, point, f"pieces: {int(counts[shells == shell][0])}")
 
 
 def _check_volumes(
@@ -229,7 +221,7 @@ def _check_volumes(
         volume = float(np.sum(sign * np.einsum("ij,ij->i", origin[own] - middle, vectors[own])) / 3.0)
         if (volume < 0) == bool(is_outer[shell]) and abs(volume) > _SNAP_M:
             point = int(polygons.ring_starts[own[0]])
-            report.add(SHELL_INSIDE_OUT, shell, point, f"encloses {volume:.3f} m3")
+            report.add(codes.SHELL_INSIDE_OUT, shell, point, f"encloses {volume:.3f} m3")
 
 
 Floats = NDArray[np.float64]

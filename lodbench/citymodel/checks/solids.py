@@ -11,6 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
+from lodbench.citymodel import codes
 from lodbench.citymodel.checks.shells import (
     SNAP_M,
     TOUCH_M,
@@ -23,16 +24,6 @@ from lodbench.citymodel.checks.shells import (
     winding,
 )
 from lodbench.citymodel.cleaning import connected_components
-from lodbench.citymodel.codes import (
-    INTERIOR_DISCONNECTED,
-    SHELL_OUTSIDE,
-    SHELL_SELF_INTERSECTION,
-    SHELLS_EQUAL,
-    SHELLS_INTERSECT,
-    SOLIDS_DISCONNECTED,
-    SOLIDS_EQUAL,
-    SOLIDS_INTERSECT,
-)
 from lodbench.citymodel.model import CityModel, Solids
 from lodbench.findings import Findings
 
@@ -78,7 +69,9 @@ def check_composites(
         if len(pieces) > 1:
             shell = int(solids.shell_starts[members[pieces[1]]])
             point = int(faces.point[np.argmax(faces.edge_shell == shell)])
-            report.add(SOLIDS_DISCONNECTED, shell, point, f"{len(members)} solids in {len(pieces)} pieces")
+            report.add(
+                codes.SOLIDS_DISCONNECTED, shell, point, f"{len(members)} solids in {len(pieces)} pieces"
+            )
 
 
 def _share_a_face(first: Floats, second: Floats) -> bool:
@@ -132,7 +125,7 @@ def check_insides(report: ShellReport, faces: SolidFaces, solids: Solids, cut: s
         count = _num_pieces(_inside_points(corners), corners)
         if count > 1:
             point = int(faces.point[np.argmax(faces.edge_shell == shells[1])])
-            report.add(INTERIOR_DISCONNECTED, shells[0], point, f"pieces: {count}")
+            report.add(codes.INTERIOR_DISCONNECTED, shells[0], point, f"pieces: {count}")
 
 
 def _touch(corners: Floats, shell: Ints) -> bool:
@@ -252,11 +245,13 @@ def check_solids(model: CityModel, findings: Findings) -> None:
             continue
         seen.add(pair)
         if first == second:
-            report.add(SHELL_SELF_INTERSECTION, first, point, "an edge passes through a face of its shell")
+            report.add(
+                codes.SHELL_SELF_INTERSECTION, first, point, "an edge passes through a face of its shell"
+            )
         elif shell_solid[first] == shell_solid[second]:
-            report.add(SHELLS_INTERSECT, first, point, "two shells of a solid cut each other")
+            report.add(codes.SHELLS_INTERSECT, first, point, "two shells of a solid cut each other")
         else:
-            report.add(SOLIDS_INTERSECT, first, point, "an edge passes through a face of another solid")
+            report.add(codes.SOLIDS_INTERSECT, first, point, "an edge passes through a face of another solid")
     _check_twins(report, faces, shell_solid, part, lod)
     _check_inner(report, faces, solids, seen)
     overlapping = {(int(shell_solid[a]), int(shell_solid[b])) for a, b in seen}
@@ -314,7 +309,7 @@ def _check_twins(report: ShellReport, faces: SolidFaces, shell_solid: Ints, part
         other = known.setdefault((int(part[shell]), int(lod[shell]), stated), shell)
         if other != shell:
             is_one = shell_solid[other] == shell_solid[shell]
-            code, words = (SHELLS_EQUAL, "shells") if is_one else (SOLIDS_EQUAL, "solids")
+            code, words = (codes.SHELLS_EQUAL, "shells") if is_one else (codes.SOLIDS_EQUAL, "solids")
             report.add(code, shell, int(faces.point[own[0]]), f"two {words} have the same corners")
 
 
@@ -329,5 +324,5 @@ def _check_inner(report: ShellReport, faces: SolidFaces, solids: Solids, cut: se
                 middle = faces.start[own].mean(axis=0)
                 if abs(winding(around, middle)) < 0.5:
                     report.add(
-                        SHELL_OUTSIDE, inner, int(faces.point[own[0]]), "a hole of a solid lies outside"
+                        codes.SHELL_OUTSIDE, inner, int(faces.point[own[0]]), "a hole of a solid lies outside"
                     )

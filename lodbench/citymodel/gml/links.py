@@ -5,13 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from itertools import chain
 
-from lodbench.citymodel.codes import (
-    DUPLICATE_ID,
-    GEOMETRY_UNSUPPORTED,
-    XLINK_CYCLE,
-    XLINK_REMOTE,
-    XLINK_UNRESOLVED,
-)
+from lodbench.citymodel import codes
 from lodbench.citymodel.gml.batch import Reference
 from lodbench.citymodel.gml.context import (
     declared_around,
@@ -60,7 +54,7 @@ class LinkResolver:
         """
         walk = self._walk
         for gml_id in sorted(walk.duplicate_ids):
-            self._findings.add(DUPLICATE_ID, gml_id)
+            self._findings.add(codes.DUPLICATE_ID, gml_id)
         walk.duplicate_ids.clear()
         self._copied.clear()
         self._visited.clear()
@@ -124,7 +118,7 @@ class LinkResolver:
     def report_unresolved(self, building_ids: list[str]) -> None:
         """Adds a finding for every reference that found no target anywhere."""
         for reference in self.unresolved:
-            self._findings.add(XLINK_UNRESOLVED, building_ids[reference.building], reference.href)
+            self._findings.add(codes.XLINK_UNRESOLVED, building_ids[reference.building], reference.href)
 
     def _target_id(self, reference: Reference, building_ids: list[str]) -> str | None:
         """Returns the id a reference names in this file, or None with a finding."""
@@ -133,11 +127,11 @@ class LinkResolver:
         if not hash_sign:
             # `urn:uuid:...` and bare names are ids; anything with a path or scheme lies elsewhere.
             if "/" in href or not href:
-                self._findings.add(XLINK_REMOTE, building_ids[reference.building], href)
+                self._findings.add(codes.XLINK_REMOTE, building_ids[reference.building], href)
                 return None
             return href.removeprefix("urn:uuid:") if href not in self._walk.polygon_ids else href
         if place and place != self._source_name:
-            self._findings.add(XLINK_REMOTE, building_ids[reference.building], href)
+            self._findings.add(codes.XLINK_REMOTE, building_ids[reference.building], href)
             return None
         return fragment.strip()
 
@@ -180,7 +174,7 @@ class LinkResolver:
             todo += self._targets_within(index, hrefs, reference, building_ids)
         # An object without geometry is one; objects that name only each other are none.
         if len(todo) > 1 and not has_geometry:
-            self._findings.add(XLINK_UNRESOLVED, building_ids[reference.building], reference.href)
+            self._findings.add(codes.XLINK_UNRESOLVED, building_ids[reference.building], reference.href)
 
     def _copy_object(
         self, index: MemberIndex, element: Element, reference: Reference, building_ids: list[str]
@@ -194,7 +188,7 @@ class LinkResolver:
             properties += 1
             if local_name(prop.tag).endswith("ImplicitRepresentation"):
                 detail = f"{local_name(prop.tag)} of an object elsewhere"
-                self._findings.add(GEOMETRY_UNSUPPORTED, building_ids[reference.building], detail)
+                self._findings.add(codes.GEOMETRY_UNSUPPORTED, building_ids[reference.building], detail)
                 continue
             lod, kind = self._walk.lods.index(lod_name), surface_kind(prop, around)
             own = reference._replace(lod=lod, kind=_INTERIOR if reference.kind == _INTERIOR else kind)
@@ -243,9 +237,9 @@ class LinkResolver:
                 continue
             inner = href.strip().removeprefix("#").strip()
             if inner in open_targets:
-                self._findings.add(XLINK_CYCLE, building_ids[reference.building], href)
+                self._findings.add(codes.XLINK_CYCLE, building_ids[reference.building], href)
             elif inner not in index.elements:
-                self._findings.add(XLINK_UNRESOLVED, building_ids[reference.building], href)
+                self._findings.add(codes.XLINK_UNRESOLVED, building_ids[reference.building], href)
             elif inner not in visited:
                 visited.add(inner)
                 open_targets.add(inner)

@@ -9,17 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import (
-    DUPLICATE_POINTS,
-    FILE_CUT_OFF,
-    GEOMETRY_EMPTY,
-    GEOMETRY_UNSUPPORTED,
-    GROUND_DEFAULTED,
-    HEIGHT_DEFAULTED,
-    HEIGHT_MISSING,
-    RING_TOO_SHORT,
-    UNDERGROUND,
-)
+from lodbench.citymodel import codes
 from lodbench.citymodel.crs import resolve_crs
 from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.model import TALLEST_M, CityObjects, SurfaceKind, pitched_buildings
@@ -89,7 +79,7 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
     for what in missing_bytes(path):
         if options.is_strict:
             raise CityModelError(f"{source} is cut off: {what}.", "Download or export the file again.")
-        findings.add(FILE_CUT_OFF, source, what)
+        findings.add(codes.FILE_CUT_OFF, source, what)
     crs, geometries, table = read_table(path, source, options, findings)
     if options.crs is None and crs is None:
         raise CityModelError(
@@ -144,13 +134,13 @@ def _blocks(
     findings = Findings()
     ids = columns.ids()
     for kind in sorted(polygons.ignored):
-        findings.add(GEOMETRY_UNSUPPORTED, source, f"geometry type {kind} has no area")
+        findings.add(codes.GEOMETRY_UNSUPPORTED, source, f"geometry type {kind} has no area")
     known = resolve_crs(options.crs or str(crs))
     # Columns are in the unit of the heights, feet where the plane is; what the user sets is in metres.
     unit_m = 1.0 if known is None else known.height_unit_m
     heights, bottoms, height_from = _heights(columns, options, unit_m, ids, measured, findings)
     rings, ring_starts, polygon_starts, owner = _kept_polygons(polygons, heights, ids, findings)
-    if len(owner) == 0 and any(item.code is UNDERGROUND for item in findings.items):
+    if len(owner) == 0 and any(item.code is codes.UNDERGROUND for item in findings.items):
         raise NotACity(
             f"{source} has no footprint but below the ground.", "Is it the building tile of the city?"
         )
@@ -303,7 +293,7 @@ def _without_gaps(
     # One word where nothing could give the ground; else those that fall through its gaps.
     default = f"ground_m={options.ground_m:g}{_of_their_own(polygons) if is_lost.any() else ''}"
     for name in [""] if is_lost.all() else [ids[i] for i in np.unique(owner[is_lost])]:
-        findings.add(GROUND_DEFAULTED, name, default)
+        findings.add(codes.GROUND_DEFAULTED, name, default)
     return np.where(is_lost, options.ground_m / unit_m, ground), np.where(is_lost, "ground_m", ground_from)
 
 
@@ -340,12 +330,12 @@ def _heights(
     is_below = columns.underground()
     is_missing = ~((heights > 0) & (heights * unit_m < TALLEST_M))
     is_turned = ~is_missing & (bottoms >= heights)
-    code = HEIGHT_MISSING if options.default_height_m is None else HEIGHT_DEFAULTED
+    code = codes.HEIGHT_MISSING if options.default_height_m is None else codes.HEIGHT_DEFAULTED
     for i in np.flatnonzero((is_missing | is_turned) & ~is_below):
         named = [*names, *(bottom_names if is_turned[i] else ())]
         findings.add(code, ids[i], columns.written(named, int(i)))
     for i in np.flatnonzero(is_below):
-        findings.add(UNDERGROUND, ids[i])
+        findings.add(codes.UNDERGROUND, ids[i])
     is_missing |= is_turned
     default = np.nan if options.default_height_m is None else options.default_height_m / unit_m
     tops = np.where(is_below, np.nan, np.where(is_missing, default, heights))
@@ -355,7 +345,7 @@ def _heights(
 
 def _no_height(source: str, findings: Findings) -> CityModelError:
     """Returns the error of a file without a usable footprint, with what the first lacks."""
-    lost = next((item for item in findings.items if item.code is HEIGHT_MISSING), None)
+    lost = next((item for item in findings.items if item.code is codes.HEIGHT_MISSING), None)
     if lost is None:
         return CityModelError(f"{source} has no footprint with an area.", "Repair or export the file again.")
     return CityModelError(
@@ -371,15 +361,15 @@ def _kept_polygons(
     """Returns points, ring and polygon starts and owners of the polygons that can be extruded."""
     owner = np.asarray(polygons.owner, np.int64)
     for i in np.setdiff1d(np.arange(len(ids)), owner):
-        findings.add(GEOMETRY_EMPTY, ids[i])
+        findings.add(codes.GEOMETRY_EMPTY, ids[i])
     points, ring_starts, repeats = clean_rings(polygons.rings)
     ring_counts = np.asarray(polygons.ring_counts, np.int64)
     ring_polygon = np.repeat(np.arange(len(owner)), ring_counts)
     for ring in np.flatnonzero(repeats > 0):
-        findings.add(DUPLICATE_POINTS, ids[owner[ring_polygon[ring]]])
+        findings.add(codes.DUPLICATE_POINTS, ids[owner[ring_polygon[ring]]])
     is_short = np.diff(ring_starts) < 3
     for ring in np.flatnonzero(is_short):
-        findings.add(RING_TOO_SHORT, ids[owner[ring_polygon[ring]]])
+        findings.add(codes.RING_TOO_SHORT, ids[owner[ring_polygon[ring]]])
     is_lost = is_short[starts_of(ring_counts)[:-1]] | ~np.isfinite(heights[owner])
     ring_kept = ~is_short & ~is_lost[ring_polygon]
     items, new_starts = take_segments(ring_starts, np.flatnonzero(ring_kept))
