@@ -23,23 +23,14 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One measured number.
+    """One measured number."""
 
-    Attributes:
-        figure: What was measured, unique within a report.
-        value: Our number.
-        unit: Its unit; "" for a count.
-        peer: Who or what the number stands beside, with the reason if it could not be measured; or "".
-        peer_value: The peer's number in the same unit, or None.
-        ratio: How many times better ours is, or None.
-    """
-
-    figure: str
-    value: float
-    unit: str
-    peer: str = ""
-    peer_value: float | None = None
-    ratio: float | None = None
+    figure: str  # what was measured, unique within a report
+    value: float  # our number
+    unit: str  # its unit; "" for a count
+    peer: str = ""  # who or what the number stands beside, with the reason if it could not be measured; or ""
+    peer_value: float | None = None  # the peer's number in the same unit, or None
+    ratio: float | None = None  # how many times better ours is, or None
 
     def to_json(self) -> dict[str, str | float | None]:
         """Returns a JSON object in which what is not finite is null."""
@@ -55,18 +46,12 @@ class Figure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Report:
-    """What a bench measured.
+    """What a bench measured."""
 
-    Attributes:
-        text: A table and what must be known of it, for people.
-        figures: The numbers, for machines.
-        data: The measurements behind them, a row each; None where none are kept.
-        draw: Returns pictures by file name, drawn when they are requested.
-    """
-
-    text: str
-    figures: Sequence[Figure]
-    data: pd.DataFrame | None = None
+    text: str  # a table and what must be known of it, for people
+    figures: Sequence[Figure]  # the numbers, for machines
+    data: pd.DataFrame | None = None  # the measurements behind them, a row each; None where none are kept
+    # Returns pictures by file name, drawn when they are requested
     draw: Callable[[], dict[str, bytes]] = dict
 
     def write_pictures(self, folder: Path) -> None:

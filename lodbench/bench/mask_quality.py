@@ -137,19 +137,12 @@ KINDS = {
 
 
 class IouSummary(NamedTuple):
-    """Overlaps of many views.
+    """Overlaps of many views."""
 
-    Attributes:
-        mean: Mean of the views' IoUs.
-        mean_interval: 95 % interval of it, by bootstrap over views.
-        pooled: IoU of all pixels together.
-        pooled_interval: Likewise.
-    """
-
-    mean: float
-    mean_interval: Interval
-    pooled: float
-    pooled_interval: Interval
+    mean: float  # mean of the views' IoUs
+    mean_interval: Interval  # 95 % interval of it, by bootstrap over views
+    pooled: float  # IoU of all pixels together
+    pooled_interval: Interval  # likewise
 
 
 def report_masks(views: pd.DataFrame, which: str, segmenter: str, notes: Sequence[str]) -> Report:

@@ -34,21 +34,13 @@ _EXTRA, _MISSED, _OUTLINE = (30, 120, 255), (255, 60, 190), (255, 255, 255)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhotoMask:
-    """One photo measured.
+    """One photo measured."""
 
-    Attributes:
-        place: Folder of the place.
-        photo: Its file.
-        truth: (H, W) the true mask.
-        found: (H, W) the segmenter's.
-        seconds: CPU time from the file to the mask.
-    """
-
-    place: str
-    photo: Path
-    truth: Mask
-    found: Mask
-    seconds: float
+    place: str  # folder of the place
+    photo: Path  # its file
+    truth: Mask  # (H, W) the true mask
+    found: Mask  # (H, W) the segmenter's
+    seconds: float  # CPU time from the file to the mask
 
     @property
     def is_empty(self) -> bool:
@@ -68,19 +60,12 @@ class PhotoMask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhotoMaskReport:
-    """What was measured.
+    """What was measured."""
 
-    Attributes:
-        segmenter: Its name and the start of its weights' digest.
-        data: Name of the folder.
-        photos: By place and name.
-        notes: What the segmenter says of itself: on which photos it learnt, above all.
-    """
-
-    segmenter: str
-    data: str
-    photos: tuple[PhotoMask, ...]
-    notes: tuple[str, ...] = ()
+    segmenter: str  # its name and the start of its weights' digest
+    data: str  # name of the folder
+    photos: tuple[PhotoMask, ...]  # by place and name
+    notes: tuple[str, ...] = ()  # what the segmenter says of itself: on which photos it learnt, above all
 
     def by_place(self) -> dict[str, list[float]]:
         """Returns the IoUs of each place that shows buildings."""

@@ -95,27 +95,16 @@ class RealSet(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shot:
-    """One photo of a set.
+    """One photo of a set."""
 
-    Attributes:
-        key: Its entry's.
-        flight: Those of one flight are solved together.
-        query: With the set's own prior; scene frame, as the truth.
-        truth: True pose.
-        edges: Of the photo; None where there is no photo.
-        height_m: Of the camera above the ground of the map.
-        surfaces: The map's, and the ground.
-        pixels: (N, 2) of a grid, those that show map or ground.
-    """
-
-    key: str
-    flight: tuple[str, str]
-    query: Query
-    truth: Pose
-    edges: PhotoEdges | None
-    height_m: float
-    surfaces: Surfaces
-    pixels: NDArray[np.float64]
+    key: str  # its entry's
+    flight: tuple[str, str]  # those of one flight are solved together
+    query: Query  # with the set's own prior; scene frame, as the truth
+    truth: Pose  # true pose
+    edges: PhotoEdges | None  # of the photo; None where there is no photo
+    height_m: float  # of the camera above the ground of the map
+    surfaces: Surfaces  # the map's, and the ground
+    pixels: NDArray[np.float64]  # (N, 2) of a grid, those that show map or ground
 
 
 @dataclass(slots=True, eq=False)

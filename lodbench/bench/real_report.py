@@ -120,21 +120,13 @@ def held(trials: pd.DataFrame) -> NDArray[np.bool_] | None:
 
 
 class FlightErrors(NamedTuple):
-    """What the answers to a flight's photos err by in common, and besides.
+    """What the answers to a flight's photos err by in common, and besides."""
 
-    Attributes:
-        up_m: Common error along height, of the prior whose is in the middle by size; metres.
-        up_percent: The same of the cameras' heights above ground.
-        plan_m: Common error in plan; metres.
-        plan_percent: The same of the heights.
-        own_m: Median distance of answers from where the common error alone would put them; metres.
-    """
-
-    up_m: float
-    up_percent: float
-    plan_m: float
-    plan_percent: float
-    own_m: float
+    up_m: float  # common error along height, of the prior whose is in the middle by size; metres
+    up_percent: float  # the same of the cameras' heights above ground
+    plan_m: float  # common error in plan; metres
+    plan_percent: float  # the same of the heights
+    own_m: float  # median distance of answers from where the common error alone would put them; metres
 
 
 def flight_errors(trials: pd.DataFrame) -> FlightErrors | None:

@@ -44,25 +44,15 @@ HORIZON = "pitch 60 to 75"
 
 
 class Timing(NamedTuple):
-    """One renderer on one kind of views at one size.
+    """One renderer on one kind of views at one size."""
 
-    Attributes:
-        name: The renderer, and the engine's threads in words.
-        is_peer: Whether it stands beside the engine.
-        size: ``602x448``, the mask in pixels.
-        views: ``STEEP`` or ``HORIZON``.
-        us: (N,) microseconds per hypothesis, rendering and IoU together, a number per view.
-        cores: Cores the process kept busy: its CPU time over wall time.
-        different: Share of pixels that differ from the engine's picture of the views themselves.
-    """
-
-    name: str
-    is_peer: bool
-    size: str
-    views: str
-    us: pd.Series[float]
-    cores: float
-    different: float
+    name: str  # the renderer, and the engine's threads in words
+    is_peer: bool  # whether it stands beside the engine
+    size: str  # ``602x448``, the mask in pixels
+    views: str  # ``STEEP`` or ``HORIZON``
+    us: pd.Series[float]  # (N,) microseconds per hypothesis, rendering and IoU together, a number per view
+    cores: float  # cores the process kept busy: its CPU time over wall time
+    different: float  # share of pixels that differ from the engine's picture of the views themselves
 
     @property
     def mean(self) -> float:
@@ -269,17 +259,11 @@ class SilhouetteOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Swarm:
-    """One view and the hypotheses around it.
+    """One view and the hypotheses around it."""
 
-    Attributes:
-        pose: The view.
-        rotations: (N, 3, 3) cam_from_world.
-        centers: (N, 3) metres.
-    """
-
-    pose: Pose
-    rotations: Floats
-    centers: Floats
+    pose: Pose  # the view
+    rotations: Floats  # (N, 3, 3) cam_from_world
+    centers: Floats  # (N, 3) metres
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -76,19 +76,12 @@ class Cost(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Build:
-    """An installed lodbench.
+    """An installed lodbench."""
 
-    Attributes:
-        name: What it is called in the table.
-        python: Its interpreter.
-        path: What stands in ``PYTHONPATH``; "" for nothing.
-        place: Folder that its commands are run in; their results go there.
-    """
-
-    name: str
-    python: Path
-    path: str
-    place: Path
+    name: str  # what it is called in the table
+    python: Path  # its interpreter
+    path: str  # what stands in ``PYTHONPATH``; "" for nothing
+    place: Path  # folder that its commands are run in; their results go there
 
     def run(self, words: Sequence[str], environment: dict[str, str] | None = None) -> Cost:
         """Returns what a command costs.

@@ -176,21 +176,13 @@ _WORLD = "EPSG:3857"
 
 @dataclass(frozen=True, slots=True)
 class OpenCity:
-    """A scene, and what was met on the way to it; the same whether it was read or came from the cache.
+    """A scene, and what was met on the way to it; the same whether it was read or came from the cache."""
 
-    Attributes:
-        scene: The triangles.
-        findings: Code and name to count, of reading and of meshing.
-        area_m2: Newell area of the polygons meshed.
-        lost_m2: Area no triangle covers.
-        period: As of ``CityModel``.
-    """
-
-    scene: Scene
-    findings: dict[str, int]
-    area_m2: float
-    lost_m2: float
-    period: Period | None = None
+    scene: Scene  # the triangles
+    findings: dict[str, int]  # code and name to count, of reading and of meshing
+    area_m2: float  # newell area of the polygons meshed
+    lost_m2: float  # area no triangle covers
+    period: Period | None = None  # as of ``CityModel``
 
     def notes(self) -> tuple[str, ...]:
         """Returns what a reader of results must know of the city: its findings, and any area lost."""

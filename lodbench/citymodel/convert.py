@@ -167,21 +167,13 @@ def check_target(target: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """What was written.
+    """What was written."""
 
-    Attributes:
-        target: Where.
-        model: The city written: its buildings, levels and polygons.
-        mesh: The mesh written, with its account of area; None where the polygons are written.
-        findings: What was met on the way, reading included.
-        left_out: A line for each thing the format could not say.
-    """
-
-    target: Path
-    model: CityModel
-    mesh: CityMesh | None
-    findings: Findings
-    left_out: tuple[str, ...] = ()
+    target: Path  # where
+    model: CityModel  # the city written: its buildings, levels and polygons
+    mesh: CityMesh | None  # the mesh written, with its account of area; None where the polygons are written
+    findings: Findings  # what was met on the way, reading included
+    left_out: tuple[str, ...] = ()  # a line for each thing the format could not say
 
 
 def keeps_details(target: Path) -> bool:

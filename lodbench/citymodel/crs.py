@@ -54,25 +54,16 @@ _COMPOUND_EPSG = re.compile(r".*EPSG(?:/[\w.]+/|:[\w.]*:|:)(\d{4,6})[+,](\d{4,6}
 
 @dataclass(frozen=True, slots=True)
 class KnownCrs:
-    """A reference system taken apart.
+    """A reference system taken apart."""
 
-    Attributes:
-        label: Name pyproj understands, vertical part included: ``"EPSG:25832+7837"``.
-        horizontal: The two-dimensional part.
-        vertical_code: EPSG code of the vertical part, or None.
-        vertical_to_m: Metres per unit of height.
-        is_mapped: Whether lodbench's own map was needed to read the name.
-        has_ellipsoidal_heights: Whether it is a system of three dimensions (EPSG:4979), whose heights are
-            above the ellipsoid.
-        lost: What of the name is no reference system, such as the code of a datum; "" where all of it is.
-    """
-
-    label: str
-    horizontal: CRS
-    vertical_code: int | None
-    vertical_to_m: float
-    is_mapped: bool
+    label: str  # name pyproj understands, vertical part included: ``"EPSG:25832+7837"``
+    horizontal: CRS  # the two-dimensional part
+    vertical_code: int | None  # EPSG code of the vertical part, or None
+    vertical_to_m: float  # metres per unit of height
+    is_mapped: bool  # whether lodbench's own map was needed to read the name
+    # Whether it is a system of three dimensions (EPSG:4979), whose heights are above the ellipsoid
     has_ellipsoidal_heights: bool = False
+    # What of the name is no reference system, such as the code of a datum; "" where all of it is
     lost: str = ""
 
     @property

@@ -18,21 +18,13 @@ from lodbench.findings import Findings
 
 @dataclass(frozen=True, slots=True)
 class Blocks:
-    """Extruded footprints, flat: floors, then roofs, then walls.
+    """Extruded footprints, flat: floors, then roofs, then walls."""
 
-    Attributes:
-        points: (P, 3) float64.
-        ring_lengths: (R,) int64.
-        ring_counts: (N,) int64.
-        footprint: (N,) int64 which footprint each polygon comes from.
-        kind: (N,) uint8.
-    """
-
-    points: NDArray[np.float64]
-    ring_lengths: NDArray[np.int64]
-    ring_counts: NDArray[np.int64]
-    footprint: NDArray[np.int64]
-    kind: NDArray[np.uint8]
+    points: NDArray[np.float64]  # (P, 3) float64
+    ring_lengths: NDArray[np.int64]  # (R,) int64
+    ring_counts: NDArray[np.int64]  # (N,) int64
+    footprint: NDArray[np.int64]  # (N,) int64 which footprint each polygon comes from
+    kind: NDArray[np.uint8]  # (N,) uint8
 
 
 def extrude(

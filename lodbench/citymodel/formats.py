@@ -25,25 +25,16 @@ _LOGGER = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class CityFormat:
-    """A format of cities.
+    """A format of cities."""
 
-    Attributes:
-        name: Of its entry point.
-        label: What people call it.
-        suffixes: Endings of its files, in small letters, with the dot.
-        identify: Tells from a file's first bytes and its ending whether it is of the format.
-        read: Returns the ``RawCity`` of a ``Source``, with ``ReadOptions``.
-        needs_path: Whether it is read from a path, never from a stream of ours.
-        is_tile: Whether its files are looked for in folders and archives.
-    """
-
-    name: str
-    label: str
-    suffixes: tuple[str, ...]
+    name: str  # of its entry point
+    label: str  # what people call it
+    suffixes: tuple[str, ...]  # endings of its files, in small letters, with the dot
+    # Tells from a file's first bytes and its ending whether it is of the format
     identify: Callable[[bytes, str], bool]
-    read: Callable[..., Any]
-    needs_path: bool = False
-    is_tile: bool = True
+    read: Callable[..., Any]  # returns the ``RawCity`` of a ``Source``, with ``ReadOptions``
+    needs_path: bool = False  # whether it is read from a path, never from a stream of ours
+    is_tile: bool = True  # whether its files are looked for in folders and archives
 
 
 def city_formats() -> tuple[CityFormat, ...]:

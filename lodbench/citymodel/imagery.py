@@ -23,15 +23,10 @@ _DARKEST, _BRIGHTEST = 1.0, 99.0
 
 @dataclass(frozen=True, slots=True)
 class Imagery:
-    """An orthophoto over a city, ``open_imagery`` has looked at.
+    """An orthophoto over a city, ``open_imagery`` has looked at."""
 
-    Attributes:
-        path: Its file.
-        crs: Reference system of the city's plane, in which pictures are; None: that of the file.
-    """
-
-    path: Path
-    crs: str | None
+    path: Path  # its file
+    crs: str | None  # reference system of the city's plane, in which pictures are; None: that of the file
 
     @property
     def name(self) -> str:

@@ -36,25 +36,15 @@ class NothingToMesh(CityModelError):
 
 @dataclass(frozen=True, slots=True)
 class CityMesh:
-    """A scene and what became of the model's area on the way to it.
+    """A scene and what became of the model's area on the way to it."""
 
-    Attributes:
-        scene: Triangles, ready for the renderers.
-        num_polygons: Polygons meshed.
-        area_m2: Their Newell area.
-        meshed_m2: Area of their triangles; larger where polygons are bent.
-        lost_m2: Area no triangle covers.
-        excess_m2: Area triangles cover beyond their polygons.
-        findings: What was met while meshing; the model's own findings are not repeated.
-    """
-
-    scene: Scene
-    num_polygons: int
-    area_m2: float
-    meshed_m2: float
-    lost_m2: float
-    excess_m2: float
-    findings: Findings
+    scene: Scene  # triangles, ready for the renderers
+    num_polygons: int  # polygons meshed
+    area_m2: float  # their Newell area
+    meshed_m2: float  # area of their triangles; larger where polygons are bent
+    lost_m2: float  # area no triangle covers
+    excess_m2: float  # area triangles cover beyond their polygons
+    findings: Findings  # what was met while meshing; the model's own findings are not repeated
 
 
 def mesh_model(

@@ -38,28 +38,20 @@ class Polygons:
 
     Rings are not closed (the last point differs from the first); the first ring of a polygon is
     its outline, the others are holes.
-
-    Attributes:
-        points: (P, 3) float64, metres in the model's local frame (x east, y north, z up).
-        ring_starts: (R + 1,) int64 offsets into ``points``.
-        polygon_starts: (N + 1,) int64 offsets into the rings.
-        building: (N,) int32 index of the building each polygon belongs to.
-        lod: (N,) int16 index into ``CityModel.lods``.
-        kind: (N,) uint8 ``SurfaceKind``.
-        part: (N,) int32 index into ``CityModel.objects``; None where buildings are all there is.
-        picture: (N,) int32 index into ``CityModel.pictures``, -1 for none; None where none were requested.
-        uv: (P, 2) float64 place of each point on its polygon's picture, (0, 0) the lower left corner; NaN
-            where there is none. With ``picture``.
     """
 
-    points: NDArray[np.float64]
-    ring_starts: NDArray[np.int64]
-    polygon_starts: NDArray[np.int64]
-    building: NDArray[np.int32]
-    lod: NDArray[np.int16]
-    kind: NDArray[np.uint8]
+    points: NDArray[np.float64]  # (P, 3) float64, metres in the model's local frame (x east, y north, z up)
+    ring_starts: NDArray[np.int64]  # (R + 1,) int64 offsets into ``points``
+    polygon_starts: NDArray[np.int64]  # (N + 1,) int64 offsets into the rings
+    building: NDArray[np.int32]  # (N,) int32 index of the building each polygon belongs to
+    lod: NDArray[np.int16]  # (N,) int16 index into ``CityModel.lods``
+    kind: NDArray[np.uint8]  # (N,) uint8 ``SurfaceKind``
+    # (N,) int32 index into ``CityModel.objects``; None where buildings are all there is
     part: NDArray[np.int32] | None = None
+    # (N,) int32 index into ``CityModel.pictures``, -1 for none; None where none were requested
     picture: NDArray[np.int32] | None = None
+    # (P, 2) float64 place of each point on its polygon's picture, (0, 0) the lower left corner; NaN where
+    # there is none. With ``picture``.
     uv: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
@@ -72,51 +64,33 @@ class CityModel:
 
     ``points + origin`` are coordinates in ``crs``. A model without a CRS is in a local frame of
     its own (a Wavefront OBJ); its origin is zero unless the user gave one.
-
-    Attributes:
-        source: The file or folder it was read from.
-        format: ``"CityGML"``, ``"OBJ"``, ...
-        version: The format's version, or None where the format has none.
-        crs: Name pyproj understands (``"EPSG:25832+7837"``), or None when unknown.
-        origin: (3,) float64, what was subtracted from the CRS coordinates.
-        building_ids: One id per building, in file order.
-        num_parts: Building parts met, over all buildings.
-        lods: Names of the levels of detail present, ascending: ``("0", "1", "2.2")``.
-        polygons: All polygons of all levels.
-        polygons_read: Per level, polygons in the file; those too short to be one are not kept.
-        findings: What was wrong, changed or dropped while reading.
-        objects: Buildings and their parts; None where buildings are all there is.
-        solids: Volumes that the polygons close; only with ``ReadOptions(has_details=True)``.
-        polygon_ids: The source's id of each polygon, or ""; likewise, else empty.
-        has_textures: Whether the source has pictures or materials of its surfaces.
-        pictures: Those; only with ``ReadOptions(has_textures=True)``.
-        has_interiors: Whether rooms and furniture are requested.
-        pitched: (B,) which buildings have pitched roofs, as the source states; None where it states none.
-        measured_m: (B,) heights of buildings above the ground, as the source states, NaN where it does not;
-            None where it states none.
-        period: First day, and the day after the last, between which the same buildings stand; None where no
-            building has an end.
     """
 
-    source: str
-    format: str
-    version: str | None
-    crs: str | None
-    origin: NDArray[np.float64]
-    building_ids: tuple[str, ...]
-    num_parts: int
-    lods: tuple[str, ...]
-    polygons: Polygons
-    polygons_read: tuple[int, ...]
-    findings: Findings
-    objects: CityObjects | None = None
+    source: str  # the file or folder it was read from
+    format: str  # ``"CityGML"``, ``"OBJ"``, ..
+    version: str | None  # the format's version, or None where the format has none
+    crs: str | None  # name pyproj understands (``"EPSG:25832+7837"``), or None when unknown
+    origin: NDArray[np.float64]  # (3,) float64, what was subtracted from the CRS coordinates
+    building_ids: tuple[str, ...]  # one id per building, in file order
+    num_parts: int  # building parts met, over all buildings
+    lods: tuple[str, ...]  # names of the levels of detail present, ascending: ``("0", "1", "2.2")``
+    polygons: Polygons  # all polygons of all levels
+    polygons_read: tuple[int, ...]  # per level, polygons in the file; those too short to be one are not kept
+    findings: Findings  # what was wrong, changed or dropped while reading
+    objects: CityObjects | None = None  # buildings and their parts; None where buildings are all there is
+    # Volumes that the polygons close; only with ``ReadOptions(has_details=True)``
     solids: Solids | None = None
-    polygon_ids: tuple[str, ...] = ()
-    has_interiors: bool = False
-    has_textures: bool = False
-    pictures: Pictures | None = None
+    polygon_ids: tuple[str, ...] = ()  # the source's id of each polygon, or ""; likewise, else empty
+    has_interiors: bool = False  # whether rooms and furniture are requested
+    has_textures: bool = False  # whether the source has pictures or materials of its surfaces
+    pictures: Pictures | None = None  # those; only with ``ReadOptions(has_textures=True)``
+    # (B,) which buildings have pitched roofs, as the source states; None where it states none
     pitched: NDArray[np.bool_] | None = None
+    # (B,) heights of buildings above the ground, as the source states, NaN where it does not; None where it
+    # states none
     measured_m: NDArray[np.float64] | None = None
+    # First day, and the day after the last, between which the same buildings stand; None where no building
+    # has an end
     period: Period | None = None
 
     def __repr__(self) -> str:
@@ -143,21 +117,14 @@ TALLEST_M = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class CityObjects:
-    """The objects of a city as a tree, flat, parents before their children.
+    """The objects of a city as a tree, flat, parents before their children."""
 
-    Attributes:
-        ids: O ids.
-        types: O names as CityJSON has them: ``Building``, ``BuildingPart``, ``BuildingInstallation``, ...
-        parents: (O,) int32 index of the object each is part of, -1 for buildings.
-        building: (O,) int32 index of the building each belongs to.
-        attributes: O mappings, or none at all where details were not requested.
-    """
-
-    ids: tuple[str, ...]
+    ids: tuple[str, ...]  # O ids
+    # O names as CityJSON has them: ``Building``, ``BuildingPart``, ``BuildingInstallation``, ..
     types: tuple[str, ...]
-    parents: NDArray[np.int32]
-    building: NDArray[np.int32]
-    attributes: tuple[dict[str, Any], ...] = ()
+    parents: NDArray[np.int32]  # (O,) int32 index of the object each is part of, -1 for buildings
+    building: NDArray[np.int32]  # (O,) int32 index of the building each belongs to
+    attributes: tuple[dict[str, Any], ...] = ()  # O mappings, or none at all where details were not requested
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -165,23 +132,15 @@ class CityObjects:
 
 @dataclass(frozen=True, slots=True)
 class Solids:
-    """Which polygons close which volume, flat: faces belong to shells, shells to solids.
+    """Which polygons close which volume, flat: faces belong to shells, shells to solids."""
 
-    Attributes:
-        part: (S,) int32 object each solid belongs to.
-        shell_starts: (S + 1,) int64 offsets into the shells; the first of a solid is its outside.
-        face_starts: (H + 1,) int64 offsets into the faces.
-        faces: (F,) int64 polygon of each face; -1 where the polygon was dropped.
-        is_flipped: (F,) bool, whether the solid sees the polygon from behind.
-        composite: (S,) int32 composite that each solid is a part of, -1 for none.
-    """
-
-    part: NDArray[np.int32]
+    part: NDArray[np.int32]  # (S,) int32 object each solid belongs to
+    # (S + 1,) int64 offsets into the shells; the first of a solid is its outside
     shell_starts: NDArray[np.int64]
-    face_starts: NDArray[np.int64]
-    faces: NDArray[np.int64]
-    is_flipped: NDArray[np.bool_]
-    composite: NDArray[np.int32]
+    face_starts: NDArray[np.int64]  # (H + 1,) int64 offsets into the faces
+    faces: NDArray[np.int64]  # (F,) int64 polygon of each face; -1 where the polygon was dropped
+    is_flipped: NDArray[np.bool_]  # (F,) bool, whether the solid sees the polygon from behind
+    composite: NDArray[np.int32]  # (S,) int32 composite that each solid is a part of, -1 for none
 
     def shells_of(self, solid: int) -> list[list[tuple[int, bool]]]:
         """Returns polygon and direction of each face of each shell; faces that were dropped are left out."""

@@ -26,18 +26,13 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """The pictures of a city; polygons name them by number (``Polygons.picture``, ``Polygons.uv``).
+    """The pictures of a city; polygons name them by number (``Polygons.picture``, ``Polygons.uv``)."""
 
-    Attributes:
-        files: Where each lies.
-        wraps: How each goes on beyond its edges, in the word of CityGML, "" where nothing is said.
-        notes: What of the source's appearances is not kept, a line each.
-        colours: RGB of materials; a polygon without a picture has number ``FIRST_COLOUR - k`` for the k-th.
-    """
-
-    files: tuple[Path, ...] = ()
-    notes: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()  # where each lies
+    notes: tuple[str, ...] = ()  # what of the source's appearances is not kept, a line each
+    # RGB of materials; a polygon without a picture has number ``FIRST_COLOUR - k`` for the k-th
     colours: tuple[Colour, ...] = ()
+    # How each goes on beyond its edges, in the word of CityGML, "" where nothing is said
     wraps: tuple[str, ...] = ()
 
 

@@ -108,21 +108,13 @@ _OWN = re.compile(rb'\s*\{\s*"type"\s*:\s*"FeatureCollection"\s*,\s*"lodbench"\s
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """One city file, wherever it lies.
+    """One city file, wherever it lies."""
 
-    Attributes:
-        name: For messages: the path, with the member of an archive after an exclamation mark.
-        open: Opens a fresh stream of its bytes; the caller closes it.
-        path: The file on disk that holds it.
-        vector_path: What GDAL opens, for a vector file; None for all others.
-        stamp: Checksum and size of a member of an archive; empty for files.
-    """
-
-    name: str
-    open: Callable[[], BinaryIO]
-    path: Path
-    vector_path: str | None = None
-    stamp: tuple[int, ...] = ()
+    name: str  # for messages: the path, with the member of an archive after an exclamation mark
+    open: Callable[[], BinaryIO]  # opens a fresh stream of its bytes; the caller closes it
+    path: Path  # the file on disk that holds it
+    vector_path: str | None = None  # what GDAL opens, for a vector file; None for all others
+    stamp: tuple[int, ...] = ()  # checksum and size of a member of an archive; empty for files
 
     @property
     def suffix(self) -> str:

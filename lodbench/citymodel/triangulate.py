@@ -33,23 +33,16 @@ CHUNK_POLYGONS = 16384
 
 @dataclass(frozen=True, slots=True)
 class Triangulation:
-    """Triangles of polygons, and what became of each polygon's area.
+    """Triangles of polygons, and what became of each polygon's area."""
 
-    Attributes:
-        triangles: (T, 3) int64 indices into the polygons' points.
-        polygon: (T,) int64 polygon of each triangle, ascending.
-        area_m2: (N,) Newell area, holes taken off; where it cancels out, what the outline goes round.
-        meshed_m2: (N,) summed area of the triangles.
-        covered_m2: (N,) the same, seen along the polygon's normal: what the triangles cover of it.
-        deviation_m: (N,) largest distance of a corner from the mean plane.
-    """
-
-    triangles: NDArray[np.int64]
-    polygon: NDArray[np.int64]
+    triangles: NDArray[np.int64]  # (T, 3) int64 indices into the polygons' points
+    polygon: NDArray[np.int64]  # (T,) int64 polygon of each triangle, ascending
+    # (N,) Newell area, holes taken off; where it cancels out, what the outline goes round
     area_m2: NDArray[np.float64]
-    meshed_m2: NDArray[np.float64]
+    meshed_m2: NDArray[np.float64]  # (N,) summed area of the triangles
+    # (N,) the same, seen along the polygon's normal: what the triangles cover of it
     covered_m2: NDArray[np.float64]
-    deviation_m: NDArray[np.float64]
+    deviation_m: NDArray[np.float64]  # (N,) largest distance of a corner from the mean plane
 
     @property
     def lost_m2(self) -> float:

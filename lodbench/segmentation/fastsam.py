@@ -28,17 +28,11 @@ STRIDE = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Instances:
-    """What a network found in a photo, likeliest first.
+    """What a network found in a photo, likeliest first."""
 
-    Attributes:
-        masks: (N, H, W) bool, at the size of the network's input.
-        scores: (N,) in [0, 1].
-        classes: (N,) numbers of their classes.
-    """
-
-    masks: NDArray[np.bool_]
-    scores: Floats
-    classes: NDArray[np.int64]
+    masks: NDArray[np.bool_]  # (N, H, W) bool, at the size of the network's input
+    scores: Floats  # (N,) in [0, 1]
+    classes: NDArray[np.int64]  # (N,) numbers of their classes
 
 
 def decode(rows: Floats, prototypes: Floats, least_score: float, most_overlap: float) -> Instances:

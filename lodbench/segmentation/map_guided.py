@@ -42,17 +42,11 @@ _SAME = np.array([3.0, 3.0, 1.5])
 
 
 class Alignment(NamedTuple):
-    """A silhouette laid over a photo.
+    """A silhouette laid over a photo."""
 
-    Attributes:
-        mask: (H, W) where it lies.
-        fit: Nats per pixel that it explains of the photo; see ``RegionFit``.
-        motion: (4,) pixels to the right and down, degrees counter-clockwise, logarithm of the scale.
-    """
-
-    mask: Mask
-    fit: float
-    motion: FloatArray
+    mask: Mask  # (H, W) where it lies
+    fit: float  # nats per pixel that it explains of the photo; see ``RegionFit``
+    motion: FloatArray  # (4,) pixels to the right and down, degrees counter-clockwise, logarithm of the scale
 
 
 def aligned(
@@ -172,20 +166,14 @@ class MapGuidedParams:
 
 
 class GuidedMask(NamedTuple):
-    """A mask made of a photo and silhouettes that are nearly right.
+    """A mask made of a photo and silhouettes that are nearly right."""
 
-    Attributes:
-        probability: (h, w) float32 of building, at the working size.
-        second: The same of the next best place of the silhouette; None where there is no other.
-        evidence: Nats per pixel that the photo's looks tell of the best silhouette's sides, each half of the
-            photo measured by the other: 0 or less where the silhouette has nothing to do with the photo.
-        ahead: By how much its fit is better than the second's, nats per pixel; 0 without one.
-    """
-
-    probability: Floats
-    second: Floats | None
+    probability: Floats  # (h, w) float32 of building, at the working size
+    second: Floats | None  # the same of the next best place of the silhouette; None where there is no other
+    # Nats per pixel that the photo's looks tell of the best silhouette's sides, each half of the photo
+    # measured by the other: 0 or less where the silhouette has nothing to do with the photo
     evidence: float
-    ahead: float
+    ahead: float  # by how much its fit is better than the second's, nats per pixel; 0 without one
 
 
 class MapGuided:

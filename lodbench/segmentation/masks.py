@@ -335,15 +335,10 @@ Corner = tuple[int, int]
 
 
 class MaskPolygon(NamedTuple):
-    """One connected part of a mask.
+    """One connected part of a mask."""
 
-    Attributes:
-        outer: (N, 2) its outermost pixels, column and row, in order.
-        holes: The same of each hole in it.
-    """
-
-    outer: Ring
-    holes: tuple[Ring, ...]
+    outer: Ring  # (N, 2) its outermost pixels, column and row, in order
+    holes: tuple[Ring, ...]  # the same of each hole in it
 
 
 def polygons_of(mask: Mask) -> list[MaskPolygon]:

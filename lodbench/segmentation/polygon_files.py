@@ -218,23 +218,14 @@ def _other_photo(path: Path, named: str, photo: str, key: str) -> DatasetError:
 
 @dataclass(slots=True)
 class _Canvas:
-    """A photo's pixels that polygons are painted on, and what of them was lost.
+    """A photo's pixels that polygons are painted on, and what of them was lost."""
 
-    Attributes:
-        pixels: (H, W), 1 where a building is.
-        polygons: How many were painted, or should have been.
-        lost: How many of them have no area in the photo: they vanish.
-        points: How many corners they have.
-        outside: How many of these lie outside the photo, by more than a line's width.
-        high: Largest x and y of a corner.
-    """
-
-    pixels: NDArray[np.uint8]
-    polygons: int = 0
-    lost: int = 0
-    points: int = 0
-    outside: int = 0
-    high: tuple[float, float] = (0.0, 0.0)
+    pixels: NDArray[np.uint8]  # (H, W), 1 where a building is
+    polygons: int = 0  # how many were painted, or should have been
+    lost: int = 0  # how many of them have no area in the photo: they vanish
+    points: int = 0  # how many corners they have
+    outside: int = 0  # how many of these lie outside the photo, by more than a line's width
+    high: tuple[float, float] = (0.0, 0.0)  # largest x and y of a corner
 
     def paint(self, points: NDArray[np.float64], value: int) -> None:
         """Paints a polygon; its points, (N, 2), count from the first pixel's corner."""

@@ -37,7 +37,7 @@ LEAST_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One picture and its mask.
+    """One picture and its mask."""
 
     Attributes:
         key: Set, split and name: unique.
@@ -54,7 +54,7 @@ class Sample:
     mask: Path
     is_ground: bool = False
     working_scale: float | None = None
-    learns: str = MASKS
+    learns: str = MASKS  # ``masks`` or ``interiors``
 
     def read(self, size: int, square: bool) -> tuple[Photo, NDArray[np.float32]]:
         """Returns the picture (H, W, 3) RGB uint8 and the mask (H, W) float32 in [0, 1].

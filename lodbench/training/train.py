@@ -97,22 +97,14 @@ PACKAGE = "package"
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """What came out of a training.
+    """What came out of a training."""
 
-    Attributes:
-        weights: Their file.
-        history: A row per epoch.
-        validated_on: What the views to validate on are.
-        views: To train on.
-        started_at: Epochs that were there already.
-        averaged: IoUs of the mean of several trainings, where that is what is stored; else empty.
-    """
-
-    weights: Path
-    history: list[dict[str, float]]
-    validated_on: str
-    views: int
-    started_at: int
+    weights: Path  # their file
+    history: list[dict[str, float]]  # a row per epoch
+    validated_on: str  # what the views to validate on are
+    views: int  # to train on
+    started_at: int  # epochs that were there already
+    # IoUs of the mean of several trainings, where that is what is stored; else empty
     averaged: dict[str, float]
 
 

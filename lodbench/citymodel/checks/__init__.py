@@ -24,38 +24,23 @@ _ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.INFO: 2}
 
 @dataclass(frozen=True, slots=True)
 class FindingRow:
-    """All findings of one kind.
+    """All findings of one kind."""
 
-    Attributes:
-        code: The kind.
-        count: How often it was met, over all levels of detail.
-        objects: Ids of the buildings it was met in, each once, in order.
-        example: Detail of the first that has one.
-        items: All of them.
-    """
-
-    code: FindingCode
-    count: int
-    objects: tuple[str, ...]
-    example: str
-    items: tuple[FoundDefect, ...] = ()
+    code: FindingCode  # the kind
+    count: int  # how often it was met, over all levels of detail
+    objects: tuple[str, ...]  # ids of the buildings it was met in, each once, in order
+    example: str  # detail of the first that has one
+    items: tuple[FoundDefect, ...] = ()  # all of them
 
 
 @dataclass(frozen=True, slots=True)
 class FoundDefect:
-    """One finding, with where it is.
+    """One finding, with where it is."""
 
-    Attributes:
-        building: Id of the building, or "".
-        detail: In words.
-        polygon: Id of the polygon at fault in the file, its number where it has none, or "".
-        place: A point of it, (x, y, z) in the city's coordinates, or None.
-    """
-
-    building: str
-    detail: str
-    polygon: str
-    place: tuple[float, ...] | None
+    building: str  # id of the building, or ""
+    detail: str  # in words
+    polygon: str  # id of the polygon at fault in the file, its number where it has none, or ""
+    place: tuple[float, ...] | None  # a point of it, (x, y, z) in the city's coordinates, or None
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,21 +55,13 @@ class LevelAreas:
 
 @dataclass(frozen=True, slots=True)
 class CityReport:
-    """The outcome of a check.
+    """The outcome of a check."""
 
-    Attributes:
-        source: The file or folder.
-        rows: Errors first, then warnings, then infos, each by code.
-        areas: Per level of detail.
-        crs: Reference system of the places, or None.
-        seconds: What the check took.
-    """
-
-    source: str
-    rows: tuple[FindingRow, ...]
-    areas: tuple[LevelAreas, ...]
-    crs: str | None = None
-    seconds: float = 0.0
+    source: str  # the file or folder
+    rows: tuple[FindingRow, ...]  # errors first, then warnings, then infos, each by code
+    areas: tuple[LevelAreas, ...]  # per level of detail
+    crs: str | None = None  # reference system of the places, or None
+    seconds: float = 0.0  # what the check took
 
     @property
     def has_errors(self) -> bool:

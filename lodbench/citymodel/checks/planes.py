@@ -37,23 +37,14 @@ _MIN_OVERLAP_M2, _MIN_OVERLAP_M = 0.1, 0.1
 
 
 class _Flattened(NamedTuple):
-    """P polygons of R rings laid into their planes.
+    """P polygons of R rings laid into their planes."""
 
-    Attributes:
-        areas: (P,) square metres.
-        anchors: (P, 3) where planes have their origins, metres.
-        frames: (P, 3, 2) their axes.
-        rings: (R,) as shapely has them.
-        shapes: (P,) likewise polygons.
-        ring_polygon: (R,) the polygon of each ring.
-    """
-
-    areas: NDArray[np.float64]
-    anchors: NDArray[np.float64]
-    frames: NDArray[np.float64]
-    rings: NDArray[Any]
-    shapes: NDArray[Any]
-    ring_polygon: NDArray[np.int64]
+    areas: NDArray[np.float64]  # (P,) square metres
+    anchors: NDArray[np.float64]  # (P, 3) where planes have their origins, metres
+    frames: NDArray[np.float64]  # (P, 3, 2) their axes
+    rings: NDArray[Any]  # (R,) as shapely has them
+    shapes: NDArray[Any]  # (P,) likewise polygons
+    ring_polygon: NDArray[np.int64]  # (R,) the polygon of each ring
 
 
 def check_planes(model: CityModel, findings: Findings) -> None:

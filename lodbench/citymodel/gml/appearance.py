@@ -34,19 +34,14 @@ class Georeference(NamedTuple):
 
 @dataclass(slots=True)
 class Appearances:
-    """What the appearances of a file say, by gml:id.
+    """What the appearances of a file say, by gml:id."""
 
-    Attributes:
-        rings: Picture and text of coordinates of each ring.
-        planes: Picture and (3, 4) matrix from world to texture of each surface.
-        grounds: Georeferenced picture of each surface.
-        materials: Diffuse RGB of each surface.
-    """
-
+    # Picture and text of coordinates of each ring
     rings: dict[str, tuple[Image, str]] = field(default_factory=dict)
+    # Picture and (3, 4) matrix from world to texture of each surface
     planes: dict[str, tuple[Image, Floats]] = field(default_factory=dict)
-    grounds: dict[str, Georeference] = field(default_factory=dict)
-    materials: dict[str, tuple[int, int, int]] = field(default_factory=dict)
+    grounds: dict[str, Georeference] = field(default_factory=dict)  # georeferenced picture of each surface
+    materials: dict[str, tuple[int, int, int]] = field(default_factory=dict)  # diffuse RGB of each surface
 
 
 def read_appearances(member: Element, found: Appearances, folder: TextureFolder) -> None:

@@ -21,15 +21,10 @@ from lodbench.findings import FindingCode, Findings
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """Where a shape is set down.
+    """Where a shape is set down."""
 
-    Attributes:
-        matrix: (3, 4) from the shape's frame to metres around the anchor.
-        anchor: (3,) in the coordinates of the file.
-    """
-
-    matrix: NDArray[np.float64]
-    anchor: NDArray[np.float64]
+    matrix: NDArray[np.float64]  # (3, 4) from the shape's frame to metres around the anchor
+    anchor: NDArray[np.float64]  # (3,) in the coordinates of the file
 
     def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Returns points (N, 3) of the shape in the coordinates of the file."""
@@ -116,32 +111,22 @@ def leave_out(
 
 @dataclass(slots=True)
 class PolygonBatch:
-    """Polygons of many city objects as text, in document order.
+    """Polygons of many city objects as text, in document order."""
 
-    Attributes:
-        texts: One text of numbers per ring, in UTF-8.
-        dimensions: Ring index to declared dimension, for the rings that declare one.
-        solid_rings: Rings that declare three dimensions themselves, which most files do, or none.
-        ring_counts: Rings of each polygon.
-        owners: (building, lod, kind, srs, part) of each polygon.
-        flipped: Polygons whose orientation is turned round.
-        copies: Polygons that repeat an earlier one: source polygon, building, lod, kind, flipped,
-            placement, part.
-        placed: Where the polygons of implicit geometries are set down.
-        num_characters: Total length of the texts, to know when to read the numbers.
-        is_folded: Whether any of the texts never went through a parser.
-    """
-
-    texts: list[bytes] = field(default_factory=list)
+    texts: list[bytes] = field(default_factory=list)  # one text of numbers per ring, in UTF-8
+    # Ring index to declared dimension, for the rings that declare one
     dimensions: dict[int, int] = field(default_factory=dict)
+    # Rings that declare three dimensions themselves, which most files do, or none
     solid_rings: list[int] = field(default_factory=list)
-    ring_counts: list[int] = field(default_factory=list)
-    owners: list[Owner] = field(default_factory=list)
-    flipped: list[int] = field(default_factory=list)
+    ring_counts: list[int] = field(default_factory=list)  # rings of each polygon
+    owners: list[Owner] = field(default_factory=list)  # (building, lod, kind, srs, part) of each polygon
+    flipped: list[int] = field(default_factory=list)  # polygons whose orientation is turned round
+    # Polygons that repeat an earlier one: source polygon, building, lod, kind, flipped, placement, part
     copies: list[tuple[int, int, int, int, bool, Placement | None, int]] = field(default_factory=list)
+    # Where the polygons of implicit geometries are set down
     placed: dict[int, Placement] = field(default_factory=dict)
-    num_characters: int = 0
-    is_folded: bool = False
+    num_characters: int = 0  # total length of the texts, to know when to read the numbers
+    is_folded: bool = False  # whether any of the texts never went through a parser
 
     def add_rings(self, rings: FoldedRings, dimension: int) -> None:
         """Adds polygons of one ring each, whose owners are there; ``dimension`` is that around them, or 0."""

@@ -250,15 +250,10 @@ _KEY = "lodbench"
 
 @dataclass(frozen=True, slots=True)
 class MeshFrame:
-    """Place of a mesh.
+    """Place of a mesh."""
 
-    Attributes:
-        origin: (3,) what was subtracted from the coordinates.
-        crs: Their reference system, or None where it was unknown.
-    """
-
-    origin: NDArray[np.float64]
-    crs: str | None
+    origin: NDArray[np.float64]  # (3,) what was subtracted from the coordinates
+    crs: str | None  # their reference system, or None where it was unknown
 
     @classmethod
     def of_scene(cls, scene: Scene) -> MeshFrame:

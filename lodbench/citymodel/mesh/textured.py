@@ -26,24 +26,16 @@ _LEAST_OVERLAP = 0.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TexturedMesh:
-    """Triangles with textures or colours, east, north, up in metres.
+    """Triangles with textures or colours, east, north, up in metres."""
 
-    Attributes:
-        corners: (T, 3, 3) float64, metres.
-        uv: (T, 3, 2) float64 texture coordinates; (0, 0) is a picture's lower left corner, and what is
-            outside of 0 to 1 repeats the picture.
-        picture: (T,) int32 number of the texture, or -1 for ``colours``.
-        colours: (T, 3, 3) uint8 RGB of the corners, where there is no texture.
-        pictures: The textures, (H, W, 3) uint8 RGB.
-        notes: What was met while reading, a line each.
-    """
-
-    corners: Floats
+    corners: Floats  # (T, 3, 3) float64, metres
+    # (T, 3, 2) float64 texture coordinates; (0, 0) is a picture's lower left corner, and what is outside of 0
+    # to 1 repeats the picture
     uv: Floats
-    picture: NDArray[np.int32]
-    colours: NDArray[np.uint8]
-    pictures: tuple[NDArray[np.uint8], ...]
-    notes: tuple[str, ...] = ()
+    picture: NDArray[np.int32]  # (T,) int32 number of the texture, or -1 for ``colours``
+    colours: NDArray[np.uint8]  # (T, 3, 3) uint8 RGB of the corners, where there is no texture
+    pictures: tuple[NDArray[np.uint8], ...]  # the textures, (H, W, 3) uint8 RGB
+    notes: tuple[str, ...] = ()  # what was met while reading, a line each
 
     def shifted(self, offset_m: Floats) -> TexturedMesh:
         """Returns the mesh moved by (3,) metres."""

@@ -257,21 +257,14 @@ _THIN = 1e-2
 
 @dataclass(slots=True)
 class WkbPolygons:
-    """Polygons of many geometries, flat.
+    """Polygons of many geometries, flat."""
 
-    Attributes:
-        rings: (n, 3) points of each ring as written; z is 0 where there is none.
-        ring_counts: Rings of each polygon.
-        owner: Which geometry each polygon belongs to.
-        has_z: Whether any geometry has heights.
-        ignored: Kinds of geometry met that hold no area.
-    """
-
+    # (n, 3) points of each ring as written; z is 0 where there is none
     rings: list[NDArray[np.float64]] = field(default_factory=list)
-    ring_counts: list[int] = field(default_factory=list)
-    owner: list[int] = field(default_factory=list)
-    has_z: bool = False
-    ignored: set[int] = field(default_factory=set)
+    ring_counts: list[int] = field(default_factory=list)  # rings of each polygon
+    owner: list[int] = field(default_factory=list)  # which geometry each polygon belongs to
+    has_z: bool = False  # whether any geometry has heights
+    ignored: set[int] = field(default_factory=set)  # kinds of geometry met that hold no area
 
     def has_uneven_rings(self) -> bool:
         """Returns whether some ring leaves the horizontal: surfaces, or footprints draped over the ground."""

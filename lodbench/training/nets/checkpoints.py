@@ -67,17 +67,11 @@ def load_checkpoint(folder: Path, identity: str) -> dict[str, Any] | None:
 
 @dataclass(frozen=True, slots=True)
 class TrainingProcess:
-    """Where this process stands.
+    """Where this process stands."""
 
-    Attributes:
-        rank: Number of the process; 0 validates and writes.
-        ranks: How many there are.
-        device: What it computes on.
-    """
-
-    rank: int
-    ranks: int
-    device: torch.device
+    rank: int  # number of the process; 0 validates and writes
+    ranks: int  # how many there are
+    device: torch.device  # what it computes on
 
     def wrapped(self, net: nn.Module) -> nn.Module:
         """Returns a network that averages its gradients over all processes."""
