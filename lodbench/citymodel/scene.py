@@ -29,20 +29,31 @@ class Scene:
 
     Vertices and triangles of one building are contiguous, and within a building equal points are
     one vertex, so that neighbouring triangles share indices.
+
+    Attributes:
+        vertices: (V, 3) float32, metres.
+        triangles: (T, 3) int32 indices into ``vertices``.
+        vertex_starts: (B + 1,) int64, the vertices of building b are ``[b] .. [b + 1]``.
+        triangle_starts: (B + 1,) int64, likewise for triangles.
+        building_ids: B ids.
+        lod: The level of detail meshed, or "" where the source has none.
+        crs: CRS of ``vertices + origin``, or None for a local frame.
+        origin: (3,) float64.
+        pitched: (B,) which buildings have pitched roofs, as the source states, whatever shape they are drawn
+            with; None where it states none.
+        stored_digest: ``digest`` as the folder says from which the arrays are mapped; "" in memory.
     """
 
-    vertices: NDArray[np.float32]  # (V, 3) float32, metres
-    triangles: NDArray[np.int32]  # (T, 3) int32 indices into ``vertices``
-    vertex_starts: NDArray[np.int64]  # (B + 1,) int64, the vertices of building b are ``[b] .. [b + 1]``.
-    triangle_starts: NDArray[np.int64]  # (B + 1,) int64, likewise for triangles
-    building_ids: tuple[str, ...]  # B ids
-    lod: str  # the level of detail meshed, or "" where the source has none
-    crs: str | None  # CRS of ``vertices + origin``, or None for a local frame
-    origin: NDArray[np.float64]  # (3,) float64
-    # (B,) which buildings have pitched roofs, as the source states, whatever shape they are drawn with; None
-    # where it states none
+    vertices: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+    vertex_starts: NDArray[np.int64]
+    triangle_starts: NDArray[np.int64]
+    building_ids: tuple[str, ...]
+    lod: str
+    crs: str | None
+    origin: NDArray[np.float64]
     pitched: NDArray[np.bool_] | None = None
-    stored_digest: str = ""  # ``digest`` as the folder says from which the arrays are mapped; "" in memory
+    stored_digest: str = ""
 
     def __repr__(self) -> str:
         counts = f"{self.num_buildings} buildings, {len(self.triangles)} triangles"
@@ -208,11 +219,17 @@ Floats = NDArray[np.float64]
 
 
 class BuildingBoxes(NamedTuple):
-    """Boxes along the axes around buildings; those without triangles are left out."""
+    """Boxes along the axes around buildings; those without triangles are left out.
 
-    low: Floats  # (B, 3) least coordinates, local metres
-    high: Floats  # (B, 3) greatest coordinates
-    building: NDArray[np.int64]  # (B,) number of each in the scene
+    Attributes:
+        low: (B, 3) least coordinates, local metres.
+        high: (B, 3) greatest coordinates.
+        building: (B,) number of each in the scene.
+    """
+
+    low: Floats
+    high: Floats
+    building: NDArray[np.int64]
 
     @property
     def bases(self) -> Floats:
