@@ -218,10 +218,7 @@ def _json_of(script: str, words: list[str], python: str = sys.executable) -> Any
         CityModelError: It fails.
     """
     done = subprocess.run(  # noqa: S603 - this interpreter, with a script of ours
-        [python, "-P", "-c", script, *words],
-        capture_output=True,
-        text=True,
-        check=False,
+        [python, "-P", "-c", script, *words], capture_output=True, text=True, check=False
     )
     if done.returncode != 0:
         raise CityModelError(f"The measurement failed: {done.stderr.strip()[-300:]}.")

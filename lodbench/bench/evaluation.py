@@ -10,16 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lodbench.bench import (
-    SEED,
-    Figure,
-    Progress,
-    Report,
-    load_in_words,
-    no_progress,
-    option,
-    plain_report,
-)
+from lodbench.bench import SEED, Figure, Progress, Report, load_in_words, no_progress, option, plain_report
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, LodbenchError

@@ -269,11 +269,7 @@ def _constant_figures(tally: _Tally) -> list[Figure]:
 def _map_figures(score: MapScore) -> list[Figure]:
     nothing = score.places - score.rightly_unmapped - score.clutter
     rows = (
-        (
-            f"heights within 0.5 m, of {score.heights} shown twice",
-            score.recovered,
-            score.heights,
-        ),
+        (f"heights within 0.5 m, of {score.heights} shown twice", score.recovered, score.heights),
         (f"wrong heights found, of {score.wrong}", score.found_wrong, score.wrong),
         (f"buildings in doubt rightly, of {score.doubted}", score.rightly, score.doubted),
         (f"demolished buildings found, of {score.demolished}", score.rightly_demolished, score.demolished),

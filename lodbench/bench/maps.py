@@ -273,10 +273,7 @@ def _queries_of(demo: Dataset, survey: Path, name: str, method: str, options: Ma
         run = run_method(_method(method), dataset, MaskFiles(MasksParams()), settings)
     spent = time.process_time() - started
     return run.queries.assign(
-        map=name,
-        method=method,
-        triangles=len(scene.triangles),
-        cpu_s=spent / max(len(run.queries), 1),
+        map=name, method=method, triangles=len(scene.triangles), cpu_s=spent / max(len(run.queries), 1)
     )
 
 

@@ -131,9 +131,7 @@ class FlightErrors(NamedTuple):
 
 def flight_errors(trials: pd.DataFrame) -> FlightErrors | None:
     """Returns common and own errors of one method; None of flights of fewer than three answered photos."""
-    answered = trials[trials["up_m"].notna()].assign(
-        up_percent=lambda t: 100.0 * t["up_m"] / t["height_m"],
-    )
+    answered = trials[trials["up_m"].notna()].assign(up_percent=lambda t: 100.0 * t["up_m"] / t["height_m"])
     by_flight = answered.groupby(["flight", "prior"], sort=False)
     answered = answered[by_flight["photo"].transform("count") >= _FEWEST_PHOTOS]
     if answered.empty:

@@ -129,11 +129,7 @@ def _drawn(scene: Scene, seed: int, options: TrackingOptions) -> list[SyntheticQ
 
 
 def _tracked(
-    city: Path,
-    scene: Scene,
-    drawn: Sequence[SyntheticQuery],
-    segmenter: Segmenter,
-    options: TrackingOptions,
+    city: Path, scene: Scene, drawn: Sequence[SyntheticQuery], segmenter: Segmenter, options: TrackingOptions
 ) -> Track:
     first: Pose = drawn[0].truth.shifted(scene.origin)
     heading, pitch, roll = look_from_rotation(first.rotation)

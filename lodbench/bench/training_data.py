@@ -11,16 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lodbench.bench import (
-    SEED,
-    Figure,
-    Progress,
-    Report,
-    load_in_words,
-    no_progress,
-    option,
-    plain_report,
-)
+from lodbench.bench import SEED, Figure, Progress, Report, load_in_words, no_progress, option, plain_report
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import ConfigError, LodbenchError, require_within

@@ -196,10 +196,7 @@ class OpenCity:
 
 
 def store_city(
-    city: OpenCity,
-    folder: Path,
-    survives_power_cut: bool = True,
-    made: Mapping[str, Any] | None = None,
+    city: OpenCity, folder: Path, survives_power_cut: bool = True, made: Mapping[str, Any] | None = None
 ) -> None:
     """Writes a city as a scene folder that remembers its findings, and how it was made; see ``write_scene``.
 

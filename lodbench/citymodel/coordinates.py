@@ -22,9 +22,7 @@ _NUMBERS = re.compile(rb"\s*(?:%s(?:\s+|\Z))*" % _DECIMAL)
 _num_seen = 0
 
 
-def parse_rings(
-    texts: list[bytes],
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
+def parse_rings(texts: list[bytes]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
     """Returns the numbers of many texts, how many each has, and which texts are not clean.
 
     A text that holds anything but finite decimals is not clean; its numbers are NaN where they

@@ -59,9 +59,7 @@ def _parse(data: bytes, source: str, line: int | None, repeated: list[str]) -> A
 
     try:
         return json.loads(
-            data.decode("utf-8-sig"),
-            parse_constant=_refuse_constant,
-            object_pairs_hook=mapping,
+            data.decode("utf-8-sig"), parse_constant=_refuse_constant, object_pairs_hook=mapping
         )
     except RecursionError:
         raise CityModelError(

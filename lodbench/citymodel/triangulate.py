@@ -114,10 +114,7 @@ def _triangulate(polygons: Polygons) -> Triangulation:
 
 
 def _with_knots(
-    areas: NDArray[np.float64],
-    is_flat: NDArray[np.bool_],
-    polygons: Polygons,
-    normals: NDArray[np.float64],
+    areas: NDArray[np.float64], is_flat: NDArray[np.bool_], polygons: Polygons, normals: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Returns the areas with those of outlines among the flat ones whose parts cancel each other out."""
     stated = areas.copy()
@@ -287,10 +284,7 @@ def project(
 
 
 def deviation(
-    polygons: Polygons,
-    local: NDArray[np.float64],
-    unit: NDArray[np.float64],
-    point_counts: NDArray[np.int64],
+    polygons: Polygons, local: NDArray[np.float64], unit: NDArray[np.float64], point_counts: NDArray[np.int64]
 ) -> NDArray[np.float64]:
     """Returns each polygon's largest corner distance from the plane through its mean point, metres."""
     if len(polygons) == 0:

@@ -126,12 +126,7 @@ _PAINTS = palette("e8e8e8 3c3e42 96989c 222428 962824 2e4676 c4beb2")
 _GLASS = palette("343c44")
 _SIZES_M = ((3.8, 4.9), (1.7, 1.9), (1.4, 1.75))  # of cars: length, width and height
 # Rings of four corners, from the ground up: back and front end, half the width, height; of a unit car.
-_RINGS = (
-    (-0.5, 0.5, 0.5, 0.14),
-    (-0.5, 0.5, 0.5, 0.55),
-    (-0.42, 0.24, 0.46, 0.60),
-    (-0.30, 0.10, 0.38, 1.0),
-)
+_RINGS = ((-0.5, 0.5, 0.5, 0.14), (-0.5, 0.5, 0.5, 0.55), (-0.42, 0.24, 0.46, 0.60), (-0.30, 0.10, 0.38, 1.0))
 
 
 def add_trees(

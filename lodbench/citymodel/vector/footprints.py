@@ -253,11 +253,7 @@ def _with_roofs(city: RawCity, shaped: Mapping[int, tuple[str, float, bool]], sq
 
 
 def _ground(
-    columns: Columns,
-    corners: NDArray[np.float64],
-    owner: NDArray[np.int64],
-    crs: str,
-    options: ReadOptions,
+    columns: Columns, corners: NDArray[np.float64], owner: NDArray[np.int64], crs: str, options: ReadOptions
 ) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
     """Returns the ground height of each polygon, NaN where nothing gives it, and what gives it.
 

@@ -11,14 +11,7 @@ import numpy as np
 
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.synthesis.town.roofs import Body, Roof, Strip, flat, gabled, hipped, mansard
-from lodbench.synthesis.town.shapes import (
-    Points,
-    Solid,
-    edge_directions,
-    left_of,
-    prism,
-    rectangles,
-)
+from lodbench.synthesis.town.shapes import Points, Solid, edge_directions, left_of, prism, rectangles
 
 STOREY_M = 3.1
 _SUNK_M = 0.6  # how deep a chimney reaches into the roof
