@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.bench.accuracy import blocks_of
@@ -181,13 +180,11 @@ def measure_instances(segmenter: Segmenter, data: Path, progress: Progress = no_
             found[cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0] = k
         apart += match_instances(found, labels, _LEAST_PX)
         mask = cv2.resize(segmenter.segment(entry), (width, height)) >= BUILDING_THRESHOLD
-        parts += match_instances(_coherent(mask), labels, _LEAST_PX)
+        parts += match_instances(
+            np.asarray(cv2.connectedComponents(mask.astype(np.uint8))[1], np.int32), labels, _LEAST_PX
+        )
         progress(number, len(samples))
     return _report(segmenter.name, data, len(samples), {"buildings": apart, "parts of its mask": parts})
-
-
-def _coherent(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
-    return np.asarray(cv2.connectedComponents(mask.astype(np.uint8))[1], np.int32)
 
 
 def _report(name: str, data: Path, views: int, rows: dict[str, InstanceMatches]) -> Report:

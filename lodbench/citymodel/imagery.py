@@ -50,7 +50,7 @@ class Imagery:
         size = np.maximum(1, np.round(_MAX_PX * (high - low) / (high - low).max())).astype(int)
         width, height = (int(side) for side in size)
         with opened_raster(self.path, orthophoto_driver(self.path)) as raster:
-            is_palette = _is_palette(raster)
+            is_palette = bool(raster.colorinterp[0].name == "palette")
             seen = {
                 "crs": _own_crs(raster, self.crs),
                 "src_crs": _own_crs(raster, self.crs) if raster.crs is None else raster.crs,
@@ -139,10 +139,6 @@ def _require_overlap(path: Path, raster: Any, scene: Scene) -> None:
             f"The imagery {path} lies {away_m / 1000:,.1f} km outside the city model.",
             "Take the tile of this place, or check its reference system.",
         )
-
-
-def _is_palette(raster: Any) -> bool:
-    return bool(raster.colorinterp[0].name == "palette")
 
 
 def _has_alpha(raster: Any) -> bool:
