@@ -56,7 +56,7 @@ def share_within_reach(views: ViewsParams, draws: int) -> float:
     dataset = open_views(views)
     lod = views.mask_lod or views.lod
     scene = open_city(Path(views.city_model), lod, dataset.city_options, views.roof_height).scene
-    scene = views.world.seen(scene)
+    scene = views.world.perturbed(scene)
     city_map, found = CityMap(scene), []
     for entry in dataset.entries:
         truth = dataset.truth[entry.key].shifted(-scene.origin)

@@ -1,4 +1,4 @@
-"""How good are a segmenter's masks? IoU over the views of a training set, and of what can be seen at best."""
+"""How good are a segmenter's masks? IoU over the views of a training set, and of what is visible at best."""
 
 from __future__ import annotations
 

@@ -205,7 +205,7 @@ Points = NDArray[np.float64]
 
 # How high photos hang, and what the widest side of each shows: a usual drone.
 HEIGHT_M, SIDE_M = 100.0, 120.0
-# Nothing of one photo is seen from another.
+# Nothing of one photo is viewed from another.
 _APART_M = 2000.0
 # Share of the buildings that a wrong map lacks, and of what a photo shows of them at most: a map of one shed
 # is of another place.

@@ -273,7 +273,7 @@ def _table(trials: pd.DataFrame) -> str:
 
 
 def _pictures(by_method: dict[str, pd.DataFrame]) -> dict[str, bytes]:
-    """Returns, for each method, from each prior to where it ended, seen from above."""
+    """Returns, for each method, from each prior to where it ended, viewed from above."""
 
     def draw(canvas: Canvas) -> None:
         axes = canvas.subplots(1, len(by_method), squeeze=False)[0]

@@ -40,7 +40,7 @@ class Job:
         views: Of which city, drawn how.
         tilt: ``truth`` or ``prior``.
         labels: Columns of the sweep's table that tell this run from others.
-        told: How far off the method is given that priors may be; None for as far as they are.
+        stated: How far off the method is given that priors may be; None for as far as they are.
     """
 
     method: Method

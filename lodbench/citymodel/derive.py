@@ -42,7 +42,7 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
     """Returns block polygons of level 1 for every building of the lowest finer level.
 
     The footprint is the building's ground surfaces; where it has none, the faces that look down;
-    where there are none either, its roofs seen from above; dissolved, so that no wall stands between
+    where there are none either, its roofs viewed from above; dissolved, so that no wall stands between
     two of them. Every part of a building is a block of its own, as published LoD1 models have it, unless
     one of them has no roof: then the building is one block. A block stands on its lowest point and reaches
     one height, taken over the area of its roofs: ``max`` the highest point, ``median`` and ``p70`` the

@@ -38,7 +38,7 @@ class StreamOver(io.RawIOBase):
         self._stream = stream
 
     def readable(self) -> bool:
-        """Returns that the stream can be read."""
+        """Returns True: the stream can be read."""
         return True
 
     def close(self) -> None:

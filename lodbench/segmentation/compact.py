@@ -60,7 +60,7 @@ class Compact(PackagedNetwork):
     packaged_sure = 0.99
 
     def notes(self) -> tuple[str, ...]:
-        """Returns that the network has seen made-up pictures only, or whose weights it has."""
+        """Returns a note that the network was trained on drawn pictures only, or whose weights it has."""
         if self.params.weights is not None:
             return (f"segmenter compact, weights of {Path(self.params.weights).name}",)
         views = self.packaged_training().get("views", {}).get("train")
@@ -134,7 +134,7 @@ class CompactInstances(PackagedNetwork):
         """Returns the mask of ``compact``.
 
         Raises:
-            ConfigError: The weights hold no network of this kind: told before they are needed.
+            ConfigError: The weights hold no network of this kind: checked before they are needed.
         """
         if self.params.weights:
             self._net  # noqa: B018 - read once, and kept

@@ -55,7 +55,7 @@ def aligned(
     """Returns how a silhouette may lie in a photo, best first; none twice.
 
     A grid of shifts and turns is tried by the code length that the photo's colours save when those inside
-    and outside are coded apart. From the best, Nelder and Mead's simplex climbs, the
+    and outside are coded apart. From the best, Nelder and Mead's simplex refines, the
     photo's edges along the outline counted as well.
 
     Args:
@@ -81,16 +81,16 @@ def aligned(
             for k in range(0, len(grid), _CHUNK)
         ]
     )
-    tops = []
+    modes = []
     for start in _apart(grid, fits, np.array([1.5 * _STEP_PX, 1.5 * _STEP_PX, turn_deg / 2.0]), _STARTS):
         simplex = np.vstack([start, start + np.diag(_FIRST_STEPS)])
         options = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "xatol": 0.02, "fatol": 1e-6}
         found = scipy.optimize.minimize(lambda m: -value(m), start, method="Nelder-Mead", options=options)
-        tops.append(np.asarray(found.x, np.float64))
-    values = np.array([value(top) for top in tops])
+        modes.append(np.asarray(found.x, np.float64))
+    values = np.array([value(mode) for mode in modes])
     return [
         Alignment(moved(guide, motion, (width, height)), value(motion), motion)
-        for motion in _apart(np.array(tops), values, _SAME, count)
+        for motion in _apart(np.array(modes), values, _SAME, count)
     ]
 
 
@@ -213,7 +213,7 @@ class MapGuided:
         return digest_of([_VERSION, asdict(self.params), photos])
 
     def notes(self) -> tuple[str, ...]:
-        """Returns that such a mask is no independent witness."""
+        """Returns a note that such a mask is no independent witness."""
         return ("masks guided by the map are biased towards it: probabilities are overconfident",)
 
     def _silhouettes(

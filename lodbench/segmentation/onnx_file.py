@@ -264,7 +264,7 @@ def read_onnx(path: Path, hint: str, is_ours: bool = False, digest: str | None =
     """Returns OpenCV's network of a file.
 
     OpenCV's reader dies of some damage that ``onnx_fault`` does not see (ADR 0009, point 2): a file that is
-    not ours is read, and asked about a small picture, in a process of its own first.
+    not ours is read, and run on a small picture, in a process of its own first.
 
     Args:
         path: The file; its name may hold what OpenCV's own reader cannot open.

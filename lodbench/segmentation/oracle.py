@@ -66,7 +66,7 @@ class NoisyOracleParams(OracleParams):
 
 
 class Oracle:
-    """What is seen at the true pose. Whoever holds the truth draws it: a segmenter never sees a pose."""
+    """What the true pose shows. Whoever holds the truth draws it: a segmenter never sees a pose."""
 
     params_type: type[OracleParams] = OracleParams
     requires: frozenset[Input] = frozenset()

@@ -190,5 +190,5 @@ def photo_probability(segmenter: Segmenter, photo: Path) -> NDArray[np.float32]:
     if isinstance(segmenter, PhotoSegmenter):
         return segmenter.probability(pixels)
     height, width = pixels.shape[:2]
-    camera = Camera(width, height, width, width, width / 2, height / 2)  # of which the size is asked alone
+    camera = Camera(width, height, width, width, width / 2, height / 2)  # of which the size alone is used
     return check_mask(segmenter.segment(Entry(photo.name, "", camera, None, photo, None)), camera)

@@ -61,8 +61,8 @@ def cross_fitted(photo: NDArray[np.uint8], silhouette: Mask) -> Floats:
     rows, columns = np.arange(height)[:, None] // _BLOCK_PX, np.arange(width) // _BLOCK_PX
     half = (rows + columns) % 2
     nats = np.zeros((height, width), np.float32)
-    for judged in (0, 1):
-        others = half != judged
+    for held_out in (0, 1):
+        others = half != held_out
         logs = []
         for side in (silhouette & others, ~silhouette & others):
             counts = np.bincount(bins[side], weight[side], num_bins) + 0.5

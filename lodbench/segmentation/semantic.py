@@ -186,7 +186,7 @@ class Semantic(TorchSegmenter):
         logging.disable_progress_bar()
         logging.set_verbosity_error()  # what is missing is reported below
         try:
-            # A checkpoint that brings code is refused: otherwise whoever sits there is asked to let it run.
+            # A checkpoint that brings code is refused: otherwise the user is prompted to let it run.
             with _offline():
                 model, found = AutoModelForSemanticSegmentation.from_pretrained(
                     str(self._folder), local_files_only=True, use_safetensors=True, output_loading_info=True,

@@ -59,7 +59,7 @@ class TorchSegmenter(PhotoSegmenter):
         """Returns the network; see ``TrainableSegmenter``."""
 
     def packaged_weights(self) -> Path | None:
-        """Returns that the package holds none."""
+        """Returns a note that the package holds none."""
         return None
 
     @cached_property
@@ -80,7 +80,7 @@ class TorchSegmenter(PhotoSegmenter):
         return file_digest(weights_file(self.params.weights, self.name))
 
     def notes(self) -> tuple[str, ...]:
-        """Returns that the weights are random, where they are."""
+        """Returns a note that the weights are random, where they are."""
         if self.params.weights != RANDOM:
             return ()
         return (

@@ -100,7 +100,7 @@ def textured_map_of_demo(root: Path, seed: int, look: str) -> Path:
 def instances_of_demo(demo: Dataset, city: Path, seed: int) -> Path:
     """Returns the folder of a demo's labels, ``SPLIT/STEM.png``, made first if it is not there.
 
-    They are the buildings seen at the truth, as wrong as a network's, and fill the demo's masks.
+    They are the buildings in view at the true pose, as wrong as a network's, and fill the demo's masks.
 
     Raises:
         DatasetError: A mask of the demo is missing.

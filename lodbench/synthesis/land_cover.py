@@ -127,7 +127,7 @@ _ROUND_M = 2.5  # corners of what covers the ground are rounded by this much
 
 
 class TopView(NamedTuple):
-    """A city seen from above, on a grid from the south-west; its margin included."""
+    """A city viewed from above, on a grid from the south-west; its margin included."""
 
     west: float  # left edge, local metres
     south: float  # lower edge

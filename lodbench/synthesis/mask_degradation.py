@@ -42,7 +42,7 @@ def degraded_instances(
     have labels of their own.
 
     Args:
-        buildings: (H, W) int32, which building is seen in truth, -1 for none.
+        buildings: (H, W) int32, which building the truth shows, -1 for none.
         mask: (H, W) bool, where the network says building.
         generator: The only source of randomness.
         merged: Share of buildings that are taken for one with the neighbour they share most pixels with.

@@ -140,7 +140,7 @@ def add_trees(
 ) -> None:
     """Adds a tree at each foot, (N, 3) metres, a share of them broadleaved.
 
-    ``room_m``, (N,), is the greatest radius of each crown; None where nothing is near. Trees seen from afar
+    ``room_m``, (N,), is the greatest radius of each crown; None where nothing is near. Trees viewed from afar
     only are of fewer triangles and without trunks.
     """
     count = len(feet)
@@ -238,7 +238,7 @@ class SceneProps:
 
     # (V, 3) float32, metres; ``vertices + origin`` are coordinates in the city's CRS.
     vertices: NDArray[np.float32]
-    # (T, 3) int32 indices into ``vertices``, counter-clockwise seen from outside.
+    # (T, 3) int32 indices into ``vertices``, counter-clockwise viewed from outside.
     triangles: NDArray[np.int32]
     surface: NDArray[np.uint8]  # (T,) uint8 ``SurfaceClass``
     # (T,) int32 number of the object a triangle is part of: below ``num_buildings`` the index of the building

@@ -37,7 +37,7 @@ def seen_from_above(
 def orthophoto(
     mesh: TexturedMesh, west: float, north: float, cell_m: float, triangle: NDArray[np.int32]
 ) -> NDArray[np.uint8]:
-    """Returns (rows, columns, 3) RGB of what is seen from above; black where nothing is.
+    """Returns (rows, columns, 3) RGB of what is viewed from above; black where nothing is.
 
     Args:
         mesh: In the frame of the cells.

@@ -53,7 +53,7 @@ class Layout(NamedTuple):
 def lay_out_ground(
     corners: Floats, triangle: NDArray[np.int64], square: tuple[float, float, float]
 ) -> Layout:
-    """Returns ground triangles seen from above; those that reach out of the picture are left out.
+    """Returns ground triangles viewed from above; those that reach out of the picture are left out.
 
     They are those with some numbers, (N,), of all corners, (T, 3, 3) metres. The picture's square is its west
     and south edges and its side, metres.

@@ -100,7 +100,7 @@ class Perturbation:
         wrong = [f for f in fields(self) if getattr(self, f.name) != f.default]
         return ", ".join(f"{f.name}={getattr(self, f.name):g}" for f in wrong)
 
-    def seen(self, scene: Scene) -> Scene:
+    def perturbed(self, scene: Scene) -> Scene:
         """Returns what is seen of a city: its roofs as high as they are, without the feet that are hidden."""
         if not (self.shared_roofs_m or self.hidden_feet_m):
             return scene
@@ -200,7 +200,7 @@ def draw_queries(scene: Scene, renderer: Renderer, params: ViewsParams) -> tuple
     sampling = ViewSampling(heights_m, building_share=share, area_m=area_m, seed=seed)
     views = sample_views(scene, renderer, camera, sampling, params.num_views, "accuracy")
     world, noted = params.world, params.prior()
-    seen = world.seen(scene)
+    seen = world.perturbed(scene)
     photographed = renderer if seen is scene else make_renderer("silhouette", seen, None)
     raster = RasterRenderer(seen)
     prior = replace(noted, pitch_deg=world.tilt * noted.pitch_deg, roll_deg=world.tilt * noted.roll_deg)
@@ -256,7 +256,7 @@ def open_views(params: ViewsParams) -> Dataset:
         if params.look is not None:
             camera = RGB_CAMERA.scaled(*PHOTO_SIZE)
             cameras = [world.lens(camera, index) for index in range(len(queries))]
-            photographer = Photographer(world.seen(scene), params.look, params.views_seed)
+            photographer = Photographer(world.perturbed(scene), params.look, params.views_seed)
             queries = photographer.views(queries, cameras)
         write_queries(folder / SPLIT, queries, camera, scene.origin)
         write_text(folder / _FACTS_FILE, json.dumps({"rejections": rejections, "mask_lod": scene.lod}))

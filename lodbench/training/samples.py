@@ -194,7 +194,7 @@ def require_unseen(train: list[Path], val: list[Path]) -> None:
     """Makes sure that no view that validates is trained on as well; both by their photos.
 
     Raises:
-        ConfigError: One is: its IoU would be reported as that of views the network has never seen.
+        ConfigError: One is: its IoU would be reported as that of views the network was never trained on.
     """
     learnt = {photo.resolve() for photo in train}
     both = [photo for photo in val if photo.resolve() in learnt]

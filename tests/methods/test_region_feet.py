@@ -21,7 +21,7 @@ def lifted(roofs, feet_m):
 @pytest.mark.parametrize("feet_m", [0.5, 2.0])
 def test_lifted_feet_are_those_of_a_town_whose_walls_are_hidden_so_far(scene, roofs, truths, feet_m):
     """Against the worlds of ``dataset=views``, which were written for another purpose."""
-    expected = CityMap(Perturbation(hidden_feet_m=feet_m).seen(scene), threads=1)
+    expected = CityMap(Perturbation(hidden_feet_m=feet_m).perturbed(scene), threads=1)
     for truth in truths:
         seen = lifted(roofs, feet_m).at(0).render(CAMERA, truth)
         np.testing.assert_array_equal(seen, expected.render(CAMERA, truth))

@@ -37,7 +37,7 @@ def test_raised_roofs_are_those_of_a_town_so_much_higher(scene, roofs, truths, r
     """Against the worlds of ``dataset=views``, which were written for another purpose."""
     step = int(step_of(np.array(roofs_m)))
     assert step * STEP_M == roofs_m
-    expected = CityMap(Perturbation(shared_roofs_m=roofs_m).seen(scene), threads=1)
+    expected = CityMap(Perturbation(shared_roofs_m=roofs_m).perturbed(scene), threads=1)
     for truth in truths:
         np.testing.assert_array_equal(roofs.at(step).render(CAMERA, truth), expected.render(CAMERA, truth))
 
@@ -84,7 +84,7 @@ def test_evidence_is_that_of_the_map_with_those_roofs(scene, roofs, queries, tru
         np.column_stack([poses, np.zeros(6), heights, np.full((6, 2), 0.4)])
     )
     for i, roofs_m in enumerate([-1.5, 0.0, 0.0, 1.0, 1.0, 3.0]):
-        seen = CityMap(Perturbation(shared_roofs_m=roofs_m).seen(scene), threads=1)
+        seen = CityMap(Perturbation(shared_roofs_m=roofs_m).perturbed(scene), threads=1)
         assert (
             log_likelihood[i]
             == PosePosterior(queries[0], seen, fit, params).log_likelihood(poses[i : i + 1])[0]

@@ -40,9 +40,9 @@ def heights(scene):
 def test_roofs_rise_together_and_feet_are_cut(city):
     scene = open_scene(city)
     before = heights(scene)
-    after = heights(Perturbation(shared_roofs_m=1.5, hidden_feet_m=2.0).seen(scene))
+    after = heights(Perturbation(shared_roofs_m=1.5, hidden_feet_m=2.0).perturbed(scene))
     np.testing.assert_allclose(after - before, np.broadcast_to([2.0, 1.5], before.shape), atol=1e-4)
-    assert Perturbation().seen(scene) is scene
+    assert Perturbation().perturbed(scene) is scene
 
 
 def test_lenses_are_longer_and_shorter_in_turn():

@@ -48,7 +48,7 @@ class _Flattened(NamedTuple):
 
 
 def check_planes(model: CityModel, findings: Findings) -> None:
-    """Adds what is wrong with polygons seen along their normals, each with its number and place.
+    """Adds what is wrong with polygons viewed along their normals, each with its number and place.
 
     Args:
         model: The city.
@@ -147,7 +147,7 @@ def check_folds(model: CityModel, findings: Findings) -> None:
 def check_parts(model: CityModel, findings: Findings) -> None:
     """Adds parts of a building whose insides overlap for certain.
 
-    Seen from above, between the lowest point of each part and the lowest point of its roof: what overlaps
+    Viewed from above, between the lowest point of each part and the lowest point of its roof: what overlaps
     there overlaps whatever the shape of the roofs.
 
     Args:

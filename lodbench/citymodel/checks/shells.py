@@ -129,7 +129,7 @@ def _edges(polygons: Polygons, solids: Solids) -> _Edges:
     before = np.empty_like(following)
     before[following] = np.arange(len(following))
     turn = is_flipped[face]
-    # Seen from behind an edge runs from its end to its start, and what follows is what came before.
+    # Viewed from behind an edge runs from its end to its start, and what follows is what came before.
     shell = face_shell[face]
     low, high = np.minimum(start, end), np.maximum(start, end)
     columns = [column.astype(np.uint64) for column in (shell, low, high)]

@@ -91,7 +91,7 @@ class AppearanceXml:
         return tag("app:textureParameterization", association)
 
 
-Face = tuple[int, bool]  # a polygon, and whether it is seen from behind
+Face = tuple[int, bool]  # a polygon, and whether it is viewed from behind
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Wavefront OBJ: metres, x east, y north, z up, or y up where so told; what hangs together is a building.
+"""Wavefront OBJ: metres, x east, y north, z up, or y up where so declared; what hangs together is a building.
 
 Only positions and faces count. Lines, points, texture coordinates, normals, materials and groups
 carry no surface. Numbers are read in bulk; a line at fault is looked for only when there is one.

@@ -251,7 +251,7 @@ _Z_FLAG, _M_FLAG, _SRID_FLAG = 0x80000000, 0x40000000, 0x20000000
 _MAX_DEPTH = 16
 # Footprints draped over the ground by rounding stay footprints.
 _LEVEL_TOLERANCE_M = 0.01
-# A wall seen from above: less of a square of its outline's length than any footprint.
+# A wall viewed from above: less of a square of its outline's length than any footprint.
 _THIN = 1e-2
 
 
@@ -340,7 +340,7 @@ def _is_uneven(ring: NDArray[np.float64]) -> bool:
 
 
 def _is_thin(ring: NDArray[np.float64]) -> bool:
-    """Returns whether a ring has no area as seen from above, in metres or in degrees."""
+    """Returns whether a ring has no area as viewed from above, in metres or in degrees."""
     x, y = (ring - ring[0]).T
     area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
     length = float(np.sum(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T)))

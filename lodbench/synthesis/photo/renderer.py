@@ -1,4 +1,4 @@
-"""Photos of a city: a z-buffer, shaded pixel by pixel and seen by a camera."""
+"""Photos of a city: a z-buffer, shaded pixel by pixel, through a camera."""
 
 from __future__ import annotations
 

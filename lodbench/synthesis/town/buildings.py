@@ -65,7 +65,7 @@ def add_openings(
     """Cuts windows, a door or a gate, and dormer windows into a body.
 
     Returns:
-        (4, 3) corners of each window, lower left first, counter-clockwise seen from outside.
+        (4, 3) corners of each window, lower left first, counter-clockwise viewed from outside.
     """
     style = window_style(function, generator)
     size = _GATE_M if style is None else _DOOR_M

@@ -24,7 +24,7 @@ class Annex(NamedTuple):
 
     side: str  # ``outer``, ``inner``, ``first`` or ``last``
     wing: int  # the wing the wall belongs to
-    start_m: float  # distance of its left edge from the wall's left end, seen from outside
+    start_m: float  # distance of its left edge from the wall's left end, viewed from outside
     length_m: float  # its length along the wall
     depth_m: float  # how far it stands out
     height_m: float  # height above the base

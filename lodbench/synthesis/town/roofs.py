@@ -172,7 +172,7 @@ class Strip(NamedTuple):
 
 
 class Wall(NamedTuple):
-    """A wall as seen from outside."""
+    """A wall as viewed from outside."""
 
     face: int  # its number in the builder
     feet: tuple[int, int]  # its lower left and lower right point in the builder

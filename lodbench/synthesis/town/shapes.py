@@ -155,7 +155,7 @@ def length_of(line: Points) -> float:
 class Face:
     """A planar polygon: rings of point indices, the outline first, then holes.
 
-    Seen from outside the solid the outline runs counter-clockwise and holes clockwise.
+    Viewed from outside the solid the outline runs counter-clockwise and holes clockwise.
     """
 
     kind: SurfaceKind  # what it is part of
@@ -232,11 +232,11 @@ class SolidBuilder:
         return np.array([self._points[point] for point in self._faces[face].rings[0]]) / self.per_metre
 
     def add_hole(self, face: int, ring: Sequence[int]) -> None:
-        """Cuts a hole into a face; the ring runs clockwise seen from outside."""
+        """Cuts a hole into a face; the ring runs clockwise viewed from outside."""
         self._faces[face].rings.append(list(ring))
 
     def add_opening(self, face: int, corners: Points, *, is_door: bool = False) -> None:
-        """Cuts a window or a door, (N, 3) counter-clockwise seen from outside, into a face."""
+        """Cuts a window or a door, (N, 3) counter-clockwise viewed from outside, into a face."""
         ring = [self.point(*corner) for corner in corners.tolist()]
         self.add_hole(face, ring[::-1])
         self._faces.append(Face(SurfaceKind.OPENING, [ring], face, is_door))

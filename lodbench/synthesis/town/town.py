@@ -33,7 +33,7 @@ _REACH_M = 640.0
 OLD_TOWN_RADIUS_M = 175.0
 _INNER_RADIUS_M = 290.0
 _ESTATE_RADIUS_M = 320.0
-# Half the angle under which the estate is seen from the middle of town.
+# Half the angle under which the estate is viewed from the middle of town.
 _ESTATE_HALF_ANGLE = 0.42
 # Width of pavements and front gardens, from the kerb to the building line.
 _PAVEMENTS_M = {"old town": 1.5, "inner town": 2.5, "works": 6.0, "estate": 7.0, "garden suburb": 4.0}
