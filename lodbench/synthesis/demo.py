@@ -24,8 +24,8 @@ from lodbench.synthesis.view_sampling import written_once
 
 MAP_FILE = "textured_map.glb"
 # The code that each follows from; that of the town is in the demo's own name.
-MAP_CODE = ("synthesis/demo.py", "synthesis/survey/*.py", "kernels/heights.py")
-LABEL_CODE = ("synthesis/demo.py", "synthesis/instance_degradation.py", "synthesis/mask_*.py")
+MAP_CODE = ("synthesis/demo.py", "synthesis/textured_survey.py", "kernels/heights.py")
+LABEL_CODE = ("synthesis/demo.py", "synthesis/mask_*.py")
 
 
 @dataclass(frozen=True, slots=True)

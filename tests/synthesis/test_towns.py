@@ -96,6 +96,7 @@ def imported_by(file: Path) -> set[Path]:
 
 @pytest.mark.parametrize("code", [DEMO_CODE, (*DEMO_CODE, *MAP_CODE), (*DEMO_CODE, *LABEL_CODE)])
 def test_a_change_of_any_code_that_draws_it_gives_it_another_name(monkeypatch, code):
+    assert all(map(files_of, code))  # no pattern names a file that moved
     # The module of the dataset calls what makes either.
     python = {file for file in files_of(*code) if file.suffix == ".py" and file.name != "demo.py"}
     assert set().union(*map(imported_by, python)) <= python

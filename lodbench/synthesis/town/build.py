@@ -203,9 +203,8 @@ MANIFEST_FILE = "demo.json"
 # The code that makes the demo.
 DEMO_CODE = (
     *("synthesis/town/*.py", "synthesis/town/*.yaml", "synthesis/town/templates/*"),
-    *("synthesis/objects/*.py", "synthesis/photo/*.py", "synthesis/queries.py"),
-    *("synthesis/view_sampling.py", "synthesis/mask_*.py"),
-    *("citymodel/building_boxes.py", "datasets/priors.py"),
+    *("synthesis/objects.py", "synthesis/photo/*.py", "synthesis/view_sampling.py", "synthesis/mask_*.py"),
+    *("citymodel/scene.py", "datasets/priors.py"),
     *(f"kernels/{name}.py" for name in ("looks", "patterns", "shading", "surfaces", "textures")),
 )
 # Of quaternions and of metres.
