@@ -265,7 +265,7 @@ def open_views(params: ViewsParams) -> Dataset:
     same = {key: getattr(params, key) for key in ("lod", "crs", "roof_height", "name", "layers")}
     folder = open_folder(FolderParams(str(root), str(city), **same))
     if params.rtk_m is not None or params.laser_m is not None:
-        folder = _with_measurements(folder, world.seen(scene), params)
+        folder = _with_measurements(folder, world.perturbed(scene), params)
     look = "" if params.look is None else f", look {params.look}"
     sigmas = CAMERA_SOURCES[params.camera_source]
     if not sigmas.are_zero:
