@@ -19,7 +19,7 @@ from lodbench.segmentation.packaged_network import PackagedNetwork, packaged_fil
 from lodbench.segmentation.probability import check_normalise, probability_of
 from lodbench.segmentation.protocol import BUILDING_THRESHOLD
 from lodbench.storage import digest_of, file_digest
-from lodbench.synthesis.instance_degradation import filled
+from lodbench.synthesis.mask_degradation import filled
 
 
 @dataclass(frozen=True, slots=True)
