@@ -37,7 +37,7 @@ LEAST_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One picture and its mask."""
+    """One picture and its mask.
 
     Attributes:
         key: Set, split and name: unique.
