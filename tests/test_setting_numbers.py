@@ -21,7 +21,6 @@ _SETTINGS = re.compile(r"^class (\w*(?:Params|Options|Settings|Training)|RoughPl
 # The section of a command line that the settings of a module belong to; the most special one counts.
 _SECTIONS = {
     "lodbench.methods.": "method.",
-    "lodbench.methods.tracking": "track.",
     "lodbench.baselines.": "method.",
     "lodbench.segmentation.": "segmenter.",
     "lodbench.synthesis.views_dataset": "dataset.",

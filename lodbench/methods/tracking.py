@@ -22,6 +22,7 @@ from lodbench.geometry import Pose
 from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
 from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
+from lodbench.methods.search_params import set_sizes
 
 Floats = NDArray[np.float64]
 
@@ -73,7 +74,8 @@ class TrackingParams:
     most_m: float = 120.0
 
     def __post_init__(self) -> None:
-        require_numbers(self, "track", self.__slots__[2:], 0, ends="(]")  # all but name and size
+        set_sizes(self, ("fine_size",), least_px=8)
+        require_numbers(self, "method", self.__slots__[2:], 0, ends="(]")  # all but name and size
 
     def photo(self, seconds: float) -> ContourAlignmentParams:
         """Returns the parameters by which a frame is aligned, so many seconds after the last."""
@@ -115,8 +117,8 @@ class _Place:
 class Tracking:
     """The method: a sequence is followed from its first photo's prior, which may be off as a drone's sensors.
 
-    Of the photos that follow, priors are not used. Where nobody says when they were taken, they are a second
-    apart.
+    Of the photos that follow, priors are not used. Where nobody says when each of them was taken, they are a
+    second apart.
     """
 
     name = "tracking"
@@ -131,7 +133,13 @@ class Tracking:
         return Tracker(city_map, first.prior, self.params)
 
     def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
-        """Returns the pose of a sequence of one photo."""
+        """Returns the pose of a sequence of one photo.
+
+        Raises:
+            QueryFault: Its mask holds no building.
+        """
+        if not (query.mask >= 0.5).any():
+            raise QueryFault("the mask holds no building")
         return self.begin(query, city_map).next(query, streams)
 
     def localize_flight(
@@ -139,6 +147,8 @@ class Tracking:
     ) -> FlightEstimate:
         """Returns the poses of a sequence whose photos are all there."""
         tracker = self.begin(queries[0], city_map)
+        if any(query.time_s is None for query in queries):
+            queries = [replace(query, time_s=float(k)) for k, query in enumerate(queries)]
         return FlightEstimate([tracker.next(*each) for each in zip(queries, streams, strict=True)])
 
 

@@ -26,8 +26,8 @@ _NONE: tuple[float | None, ...] = (None,) * 6
 # what a receiver's coordinates and a map's may differ by along each axis: EPSG states 1 m for WGS 84 in
 # national frames.
 BAROMETER_M, FRAME_M = 0.5, 1.0
-# Larger numbers measure nothing: metres or degrees.
-_MOST_SIGMA, _MOST_M = 360.0, 1e5
+# Larger numbers measure nothing: metres or degrees, and seconds.
+_MOST_SIGMA, _MOST_M, _MOST_S = 360.0, 1e5, 1e11
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +40,14 @@ class Measurements:
         laser: A range along the ray of the photo's centre.
         takeoff_height_m: Height above the take-off point, by air pressure.
         takeoff_sigma_m: Its standard deviation within one flight.
+        time_s: When it was taken, seconds from any moment of its flight.
     """
 
     sigmas: tuple[float | None, ...] = _NONE
     laser: LaserRange | None = None
     takeoff_height_m: float | None = None
     takeoff_sigma_m: float = BAROMETER_M
+    time_s: float | None = None
 
     def over(self, sigmas: Floats) -> Floats:
         """Returns (6,) deviations, the stated ones instead of given ones."""
@@ -70,16 +72,19 @@ class Measurements:
             found |= {"range": self.laser.range_m, "sigma_range": self.laser.sigma_m}
         if self.takeoff_height_m is not None:
             found |= {"takeoff": self.takeoff_height_m, "sigma_takeoff": self.takeoff_sigma_m}
+        if self.time_s is not None:
+            found |= {"time": self.time_s}
         return [f"{name}={float(value)!r}" for name, value in found.items()]
 
 
-_WORDS = (*AXES, "range", "sigma_range", "takeoff", "sigma_takeoff")
+_WORDS = (*AXES, "range", "sigma_range", "takeoff", "sigma_takeoff", "time")
 
 
 def parse_measurements(words: Sequence[str]) -> Measurements:
     """Returns what the words of a line state: ``east=0.02 north=0.02 up=0.03 range=81.2 sigma_range=0.3``.
 
-    ``pitch``, ``roll`` and ``heading`` are deviations too; ``takeoff=80.1 sigma_takeoff=0.5`` is a height.
+    ``pitch``, ``roll`` and ``heading`` are deviations too; ``takeoff=80.1 sigma_takeoff=0.5`` is a height,
+    ``time=12.5`` when it was taken.
 
     Raises:
         LodbenchError: A word is unknown or given twice, a number is none, a deviation or range is not above
@@ -102,16 +107,17 @@ def parse_measurements(words: Sequence[str]) -> Measurements:
         laser,
         given.get("takeoff"),
         given.get("sigma_takeoff", BAROMETER_M),
+        given.get("time"),
     )
 
 
 def _number(name: str, text: str) -> float:
-    most = _MOST_M if name in ("range", "takeoff") else _MOST_SIGMA
+    most = {"range": _MOST_M, "takeoff": _MOST_M, "time": _MOST_S}.get(name, _MOST_SIGMA)
     try:
         number = float(text)
     except ValueError:
         number = math.nan
-    least = -most if name == "takeoff" else 0.0
+    least = -most if name in ("takeoff", "time") else 0.0
     if not least < number <= most:
         raise LodbenchError(f"{name}={text} is not above {least:g} and at most {most:g}")
     return number

@@ -275,6 +275,7 @@ LESS_WORK = ["method.starts=2", "method.more_starts=1", "method.fine_generations
         ("contour_alignment", []),
         pytest.param("region", LESS_WORK, marks=pytest.mark.slow),
         ("prior_only", []),
+        ("tracking", []),
     ],
 )
 def test_ours_keep_to_it(capsys, name, words):

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lodbench.citymodel.extrude import scene_of_blocks
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import FolderParams, open_folder, select_splits
@@ -270,7 +271,7 @@ class TestFaults:
 
 
 class TestMeasurements:
-    LINE = "a.jpg east=0.02 north=0.03 up=0.05 pitch=0.1 range=81.2 sigma_range=0.3 takeoff=80.1\n"
+    LINE = "a.jpg east=0.02 north=0.03 up=0.05 pitch=0.1 range=81.2 sigma_range=0.3 takeoff=80.1 time=12.5\n"
 
     def test_they_belong_to_the_query_and_its_prior(self, tmp_path, city):
         folder = write_split(tmp_path / "flight")
@@ -285,6 +286,10 @@ class TestMeasurements:
             80.1,
         )
         assert without.entries[0].measured is None
+        scene = scene_of_blocks([(-9.0, -9.0, 9.0, 9.0, 0.0, 9.0)], dataset.entries[0].prior.center)
+        preparation = Preparation(dataset, scene, None, "prior", frozenset())
+        entry = replace(dataset.entries[0], camera=Camera(64, 48, 50.0, 50.0, 32.0, 24.0))
+        assert preparation.query(entry).time_s == 12.5
         assert queries_digest(dataset, dataset.entries) != queries_digest(without, without.entries)
         # Of another prior nobody states a deviation; the range is the photo's.
         drawn = with_uniform_priors(dataset, UniformPrior(), 0).entries[0].measured

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from lodbench.cli import main as lodbench
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.datasets.real_flights import RealFlightParams, open_real_flight
 from lodbench.errors import DatasetError
@@ -37,6 +38,16 @@ def test_map_lies_beside_and_all_photos_are_one_flight(flight, caplog):
     assert not caplog.records
     (batch,) = _batches(method, dataset.entries, dataset.entries[:1])
     assert [entry.name for entry in batch] == ["view_00.png", "view_01.png", "view_02.png"]
+
+
+def test_what_finds_photos_from_the_ones_before_refuses_photos_of_no_flight(flight):
+    root, city = flight
+    unnamed = open_folder(FolderParams(str(root), str(city))).entries
+    with pytest.raises(DatasetError, match=r"method=tracking .* flights of 3 photos of") as caught:
+        tell_flights(make_method("tracking"), unnamed)
+    assert "sequences.txt" in caught.value.hint
+    tell_flights(make_method("tracking"), unnamed[:1])
+    tell_flights(make_method("tracking"), open_real_flight(RealFlightParams(str(root))).entries)
 
 
 def test_files_that_name_flights_are_believed(flight, tmp_path):

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from lodbench.datasets.query import Query
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.tracking import Tracker, Tracking, TrackingParams, state_of
+from lodbench.params import to_params
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 
@@ -96,9 +97,33 @@ def test_a_lost_camera_says_so_and_is_found_again(city_map):
         assert pose_error(each.pose, pose).translation_m < 0.8
 
 
+def test_photos_of_a_dataset_are_followed_by_their_times_or_a_second_apart(city_map):
+    poses = path(10)
+    every = [frames(city_map, poses)[k] for k in (0, 1, 2, 3, 6, 9)]
+    method = Tracking(to_params({"fine_size": [602, 448]}, TrackingParams, "method"))
+
+    def states(photos: list[Query]) -> list[str]:
+        streams = [partial(random_stream, 0, photo.name) for photo in photos]
+        return list(map(state_of, method.localize_flight(photos, city_map, streams).estimates))
+
+    assert states(every) == ["tracked"] * 6
+    # One without a time: of none is known how long after the one before it was taken, so motion misleads.
+    untimed = [*every[:5], replace(every[5], time_s=None)]
+    assert states(untimed) == states([replace(each, time_s=float(k)) for k, each in enumerate(every)])
+
+
+def test_a_photo_without_a_building_has_no_pose_of_its_own(city_map):
+    (frame,) = frames(city_map, path(1))
+    blind = replace(frame, building_probability=np.zeros_like(frame.mask))
+    with pytest.raises(QueryFault, match="holds no building"):
+        Tracking().localize(blind, city_map, partial(random_stream, 0, "blind"))
+
+
 def test_a_wrong_setting_is_named():
-    with pytest.raises(ConfigError, match="fit=0 is not above 0"):
+    with pytest.raises(ConfigError, match=r"method\.fit=0 is not above 0"):
         TrackingParams(fit=0.0)
+    with pytest.raises(ConfigError, match=r"method\.fine_size is a width and a height"):
+        TrackingParams(fine_size=(602,))
 
 
 def test_a_search_grows_to_its_widest_and_stays_there_however_long_the_camera_is_lost():

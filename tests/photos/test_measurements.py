@@ -90,7 +90,7 @@ def test_deviations_are_of_the_photo_s_own_numbers_only(tmp_path):
 
 def test_words_restore_what_was_measured():
     measured = Measurements(
-        (0.1, None, 0.3, 0.25, None, 1.0), LaserRange(81.25, stated_sigma_m=0.3), -4.5, 0.7
+        (0.1, None, 0.3, 0.25, None, 1.0), LaserRange(81.25, stated_sigma_m=0.3), -4.5, 0.7, 1.75e9
     )
     assert parse_measurements(measured.words()) == measured
     assert parse_measurements([]) == Measurements()
@@ -109,6 +109,7 @@ def test_words_restore_what_was_measured():
         (["east=1", "east=2"], "east is given twice"),
         (["sigma_range=1"], "sigma_range is of no range"),
         (["takeoff=inf"], "takeoff=inf"),
+        (["time=nan"], "time=nan"),
     ],
     ids=str,
 )

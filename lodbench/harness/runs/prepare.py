@@ -138,6 +138,7 @@ class Preparation:
             lens_percent=entry.lens_percent,
             camera_sigmas=entry.camera_sigmas,
             measured=self._measured(entry),
+            time_s=None if entry.measured is None else entry.measured.time_s,
         )
 
     def _measured(self, entry: Entry) -> Measurements | None:

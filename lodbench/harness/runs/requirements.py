@@ -22,7 +22,7 @@ from lodbench.geometry import Pose
 from lodbench.harness.city import FURTHEST_M, distance_outside_m
 from lodbench.harness.contradictions import Views, same_photos, words_of
 from lodbench.methods import Method
-from lodbench.methods.protocol import SupportsFlights
+from lodbench.methods.protocol import SupportsFlights, SupportsSequences
 from lodbench.photos.pictures import picture_size
 from lodbench.reporting.aligned_text import count_of
 from lodbench.segmentation import Segmenter
@@ -221,10 +221,20 @@ def doubts_of(
 
 
 def tell_flights(method: Method, entries: Sequence[Entry]) -> None:
-    """Says which photos are taken for one flight because nothing names theirs: they may not be one."""
+    """Says which photos are taken for one flight because nothing names theirs: they may not be one.
+
+    Raises:
+        DatasetError: The method finds each photo from the one before.
+    """
     unnamed = Counter(entry.split for entry in entries if not entry.sequence)
     if isinstance(method, SupportsFlights) and max(unnamed.values(), default=0) > 1:
         listed = ", ".join(f"{count_of(count, 'photos')} of {split}" for split, count in unnamed.items())
+        if isinstance(method, SupportsSequences):
+            raise DatasetError(
+                f"method={method.name} finds each photo of a flight from the one before, and nothing names "
+                f"the flights of {listed}.",
+                "Name them in sequences.txt, or localise single photos: `method=contour_alignment`.",
+            )
         _LOG.warning("nothing names the flights (sequences.txt): taken for one flight each: %s", listed)
 
 
