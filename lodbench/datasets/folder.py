@@ -229,8 +229,17 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
     lenses = {name: stated.stated_focal_percent for name, stated in sigmas.items()}
     lenses |= read_percents(folder / LENS_FILE) if (folder / LENS_FILE).is_file() else {}
     entries = [
-        replace(
-            _entry(folder, split, name, cameras, priors.get(name, ())),
+        Entry(
+            name=name,
+            split=split,
+            camera=cameras.get(name),
+            prior=next(iter(priors.get(name, ())), None),
+            image=_first_file(folder / "Query_image", [name])
+            or _first_file(folder / RENDERED_IMAGES, [name]),
+            mask=_first_file(folder / "masks", mask_names(name)),
+            hypotheses=priors.get(name, ()),
+            instances=_first_file(folder / INSTANCES_FOLDER, [Path(name).stem + ".png"]),
+            classes=_first_file(folder / CLASSES_FOLDER, [Path(name).stem + ".png"]),
             sequence=sequences.get(name, ""),
             lens_percent=lenses.get(name),
             camera_sigmas=sigmas.get(name),
@@ -261,26 +270,6 @@ def _sequence_notes(
     alone = [name for name in names if name not in sequences]
     if sequences and alone:
         yield f"{SEQUENCE_FILE} does not name {alone[0]} ({len(alone)} such): these are taken for one flight"
-
-
-def _entry(
-    folder: Path,
-    split: str,
-    name: str,
-    cameras: dict[str, Camera],
-    priors: tuple[Pose, ...],
-) -> Entry:
-    return Entry(
-        name=name,
-        split=split,
-        camera=cameras.get(name),
-        prior=priors[0] if priors else None,
-        image=_first_file(folder / "Query_image", [name]) or _first_file(folder / RENDERED_IMAGES, [name]),
-        mask=_first_file(folder / "masks", mask_names(name)),
-        hypotheses=priors,
-        instances=_first_file(folder / INSTANCES_FOLDER, [Path(name).stem + ".png"]),
-        classes=_first_file(folder / CLASSES_FOLDER, [Path(name).stem + ".png"]),
-    )
 
 
 def _with_reconstructions(entries: list[Entry], folder: Path) -> list[Entry]:

@@ -21,8 +21,13 @@ from lodbench.storage import digest_of
 from lodbench.storage.digest import content_digest, read_content
 from lodbench.storage.paths import require_regular
 
+Mask = NDArray[np.bool_]
+Ring = NDArray[np.int32]
+Corner = tuple[int, int]
 # What a mask is.
 _WHITE = "A mask is a grey picture, PNG for example: buildings are white, all else is black."
+# Every so many pixels are looked at: shares of areas need no more.
+_STRIDE = 3
 
 
 def read_mask(path: str | Path) -> NDArray[np.float32]:
@@ -36,21 +41,20 @@ def read_mask(path: str | Path) -> NDArray[np.float32]:
         DatasetError: It is a pipe or a device.
     """
     require_regular(Path(path))
+    name = Path(path).name
     try:
         content = read_content(Path(path))
     except OSError as error:
-        raise QueryFault(
-            f"mask {Path(path).name} cannot be read: {error.strerror}", "Check the path."
-        ) from error
+        raise QueryFault(f"mask {name} cannot be read: {error.strerror}", "Check the path.") from error
     if has_too_many_pixels(content):
-        raise QueryFault(f"mask {Path(path).name} has too many pixels", "Scale it down.")
+        raise QueryFault(f"mask {name} has too many pixels", "Scale it down.")
     image = decoded(content, as_stored=True)
     white = {"uint8": 255, "uint16": 65535}.get(str(image.dtype)) if image is not None else None
     if image is None or white is None:
-        raise QueryFault(f"mask {Path(path).name} is not a readable 8 or 16 bit image", _WHITE)
-    grey = _grey(image, Path(path).name)
+        raise QueryFault(f"mask {name} is not a readable 8 or 16 bit image", _WHITE)
+    grey = _grey(image, name)
     if grey.max() == 1:
-        raise QueryFault(f"mask {Path(path).name}: its largest value is 1; {white} means building", _WHITE)
+        raise QueryFault(f"mask {name}: its largest value is 1; {white} means building", _WHITE)
     return np.asarray(grey, dtype=np.float32) / np.float32(white)
 
 
@@ -242,12 +246,6 @@ class InstanceFiles:
         return read_labels(entry.instances)
 
 
-Mask = NDArray[np.bool_]
-
-# Every so many pixels are looked at: shares of areas need no more.
-_STRIDE = 3
-
-
 def mapped_overlap(silhouette: Mask, mask: Mask) -> float:
     """Returns how much more of the mapped buildings than of their surroundings a mask holds.
 
@@ -301,15 +299,12 @@ def photo_of(content: bytes, name: str) -> NDArray[np.uint8]:
     if has_too_many_pixels(content):
         raise QueryFault(f"photo {name} has too many pixels", "Scale it down.")
     image = decoded(content, as_stored=True)
-    if image is None or not _is_photo(image):
+    has_alpha = image is not None and image.shape[2:] in ((2,), (4,))
+    # Radiometric thermal photos have 32 bits, floating-point.
+    kinds = ("uint8", "uint16") if has_alpha else ("uint8", "uint16", "float32")
+    if image is None or str(image.dtype) not in kinds:
         raise QueryFault(f"photo {name} is not a readable 8 or 16 bit image", "Is it a JPEG, PNG or TIFF?")
     return as_rgb(image)
-
-
-def _is_photo(image: NDArray[Any]) -> bool:
-    """Returns whether pixels can be brought to 8 bits; radiometric thermal photos have 32, floating-point."""
-    has_alpha = image.ndim == 3 and image.shape[2] in (2, 4)
-    return str(image.dtype) in ("uint8", "uint16") or (str(image.dtype) == "float32" and not has_alpha)
 
 
 def as_rgb(image: NDArray[Any]) -> NDArray[np.uint8]:
@@ -322,16 +317,8 @@ def as_rgb(image: NDArray[Any]) -> NDArray[np.uint8]:
     if alpha is not None:
         share = alpha.astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
         colours = (colours * share + 0.5).astype(np.uint8)
-    image = colours
-    if image.shape[2] == 1:
-        return np.ascontiguousarray(np.repeat(image, 3, axis=2))
-    return np.ascontiguousarray(image[:, :, ::-1])
-
-
-Ring = NDArray[np.int32]
-
-
-Corner = tuple[int, int]
+    is_grey = colours.shape[2] == 1
+    return np.ascontiguousarray(np.repeat(colours, 3, axis=2) if is_grey else colours[:, :, ::-1])
 
 
 class MaskPolygon(NamedTuple):

@@ -197,18 +197,16 @@ _OMEGA_PHI_KAPPA = (
     f"{_OF_CSV}"
 )
 
-_POSE_COLUMNS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz")
-
 
 class _Poses:
-    """A format of poses alone, written by a function of poses and path."""
+    """A format of poses alone, written by a function of poses, path and, where it is required, CRS."""
 
     requires: tuple[str, ...] = ()
     writer: ClassVar[Any]
 
     def write(self, export: Export, path: Path) -> None:
         """Writes the file or folder."""
-        type(self).writer(export.poses(), path)
+        type(self).writer(export.poses(), path, *([export.crs] if CRS in self.requires else []))
 
 
 class Colmap(_Poses):
@@ -249,31 +247,21 @@ class Pix4D(_Poses):
     convention = _OMEGA_PHI_KAPPA
 
 
-class Metashape:
+class Metashape(_Poses):
     """The reference text that Metashape imports: centre, yaw, pitch, roll."""
 
-    file_name = "metashape_reference.txt"
-    requires = (CRS,)
+    file_name, requires, writer = "metashape_reference.txt", (CRS,), write_metashape
     convention = (
         "yaw from grid north, pitch 0 straight down and 90 level, roll about the picture's vertical axis; "
         f"{_OF_CSV}"
     )
 
-    def write(self, export: Export, path: Path) -> None:
-        """Writes a line per pose."""
-        write_metashape(export.poses(), path, export.crs)
 
-
-class Odm:
+class Odm(_Poses):
     """OpenDroneMap's ``geo.txt``: centre, omega, phi, kappa."""
 
-    file_name = "geo.txt"
-    requires = (CRS,)
+    file_name, requires, writer = "geo.txt", (CRS,), write_odm
     convention = _OMEGA_PHI_KAPPA
-
-    def write(self, export: Export, path: Path) -> None:
-        """Writes the reference system, and a line per pose."""
-        write_odm(export.poses(), path, export.crs)
 
 
 class GeoJson:
@@ -384,7 +372,7 @@ def queries_with_poses(run: StoredRun) -> pd.DataFrame:
     import pandas as pd
 
     numbers = {key: (*pose.quat_wxyz, *pose.translation) for key, pose in run.poses.items()}
-    poses = pd.DataFrame.from_dict(numbers, orient="index", columns=list(_POSE_COLUMNS))
+    poses = pd.DataFrame.from_dict(numbers, orient="index", columns="qw qx qy qz tx ty tz".split())
     return run.queries.assign(failure=run.queries["failure"].map(own_failure)).join(poses)
 
 

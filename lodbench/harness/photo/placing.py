@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,9 +31,15 @@ from lodbench.segmentation.masks import MaskPolygon, polygons_of, read_mask
 from lodbench.storage import file_digest
 from lodbench.storage.json_text import parse_json
 
+Floats = NDArray[np.float64]
+
+# Sides of regions are cut to this share of the photo's width, that they follow the surfaces they cross;
+# corners nearer than this to a straight line are left out on the map, metres.
+_SIDE, _STRAIGHT_M = 0.02, 0.02
+# A mask's pixels are halved, so that outlines through their middles pass nearer to the true ones.
+_FINER = 2
 # Of a feature: what it is called, by which an earlier file is known.
-KIND = "located"
-_DIGITS = 8
+_KIND, _DIGITS = "located", 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,13 +113,6 @@ class PlacedPhoto:
         }
 
 
-def write_places(
-    features: Sequence[PlacedFeature], frame: MapFrame, localized: Localized, path: Path
-) -> None:
-    """Writes places as points and polygons of GeoJSON."""
-    write_geojson([_feature(each, frame, localized) for each in features], path)
-
-
 def earth_of(found: LocatedPixel, frame: MapFrame | None) -> dict[str, float]:
     """Returns latitude and longitude, WGS 84; nothing without a frame."""
     if frame is None:
@@ -135,7 +134,7 @@ def _properties(each: PlacedFeature, frame: MapFrame | None, localized: Localize
     found, ellipse = each.found, true_ellipse(each.found, frame)
     east, north, height = (round(float(value), 3) for value in found.place)
     values: dict[str, Any] = {
-        "kind": KIND,
+        "kind": _KIND,
         "name": each.name,
         "pixel": [round(float(value), 2) for value in each.pixel],
         "surface": found.surface,
@@ -163,7 +162,8 @@ def _properties(each: PlacedFeature, frame: MapFrame | None, localized: Localize
 
 def _feature(each: PlacedFeature, frame: MapFrame, localized: Localized) -> dict[str, Any]:
     """Returns a feature: a point, or the polygons of a region; a point where it has no area on the map."""
-    shapes = [] if each.outline is None else list(_polygons(each.outline))
+    parts = getattr(each.outline, "geoms", [each.outline])
+    shapes = [part for part in parts if isinstance(part, shapely.Polygon) and part.area > 0]
     if shapes:
         rings = [
             [_on_earth(np.array(ring.coords), frame) for ring in (shape.exterior, *shape.interiors)]
@@ -177,24 +177,9 @@ def _feature(each: PlacedFeature, frame: MapFrame, localized: Localized) -> dict
     return {"type": "Feature", "geometry": geometry, "properties": _properties(each, frame, localized)}
 
 
-def _polygons(shape: shapely.Geometry) -> Iterable[shapely.Polygon]:
-    for part in getattr(shape, "geoms", [shape]):
-        if isinstance(part, shapely.Polygon) and part.area > 0:
-            yield part
-
-
 def _on_earth(points: Floats, frame: MapFrame) -> list[list[float]]:
     places = [frame.latitude_longitude(float(east), float(north)) for east, north in points]
     return [[round(longitude, _DIGITS), round(latitude, _DIGITS)] for latitude, longitude in places]
-
-
-Floats = NDArray[np.float64]
-
-# Sides of regions are cut to this share of the photo's width, that they follow the surfaces they cross;
-# corners nearer than this to a straight line are left out on the map, metres.
-_SIDE, _STRAIGHT_M = 0.02, 0.02
-# A mask's pixels are halved, so that outlines through their middles pass nearer to the true ones.
-_FINER = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -269,7 +254,7 @@ def place_photo(request: PlacesRequest) -> PlacedPhoto:
     if not features:
         raise DatasetError(f"All of {request.mask} shows the sky.", "Is it a mask of this photo?")
     if frame is not None:
-        write_places(features, frame, localized, out)
+        write_geojson([_feature(each, frame, localized) for each in features], out)
     return PlacedPhoto(localized, tuple(features), frame, None if frame is None else out, tuple(notes))
 
 
@@ -351,7 +336,8 @@ class _Placer:
             return None
         corners = [each for ring in rings for each in ring]
         heights = [float(each.place[2]) for each in corners]
-        shape = shapely.make_valid(shapely.Polygon(*_shell_and_holes(rings)).simplify(_STRAIGHT_M))
+        shell, *holes = (np.array([corner.place[:2] for corner in ring]) for ring in rings)
+        shape = shapely.make_valid(shapely.Polygon(shell, holes).simplify(_STRAIGHT_M))
         shows = tuple(dict.fromkeys([middle.shows, *(each.shows for each in corners)]))
         return PlacedFeature(name, inner[0], middle, shape, (min(heights), max(heights)), shows)
 
@@ -359,11 +345,6 @@ class _Placer:
         found = self._places(np.array(ring.coords), Uncertainty(None))
         places = [each for each in found if each is not None]
         return places if len(places) == len(found) else None
-
-
-def _shell_and_holes(rings: Sequence[Sequence[LocatedPixel]]) -> tuple[Floats, list[Floats]]:
-    first, *others = (np.array([each.place[:2] for each in ring]) for ring in rings)
-    return first, others
 
 
 def _regions(path: Path, camera: Camera) -> list[shapely.Polygon]:
@@ -392,7 +373,7 @@ def _require_own(path: Path) -> None:
     """Makes sure that no other program's file is replaced."""
     try:
         features = parse_json(path.read_text(encoding="utf-8"))["features"]
-        is_own = all(each["properties"]["kind"] == KIND for each in features)
+        is_own = all(each["properties"]["kind"] == _KIND for each in features)
     except FileNotFoundError:
         return
     except (OSError, ValueError, KeyError, TypeError):
