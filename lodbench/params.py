@@ -9,6 +9,7 @@ was given. A field made by ``part`` is another such dataclass, with options of i
 from __future__ import annotations
 
 import argparse
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import Field, field, fields, is_dataclass
@@ -16,7 +17,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError, nearest_names, require_within
 
 T = TypeVar("T")
 # What OmegaConf says of a value, and what a reader is told instead: kinds and examples of them.
@@ -194,7 +195,7 @@ def options_of(given: argparse.Namespace, kind: type[T]) -> T:
     """Returns the dataclass with what a parser of its options was given.
 
     Raises:
-        LodbenchError: As its ``__post_init__``.
+        LodbenchError: A number is not finite, or as its ``__post_init__``.
     """
     values = {}
     for each in fields(cast("Any", kind)):
@@ -203,11 +204,20 @@ def options_of(given: argparse.Namespace, kind: type[T]) -> T:
         else:
             value = getattr(given, each.name)
             values[each.name] = each.default if value is None else _frozen(value)
-    return kind(**values)
+    options = kind(**values)
+    for each in fields(cast("Any", kind)):  # after its own bounds, which say more
+        numbers = [number for number in _flat(values[each.name]) if isinstance(number, float)]
+        require_within((each.metadata.get("flags") or (_flag(each),))[0], numbers, -math.inf)
+    return options
 
 
 def _frozen(value: Any) -> Any:
     return tuple(map(_frozen, value)) if isinstance(value, list) else value
+
+
+def _flat(value: Any) -> Iterator[Any]:
+    for each in value if isinstance(value, list | tuple) else [value]:
+        yield from _flat(each) if isinstance(each, list | tuple) else [each]
 
 
 def flags_of(kind: type) -> dict[str, str]:

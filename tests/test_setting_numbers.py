@@ -1,5 +1,6 @@
 """No setting takes NaN or infinity: each is refused by the name that is typed, before any work is done."""
 
+import argparse
 import importlib
 import math
 import re
@@ -14,6 +15,7 @@ import pytest
 import lodbench
 from lodbench.errors import ConfigError
 from lodbench.evaluation.basin import basin_steps
+from lodbench.params import options_of
 from lodbench.plugins import load_plugin, plugin_names
 
 _ROOT = Path(lodbench.__file__).parent
@@ -96,6 +98,15 @@ def _made(cls: type) -> Any:
     return cls(**dict.fromkeys(must, "x"))
 
 
+def _defaults(cls: type) -> Iterator[tuple[str, Any]]:
+    """Yields the options of a command, those of its parts too, as none was given."""
+    for field in fields(cls):
+        if "part" in field.metadata:
+            yield from _defaults(field.metadata["part"])
+        else:
+            yield field.name, None
+
+
 def _typed(cls: type, name: str) -> str:
     sections = [section for start, section in _SECTIONS.items() if f"{cls.__module__}.".startswith(start)]
     section = _GROUPS.get(cls.__name__, (sections or [""])[-1])
@@ -112,6 +123,12 @@ def test_all_kinds_of_settings_are_found() -> None:
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
 def test_no_setting_takes_what_is_no_finite_number(where: str, wrong: float) -> None:
     cls = _settings()[where]
+    if any("flags" in field.metadata for field in fields(cls)):  # those of a command
+        for name, is_several in _numbers(cls):
+            given = argparse.Namespace(**dict(_defaults(cls)) | {name: [wrong] if is_several else wrong})
+            with pytest.raises(ConfigError, match=r"^--[a-z-]+=(nan|-?inf) is not finite"):
+                options_of(given, cls)
+        return
     for name, is_several in _numbers(cls):
         if (cls.__name__, name) in _ELSEWHERE:
             continue

@@ -326,7 +326,7 @@ def _pictures(rows: Rows) -> dict[str, bytes]:
         axis.set_xticks(range(len(maps)), maps)
         for number, method in enumerate(methods):
             axis.plot([], [], "o", color=SERIES[number % len(SERIES)], label=method)
-        axis.legend(loc="lower left", frameon=False)
+        canvas.legend(loc="outside upper center", ncols=len(methods), frameon=False)
 
     return {
         f"maps.{kind}": content for kind, content in draw_figure(1.6 + 1.5 * len(maps), 4.6, draw).items()

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from lodbench.errors import LodbenchError
 from lodbench.geometry.pose import Pose
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Floats = NDArray[np.float64]
 
@@ -80,13 +83,14 @@ def fit_similarity(
     Raises:
         LodbenchError: There are fewer than three poses, or all are in one place.
     """
+    from scipy.optimize import least_squares
+    from scipy.spatial.transform import Rotation
+
     if len(poses) < FEWEST_POSES:
         raise LodbenchError(f"A similarity needs at least {FEWEST_POSES} cameras, not {len(poses)}.")
     centers, there = (np.array([pose.center for pose in each]) for each in (poses, mapped))
     pairs = zip(poses, mapped, strict=True)
-    turns = scipy.spatial.transform.Rotation.from_matrix(
-        [other.rotation.T @ one.rotation for one, other in pairs]
-    )
+    turns = Rotation.from_matrix([other.rotation.T @ one.rotation for one, other in pairs])
     turn = _robust_mean(turns)
     middle, own_middle = np.median(there, axis=0), np.median(centers, axis=0)
     reach, own_reach = (
@@ -98,13 +102,13 @@ def fit_similarity(
     scale = reach / own_reach
 
     def residuals(numbers: Floats) -> Floats:
-        now = scipy.spatial.transform.Rotation.from_rotvec(numbers[3:6]) * turn
+        now = Rotation.from_rotvec(numbers[3:6]) * turn
         places = scale * np.exp(numbers[6]) * now.apply(centers - own_middle) + middle + reach * numbers[:3]
         gaps = (now * turns.inv()).as_rotvec(degrees=True)
         return np.concatenate([((places - there) / sigma_m).ravel(), (gaps / sigma_deg[:, None]).ravel()])
 
-    found = scipy.optimize.least_squares(residuals, np.zeros(7), loss="soft_l1", f_scale=_OUTLIER_SIGMAS)
-    turn = scipy.spatial.transform.Rotation.from_rotvec(found.x[3:6]) * turn
+    found = least_squares(residuals, np.zeros(7), loss="soft_l1", f_scale=_OUTLIER_SIGMAS)
+    turn = Rotation.from_rotvec(found.x[3:6]) * turn
     scale *= float(np.exp(found.x[6]))
     shift = middle + reach * found.x[:3] - scale * turn.apply(own_middle)
     similarity = Similarity(scale, turn.as_matrix(), shift)
@@ -114,7 +118,7 @@ def fit_similarity(
     return FittedSimilarity(similarity, similarity.points(own_middle[None])[0], spread, distances)
 
 
-def _robust_mean(turns: scipy.spatial.transform.Rotation) -> scipy.spatial.transform.Rotation:
+def _robust_mean(turns: Rotation) -> Rotation:
     """Returns the mean of turns without those that are far from most."""
     weights = np.ones(len(turns))
     mean = turns.mean()

@@ -132,7 +132,7 @@ class TestRivals:
         alone = answer_of(Refined(np.append(start, 0.0), (mode,), np.ones(1), 0.9))
         ends = np.tile(np.append(start, 0.0), (len(ious), 1))
         ends[:, 0] += places_m
-        return alone, among_rivals(alone, ends, np.array(ious))
+        return alone, among_rivals(alone, ends, np.array(ious), np.zeros(len(ious)))
 
     def test_two_places_that_fit_alike_have_half_the_probability_each(self):
         alone, answer = self.among([0.0, 9.0], [0.88, 0.88])

@@ -246,6 +246,7 @@ class TestTheMethodNeverSeesTheTruth:
             "camera",
             "prior",
             "building_probability",
+            "classes",
             "image",
             "hypotheses",
             "instances",
@@ -254,6 +255,8 @@ class TestTheMethodNeverSeesTheTruth:
             "reconstructed",  # in a frame of its own
             "lens_percent",
             "camera_sigmas",
+            "measured",  # beside the photo: a receiver, a laser
+            "time_s",
             "true_pixels",  # for oracles alone
         }
         assert Input.TRUE_PIXELS not in made_inputs(LodLocV2())

@@ -77,7 +77,7 @@ def test_what_came_before_it_was_asked_for_is_no_answer():
     child = child_that(twice + "time.sleep(60)")
     assert child.call({"do": []}, lambda words: None, 20.0)["done"] == 2
     # By what comes first: the look before the question, or the number of what is read after it.
-    with pytest.raises(ProcessFault, match=r"that nobody had asked for|has the number 1 where 2 was due"):
+    with pytest.raises(ProcessFault, match=r"that nobody had requested|has the number 1 where 2 was due"):
         child.call({"do": []}, lambda words: None, 20.0)
     assert child._process.returncode is not None
 
