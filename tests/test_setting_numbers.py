@@ -48,6 +48,8 @@ _OPTIONS = {
 }
 # What is judged elsewhere, and why.
 _ELSEWHERE = {
+    ("BasinOptions", "ranges"): "by basin_steps, with those of yaw: see below",
+    ("BasinOptions", "yaw_ranges"): "likewise",
     ("ViewSettings", "spacing_m"): "made of a method's settings, which are judged; nobody types it",
 }
 # Refused too, but by the names of the parts that they are handed to.
@@ -67,9 +69,8 @@ def _settings() -> dict[str, type]:
 def _modules() -> Iterator[Any]:
     for package, folder in (("lodbench", _ROOT), ("lodbench.baselines", _ROOT.parent / "baselines")):
         for path in sorted(folder.rglob("*.py")):
-            words = path.relative_to(folder).with_suffix("").parts
-            # Options of commands are as typed: the settings that are made of them refuse their numbers.
-            if words[0] != "cli" and _SETTINGS.search(path.read_text("utf-8")):
+            if _SETTINGS.search(path.read_text("utf-8")):
+                words = path.relative_to(folder).with_suffix("").parts
                 yield importlib.import_module(".".join([package, *words]).removesuffix(".__init__"))
 
 
