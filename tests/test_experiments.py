@@ -31,6 +31,7 @@ EXPERIMENTS = {
         "--city CITY --photos 8 --path orbit",
         {"median error of a height, orbit 0", "heights measured, orbit 0"},
     ),
+    "city_make": ("--buildings 90 --side-m 100", {"city make", "buildings made", "heights within 0.5 m"}),
     "scale": (
         "--buildings 2300 --views 2 --hypotheses 14",
         {"opening", "hypotheses that count differently, footprint in the core"},
@@ -75,6 +76,7 @@ def test_it_prints_its_figures(name, city, tmp_path, monkeypatch, capsys):
     assert expected <= set(figures)
     assert figures.get("hypotheses that count differently, footprint in the core", 0) == 0
     assert figures.get("flights placed", 1) == 1
+    assert figures.get("buildings made", 90) == 90
 
 
 def test_a_fault_is_one_line_and_a_hint(monkeypatch, capsys):

@@ -112,12 +112,12 @@ def write_surface_model(
     heights = np.where(np.isnan(heights), NO_DATA, heights + origin[2]).astype(np.float32)
     place = west + float(origin[0]), north + float(origin[1])
     return (
-        _write(folder / "dsm.tif", heights[None], place, cell_m, crs, nodata=NO_DATA),
-        _write(folder / "dop.tif", colours, place, 0.5 * cell_m, crs),
+        write_raster(folder / "dsm.tif", heights[None], place, cell_m, crs, nodata=NO_DATA),
+        write_raster(folder / "dop.tif", colours, place, 0.5 * cell_m, crs),
     )
 
 
-def _write(
+def write_raster(
     path: Path, bands: NDArray[Any], place: tuple[float, float], cell_m: float, crs: str, **more: Any
 ) -> Path:
     """Writes bands (B, rows, columns) as GeoTIFF."""

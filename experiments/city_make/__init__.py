@@ -1,0 +1,1 @@
+"""See README.md: `python -m experiments.city_make`."""
