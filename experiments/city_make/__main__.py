@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from shapely.geometry import box, mapping
 
 from experiments.command import run_options
-from lodbench.bench import Figure, Progress, Report, no_progress
+from lodbench.bench import SEED, Figure, Progress, Report, no_progress, option
 from lodbench.bench.startup import Build
 from lodbench.citymodel.read import open_scene
 from lodbench.citymodel.scene import floors_and_rises
@@ -31,19 +31,12 @@ _GROUND_M = 500.0
 
 @dataclass(frozen=True, slots=True)
 class CityMakeOptions:
-    """What is made, and how large.
+    """What is made, and how large."""
 
-    Attributes:
-        buildings: Footprints, one in each lot of a square grid.
-        side_m: Of the square, metres.
-        cell_m: Of the surface model, metres.
-        seed: Of places and heights.
-    """
-
-    buildings: int = 10_000
-    side_m: float = 1000.0
-    cell_m: float = 0.5
-    seed: int = 0
+    buildings: int = option(10_000, "footprints, one in each lot of a square grid")
+    side_m: float = option(1000.0, "side of the square, metres")
+    cell_m: float = option(0.5, "cells of the surface model, metres")
+    seed: int = option(0, SEED)
 
     def __post_init__(self) -> None:
         require_numbers(self, "", ("buildings",), 1, 1_000_000)
