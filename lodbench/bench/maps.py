@@ -307,21 +307,24 @@ def _figures(rows: Rows) -> Iterator[Figure]:
 def _pictures(rows: Rows) -> dict[str, bytes]:
     """Returns errors of every query by map and method, with their medians."""
     maps, methods = (list(dict.fromkeys(row[at] for row in rows)) for at in (0, 1))
+    step = 0.84 / max(len(methods), 2)
 
     def draw(canvas: Canvas) -> None:
         axis = canvas.subplots()
         for name, method, queries in rows:
-            place = maps.index(name) + 0.36 * (methods.index(method) - 0.5 * (len(methods) - 1))
+            place = maps.index(name) + step * (methods.index(method) - 0.5 * (len(methods) - 1))
             errors = np.sort(queries[ERROR[0]].clip(upper=100.0).to_numpy())
             colour = SERIES[methods.index(method) % len(SERIES)]
-            spread = place + 0.24 * (np.linspace(0.0, 1.0, len(errors)) - 0.5)
+            spread = place + 0.66 * step * (np.linspace(0.0, 1.0, len(errors)) - 0.5)
             axis.plot(spread, errors, "o", color=colour, markersize=3.5, alpha=0.75, markeredgewidth=0)
-            axis.hlines(np.median(errors), place - 0.16, place + 0.16, color=colour, linewidth=1.5)
+            axis.hlines(
+                np.median(errors), place - 0.44 * step, place + 0.44 * step, color=colour, linewidth=1.5
+            )
             axis.annotate(f"{_found(queries):.0f} %", (place, 110.0), ha="center", fontsize=8, color=colour)
         axis.axhline(2.0, color="#808080", linewidth=0.8, linestyle="--")
         axis.set_yscale("log")
         axis.yaxis.set_major_formatter("{x:g}")
-        axis.set_ylim(0.05, 170.0)
+        axis.set_ylim(0.02, 170.0)
         axis.set_ylabel("error m, one dot per photo; bar: median; above: within (2 m, 2 deg)")
         axis.set_xticks(range(len(maps)), maps)
         for number, method in enumerate(methods):

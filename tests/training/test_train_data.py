@@ -49,7 +49,7 @@ def test_interiors_of_labelled_buildings_are_learnt(views, tmp_path, capsys):
     with pytest.raises(ConfigError, match=r"has learnt masks of buildings, not interiors"):
         instances.interior(photo)
     assert train(labelled, tmp_path / "b", learnt, f"negatives=[{views}]") == 2
-    assert "negatives has masks only" in capsys.readouterr().err
+    assert "negatives has masks of buildings only" in capsys.readouterr().err
 
 
 @pytest.mark.slow
