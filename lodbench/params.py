@@ -169,13 +169,13 @@ def add_options(parser: argparse.ArgumentParser, kind: type, title: str = "") ->
     hints = get_type_hints(kind)
     group: Any = None
     for each in fields(kind):
-        told = dict(each.metadata)
-        if "part" in told:
-            add_options(parser, told["part"], told["title"])
+        declared = dict(each.metadata)
+        if "part" in declared:
+            add_options(parser, declared["part"], declared["title"])
             continue
-        flags, is_apart, old = (told.pop(name, None) for name in ("flags", "apart", "old"))
-        told.pop("sets", None)
-        named = _by_type(hints[each.name], flags is None) | told
+        flags, is_apart, old = (declared.pop(name, None) for name in ("flags", "apart", "old"))
+        declared.pop("sets", None)
+        named = _by_type(hints[each.name], flags is None) | declared
         if flags is None:
             parser.add_argument(each.name, **named)
             continue
