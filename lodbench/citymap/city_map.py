@@ -182,7 +182,7 @@ class CityMap:
         return self._raster.buildings(camera, rotations, centers)
 
     def classes(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.uint8]:
-        """Returns (N, H, W) classes of what is seen: 1 roofs, 2 walls, by slope, 0 for neither."""
+        """Returns (N, H, W) classes of the nearest surface: 1 roofs, 2 walls, by slope, 0 for neither."""
         self.usage.add("classes", len(centers))
         return self._raster.classes(camera, rotations, centers)
 

@@ -76,6 +76,30 @@ def _grey(image: NDArray[Any], name: str) -> NDArray[Any]:
     return colours[:, :, 0]
 
 
+class _LabelFiles:
+    """Reads labels that a dataset stores for each query, in a folder called as the segmenter."""
+
+    name: str
+
+    def segment(self, entry: Entry) -> NDArray[np.float32]:
+        """Returns the (H, W) float32 mask, 0 or 1: 1 where there is a label.
+
+        Raises:
+            QueryFault: There are no labels for this query, or they cannot be read.
+        """
+        return np.asarray(self._labels(entry) > 0, dtype=np.float32)
+
+    def fingerprint(self, entries: tuple[Entry, ...]) -> str:
+        """Returns a digest of the label files' names and contents."""
+        return digest_of([[entry.key, content_digest(getattr(entry, self.name))] for entry in entries])
+
+    def _labels(self, entry: Entry) -> NDArray[Any]:
+        path: Path | None = getattr(entry, self.name)
+        if path is None:
+            raise QueryFault(f"no labels in the {self.name} folder")
+        return read_classes(path) if self.name == "classes" else read_labels(path)
+
+
 @dataclass(frozen=True, slots=True)
 class ClassFilesParams:
     """Settings of ``segmenter=classes``: none."""
@@ -83,8 +107,8 @@ class ClassFilesParams:
     name: str = "classes"
 
 
-class ClassFiles:
-    """Reads each query's labels of roofs and walls from the dataset; the mask is where there is one."""
+class ClassFiles(_LabelFiles):
+    """Reads each query's labels of roofs and walls from the dataset."""
 
     params_type = ClassFilesParams
     name = "classes"
@@ -94,27 +118,13 @@ class ClassFiles:
     def __init__(self, params: ClassFilesParams) -> None:
         self.params = params
 
-    def segment(self, entry: Entry) -> NDArray[np.float32]:
-        """Returns the (H, W) float32 mask, 0 or 1.
-
-        Raises:
-            QueryFault: As for ``segment_classes``.
-        """
-        return np.asarray(self.segment_classes(entry) > 0, dtype=np.float32)
-
     def segment_classes(self, entry: Entry) -> NDArray[np.uint8]:
         """Returns (H, W) uint8, 1 for roofs, 2 for walls, 0 for all else.
 
         Raises:
             QueryFault: There are no labels for this query, or they cannot be read.
         """
-        if entry.classes is None:
-            raise QueryFault("no labels in the classes folder")
-        return read_classes(entry.classes)
-
-    def fingerprint(self, entries: tuple[Entry, ...]) -> str:
-        """Returns a digest of the label files' names and contents."""
-        return digest_of([[entry.key, content_digest(entry.classes)] for entry in entries])
+        return self._labels(entry)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,8 +213,8 @@ class InstanceFilesParams:
     name: str = "instances"
 
 
-class InstanceFiles:
-    """Reads each query's labels of buildings from the dataset; the mask is where there is one."""
+class InstanceFiles(_LabelFiles):
+    """Reads each query's labels of buildings from the dataset."""
 
     params_type = InstanceFilesParams
     name = "instances"
@@ -213,14 +223,6 @@ class InstanceFiles:
 
     def __init__(self, params: InstanceFilesParams) -> None:
         self.params = params
-
-    def segment(self, entry: Entry) -> NDArray[np.float32]:
-        """Returns the (H, W) float32 mask, 0 or 1.
-
-        Raises:
-            QueryFault: There are no labels for this query, or they cannot be read.
-        """
-        return np.asarray(self._labels(entry) > 0, dtype=np.float32)
 
     def segment_instances(self, entry: Entry) -> NDArray[np.bool_]:
         """Returns (N, h, w) bool, at most 1024 pixels on the longer side.
@@ -235,15 +237,6 @@ class InstanceFiles:
             size = (max(1, round(width * scale)), max(1, round(height * scale)))
             labels = np.asarray(cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST_EXACT), np.uint16)
         return masks_of_labels(labels)
-
-    def fingerprint(self, entries: tuple[Entry, ...]) -> str:
-        """Returns a digest of the label files' names and contents."""
-        return digest_of([[entry.key, content_digest(entry.instances)] for entry in entries])
-
-    def _labels(self, entry: Entry) -> NDArray[np.uint16]:
-        if entry.instances is None:
-            raise QueryFault("no labels in the instances folder")
-        return read_labels(entry.instances)
 
 
 def mapped_overlap(silhouette: Mask, mask: Mask) -> float:
