@@ -21,7 +21,7 @@ from lodbench.estimation.outline import OutlinePoints
 from lodbench.estimation.outline_alignment import Aligner, smooth_distance
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.geometry import Pose, wrap_deg
-from lodbench.geometry.pose_vector import turn_per_angle, vector_from_pose
+from lodbench.geometry.pose import turn_per_angle, vector_from_pose
 from lodbench.harness.city import open_city
 from lodbench.kernels.edges import measure_distances
 from lodbench.methods.contour_alignment.method import ContourAlignment

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lodbench.bench import Figure, Progress, Report, no_progress, plain_report
 from lodbench.citymap import CityMap
-from lodbench.citymap.corrected_map import corrected_map
+from lodbench.citymap.city_map import corrected_map
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene, building_boxes

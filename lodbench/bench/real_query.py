@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lodbench.bench import Progress, Report, no_progress
 from lodbench.bench.real_report import EdgeBound, report_real
 from lodbench.citymap import CityMap
-from lodbench.citymap.place_errors import ground_errors
+from lodbench.citymap.linear_places import ground_errors
 from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset, Query
@@ -27,7 +27,7 @@ from lodbench.evaluation.edge_distance import PhotoEdges, median_and_share
 from lodbench.evaluation.errors import FAILED
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR
 from lodbench.geometry import Camera, Pose
-from lodbench.geometry.rays import pixel_rays
+from lodbench.geometry.camera import pixel_rays
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.requirements import segmented_inputs
 from lodbench.methods import Method

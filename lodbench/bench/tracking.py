@@ -22,7 +22,7 @@ from lodbench.errors import ConfigError
 from lodbench.evaluation import pose_error
 from lodbench.execution.guards import single_threaded_blas
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.geometry.looking import look_from_rotation
+from lodbench.geometry.angles import look_from_rotation
 from lodbench.harness.city import open_city
 from lodbench.harness.track import Track, TrackRequest, track
 from lodbench.harness.track_frames import Footage

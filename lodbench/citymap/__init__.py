@@ -6,12 +6,12 @@ from lodbench.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from lodbench.citymap.city_map import CityMap as CityMap
-    from lodbench.citymap.usage import MapUsage as MapUsage
+    from lodbench.citymap.city_map import MapUsage as MapUsage
 
 __all__, __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "CityMap": "city_map",
-        "MapUsage": "usage",
+        "MapUsage": "city_map",
     },
 )

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import threading
+from collections import Counter
 from copy import copy
+from dataclasses import replace
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymap.usage import MapUsage
 from lodbench.citymodel.mesh.textured import TexturedMesh
+from lodbench.citymodel.raw import take_segments
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
@@ -39,6 +42,41 @@ if TYPE_CHECKING:
     from lodbench.rendering.pyrender_textured import PyrenderTextured
     from lodbench.rendering.textured import TexturedRenderer
     from lodbench.synthesis.photo import PhotoRenderer
+
+
+class MapUsage:
+    """How much a method requests of the map: counts the poses that it drew, by kind; any thread may add.
+
+    Kinds are the names of ``CityMap``'s methods. The harness takes the counts after each query.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._poses: Counter[str] = Counter()
+
+    def add(self, kind: str, poses: int) -> None:
+        """Counts so many poses drawn."""
+        with self._lock:
+            self._poses[kind] += poses
+
+    def counts(self) -> dict[str, int]:
+        """Returns the poses drawn since the last ``take``, by kind, in alphabetical order."""
+        with self._lock:
+            return dict(sorted(self._poses.items()))
+
+    def take(self) -> dict[str, int]:
+        """Returns ``counts``, and begins anew."""
+        with self._lock:
+            taken = dict(sorted(self._poses.items()))
+            self._poses.clear()
+        return taken
+
+    @property
+    def total(self) -> int:
+        """Returns the poses drawn of all kinds."""
+        with self._lock:
+            return sum(self._poses.values())
+
 
 Floats = NDArray[np.float64]
 # Class maps that are drawn before they are compared.
@@ -276,3 +314,46 @@ def _poses(rotations: Floats, centers: Floats) -> list[Pose]:
     """Returns N poses one by one."""
     rotations, centers = require_poses(rotations, centers)
     return [Pose.from_center(r, c) for r, c in zip(rotations, centers, strict=True)]
+
+
+# No building is lowered below this height, metres.
+_LOWEST_M = 2.0
+_ENDS = (np.minimum, np.maximum)
+
+
+def corrected_map(
+    city_map: CityMap, heights_m: NDArray[np.float64], least_m: float = 0.5
+) -> tuple[CityMap, NDArray[np.float64]]:
+    """Returns the map with buildings made higher, and (B,) by how much each is, metres.
+
+    A roof that is metres higher moves a silhouette beyond what its derivative predicts, and beyond the
+    reach of a robust kernel: such buildings are drawn where they are thought to be, and measured from there.
+    Poses drawn of it count as drawn of the map.
+
+    Args:
+        city_map: The map.
+        heights_m: (B,) by how much its buildings are higher in truth, metres.
+        least_m: Buildings nearer to the map than this stay as they are.
+    """
+    scene = city_map.scene
+    counts = np.diff(scene.vertex_starts)
+    chosen = np.flatnonzero((np.abs(heights_m) > least_m) & (counts > 0))
+    rows, starts = take_segments(scene.vertex_starts, chosen)
+    heights = scene.vertices[rows, 2].astype(np.float64)
+    floors, tops = (each.reduceat(heights, starts[:-1]) if len(chosen) else heights for each in _ENDS)
+    rises = tops - floors
+    moved = np.where(rises > 0, np.maximum(heights_m[chosen], np.minimum(_LOWEST_M - rises, 0.0)), 0.0)
+    changed = np.zeros(len(counts))
+    changed[chosen] = moved
+    if not changed.any():
+        return city_map, changed
+    floor, stretch = (np.repeat(v, counts[chosen]) for v in (floors, 1.0 + moved / np.maximum(rises, 1e-6)))
+    vertices = scene.vertices.copy()
+    vertices[rows, 2] = floor + (heights - floor) * stretch
+    if isinstance(city_map, CityMap) and city_map.name == SilhouetteRenderer.name:
+        return city_map.with_vertices(vertices), changed
+    # A map in another process may be drawn there by what is not to be had here.
+    renderer = city_map.name if isinstance(city_map, CityMap) else SilhouetteRenderer.name
+    drawn = CityMap(replace(scene, vertices=vertices, stored_digest=""), renderer, city_map.threads)
+    drawn.usage = city_map.usage
+    return drawn, changed

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap.linear_places import LinearPlaces, Uncertainty, linearized_places
 from lodbench.geometry import Camera, Pose
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.photos.xmp import LaserRange
 from lodbench.rendering.surfaces import Surfaces
 from lodbench.storage import random_stream

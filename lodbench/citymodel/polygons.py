@@ -24,7 +24,7 @@ from lodbench.citymodel.terrain import mend_heights, move_bases, tell_unused
 from lodbench.citymodel.triangulate import newell
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
-from lodbench.geometry.frames import ShiftedEcef
+from lodbench.geometry.similarity import ShiftedEcef
 
 # Far more than any false easting; float32 and projections stay sound below it.
 _MAX_COORDINATE_M = 1e9

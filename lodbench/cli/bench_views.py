@@ -12,7 +12,7 @@ from lodbench.bench.accuracy import measure_accuracy, measure_cities
 from lodbench.datasets.inputs import Input
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import ProgressCallback
-from lodbench.geometry.camera_sigmas import CALIBRATED
+from lodbench.geometry.camera import CALIBRATED
 from lodbench.methods import Method
 from lodbench.methods.registry import make_method
 from lodbench.synthesis.photo import look_ranges

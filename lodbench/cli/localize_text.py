@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from lodbench.geometry.looking import look_from_rotation
+from lodbench.geometry.angles import look_from_rotation
 from lodbench.photos.map_frame import survey_sigmas
 from lodbench.reporting.aligned_text import count_of, format_columns, plain_text
 from lodbench.reporting.answers import percent_text, probability_text, trust_counts, trust_word

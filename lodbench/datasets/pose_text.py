@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera, CameraSigmas, Pose
-from lodbench.geometry.camera_sigmas import split_sigmas
+from lodbench.geometry.camera import split_sigmas
 from lodbench.photos.measurements import Measurements, parse_measurements
 
 T = TypeVar("T")

@@ -21,7 +21,7 @@ from lodbench.estimation.normal_equations import Quadratic
 from lodbench.estimation.photo_edges import PhotoEdges
 from lodbench.estimation.state_vector import POSES, differences
 from lodbench.geometry import Camera
-from lodbench.geometry.pose_vector import pose_from_vector
+from lodbench.geometry.pose import pose_from_vector
 
 Floats = NDArray[np.float64]
 

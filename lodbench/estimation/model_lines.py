@@ -12,7 +12,7 @@ from lodbench.citymodel.scene import Scene, floors_and_rises
 from lodbench.estimation.lens import LensErrors, project, projection_slopes
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler
-from lodbench.geometry.pose_vector import rotation_derivatives
+from lodbench.geometry.pose import rotation_derivatives
 
 Floats = NDArray[np.float64]
 

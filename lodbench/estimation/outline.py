@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene, floors_and_rises
 from lodbench.geometry import Camera, Pose
-from lodbench.geometry.pose_vector import pose_from_vector, rotation_derivatives
+from lodbench.geometry.pose import pose_from_vector, rotation_derivatives
 from lodbench.kernels.arguments import EdgeArrays
 from lodbench.kernels.edges import sample_edges
 from lodbench.kernels.projection import visible_buildings

@@ -23,7 +23,7 @@ from lodbench.estimation.outline import OutlinePoints, edges_in_reach, sample_ou
 from lodbench.estimation.prior import Prior
 from lodbench.estimation.state_vector import shortened
 from lodbench.geometry import Camera
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.geometry.signed_distance import signed_distance
 from lodbench.kernels.arguments import EdgeArrays
 from lodbench.kernels.edges import building_sums, measure_distances

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.geometry.pose_vector import turn_per_angle
+from lodbench.geometry.pose import turn_per_angle
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]

@@ -7,10 +7,8 @@ from lodbench.geometry.angles import (
     rotations_at_yaws,
     wrap_deg,
 )
-from lodbench.geometry.camera import Camera
-from lodbench.geometry.camera_sigmas import CameraSigmas
-from lodbench.geometry.grid import AxisRange, PoseGrid
-from lodbench.geometry.pose import Pose
+from lodbench.geometry.camera import Camera, CameraSigmas
+from lodbench.geometry.pose import AxisRange, Pose, PoseGrid
 
 __all__ = [
     "AxisRange",

@@ -1,15 +1,16 @@
-"""Cameras: pinhole intrinsics in pixels, with the lens distortion they may carry."""
+"""Cameras: intrinsics and lens, how well they are known, and rays through their pixels."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import LodbenchError, nearest_names
+from lodbench.errors import LodbenchError, nearest_names, require_choice
 from lodbench.geometry.lens import LENSES, STRAIGHT_AT_ZERO, distort
 
 # COLMAP model name -> the lens it is a case of, and its parameters: f stands for both focal lengths.
@@ -168,3 +169,182 @@ class Camera:
         if self.distortion:
             x, y = distort(self.lens, self.distortion, x, y)
         return np.stack([self.fx * x + self.cx, self.fy * y + self.cy], axis=1)
+
+
+# Words of text files and ``--camera``: what follows "=", by the field's name; two in percent.
+_WORDS = {"sigma_f": "focal_percent", "sigma_c": "center_percent", "sigma_k1": "k1", "sigma_by": "source"}
+_PERCENTS = ("sigma_f", "sigma_c")
+STATED: Final = "stated"
+# Further off, a number says nothing; tilt, distortion and place would take up any of them.
+_MOST = {"sigma_f": 100.0, "sigma_c": 100.0, "sigma_k1": 10.0}
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSigmas:
+    """Standard deviations of a camera's numbers.
+
+    Attributes:
+        focal_percent: Of the focal length, percent of it.
+        center_percent: Of the principal point along each axis, percent of the image's width.
+        k1: Of the first coefficient of radial distortion, normalised image coordinates.
+        source: Where the numbers come from, a word: ``calibration``; of a photo, the ``source`` of its
+            ``PhotoCamera``; ``stated`` where a person gave the deviations themselves.
+    """
+
+    focal_percent: float
+    center_percent: float
+    k1: float
+    source: str
+
+    @property
+    def are_zero(self) -> bool:
+        """Tells whether nothing is in doubt."""
+        return not (self.focal_percent or self.center_percent or self.k1)
+
+    @property
+    def stated_focal_percent(self) -> float | None:
+        """Returns the deviation of a focal length that a person stated, percent; else None."""
+        return self.focal_percent if self.source == STATED and self.focal_percent else None
+
+    def words(self) -> list[str]:
+        """Returns it in words of a text file; none where nothing is in doubt."""
+        if self.are_zero:
+            return []
+        return [
+            f"{word}={getattr(self, name)}{'%' if word in _PERCENTS else ''}"
+            for word, name in _WORDS.items()
+            if (word, self.source) != ("sigma_by", STATED)
+        ]
+
+
+# A calibration, or a camera that a person gave in full.
+CALIBRATED: Final = CameraSigmas(0.0, 0.0, 0.0, "calibration")
+# The maker's calibrated focal length, optical centre or distortion, in pixels.
+MAKER: Final = CameraSigmas(0.5, 0.35, 0.01, "maker")
+# Only a focal length in millimetres, or as the equivalent of a 35 mm camera.
+UNKNOWN: Final = CameraSigmas(1.5, 0.7, 0.03, "nominal")
+
+
+def split_sigmas(words: Sequence[str]) -> tuple[list[str], CameraSigmas | None]:
+    """Returns a camera's words, and the deviations that ``sigma_f=0.5% sigma_c=0.35% sigma_k1=0.01`` state.
+
+    Any may be left out, and is 0 then; None where all are. ``sigma_by=WORD`` says where they come from.
+
+    Raises:
+        LodbenchError: A word is unknown, given twice or before the camera's own, or a number is none, or not
+            within 0 to 100 % (``k1``: 10).
+    """
+    first = next((at for at, word in enumerate(words) if "=" in word), len(words))
+    given: dict[str, str] = {}
+    for word in words[first:]:
+        name, _, text = word.partition("=")
+        if name not in _WORDS:
+            raise LodbenchError(f"{word!r} is no deviation of a camera", nearest_names(name, _WORDS))
+        if not text or name in given:
+            raise LodbenchError(f"{name} {'is given twice' if name in given else 'has no value'}")
+        given[name] = text
+    focal, center, k1 = (_number(name, given.get(name, "0")) for name in _MOST)
+    sigmas = CameraSigmas(focal, center, k1, given.get("sigma_by", STATED))
+    return list(words[:first]), sigmas if given else None
+
+
+def _number(name: str, text: str) -> float:
+    unit = "%" if name in _PERCENTS else ""
+    try:
+        number = float(text.removesuffix(unit))
+    except ValueError:
+        number = -1.0
+    if not 0 <= number <= _MOST[name]:
+        raise LodbenchError(f"{name}={text} is not within 0 to {_MOST[name]:g}{unit}")
+    return number
+
+
+Floats = NDArray[np.float64]
+
+# Parameters that a covariance may hold besides the six of the pose, and their units.
+CAMERA_PARAMETERS = {"focal": "a share of both focal lengths", "cx": "px", "cy": "px", "k1": "1"}
+# Newton's method: most steps, what counts as solved, and half the width of differences (normalised).
+_STEPS, _SOLVED, _HALF = 60, 1e-10, 1e-6
+
+
+class PixelRays(NamedTuple):
+    """Rays through N pixels in camera axes: (x, y, 1); NaN where the lens shows no ray.
+
+    Attributes:
+        points: (N, 2) x and y.
+        pixel_by_point: (N, 2, 2) how a pixel moves with its ray's x and y, pixels.
+    """
+
+    points: Floats
+    pixel_by_point: Floats
+
+    @property
+    def point_by_pixel(self) -> Floats:
+        """Returns (N, 2, 2) how a ray's x and y move with its pixel."""
+        return _inverse(self.pixel_by_point)
+
+    @property
+    def directions(self) -> Floats:
+        """Returns (N, 3) directions in camera axes, of length 1 along the optical axis."""
+        return np.column_stack([self.points, np.ones(len(self.points))])
+
+
+def pixel_rays(camera: Camera, pixels: Floats) -> PixelRays:
+    """Returns the rays through (N, 2) pixels, COLMAP's convention (the first one's centre is 0.5, 0.5)."""
+    focal = np.array([camera.fx, camera.fy])
+    wanted = (np.asarray(pixels, dtype=np.float64) - [camera.cx, camera.cy]) / focal
+    points = wanted.copy()
+    slopes = np.broadcast_to(np.eye(2), (len(points), 2, 2))
+    if camera.distortion:
+        with np.errstate(all="ignore"):
+            for _ in range(_STEPS):
+                slopes, off = _lens_slopes(camera, points), _through_lens(camera, points) - wanted
+                points = points - (_inverse(slopes) @ off[:, :, None])[:, :, 0]
+                if not (np.abs(off) > _SOLVED).any():
+                    break
+            slopes = _lens_slopes(camera, points)
+            is_solved = (np.abs(_through_lens(camera, points) - wanted) < 1e3 * _SOLVED).all(axis=1)
+            # Beyond where a polynomial folds back there are other roots, mirrored, which no ray takes.
+            is_upright = (np.linalg.det(slopes) > 0) & (np.trace(slopes, axis1=1, axis2=2) > 0)
+            points[~(is_solved & is_upright)] = np.nan
+    return PixelRays(points, focal[:, None] * slopes)
+
+
+def camera_columns(camera: Camera, rays: PixelRays, names: Sequence[str]) -> Floats:
+    """Returns (N, 2, K) how the pixels of fixed rays move with K of ``CAMERA_PARAMETERS``.
+
+    Raises:
+        ConfigError: A name is not known.
+    """
+    for name in names:
+        require_choice("parameters", name, CAMERA_PARAMETERS)
+    count = len(rays.points)
+    focal = np.array([camera.fx, camera.fy])
+    radius2 = (rays.points**2).sum(axis=1, keepdims=True)
+    columns = {
+        "focal": focal * _through_lens(camera, rays.points),
+        "cx": np.broadcast_to([1.0, 0.0], (count, 2)),
+        "cy": np.broadcast_to([0.0, 1.0], (count, 2)),
+        "k1": focal * rays.points * radius2,
+    }
+    return np.stack([columns[name] for name in names], axis=2) if names else np.zeros((count, 2, 0))
+
+
+def _through_lens(camera: Camera, points: Floats) -> Floats:
+    if not camera.distortion:
+        return points
+    return np.stack(distort(camera.lens, camera.distortion, points[:, 0], points[:, 1]), axis=1)
+
+
+def _lens_slopes(camera: Camera, points: Floats) -> Floats:
+    """Returns (N, 2, 2) derivatives of distorted coordinates by those of the ray, by differences."""
+    steps = _HALF * np.eye(2)
+    ahead = [_through_lens(camera, points + step) - _through_lens(camera, points - step) for step in steps]
+    return np.stack(ahead, axis=2) / (2 * _HALF)
+
+
+def _inverse(matrices: Floats) -> Floats:
+    """Returns the inverses of (N, 2, 2) matrices; infinities where there is none."""
+    (a, b), (c, d) = matrices[:, 0].T, matrices[:, 1].T
+    adjoint = np.stack([np.stack([d, -b], axis=1), np.stack([-c, a], axis=1)], axis=1)
+    return np.asarray(adjoint / (a * d - b * c)[:, None, None])

@@ -1,4 +1,9 @@
-"""Camera poses: world to camera, OpenCV axes (x right, y down, z forward), metres."""
+"""Camera poses (world to camera, OpenCV axes, metres), as six numbers, and grids of them around a prior.
+
+As six numbers: the camera's centre (x, y, z; scene metres) and the datasets' angles (pitch, roll, yaw;
+degrees). What sensors are wrong about is independent in these, so a prior is a diagonal.
+``PoseGrid`` is the 4D grid of hypotheses of LoD-Loc v2 (paper equation 1).
+"""
 
 from __future__ import annotations
 
@@ -210,3 +215,105 @@ def quaternion_from_rotation(rotation: Matrix) -> tuple[float, float, float, flo
     norm = math.copysign(math.sqrt(sum(float(v) ** 2 for v in row)), float(row[0]))
     w, x, y, z = (float(v) / norm for v in row)
     return w, x, y, z
+
+
+Floats = NDArray[np.float64]
+
+_DEG = np.pi / 180.0
+# Turning about an axis by an angle more is multiplying by this per radian, on the angle's own side.
+_CROSS_X = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+_CROSS_Z = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+
+
+def vector_from_pose(pose: Pose) -> Floats:
+    """Returns (6,): centre in metres, then pitch, roll and yaw in degrees."""
+    return np.array([*pose.center, *pose.euler])
+
+
+def pose_from_vector(vector: Floats) -> Pose:
+    """Returns the pose of (6,) centre in metres and angles in degrees."""
+    return Pose.from_euler(EulerAngles(*(float(v) for v in vector[3:6])), vector[:3])
+
+
+def rotation_derivatives(vector: Floats) -> Floats:
+    """Returns (3, 3, 3): the change of cam_from_world per degree of pitch, roll and yaw.
+
+    The rotation is ``F Rx(pitch)^T Ry(roll)^T Rz(yaw)^T`` with F the flip to OpenCV axes. Pitch is its
+    innermost turn and yaw its outermost, so each derivative is the rotation times a cross product; roll
+    turns about the world's y axis after yaw.
+    """
+    rotation = rotation_from_euler(EulerAngles(*(float(v) for v in vector[3:6])))
+    yaw = float(vector[5]) * _DEG
+    level_y = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+    # Both flips of the cross product cancel, and a turn commutes with its own cross product.
+    about_pitch = -_CROSS_X @ rotation
+    about_roll = -rotation @ cross_matrix(level_y)
+    about_yaw = -rotation @ _CROSS_Z
+    return np.ascontiguousarray(np.stack([about_pitch, about_roll, about_yaw]) * _DEG)
+
+
+def turn_per_angle(vector: Floats) -> Floats:
+    """Returns (3, 3): columns are the rotation vectors, degrees per degree, of pitch, roll and yaw.
+
+    The length of this matrix times three small angle errors is the rotation error of evaluation.
+    """
+    rotation = rotation_from_euler(EulerAngles(*(float(v) for v in vector[3:6])))
+    columns = []
+    for derivative in rotation_derivatives(vector):
+        skew = derivative @ rotation.T / _DEG
+        columns.append([skew[2, 1], skew[0, 2], skew[1, 0]])
+    return np.array(columns).T
+
+
+def cross_matrix(axis: Floats) -> Floats:
+    """Returns (3, 3) the matrix by which an axis, (3,), is multiplied with vectors in the cross product."""
+    x, y, z = (float(v) for v in axis)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+@dataclass(frozen=True, slots=True)
+class AxisRange:
+    """One axis of the grid: full width (metres or degrees) and number of samples."""
+
+    width: float
+    count: int
+
+    def __post_init__(self) -> None:
+        if self.count < 1 or not 0 <= self.width < math.inf:
+            raise LodbenchError(
+                f"A grid axis needs a width >= 0 and a count >= 1, not {self.width} and {self.count}."
+            )
+
+    def offsets(self) -> NDArray[np.float64]:
+        """Returns ``count`` offsets from -width/2 to +width/2, ends included; one sample is the centre.
+
+        Eq. (L1) of docs/methods/lodlocv2.md.
+        """
+        if self.count == 1:
+            return np.zeros(1)
+        steps = np.arange(self.count, dtype=np.float64)
+        return -self.width / 2 + steps * (self.width / (self.count - 1))
+
+
+@dataclass(frozen=True, slots=True)
+class PoseGrid:
+    """The Cartesian product of four axes, in the order (yaw, x, y, z), z fastest."""
+
+    x: AxisRange
+    y: AxisRange
+    z: AxisRange
+    yaw: AxisRange
+
+    def __len__(self) -> int:
+        return self.x.count * self.y.count * self.z.count * self.yaw.count
+
+    def around(self, prior: Pose) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Returns the hypotheses around a prior; pitch and roll stay the prior's.
+
+        Returns:
+            Camera centres, (N, 3), world metres, and yaws, (N,), degrees.
+        """
+        yaws = prior.euler.yaw_deg + self.yaw.offsets()
+        axes = np.meshgrid(self.x.offsets(), self.y.offsets(), self.z.offsets(), indexing="ij")
+        centers = prior.center + np.stack([axis.ravel() for axis in axes], axis=1)
+        return np.tile(centers, (self.yaw.count, 1)), np.repeat(yaws, len(centers))

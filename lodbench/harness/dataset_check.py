@@ -44,7 +44,7 @@ from lodbench.errors import DatasetError, LodbenchError, Words
 from lodbench.evaluation.errors import PoseError, pose_error
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
-from lodbench.geometry.looking import off_nadir_deg
+from lodbench.geometry.angles import off_nadir_deg
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.harness.contradictions import check_views
 from lodbench.harness.photo.check import check_photos

@@ -22,8 +22,8 @@ from lodbench.estimation.model_lines import ModelLines, Projected, lines_in_view
 from lodbench.estimation.photo_edges import PhotoEdges
 from lodbench.estimation.probability import probability_within
 from lodbench.geometry import Camera, Pose
-from lodbench.geometry.camera_sigmas import UNKNOWN, CameraSigmas
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.camera import UNKNOWN, CameraSigmas
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.fits import EDGES_WIDTH, photo_edges
 from lodbench.methods.protocol import Estimate
 from lodbench.methods.search_params import SearchRange

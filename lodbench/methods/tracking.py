@@ -19,7 +19,7 @@ from lodbench.errors import QueryFault, require_numbers
 from lodbench.estimation.outline_alignment import Aligner
 from lodbench.estimation.probability import probability_within
 from lodbench.geometry import Pose
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
 from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
 from lodbench.methods.search_params import set_sizes

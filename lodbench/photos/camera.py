@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, CameraSigmas
-from lodbench.geometry.camera_sigmas import CALIBRATED, MAKER, UNKNOWN
+from lodbench.geometry.camera import CALIBRATED, MAKER, UNKNOWN
 from lodbench.photos.focal import (
     NOMINAL_PERCENT,
     by_known_sensor,

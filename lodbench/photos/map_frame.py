@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from lodbench.citymodel.crs import require_crs
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
-from lodbench.geometry.frames import grid_convergence_deg
-from lodbench.geometry.looking import look_covariance, look_from_rotation
+from lodbench.geometry.angles import look_covariance, look_from_rotation
+from lodbench.geometry.similarity import grid_convergence_deg
 
 if TYPE_CHECKING:
     from pyproj import Transformer

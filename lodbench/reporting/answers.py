@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lodbench.evaluation.predictions import Prediction
 from lodbench.geometry import Pose
-from lodbench.geometry.looking import look_from_rotation
+from lodbench.geometry.angles import look_from_rotation
 from lodbench.methods.region.trust import SIGNS_STAGE, ConfidenceFeatures, contradictions
 from lodbench.reporting.aligned_text import format_columns, plain_text
 from lodbench.reporting.table_columns import finite_text

@@ -25,8 +25,7 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError, require_numbers, require_within
 from lodbench.geometry import Camera, Pose
-from lodbench.geometry.camera_sigmas import CALIBRATED, MAKER, UNKNOWN
-from lodbench.geometry.rays import pixel_rays
+from lodbench.geometry.camera import CALIBRATED, MAKER, UNKNOWN, pixel_rays
 from lodbench.params import to_params
 from lodbench.photos.measurements import Measurements
 from lodbench.photos.xmp import LaserRange

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymap import CityMap
-from lodbench.citymap.corrected_map import corrected_map
+from lodbench.citymap.city_map import corrected_map
 from lodbench.citymodel import open_scene
 from tests.town import CAMERA, box_obj, true_poses
 

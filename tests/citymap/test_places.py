@@ -8,8 +8,7 @@ import pytest
 
 import lodbench
 from lodbench.citymap.laser import LaserResidual, at_centre, laser_residual
-from lodbench.citymap.linear_places import Uncertainty
-from lodbench.citymap.place_errors import ground_errors
+from lodbench.citymap.linear_places import Uncertainty, ground_errors
 from lodbench.citymap.places import LocatedPixel, places_of
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.scene import Scene, build_scene

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lodbench.citymap.laser import pose_by_range, range_log_densities
 from lodbench.citymodel import open_scene
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.geometry.pose import vector_from_pose
 from lodbench.photos.measurements import Measurements
 from lodbench.photos.xmp import LaserRange
 from lodbench.rendering.surfaces import Surfaces

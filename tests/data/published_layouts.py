@@ -19,7 +19,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
 from lodbench.datasets.priors import UniformPrior
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.geometry.frames import SWISS_EPFL_FRAME, enu_from_ecef_rotation
+from lodbench.geometry.similarity import SWISS_EPFL_FRAME, enu_from_ecef_rotation
 from lodbench.photos.map_frame import MapFrame
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import random_stream

@@ -11,7 +11,7 @@ from lodbench.datasets.pose_files import brought, read_pose_file
 from lodbench.errors import DatasetError
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.geometry.looking import look_from_rotation, rotation_from_look
+from lodbench.geometry.angles import look_from_rotation, rotation_from_look
 from lodbench.photos.map_frame import SURVEY_COLUMNS, MapFrame, survey_row
 
 CRS = "EPSG:25832+7837"

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.geometry.looking import STEEP_DEG, off_nadir_deg
+from lodbench.geometry.angles import STEEP_DEG, off_nadir_deg
 from lodbench.photos.map_frame import SIGMA_COLUMNS, SURVEY_COLUMNS, MapFrame, survey_row
 from lodbench.photos.metadata import PhotoMetadata
 from lodbench.photos.pose import RoughPlace, pose_at, pose_from_photo

@@ -11,7 +11,7 @@ from lodbench.citymodel import open_scene
 from lodbench.estimation.edge_alignment import EdgeLikelihood
 from lodbench.estimation.lens import LensErrors
 from lodbench.estimation.photo_edges import PhotoEdges
-from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.geometry.pose import vector_from_pose
 from tests.town import BOXES, CAMERA, box_obj, true_poses
 
 # The published prior's half widths over the square root of 3, and a lens that is held.

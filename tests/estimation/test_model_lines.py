@@ -9,7 +9,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.estimation.lens import LensErrors
 from lodbench.estimation.model_lines import CAMERA, lines_in_view, project_lines, rise_shares
-from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.geometry.pose import vector_from_pose
 from tests.town import BOXES, box_obj, true_poses
 from tests.town import CAMERA as TOWN_CAMERA
 

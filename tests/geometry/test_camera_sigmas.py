@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from lodbench.errors import LodbenchError
 from lodbench.geometry import CameraSigmas
-from lodbench.geometry.camera_sigmas import CALIBRATED, MAKER, UNKNOWN, split_sigmas
+from lodbench.geometry.camera import CALIBRATED, MAKER, UNKNOWN, split_sigmas
 
 
 def test_by_provenance():

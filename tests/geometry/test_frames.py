@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from pyproj import Transformer
 
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.geometry.frames import (
+from lodbench.geometry.similarity import (
     SWISS_EPFL_FRAME,
     ShiftedEcef,
     enu_from_ecef_rotation,

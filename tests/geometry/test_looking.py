@@ -9,8 +9,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from lodbench.geometry import EulerAngles, Pose, rotation_from_euler, wrap_deg
-from lodbench.geometry.angles import rotation_from_dji
-from lodbench.geometry.looking import STEEP_DEG, look_covariance, look_from_rotation, off_nadir_deg
+from lodbench.geometry.angles import (
+    STEEP_DEG,
+    look_covariance,
+    look_from_rotation,
+    off_nadir_deg,
+    rotation_from_dji,
+)
 
 turns = st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: 0.1 < np.linalg.norm(q))
 angles_deg = st.floats(-180, 180)

@@ -8,7 +8,7 @@ import pytest
 from lodbench.errors import ConfigError
 from lodbench.geometry import Camera, EulerAngles, rotation_from_euler
 from lodbench.geometry.angles import turning_axes
-from lodbench.geometry.rays import CAMERA_PARAMETERS, camera_columns, pixel_rays
+from lodbench.geometry.camera import CAMERA_PARAMETERS, camera_columns, pixel_rays
 from tests.geometry.test_lens import MODELS
 
 

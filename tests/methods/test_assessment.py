@@ -12,8 +12,8 @@ from lodbench.estimation.lens import LensErrors
 from lodbench.estimation.model_lines import lines_in_view, project_lines
 from lodbench.estimation.photo_edges import PhotoEdges
 from lodbench.estimation.probability import probability_within
-from lodbench.geometry.camera_sigmas import CALIBRATED, UNKNOWN, CameraSigmas
-from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.geometry.camera import CALIBRATED, UNKNOWN, CameraSigmas
+from lodbench.geometry.pose import vector_from_pose
 from lodbench.methods.assessment import assessed, camera_columns, edge_excess
 from lodbench.methods.protocol import Estimate
 from tests.methods.flight.test_shared_looks import painted

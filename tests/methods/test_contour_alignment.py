@@ -17,7 +17,7 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.estimation.outline_alignment import Aligner, smooth_distance
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
 from lodbench.methods.contour_alignment.likelihood import TRACKS
 from lodbench.methods.timed_localize import localize_query

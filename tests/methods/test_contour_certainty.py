@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lodbench.citymap import CityMap
-from lodbench.citymap.corrected_map import corrected_map
+from lodbench.citymap.city_map import corrected_map
 from lodbench.datasets.query import Query
 from lodbench.estimation.outline import OutlinePoints
 from lodbench.estimation.outline_alignment import Residuals
 from lodbench.estimation.probability import probability_within
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.geometry.pose import vector_from_pose
 from lodbench.kernels.estimation import add_products, error_covariance, whiten
 from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
 from lodbench.methods.contour_alignment.hypotheses import Hypothesis, Refined, among_rivals, answer_of

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
 from lodbench.methods.flight import FlightParams
 from lodbench.methods.flight.joint import solve

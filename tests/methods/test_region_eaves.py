@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from shapely import Polygon
 
 from lodbench.citymodel.scene import SceneBuilder
-from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.geometry.pose import vector_from_pose
 from lodbench.methods.region.roofs import outward_moves
 from lodbench.rendering.edges import edge_faces
 from tests.methods.test_region_lines import line_fit

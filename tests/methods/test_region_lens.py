@@ -10,7 +10,7 @@ import pytest
 from lodbench.datasets.query import Query
 from lodbench.estimation.state_vector import views_of
 from lodbench.evaluation import pose_error
-from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.geometry.pose import vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.region import Region, RegionParams
 from lodbench.methods.region.evidence import PhotoFit, PosePosterior

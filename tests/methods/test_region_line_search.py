@@ -11,7 +11,7 @@ import scipy.ndimage
 
 from lodbench.datasets.priors import UniformPrior
 from lodbench.evaluation import pose_error
-from lodbench.geometry.pose_vector import pose_from_vector
+from lodbench.geometry.pose import pose_from_vector
 from lodbench.methods.region import Region, RegionParams
 from lodbench.methods.region import line_likelihood as line_search
 from lodbench.methods.region.evidence import Photo, PosePosterior

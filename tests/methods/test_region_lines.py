@@ -12,7 +12,7 @@ from lodbench.datasets.query import Query
 from lodbench.estimation.outline import edges_in_reach
 from lodbench.estimation.state_vector import ALL, BASE_OFFSET, BESIDE_POSE
 from lodbench.evaluation import pose_error
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.region import Region, RegionParams
 from lodbench.methods.region.evidence import Photo
 from lodbench.methods.region.line_alignment import LineAligner

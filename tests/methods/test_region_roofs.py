@@ -12,7 +12,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.estimation.state_vector import BESIDE_POSE
 from lodbench.evaluation import pose_error
-from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.geometry.pose import vector_from_pose
 from lodbench.methods.region import Region, RegionParams
 from lodbench.methods.region.evidence import PhotoFit, PosePosterior, StatePosterior
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, step_of

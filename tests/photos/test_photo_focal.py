@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lodbench.errors import DatasetError
-from lodbench.geometry.camera_sigmas import MAKER, UNKNOWN
+from lodbench.geometry.camera import MAKER, UNKNOWN
 from lodbench.photos.camera import camera_from_photo, states_focal_length
 from lodbench.photos.focal import _ROUNDED_MM, _SENSOR_MM, NOMINAL_PERCENT
 from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata

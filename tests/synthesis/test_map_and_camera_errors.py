@@ -10,7 +10,7 @@ import pytest
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError
 from lodbench.geometry import Camera
-from lodbench.geometry.camera_sigmas import MAKER
+from lodbench.geometry.camera import MAKER
 from lodbench.geometry.lens import distort
 from lodbench.segmentation.masks import read_mask
 from lodbench.synthesis.view_photos import draw_through_lens

@@ -22,7 +22,7 @@ from lodbench.datasets.exchange.posed import (
 from lodbench.datasets.pose_text import format_pose, lines_to_text, parse_pose
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Pose
-from lodbench.geometry.looking import rotation_from_look
+from lodbench.geometry.angles import rotation_from_look
 from lodbench.storage import show_formula, write_text
 
 

@@ -25,7 +25,7 @@ from lodbench.datasets.query import Dataset, Reference, notes_of
 from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
-from lodbench.geometry.frames import ShiftedEcef, enu_from_ecef_rotation
+from lodbench.geometry.similarity import ShiftedEcef, enu_from_ecef_rotation
 
 if TYPE_CHECKING:
     from lodbench.citymodel.scene import Scene

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lodbench.geometry.frames import ShiftedEcef
+from lodbench.geometry.similarity import ShiftedEcef
 
 TRUTH_FILES = ("GT_pose.txt",)
 PRIOR_FILES = ("GPS_pose.txt", "GPS_pose_new.txt", "GPS_pose_new_all.txt")

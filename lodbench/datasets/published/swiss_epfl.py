@@ -5,7 +5,7 @@ from __future__ import annotations
 from lodbench.datasets.published.open import PublishedParams, open_published
 from lodbench.datasets.published.spec import MODEL_WITH_QUERIES, QUERIES, PublishedSpec, SplitSpec
 from lodbench.datasets.query import Dataset
-from lodbench.geometry.frames import SWISS_EPFL_FRAME
+from lodbench.geometry.similarity import SWISS_EPFL_FRAME
 
 SPLITS = (
     SplitSpec(

@@ -21,7 +21,7 @@ from lodbench.estimation.posterior import shares_of
 from lodbench.estimation.probability import DRAWS, WITHIN_M, fixed_draws, is_near, share_within
 from lodbench.estimation.state_vector import CAMERAS, POSES, shortened
 from lodbench.geometry import Pose
-from lodbench.geometry.pose_vector import pose_from_vector, turn_per_angle
+from lodbench.geometry.pose import pose_from_vector, turn_per_angle
 from lodbench.methods.contour_alignment.likelihood import (
     TRACKS,
     WorldErrors,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymap.corrected_map import corrected_map
+from lodbench.citymap.city_map import corrected_map
 from lodbench.citymap.laser import range_log_densities
 from lodbench.citymodel.extrude import pitched_blocks
 from lodbench.datasets.inputs import Input
@@ -20,7 +20,7 @@ from lodbench.errors import QueryFault
 from lodbench.estimation.outline_alignment import Aligner
 from lodbench.estimation.probability import beyond_range
 from lodbench.geometry import PoseGrid
-from lodbench.geometry.pose_vector import pose_from_vector
+from lodbench.geometry.pose import pose_from_vector
 from lodbench.methods.contour_alignment.hypotheses import RIVAL_IOU, among_rivals, answer_of, refine
 from lodbench.methods.contour_alignment.params import ContourAlignmentParams
 from lodbench.methods.fits import PoseScorer, nothing_fits

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymap.corrected_map import corrected_map
+from lodbench.citymap.city_map import corrected_map
 from lodbench.datasets.query import Query
 from lodbench.estimation.outline_alignment import Aligner
 from lodbench.estimation.state_vector import differences

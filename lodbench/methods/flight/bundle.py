@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lodbench.estimation.lens import project, projection_slopes
 from lodbench.estimation.normal_equations import NormalEquations
 from lodbench.geometry import Camera, Pose
-from lodbench.geometry.pose_vector import pose_from_vector, rotation_derivatives
+from lodbench.geometry.pose import pose_from_vector, rotation_derivatives
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -20,7 +20,7 @@ from lodbench.estimation.lens import LensErrors
 from lodbench.estimation.model_lines import ModelLines, lines_in_view, project_lines
 from lodbench.estimation.photo_edges import PhotoEdges
 from lodbench.geometry import Camera
-from lodbench.geometry.pose_vector import pose_from_vector
+from lodbench.geometry.pose import pose_from_vector
 from lodbench.methods.flight.photo_terms import Fit, PhotoTerms, Residuals, summed_up
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.photos.pictures import read_picture

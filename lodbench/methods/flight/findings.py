@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
-from lodbench.geometry.pose_vector import pose_from_vector
+from lodbench.geometry.pose import pose_from_vector
 from lodbench.methods.flight.aligning import Aligned
 from lodbench.methods.flight.building_heights import BuildingHeight, building_heights
 from lodbench.methods.flight.gone_buildings import gone_buildings, views_of

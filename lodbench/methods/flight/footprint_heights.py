@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymap.corrected_map import corrected_map
+from lodbench.citymap.city_map import corrected_map
 from lodbench.citymodel.scene import Scene, floors_and_rises
 from lodbench.datasets.query import Query
 from lodbench.methods.flight.roof_edges import open_pictures

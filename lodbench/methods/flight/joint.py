@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lodbench.estimation.normal_equations import ErrorGroup, NormalEquations
 from lodbench.estimation.state_vector import differences, shortened
-from lodbench.geometry.pose_vector import rotation_derivatives
+from lodbench.geometry.pose import rotation_derivatives
 from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
 from lodbench.methods.flight.relative_poses import MOUNT, UNKNOWNS

@@ -14,7 +14,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.estimation.probability import probability_within
 from lodbench.estimation.state_vector import differences
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.flight.aligning import Aligned, align, footprint_covariance, mean_iou, side_by_side
 from lodbench.methods.flight.bundle import block_of

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError, nearest_names, require_numbers
-from lodbench.geometry.camera_sigmas import STATED, CameraSigmas
+from lodbench.geometry.camera import STATED, CameraSigmas
 from lodbench.methods.contour_alignment import ContourAlignmentParams
 from lodbench.methods.region import RegionParams
 from lodbench.photos.measurements import Measurements

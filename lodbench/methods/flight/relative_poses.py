@@ -15,7 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from lodbench.geometry import Pose
-from lodbench.geometry.pose_vector import cross_matrix, pose_from_vector
+from lodbench.geometry.pose import cross_matrix, pose_from_vector
 
 Floats = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.estimation.state_vector import differences
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.geometry.signed_distance import signed_distance
 from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.protocol import Estimate

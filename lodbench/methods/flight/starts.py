@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.estimation.state_vector import differences
-from lodbench.geometry.pose_vector import pose_from_vector
+from lodbench.geometry.pose import pose_from_vector
 from lodbench.methods.flight.params import FlightParams
 from lodbench.segmentation import binary_mask
 

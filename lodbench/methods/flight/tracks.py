@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera
-from lodbench.geometry.pose_vector import cross_matrix, pose_from_vector
+from lodbench.geometry.pose import cross_matrix, pose_from_vector
 from lodbench.matching.mutual_nn import MutualNn, MutualNnParams
 from lodbench.matching.protocol import Features, Matches
 from lodbench.matching.sift import Sift, SiftParams

@@ -19,7 +19,7 @@ from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.datasets.query import Query
 from lodbench.estimation.lens import LensErrors
 from lodbench.estimation.model_lines import ModelLines, lines_in_view, project_lines
-from lodbench.geometry.pose_vector import pose_from_vector
+from lodbench.geometry.pose import pose_from_vector
 from lodbench.methods.assessment import FEWEST_POINTS, edge_excess
 from lodbench.methods.flight.edge_terms import EdgePhoto, edge_photo
 

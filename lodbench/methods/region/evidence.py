@@ -26,7 +26,7 @@ from lodbench.estimation.state_vector import (
     views_of,
 )
 from lodbench.geometry import Camera
-from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.geometry.pose import vector_from_pose
 from lodbench.methods.region.params import RegionParams
 from lodbench.methods.region.roofs import RaisedRoofs, step_of
 from lodbench.rendering import ContourFit, Fit, RegionFit, Scorer, appearance_bins, edge_bins

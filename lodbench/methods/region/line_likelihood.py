@@ -20,7 +20,7 @@ from lodbench.estimation.probability import Gaussian
 from lodbench.estimation.state_vector import ALL, BESIDE_POSE, POSE, ROOFS, views_of
 from lodbench.geometry import Camera
 from lodbench.geometry.angles import rotations_from_euler
-from lodbench.geometry.pose_vector import pose_from_vector
+from lodbench.geometry.pose import pose_from_vector
 from lodbench.kernels.arguments import LinePoints, LinePoses
 from lodbench.kernels.photo_edges import EDGE_LEVELS, count_along_lines, sum_along_lines
 from lodbench.methods.protocol import Streams

@@ -19,7 +19,7 @@ from lodbench.estimation.outline import edges_of, scene_in_reach
 from lodbench.estimation.posterior import shares_of
 from lodbench.estimation.probability import TRUSTED, beyond_range, probability_within
 from lodbench.estimation.state_vector import TILT
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.fits import photo_edges, query_photo
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region.answer import Answer, PoseFinalizer

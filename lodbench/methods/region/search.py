@@ -16,7 +16,7 @@ from lodbench.estimation.outline import OutlinePoints, sample_outline
 from lodbench.estimation.probability import Gaussian
 from lodbench.estimation.state_vector import POSE
 from lodbench.geometry import Pose, PoseGrid, wrap_deg
-from lodbench.geometry.pose_vector import pose_from_vector
+from lodbench.geometry.pose import pose_from_vector
 from lodbench.kernels.arguments import EdgeArrays
 from lodbench.methods.fits import nothing_fits
 from lodbench.methods.protocol import Streams

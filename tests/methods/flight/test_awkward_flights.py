@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from lodbench.citymap import CityMap
-from lodbench.citymap.corrected_map import corrected_map
+from lodbench.citymap.city_map import corrected_map
 from lodbench.datasets.query import Query
 from lodbench.errors import RenderingError
 from lodbench.evaluation import pose_error
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.flight import FlightParams, aligning
 from lodbench.methods.flight.photo_terms import flight_terms
 from lodbench.synthesis.flights import MapErrors, change_map

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.flight.bundle import (
     _DAMPING,
     Observations,

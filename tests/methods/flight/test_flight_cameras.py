@@ -1,6 +1,6 @@
 """How well a flight takes its camera to be known, by where the numbers of its photos come from."""
 
-from lodbench.geometry.camera_sigmas import CALIBRATED, MAKER, STATED, UNKNOWN, CameraSigmas
+from lodbench.geometry.camera import CALIBRATED, MAKER, STATED, UNKNOWN, CameraSigmas
 from lodbench.methods.flight.params import FlightParams
 
 

@@ -10,7 +10,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.flight.joint import photo_covariance, shared_covariance, solve
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lodbench.estimation.outline_alignment import Aligner
-from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.geometry.pose import vector_from_pose
 from lodbench.methods.flight import FlightParams, photo_terms
 from lodbench.methods.flight.photo_terms import LENS, flight_terms
 from lodbench.methods.flight.roof_parts import RoofParts

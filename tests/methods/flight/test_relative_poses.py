@@ -12,7 +12,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Camera, Pose
-from lodbench.geometry.pose_vector import pose_from_vector, rotation_derivatives
+from lodbench.geometry.pose import pose_from_vector, rotation_derivatives
 from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.flight.joint import solve
 from lodbench.methods.flight.relative_poses import RelativePose, placed, rotation_vector, tangents

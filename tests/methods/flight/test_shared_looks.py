@@ -10,7 +10,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.geometry.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.flight.shared_looks import agreed_places, exposures, look_of, with_masks_by_looks
 from lodbench.methods.protocol import Estimate

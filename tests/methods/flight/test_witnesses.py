@@ -9,7 +9,7 @@ import pytest
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Query
-from lodbench.geometry.pose_vector import vector_from_pose
+from lodbench.geometry.pose import vector_from_pose
 from lodbench.methods.flight.building_heights import BuildingHeight
 from lodbench.methods.flight.findings import _sigmas_of_doubt
 from lodbench.methods.flight.witnesses import apart_deg, without_contradicted
