@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 
 from lodbench.datasets.exchange.colmap import write_colmap
-from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.pose_text import lines_to_text
+from lodbench.datasets.pose_text import FoundPose, lines_to_text
 from lodbench.harness.tracing import Traced, write_tracing
 from tests.flight import stated
 from tests.photos.dji_photo import exif_of, write_photo, xmp_packet

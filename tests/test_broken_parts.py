@@ -12,7 +12,7 @@ from lodbench.citymodel.read import parse_city_model
 from lodbench.cli import main
 from lodbench.cli.train import task, train_method
 from lodbench.datasets.pose_files import read_pose_file
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_settings, draw_priors, make_priors
 from lodbench.errors import ConfigError

@@ -7,8 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lodbench.datasets.exchange.colmap import write_colmap
-from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.pose_text import format_pose, lines_to_text
+from lodbench.datasets.pose_text import FoundPose, format_pose, lines_to_text
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.similarity import Similarity
 from lodbench.harness.tracing import Traced, write_tracing

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import require_within
 from lodbench.geometry import AxisRange, PoseGrid
 from lodbench.methods.search_params import ranges_of

@@ -13,7 +13,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.folder import FolderParams, open_folder
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose

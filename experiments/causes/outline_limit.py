@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.estimation.outline import OutlinePoints
 from lodbench.estimation.outline_alignment import Aligner, smooth_distance

@@ -18,7 +18,7 @@ from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.cli.bench_views import city_file, seeds
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.lines import write_lines
-from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.datasets.query import Dataset
 from lodbench.errors import LodbenchError
 from lodbench.evaluation import pose_error

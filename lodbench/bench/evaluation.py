@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lodbench.bench import SEED, Figure, Progress, Report, load_in_words, no_progress, option, plain_report
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.evaluation.predictions import Prediction, evaluate

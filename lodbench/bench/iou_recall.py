@@ -15,8 +15,7 @@ import numpy as np
 from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.bench.accuracy import blocks_of
 from lodbench.bench.views import TILTS, Job, sweep
-from lodbench.datasets.inputs import Input, declared_inputs
-from lodbench.datasets.instance_labels import read_labels
+from lodbench.datasets.inputs import Input, declared_inputs, read_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.metrics import InstanceMatches, match_instances

@@ -26,7 +26,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import open_scene
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.inputs import Input, declared_inputs
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError
 from lodbench.evaluation.queries import ERROR

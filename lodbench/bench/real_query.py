@@ -19,7 +19,7 @@ from lodbench.bench.real_report import EdgeBound, report_real
 from lodbench.citymap import CityMap
 from lodbench.citymap.linear_places import ground_errors
 from lodbench.citymodel.scene import Scene, building_boxes
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset, Query
 from lodbench.errors import ConfigError, DatasetError, QueryFault
 from lodbench.evaluation import pose_error

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from lodbench.bench import SEED, Figure, Progress, Report, load_in_words, no_progress, option, words
 from lodbench.citymodel import Scene, open_scene
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.geometry import Camera, Pose, rotations_at_yaws
 from lodbench.rendering import ContourFit, RegionFit, Scorer, appearance_bins, edge_bins, make_renderer

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lodbench.bench import Progress, no_progress
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError
 from lodbench.evaluation.errors import pose_error

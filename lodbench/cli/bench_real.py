@@ -16,7 +16,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.cli.parts import default_segmenter, option_pairs, segmenter_of
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.inputs import Input, declared_inputs
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.real_flights import city_beside, require_one_flight
 from lodbench.errors import ConfigError, require_within

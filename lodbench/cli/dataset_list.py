@@ -13,9 +13,7 @@ from typing import Any
 
 from lodbench.cli.configs import config_files
 from lodbench.cli.parser import Parser
-from lodbench.datasets.cards import croissant_text, read_card
-from lodbench.datasets.download import fetch
-from lodbench.datasets.published.catalogue import SPECS, spec_of
+from lodbench.datasets.published.catalogue import SPECS, croissant_text, fetch, read_card, spec_of
 from lodbench.datasets.published.layout import Survey, survey
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
 from lodbench.execution import ProgressCallback

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from lodbench.cli.parts import DATE_HELP, READ_SETTINGS, SourceProfile, load_profile
 from lodbench.datasets.pose_text import parse_camera
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, DatasetError, LodbenchError, require_choice, require_within
 from lodbench.geometry import Camera, CameraSigmas
 from lodbench.params import flag, part

@@ -34,14 +34,13 @@ from typing import Any
 from lodbench.citymodel.crs import is_same_plane
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
-from lodbench.datasets.exchange.posed import read_json
-from lodbench.datasets.inputs import read_references
-from lodbench.datasets.instance_labels import CLASSES_FOLDER, INSTANCES_FOLDER
+from lodbench.datasets.inputs import CLASSES_FOLDER, INSTANCES_FOLDER, read_references
 from lodbench.datasets.pose_text import (
     format_camera,
     format_pose,
     lines_to_text,
     read_hypotheses,
+    read_json,
     read_known_cameras,
     read_measurements,
     read_percents,

@@ -1,11 +1,14 @@
-"""Writing anybody's photos, poses and masks as a dataset folder whose cameras are pinholes."""
+"""Anybody's photos, poses and masks as a dataset folder whose cameras are pinholes.
+
+Images are those of a drone's photos, or of another program's model.
+"""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -18,13 +21,24 @@ from lodbench.datasets.folder import (
     sealed_about,
     write_poses,
 )
-from lodbench.datasets.pose_text import lines_to_text
+from lodbench.datasets.pose_text import FoundPose, lines_to_text
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.geometry import Camera, CameraSigmas, Pose
-from lodbench.photos.files import PHOTO_SUFFIXES, in_pose_lines, mask_names, split_flights
-from lodbench.photos.measurements import Measurements
+from lodbench.photos.camera import camera_from_photo, camera_given
+from lodbench.photos.files import (
+    PHOTO_SUFFIXES,
+    copies_among,
+    find_photos,
+    in_pose_lines,
+    mask_names,
+    require_photos,
+    split_flights,
+)
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.measurements import Measurements, measured_of
 from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
 from lodbench.photos.pictures import encoded, read_picture
+from lodbench.photos.pose import HeightOptions, pose_from_photo, require_stated
 from lodbench.photos.undistort import pinhole_of, undistorted
 from lodbench.storage import make_folder, new_folder, write_bytes, write_text
 
@@ -91,11 +105,8 @@ def find_mask(folder: Path | None, name: str, photo: Path | None = None) -> Path
     if folder is None:
         return None
     found = (find_inside(folder, spelt) for spelt in _mask_names(PurePosixPath(name)))
-    return next((file for file in found if file is not None and not _is_same(file, photo)), None)
-
-
-def _is_same(file: Path, photo: Path | None) -> bool:
-    return photo is not None and file.resolve() == photo.resolve()
+    own = None if photo is None else photo.resolve()
+    return next((file for file in found if file is not None and file.resolve() != own), None)
 
 
 def _mask_names(image: PurePosixPath) -> list[str]:
@@ -180,9 +191,8 @@ def write_dataset(
     require_new_folder(folder)
     names = _dataset_names(images)
     make_folder(folder.parent)
-    left_out = list(left_out)
+    left_out, num_undistorted = list(left_out), 0
     kept: list[tuple[str, OwnImage, Camera]] = []
-    num_undistorted = 0
     with new_folder(folder) as filling:
         for name, image in zip(names, images, strict=True):
             try:
@@ -201,11 +211,7 @@ def write_dataset(
 
 
 def _dataset_names(images: Sequence[OwnImage]) -> list[str]:
-    """Returns a name without folders and spaces for each image.
-
-    Raises:
-        DatasetError: Two images, or two masks, which are named after the stem, would have the same.
-    """
+    """Returns a name without folders and spaces for each image; no two images, or masks, have the same."""
     names = [image.file_name for image in images]
     stems = [Path(name).stem for name, image in zip(names, images, strict=True) if image.mask is not None]
     for what, listed in (("images", names), ("images with a mask", stems)):
@@ -218,21 +224,14 @@ def _dataset_names(images: Sequence[OwnImage]) -> list[str]:
 
 
 def _write_pictures(folder: Path, name: str, image: OwnImage, pinhole: Camera) -> int:
-    """Writes an image's photo and mask; returns 1 if they were undistorted.
-
-    Raises:
-        DatasetError: The photo is unreadable or of another size than its camera, or the mask is unreadable
-            or has another aspect.
-    """
+    """Writes an image's photo and mask, if they fit its camera; returns 1 if they were undistorted."""
     is_straight = not image.camera.distortion
-    contents: dict[Path, bytes] = {}
+    contents, size = dict[Path, bytes](), (image.camera.width, image.camera.height)
     if image.photo is not None:
         header = read_photo_metadata(image.photo)
-        size = image.camera.width, image.camera.height
         if (header.width, header.height) != size:
-            raise DatasetError(
-                f"the photo is {header.width} x {header.height}, its camera {size[0]} x {size[1]}"
-            )
+            stored = f"the photo is {header.width} x {header.height}"
+            raise DatasetError(f"{stored}, its camera {size[0]} x {size[1]}")
         if not is_decodable(image.photo):
             raise DatasetError(f"{image.photo} is damaged or cut off")
         target = folder / "Query_image" / name
@@ -240,8 +239,7 @@ def _write_pictures(folder: Path, name: str, image: OwnImage, pinhole: Camera) -
             image.photo.read_bytes() if is_straight else _encoded(image.photo, image.camera, pinhole, target)
         )
     if image.mask is not None:
-        fault = mask_fault(image.mask, (image.camera.width, image.camera.height))
-        if fault:
+        if fault := mask_fault(image.mask, size):
             raise DatasetError(fault)
         target = folder / "masks" / f"{Path(name).stem}.png"
         contents[target] = _encoded(image.mask, image.camera, pinhole, target)
@@ -264,8 +262,7 @@ def _encoded(source: Path, camera: Camera, pinhole: Camera, target: Path) -> byt
 
 def _flights(images: Sequence[tuple[str, OwnImage]]) -> list[str]:
     """Returns a line for each image, its name and its flight; none where one says nothing of itself."""
-    stated = [(image.photo, image.stated) for _, image in images]
-    known = [(photo, said) for photo, said in stated if photo is not None and said is not None]
+    known = [(i.photo, i.stated) for _, i in images if i.photo is not None and i.stated is not None]
     if len(known) < len(images):
         return []
     flights = enumerate(split_flights(known), start=1)
@@ -273,21 +270,130 @@ def _flights(images: Sequence[tuple[str, OwnImage]]) -> list[str]:
     return [f"{name} flight_{flight_of[row]}" for row, (name, _) in enumerate(images)]
 
 
-def _write_texts(
-    folder: Path, kept: Sequence[tuple[str, OwnImage, Camera]], about: Mapping[str, Any]
-) -> None:
+def _write_texts(folder: Path, kept: Sequence[tuple[str, OwnImage, Camera]], about: dict[str, Any]) -> None:
     truth = {name: image.truth for name, image, _ in kept if image.truth is not None}
     priors = {name: image.prior for name, image, _ in kept if image.prior is not None}
     sigmas = {name: image.camera_sigmas for name, image, _ in kept}
     write_poses(folder, {name: pinhole for name, _, pinhole in kept}, truth, priors, sigmas=sigmas)
-    flights = _flights([(name, image) for name, image, _ in kept])
-    if flights:
-        write_text(folder / SEQUENCE_FILE, lines_to_text(flights))
-    lenses = [f"{name} {i.lens_percent:.2f}" for name, i, _ in kept if i.lens_percent is not None]
-    if lenses:
-        write_text(folder / LENS_FILE, lines_to_text(lenses))
-    measured = [" ".join([name, *i.measured.words()]) for name, i, _ in kept if i.measured is not None]
-    if measured:
-        write_text(folder / MEASUREMENTS_FILE, lines_to_text(measured))
+    listed = {
+        SEQUENCE_FILE: _flights([(name, image) for name, image, _ in kept]),
+        LENS_FILE: [f"{name} {i.lens_percent:.2f}" for name, i, _ in kept if i.lens_percent is not None],
+        MEASUREMENTS_FILE: [" ".join([n, *i.measured.words()]) for n, i, _ in kept if i.measured is not None],
+    }
+    for name, lines in listed.items():
+        if lines:
+            write_text(folder / name, lines_to_text(lines))
     stated = sealed_about({"truth": bool(truth), "priors": bool(priors), **about})
     write_text(folder / ABOUT_FILE, json.dumps(stated, indent=2, ensure_ascii=False) + "\n")
+
+
+LeftOut = list[tuple[str, str]]
+
+
+def images_from_photos(
+    folder: Path,
+    frame: MapFrame,
+    heights: HeightOptions,
+    *,
+    masks: Path | None = None,
+    camera: Camera | None = None,
+    camera_sigmas: CameraSigmas | None = None,
+) -> tuple[list[OwnImage], LeftOut]:
+    """Returns the photos of a folder with the rough poses their metadata states, and those without one.
+
+    Args:
+        folder: Photos, in it or below it.
+        frame: The city's coordinates.
+        heights: How the drone's heights become the city's.
+        masks: Folder of masks of the photos as stored, or None.
+        camera: Intrinsics of all photos, before their own.
+        camera_sigmas: How well these are known, None for exactly.
+
+    Raises:
+        LodbenchError: There are no photos, or no height of any could be converted.
+    """
+    images, left_out, last = list[OwnImage](), LeftOut(), LodbenchError("")
+    photos = find_photos(folder, masks)
+    require_photos(photos, folder)
+    found_masks = [find_mask(masks, path.name, path) for path in photos]
+    copies, _ = copies_among(photos, found_masks)
+    for row, (path, mask) in enumerate(zip(photos, found_masks, strict=True)):
+        if row in copies:
+            left_out.append((path.name, copies[row]))
+            continue
+        try:
+            photo = read_photo_metadata(path)
+            require_stated(photo, heights, knows_camera=camera is not None)
+            found = camera_given(camera, camera_sigmas) if camera else camera_from_photo(photo)
+            prior = pose_from_photo(photo, frame, heights)
+            own = OwnImage(path.name, found.camera, prior, photo=path, mask=mask, stated=photo)
+            own = replace(own, lens_percent=found.lens_percent, camera_sigmas=found.camera_sigmas)
+            images.append(replace(own, measured=measured_of(photo, heights)))
+        except LodbenchError as fault:
+            # Should none be left, the last one's hint says what to do about all.
+            left_out.append((path.name, fault.message))
+            last = fault
+    if not images:
+        elsewhere = "Poses from elsewhere: --colmap; one by one, localize takes"
+        hint = last.hint.marked.replace("lodbench localize takes", elsewhere)
+        raise DatasetError(f"No photo of {folder} can be used; {last.message.marked}", hint)
+    return images, left_out
+
+
+def images_from_poses(
+    found: Sequence[FoundPose],
+    *,
+    photos: Path | None = None,
+    masks: Path | None = None,
+    cameras: Mapping[str, tuple[Camera, CameraSigmas | None]] | None = None,
+    camera_sigmas: CameraSigmas | None = None,
+    frame: MapFrame | None = None,
+    heights: HeightOptions | None = None,
+) -> tuple[list[OwnImage], LeftOut]:
+    """Returns posed images, their poses as the truth, with priors from the photos where these state one.
+
+    Args:
+        found: Images of another program's model, in the city's coordinates.
+        photos: Folder that the image names are relative to, or None for poses alone.
+        masks: Folder of masks of the photos as stored, or None.
+        cameras: Intrinsics by image name and how well they are known, where the model has none.
+        camera_sigmas: How well the model's are known, None where nobody says.
+        frame: The city's coordinates, to read the photos' own positions; None for no priors.
+        heights: How the drone's heights become the city's.
+    """
+    images, left_out = list[OwnImage](), LeftOut()
+    for image in found:
+        photo = None if photos is None else find_photo(photos, image.name)
+        if photo is not None:  # matrices and Metashape's labels lack the ending
+            image = image._replace(name=str(PurePosixPath(image.name).with_name(photo.name)))
+        camera, sigmas = image.camera, camera_sigmas
+        if camera is None and cameras is not None:
+            camera, sigmas = cameras.get(Path(image.name).name, (None, None))
+        if camera is None:
+            reason = image.no_camera or "no camera: the format has none, or not for this image"
+            left_out.append((image.name, reason))
+        elif photos is not None and photo is None:
+            left_out.append((image.name, f"no such photo in {photos}"))
+        else:
+            mask = find_mask(masks, image.name, photo)
+            own = OwnImage(image.name, camera, None, image.pose, photo, mask, camera_sigmas=sigmas)
+            images.append(own if frame is None else _with_stated_prior(own, frame, heights))
+    return named_apart(images), left_out
+
+
+def named_apart(images: Sequence[OwnImage]) -> list[OwnImage]:
+    """Returns images that have their folders in their names where these tell them apart: ``cam1_x.jpg``."""
+    stems = Counter(Path(image.file_name).stem for image in images)
+    return [replace(image, keeps_folders=stems[Path(image.file_name).stem] > 1) for image in images]
+
+
+def _with_stated_prior(image: OwnImage, frame: MapFrame, heights: HeightOptions | None) -> OwnImage:
+    """Returns an image with the rough pose that its photo states, or with the reason why it states none."""
+    if image.photo is None:
+        return image
+    try:
+        stated = read_photo_metadata(image.photo)
+        measured = measured_of(stated, heights or HeightOptions())
+        return replace(image, prior=pose_from_photo(stated, frame, heights), stated=stated, measured=measured)
+    except DatasetError as fault:
+        return replace(image, no_prior=fault.message.rstrip("."))

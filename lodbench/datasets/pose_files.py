@@ -32,10 +32,10 @@ from numpy.typing import NDArray
 from lodbench.citymodel.crs import is_same_plane, require_crs
 from lodbench.citymodel.frame import brought_note
 from lodbench.datasets.exchange.colmap import is_colmap, models_below
-from lodbench.datasets.exchange.kapture import is_kapture
+from lodbench.datasets.exchange.kapture_nerfstudio import is_kapture
 from lodbench.datasets.exchange.lines import TABLE_LAYOUT, table_columns
 from lodbench.datasets.exchange.photogrammetry import looks_like
-from lodbench.datasets.exchange.posed import DEGREES_CRS, FoundPose, content, with_slashes
+from lodbench.datasets.pose_text import DEGREES_CRS, FoundPose, content, with_slashes
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Pose
 from lodbench.photos.map_frame import MapFrame

@@ -8,25 +8,98 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import ClassVar, Protocol, cast
 
+import numpy as np
+
 from lodbench.citymodel.cache import open_cached_scene
-from lodbench.datasets.codes import NO_PRIOR
-from lodbench.datasets.exchange.fixes import Fix, read_fixes
-from lodbench.datasets.exchange.lines import read_lines
+from lodbench.datasets.exchange.lines import Fix, read_fixes, read_lines
+from lodbench.datasets.faults import NO_PRIOR
 from lodbench.datasets.pose_text import format_pose, lines_to_text
-from lodbench.datasets.priors import UniformPrior, with_uniform_priors
 from lodbench.datasets.query import Dataset, Entry, notes_of
 from lodbench.errors import ConfigError, DatasetError, Option, Words, require_numbers
 from lodbench.findings import Findings
-from lodbench.geometry import Pose
+from lodbench.geometry import EulerAngles, Pose
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.measurements import Measurements, measured_of
 from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
 from lodbench.photos.pose import HeightOptions, HeightSource, RoughPlace, pose_from_photo
-from lodbench.storage import digest_of
+from lodbench.storage import digest_of, random_stream
+
+_NO_TRUTH_HINT = "Take the photos' own, `prior=sensor`, or those of a file: `prior=file` `prior.path=FILE`."
+
+
+@dataclass(frozen=True, slots=True)
+class UniformPrior:
+    """Independent uniform errors around the truth, each within plus or minus its half width.
+
+    The defaults are those of the published Swiss-EPFL priors: 17 m and 3.8 degrees in the median.
+    Angles are errors of the datasets' pitch, roll and yaw, not turns about camera axes.
+
+    Attributes:
+        x_m: East, metres.
+        y_m: North, metres.
+        z_m: Up, metres.
+        yaw_deg: Yaw, degrees.
+        pitch_deg: Pitch, degrees.
+        roll_deg: Roll, degrees.
+
+    Raises:
+        ConfigError: A half width is negative or not finite.
+    """
+
+    name: ClassVar[str] = "uniform"
+    x_m: float = 10.0
+    y_m: float = 10.0
+    z_m: float = 30.0
+    yaw_deg: float = 7.5
+    pitch_deg: float = 1.0
+    roll_deg: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_numbers(self, "prior", (field.name for field in fields(self)), 0)
+
+    def apply(self, dataset: Dataset, seed: int) -> Dataset:
+        """Returns the dataset with priors drawn around the truth, see ``with_uniform_priors``."""
+        return with_uniform_priors(dataset, self, seed)
+
+    def draw(self, truth: Pose, generator: np.random.Generator) -> Pose:
+        """Returns a prior around the truth; always six draws, so a width of 0 changes no other axis."""
+        x, y, z, yaw, pitch, roll = generator.uniform(-1.0, 1.0, size=6)
+        turns = (pitch * self.pitch_deg, roll * self.roll_deg, yaw * self.yaw_deg)
+        wrong = EulerAngles(*(angle + turn for angle, turn in zip(truth.euler, turns, strict=True)))
+        offset = np.array([x * self.x_m, y * self.y_m, z * self.z_m])
+        return Pose.from_euler(wrong, truth.center + offset)
+
+    def describe(self) -> str:
+        """Returns the half widths in words, as a protocol prints them."""
+        return (
+            f"uniform around the truth: +-{self.x_m:g}/{self.y_m:g}/{self.z_m:g} m in x/y/z, "
+            f"+-{self.yaw_deg:g} deg yaw, +-{self.pitch_deg:g}/{self.roll_deg:g} deg pitch/roll"
+        )
+
+
+def with_uniform_priors(dataset: Dataset, prior: UniformPrior, seed: int) -> Dataset:
+    """Returns a dataset whose priors are drawn around the truth, one random stream per query.
+
+    The stream does not know the widths: a wider prior errs in the same direction, only further. A
+    query without a truth has none then: its own is no such draw.
+
+    Raises:
+        DatasetError: No query has a truth.
+    """
+    if not any(entry.key in dataset.truth for entry in dataset.entries):
+        raise DatasetError(f"{dataset.name} has no true pose to draw priors around.", _NO_TRUTH_HINT)
+    entries = []
+    for entry in dataset.entries:
+        if (truth := dataset.truth.get(entry.key)) is None:
+            entries.append(entry.with_prior(None, ()))
+        else:
+            drawn = prior.draw(truth, random_stream(seed, dataset.name, entry.key, "prior"))
+            entries.append(entry.with_prior(drawn, (drawn,)))
+    return replace(dataset, entries=tuple(entries))
 
 
 def photo_frame(dataset: Dataset) -> tuple[MapFrame, tuple[float, ...]]:
@@ -174,14 +247,12 @@ class SensorPrior:
         heights = self._heights()
         fixes = None if self.fixes is None else read_fixes(Path(self.fixes).expanduser())
         priors, findings, reason = [], Findings(), DatasetError("no query has a photo")
-        measured: list[Measurements | None] = []
+        measured = list[Measurements | None]()
         for entry in dataset.entries:
-            poses: tuple[Pose, ...] = ()
-            stated: PhotoMetadata | None = None
+            poses, stated = tuple[Pose, ...](), None
             try:
                 stated = _stated(entry) if fixes is None else self._at_fix(entry, fixes)
-                pose = _pose_of(entry, stated, frame, heights).shifted([-value for value in origin])
-                poses = (pose,)
+                poses = (_pose_of(entry, stated, frame, heights).shifted([-value for value in origin]),)
             except DatasetError as error:
                 reason = error
                 findings.add(NO_PRIOR, entry.key, reason.message.rstrip("."))
@@ -221,8 +292,7 @@ class SensorPrior:
 
 
 def _stated(entry: Entry) -> PhotoMetadata:
-    photo = entry.stored or entry.image
-    if photo is None:
+    if (photo := entry.stored or entry.image) is None:
         raise DatasetError("there is no photo")
     return read_photo_metadata(photo)
 
@@ -259,16 +329,10 @@ class BasinPrior:
     @property
     def widths(self) -> UniformPrior:
         """Returns the half widths of all six."""
-        return UniformPrior(
-            self.range_m, self.range_m, self.range_m, self.yaw_deg, self.tilt_deg, self.tilt_deg
-        )
+        return UniformPrior(*(self.range_m,) * 3, self.yaw_deg, self.tilt_deg, self.tilt_deg)
 
     def apply(self, dataset: Dataset, seed: int) -> Dataset:
-        """Returns the dataset with priors drawn around the truth.
-
-        Raises:
-            DatasetError: No query has a truth.
-        """
+        """Returns the dataset with priors drawn around the truth, see ``with_uniform_priors``."""
         return with_uniform_priors(dataset, self.widths, seed)
 
     def describe(self) -> str:
@@ -307,11 +371,10 @@ def _numbers(pose: Pose | None) -> list[float] | None:
 
 
 def _by_key(path: Path, entries: Sequence[Entry]) -> dict[str, tuple[Pose, ...]]:
-    keys: dict[str, list[str]] = {}
+    keys, found = dict[str, list[str]](), dict[str, tuple[Pose, ...]]()
     for entry in entries:
         for word in {entry.key, entry.name}:
             keys.setdefault(word, []).append(entry.key)
-    found: dict[str, tuple[Pose, ...]] = {}
     for line in read_lines(path):
         owners = keys.get(line.name, [])
         if len(owners) != 1:

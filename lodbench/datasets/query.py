@@ -101,8 +101,8 @@ class Entry:
         hypotheses: All rough poses the dataset states, the prior first; may be empty.
         sequence: Name of the flight it was taken on, unique within its split; "" where nobody says.
         reconstructed: Its pose in a reconstruction of its flight, in a frame of that.
-        instances: Labels of its buildings made beforehand, see ``lodbench.datasets.instance_labels``.
-        classes: Classes of surfaces made beforehand, see ``lodbench.datasets.instance_labels``.
+        instances: Labels of its buildings made beforehand, see ``lodbench.datasets.inputs``.
+        classes: Classes of surfaces made beforehand, see ``lodbench.datasets.inputs``.
         lens_percent: As of ``Query``.
         camera_sigmas: Likewise.
         measured: Likewise.

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lodbench.datasets.codes import UNLIKE_RECONSTRUCTION
 from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
+from lodbench.datasets.faults import UNLIKE_RECONSTRUCTION
 from lodbench.datasets.folder import TRUTH_FILE, FolderParams, open_folder
 from lodbench.datasets.query import Dataset, notes_of
 from lodbench.errors import DatasetError, LodbenchError

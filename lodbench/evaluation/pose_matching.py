@@ -9,8 +9,8 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from lodbench.datasets.exchange.posed import FoundPose, inverted
 from lodbench.datasets.pose_files import is_number
+from lodbench.datasets.pose_text import FoundPose, inverted
 from lodbench.datasets.query import Entry
 from lodbench.errors import DatasetError
 from lodbench.evaluation.errors import pose_error

@@ -13,10 +13,10 @@ from lodbench.citymodel.codes import HEIGHT_DEFAULTED, HEIGHT_MISSING
 from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.subset import choose_buildings
-from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.own import find_photo
 from lodbench.datasets.pose_files import brought, read_pose_file
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.datasets.published.own_layout import without_lens
 from lodbench.datasets.query import Entry, Query
 from lodbench.errors import CityModelError, DatasetError

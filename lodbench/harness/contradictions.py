@@ -18,7 +18,7 @@ import scipy
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.codes import (
+from lodbench.datasets.faults import (
     CAMERA_UNLIKE_VIEW,
     MASK_EXCHANGED,
     MASK_TURNED,

@@ -10,7 +10,7 @@ import numpy as np
 
 from lodbench.citymodel.crs import is_same_plane
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.codes import (
+from lodbench.datasets.faults import (
     BELOW_CITY,
     CHECKSUM_DIFFERS,
     CITY_NOT_IN_VIEW,
@@ -28,8 +28,6 @@ from lodbench.datasets.codes import (
     TRUTH_LIKE_PLAN,
     TRUTH_OFF_GPS,
     WRONG_DIRECTION,
-)
-from lodbench.datasets.faults import (
     crop_doubt,
     exchange_fault,
     field_fault,
@@ -38,7 +36,7 @@ from lodbench.datasets.faults import (
     suspect_direction,
 )
 from lodbench.datasets.published.catalogue import SPECS
-from lodbench.datasets.published.spec import Download
+from lodbench.datasets.published.layout import Download
 from lodbench.datasets.query import Dataset, Entry, repeated_keys
 from lodbench.errors import DatasetError, LodbenchError, Words
 from lodbench.evaluation.errors import PoseError, pose_error

@@ -20,8 +20,8 @@ from lodbench.datasets.exchange.colmap import read_colmap
 from lodbench.datasets.exchange.colmap_moved import write_moved_colmap
 from lodbench.datasets.exchange.geojson import camera_feature, footprint_feature, view_feature, write_geojson
 from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm, write_pix4d
-from lodbench.datasets.exchange.posed import FoundPose, read_json
 from lodbench.datasets.own import find_mask, find_photo, shared_files
+from lodbench.datasets.pose_text import FoundPose, read_json
 from lodbench.datasets.query import Query
 from lodbench.errors import DatasetError, LodbenchError, QueryFault
 from lodbench.execution import Progress

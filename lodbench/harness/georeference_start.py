@@ -10,9 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
-from lodbench.datasets.exchange.posed import FoundPose, LayoutGuard, read_json
 from lodbench.datasets.own import find_photo, shared_files
 from lodbench.datasets.pose_files import brought, read_pose_file
+from lodbench.datasets.pose_text import FoundPose, LayoutGuard, read_json
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose
 from lodbench.geometry.similarity import FEWEST_POSES, Similarity, fit_similarity

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.datasets.exchange.geojson import camera_feature, nowhere_feature, write_geojson
 from lodbench.datasets.exchange.lines import write_lines
-from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.own import require_some_mask
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.execution import Progress

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.citymap.laser import RangedPose, pose_by_range
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.estimation.lens import LensErrors
 from lodbench.estimation.model_lines import ModelLines, Projected, lines_in_view, project_lines

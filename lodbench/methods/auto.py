@@ -12,7 +12,7 @@ import numpy as np
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault, require_numbers
 from lodbench.estimation.probability import TRUSTED

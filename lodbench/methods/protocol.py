@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lodbench.citymap import CityMap
-    from lodbench.datasets.priors import UniformPrior
+    from lodbench.datasets.prior_sources import UniformPrior
     from lodbench.datasets.query import Query, Reference
     from lodbench.errors import QueryFault
     from lodbench.geometry import Pose

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import LodbenchError
 from lodbench.methods.protocol import Method, SupportsPriorWidth, SupportsTrueTilt
 from lodbench.params import to_params

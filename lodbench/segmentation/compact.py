@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.inputs import Input
-from lodbench.datasets.instance_labels import masks_of_labels
+from lodbench.datasets.inputs import Input, masks_of_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault, require_within
 from lodbench.segmentation.packaged_network import PackagedNetwork, packaged_file

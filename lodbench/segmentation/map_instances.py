@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.datasets.inputs import Input
-from lodbench.datasets.instance_labels import masks_of_labels
+from lodbench.datasets.inputs import Input, masks_of_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault, require_numbers, require_within
 from lodbench.geometry import AxisRange, Pose, PoseGrid, rotations_at_yaws

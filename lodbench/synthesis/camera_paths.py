@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.pose_text import read_poses
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler

@@ -107,7 +107,7 @@ def instances_of_demo(demo: Dataset, city: Path, seed: int) -> Path:
     """
 
     def write(folder: Path) -> None:
-        from lodbench.datasets.instance_labels import encoded_labels
+        from lodbench.datasets.inputs import encoded_labels
         from lodbench.rendering.raster import RasterRenderer
         from lodbench.synthesis.mask_degradation import degraded_instances
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.datasets.folder import write_poses
-from lodbench.datasets.instance_labels import INSTANCES_FOLDER, encoded_labels
+from lodbench.datasets.inputs import INSTANCES_FOLDER, encoded_labels
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler

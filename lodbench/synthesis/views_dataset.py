@@ -21,7 +21,7 @@ from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import FolderParams, open_folder
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError, require_numbers, require_within
 from lodbench.geometry import Camera, Pose

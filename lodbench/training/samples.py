@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import ROOF, WALL
 from lodbench.datasets.faults import aspect_fault, mask_fault
-from lodbench.datasets.instance_labels import read_classes, read_labels
+from lodbench.datasets.inputs import read_classes, read_labels
 from lodbench.errors import ConfigError, DatasetError, LodbenchError, require_choice, require_within
 from lodbench.photos.files import PHOTO_SUFFIXES
 from lodbench.photos.pictures import picture_size, read_picture

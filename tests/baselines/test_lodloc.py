@@ -17,7 +17,7 @@ from lodbench.baselines.lodloc.refinement import refined
 from lodbench.baselines.lodloc.wireframe import points_along, visible_points, wider
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation.errors import pose_error
 from lodbench.geometry import AxisRange, EulerAngles, Pose, PoseGrid, rotations_at_yaws

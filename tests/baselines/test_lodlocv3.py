@@ -8,8 +8,8 @@ import pytest
 from lodbench.baselines.lodlocv3 import LodLocV3, LodLocV3Params
 from lodbench.baselines.lodlocv3.instance_fit import InstanceFit, label_image
 
-from lodbench.datasets.instance_labels import masks_of_labels
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.inputs import masks_of_labels
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation.errors import pose_error
 from lodbench.geometry import Camera

@@ -10,7 +10,7 @@ from lodbench.baselines.mcloc import McLoc, McLocParams
 from lodbench.baselines.mcloc.features import Hog, open_features, similarities
 from lodbench.baselines.mcloc.method import FeatureScorer
 
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation.errors import pose_error
 from lodbench.methods import Input

@@ -12,7 +12,7 @@ from lodbench.bench.real_report import flagged, flight_errors, found, held, repo
 from lodbench.citymodel import open_scene
 from lodbench.cli.bench import main
 from lodbench.datasets.folder import FolderParams, open_folder
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.evaluation.queries import ERROR
 from lodbench.evaluation.recall import Threshold
 from lodbench.geometry import EulerAngles, Pose

@@ -13,7 +13,7 @@ from lodbench.citymodel.formats import city_formats, formats_in_words, identify
 from lodbench.citymodel.read import read_city_model
 from lodbench.citymodel.source import is_city_file, open_sources
 from lodbench.cli import main
-from lodbench.datasets.codes import CATALOGUE as DATASET_CODES
+from lodbench.datasets.faults import CATALOGUE as DATASET_CODES
 from tests.cli.photo_case import make_case
 from tests.site_packages import write_package
 

@@ -12,9 +12,8 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.cli import main
 from lodbench.datasets.exchange.colmap import write_colmap
-from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import write_poses
-from lodbench.datasets.pose_text import format_pose, read_poses
+from lodbench.datasets.pose_text import FoundPose, format_pose, read_poses
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from tests.citymodel.surface_case import NORTH, WEST, write_footprints
 from tests.town import BOXES, CAMERA, box_obj

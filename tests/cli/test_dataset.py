@@ -9,8 +9,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from lodbench.datasets.exchange.posed import inverted
-from lodbench.datasets.pose_text import format_pose, lines_to_text, read_poses
+from lodbench.datasets.pose_text import format_pose, inverted, lines_to_text, read_poses
 from lodbench.geometry import Pose
 from tests.data.published_layouts import UAVD4L_NAMES, write_swiss, write_uavd4l
 from tests.town import write_dataset

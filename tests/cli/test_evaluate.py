@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from lodbench.datasets.exchange.photogrammetry import write_odm
-from lodbench.datasets.exchange.posed import FoundPose, inverted
 from lodbench.datasets.pose_files import brought
-from lodbench.datasets.pose_text import read_poses
+from lodbench.datasets.pose_text import FoundPose, inverted, read_poses
 from tests.datasets.test_pose_files import lines
 from tests.town import write_dataset
 

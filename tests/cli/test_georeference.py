@@ -15,8 +15,8 @@ from lodbench.cli import main
 from lodbench.datasets.exchange.colmap import read_colmap, write_colmap
 from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.photogrammetry import write_odm
-from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.pose_files import brought, read_pose_file
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.geometry.similarity import Similarity

@@ -13,7 +13,7 @@ import pytest
 from lodbench.citymodel import open_scene
 from lodbench.cli import main
 from lodbench.datasets.exchange.colmap import write_colmap
-from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.photo.many import FINDINGS_FILE, FLIGHTS_FILE, PhotoAnswer, write_answers
 from lodbench.rendering import make_renderer

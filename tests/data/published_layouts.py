@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.similarity import SWISS_EPFL_FRAME, enu_from_ecef_rotation
 from lodbench.photos.map_frame import MapFrame

@@ -7,10 +7,9 @@ import pytest
 import yaml
 
 from lodbench.cli.dataset_list import config_card, main_card
-from lodbench.datasets.cards import card_croissant, croissant_text, read_card
-from lodbench.datasets.codes import CATALOGUE
+from lodbench.datasets.faults import CATALOGUE
 from lodbench.datasets.pose_text import format_pose
-from lodbench.datasets.published.catalogue import SPECS
+from lodbench.datasets.published.catalogue import SPECS, card_croissant, croissant_text, read_card
 from lodbench.errors import ConfigError
 from lodbench.synthesis.demo import DemoParams
 from lodbench.synthesis.town.build import PRIORS, QUERY_CAMERA, TARGET_IOU

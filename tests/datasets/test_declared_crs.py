@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.pose_files import brought
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.errors import DatasetError
 from lodbench.geometry import EulerAngles, Pose
 

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from lodbench.datasets.download import fetch
-from lodbench.datasets.published.catalogue import SPECS
-from lodbench.datasets.published.spec import Download
+from lodbench.datasets.published.catalogue import SPECS, fetch
+from lodbench.datasets.published.layout import Download
 from lodbench.errors import DatasetError
 
 pytest.importorskip("pooch")

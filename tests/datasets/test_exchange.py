@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from lodbench.datasets.exchange.colmap import read_colmap, write_colmap
-from lodbench.datasets.exchange.kapture import read_kapture, write_kapture
+from lodbench.datasets.exchange.kapture_nerfstudio import (
+    read_kapture,
+    read_nerfstudio,
+    write_kapture,
+    write_nerfstudio,
+)
 from lodbench.datasets.exchange.lines import read_lines, read_tum, write_lines, write_tum
-from lodbench.datasets.exchange.nerfstudio import read_nerfstudio, write_nerfstudio
-from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.own import write_dataset
-from lodbench.datasets.own_sources import images_from_poses
+from lodbench.datasets.own import images_from_poses, write_dataset
 from lodbench.datasets.pose_files import read_pose_file
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 

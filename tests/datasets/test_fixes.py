@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from lodbench.datasets.exchange.fixes import Fix, read_fixes
+from lodbench.datasets.exchange.lines import Fix, read_fixes
 from lodbench.datasets.prior_sources import SensorPrior
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError

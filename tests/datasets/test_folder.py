@@ -6,10 +6,9 @@ import pytest
 
 from lodbench.citymodel.extrude import scene_of_blocks
 from lodbench.datasets.exchange.colmap import write_colmap
-from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import FolderParams, open_folder, select_splits
-from lodbench.datasets.prior_sources import prior_digest
-from lodbench.datasets.priors import UniformPrior, with_uniform_priors
+from lodbench.datasets.pose_text import FoundPose
+from lodbench.datasets.prior_sources import UniformPrior, prior_digest, with_uniform_priors
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.harness.runs import queries_digest

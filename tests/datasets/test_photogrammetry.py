@@ -14,8 +14,8 @@ from lodbench.datasets.exchange.photogrammetry import (
     write_odm,
     write_pix4d,
 )
-from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.pose_files import read_pose_file
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.errors import DatasetError
 from lodbench.geometry import EulerAngles, Pose
 

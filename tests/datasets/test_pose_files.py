@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lodbench.datasets.exchange.posed import FoundPose, inverted
 from lodbench.datasets.pose_files import read_pose_file
-from lodbench.datasets.pose_text import format_pose, lines_to_text
+from lodbench.datasets.pose_text import FoundPose, format_pose, inverted, lines_to_text
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation import pose_error

@@ -7,8 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lodbench.datasets.folder import FolderParams, open_folder
-from lodbench.datasets.prior_sources import BasinPrior, FilePrior, prior_text
-from lodbench.datasets.priors import UniformPrior, with_uniform_priors
+from lodbench.datasets.prior_sources import (
+    BasinPrior,
+    FilePrior,
+    UniformPrior,
+    prior_text,
+    with_uniform_priors,
+)
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import EulerAngles, Pose, wrap_deg
 from lodbench.storage import random_stream

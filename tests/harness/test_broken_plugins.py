@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lodbench.datasets.codes import KEY_TWICE
+from lodbench.datasets.faults import KEY_TWICE
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.queries import queries_csv
 from lodbench.harness import RunSettings, run_method

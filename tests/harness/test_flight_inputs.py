@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lodbench.datasets.exchange.colmap import write_colmap
-from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.photo.flight_inputs import masks_of, picture_file, poses_in_model, tied_notes

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from lodbench.datasets.exchange.colmap import write_colmap
-from lodbench.datasets.exchange.kapture import write_kapture
+from lodbench.datasets.exchange.kapture_nerfstudio import write_kapture, write_nerfstudio
 from lodbench.datasets.exchange.lines import write_lines, write_tum
-from lodbench.datasets.exchange.nerfstudio import write_nerfstudio
 from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm
-from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import FolderParams, open_folder
-from lodbench.datasets.pose_text import format_camera, lines_to_text, read_cameras, read_poses
+from lodbench.datasets.pose_text import FoundPose, format_camera, lines_to_text, read_cameras, read_poses
 from lodbench.evaluation import pose_error
 from lodbench.photos.undistort import pinhole_of
 from tests.cli.photo_case import HEIGHT, PINHOLE, WIDTH, Case

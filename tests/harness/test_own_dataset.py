@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from lodbench.datasets.exchange.colmap import write_colmap
-from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.own import OwnImage
-from lodbench.datasets.pose_text import read_cameras, read_poses
+from lodbench.datasets.pose_text import FoundPose, read_cameras, read_poses
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Camera, CameraSigmas, EulerAngles, Pose
 from lodbench.harness.photo.own_dataset import without_common_view

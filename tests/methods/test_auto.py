@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymap import CityMap
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, EulerAngles, Pose

@@ -11,7 +11,7 @@ import pytest
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.estimation.outline_alignment import Aligner, smooth_distance

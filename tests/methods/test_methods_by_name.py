@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lodbench
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, LodbenchError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.methods.conformance import check_answers, check_class

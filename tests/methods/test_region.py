@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymap import CityMap
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose import pose_from_vector
 from lodbench.methods.region import Region, RegionParams

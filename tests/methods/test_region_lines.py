@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.estimation.outline import edges_in_reach
 from lodbench.estimation.state_vector import ALL, BASE_OFFSET, BESIDE_POSE

@@ -13,8 +13,7 @@ from lodbench.citymodel import open_scene
 from lodbench.citymodel.scene import ROOF, WALL
 from lodbench.cli import main
 from lodbench.datasets.folder import FolderParams, open_folder
-from lodbench.datasets.inputs import Input
-from lodbench.datasets.instance_labels import read_classes
+from lodbench.datasets.inputs import Input, read_classes
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, DatasetError, QueryFault
 from lodbench.evaluation import pose_error

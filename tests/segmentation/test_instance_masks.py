@@ -10,8 +10,14 @@ import pytest
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.folder import FolderParams, open_folder
-from lodbench.datasets.inputs import Input, inputs_of, with_inputs
-from lodbench.datasets.instance_labels import encoded_labels, masks_of_labels, read_labels
+from lodbench.datasets.inputs import (
+    Input,
+    encoded_labels,
+    inputs_of,
+    masks_of_labels,
+    read_labels,
+    with_inputs,
+)
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.requirements import required_inputs

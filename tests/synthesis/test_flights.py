@@ -12,8 +12,8 @@ import pytest
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.datasets.exchange.colmap import write_colmap
-from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation import pose_error

@@ -1,4 +1,4 @@
-"""Posed images in the formats of other programs: one module per format, reader and writer together.
+"""Posed images in the formats of other programs: reader and writer of a format together.
 
 Metashape, Pix4D and ODM share their angles, and so ``photogrammetry``.
 """

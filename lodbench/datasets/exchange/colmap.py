@@ -10,16 +10,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.exchange.colmap_rigs import BYTES_PER_POINT, RIG_FILES, PosedImage, lone_cameras
-from lodbench.datasets.exchange.posed import (
+from lodbench.datasets.exchange.colmap_moved import (
+    BYTES_PER_POINT,
+    BYTES_PER_TRACK,
+    RIG_FILES,
+    PosedImage,
+    lone_cameras,
+    require_no_binary,
+)
+from lodbench.datasets.pose_text import (
     FoundPose,
     LayoutGuard,
     content,
+    lines_to_text,
     numbers_of,
+    parse_pose,
     require_plain_names,
     with_slashes,
 )
-from lodbench.datasets.pose_text import lines_to_text, parse_pose
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.camera import colmap_parameters
@@ -46,7 +54,6 @@ _MODEL_NAMES = {
     15: "FISHEYE",
     16: "EUCM",
 }
-_BYTES_PER_TRACK = 8
 _Cameras = Mapping[int, Camera | str]
 
 
@@ -105,7 +112,7 @@ def read_colmap_points(folder: Path) -> NDArray[np.float64]:
         data, points = _Bytes(path), []
         for _ in range(data.take("<Q")[0]):
             points.append(data.take("<Q3d3Bd")[1:4])
-            data.skip(data.take("<Q")[0] * _BYTES_PER_TRACK)
+            data.skip(data.take("<Q")[0] * BYTES_PER_TRACK)
         return np.array(points, np.float64).reshape(-1, 3)
     path = folder / "points3D.txt"
     if not path.is_file():
@@ -149,21 +156,6 @@ def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
     write_text(folder / "points3D.txt", "# no points\n")
     for name, content_of in zip(RIG_FILES, lone_cameras(posed, "txt"), strict=True):
         write_bytes(folder / f"{name}.txt", content_of)
-
-
-def require_no_binary(folder: Path) -> None:
-    """Makes sure that a text model will be what programs read from a folder: they take binary files first.
-
-    Raises:
-        DatasetError: There are such.
-    """
-    names = [f"{name}.bin" for name in ("cameras", "images", "points3D", *RIG_FILES)]
-    there = [name for name in names if (folder / name).exists()]
-    if there:
-        raise DatasetError(
-            f"{folder / there[0]} would be read before the model as text that is to be written beside it.",
-            "Name another folder: `--out OTHER`",
-        )
 
 
 def _text_cameras(path: Path) -> dict[int, Camera | str]:

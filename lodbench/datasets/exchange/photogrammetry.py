@@ -23,8 +23,14 @@ from numpy.typing import NDArray
 
 from lodbench import __version__
 from lodbench.citymodel.crs import KnownCrs, require_crs, resolve_crs
-from lodbench.datasets.exchange.posed import FoundPose, LayoutGuard, content, read_text, require_plain_names
-from lodbench.datasets.pose_text import lines_to_text
+from lodbench.datasets.pose_text import (
+    FoundPose,
+    LayoutGuard,
+    content,
+    lines_to_text,
+    read_text,
+    require_plain_names,
+)
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose
 from lodbench.geometry.angles import dji_from_rotation

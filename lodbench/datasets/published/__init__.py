@@ -1,5 +1,5 @@
 """Published datasets, read from wherever a person put the download.
 
-A module of facts each (``spec`` says which): those of the LoD-Loc papers over readers of the two layouts they
-come in, others with a reader of their own over ``own_layout``.
+``layout`` says what a spec holds. Specs of LoD-Loc's papers are in ``lodloc``, which reads the two trees that
+these come in; others are beside a reader of their own over ``own_layout``.
 """

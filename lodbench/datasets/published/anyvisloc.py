@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.codes import READING_CONTRADICTED, READING_INFERRED
-from lodbench.datasets.exchange.posed import read_json
-from lodbench.datasets.priors import UniformPrior
-from lodbench.datasets.published.layout import advice
+from lodbench.datasets.faults import READING_CONTRADICTED, READING_INFERRED
+from lodbench.datasets.pose_text import read_json
+from lodbench.datasets.prior_sources import UniformPrior
+from lodbench.datasets.published.layout import Host, Part, PublishedSpec, SplitSpec, advice
 from lodbench.datasets.published.own_layout import (
     AUTO,
     Array,
@@ -29,7 +29,6 @@ from lodbench.datasets.published.own_layout import (
     without_lens,
 )
 from lodbench.datasets.published.raster_maps import Raster, RasterMap, kept_maps, kept_pictures, pinhole
-from lodbench.datasets.published.spec import Host, Part, PublishedSpec, SplitSpec
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError, require_within
 from lodbench.findings import Findings

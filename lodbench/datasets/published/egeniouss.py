@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from lodbench.datasets.codes import NO_IMAGE, NO_PRIOR
-from lodbench.datasets.exchange.posed import content
-from lodbench.datasets.pose_text import parse_camera
+from lodbench.datasets.faults import NO_IMAGE, NO_PRIOR
+from lodbench.datasets.pose_text import content, parse_camera
+from lodbench.datasets.published.layout import Host, Part, PublishedSpec, SplitSpec
 from lodbench.datasets.published.own_layout import (
     AUTO,
     READINGS,
@@ -25,7 +25,6 @@ from lodbench.datasets.published.own_layout import (
     stated_camera,
     without_lens,
 )
-from lodbench.datasets.published.spec import Host, Part, PublishedSpec, SplitSpec
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError, require_within
 from lodbench.findings import Findings

@@ -1,4 +1,11 @@
-"""Where the parts of a published dataset lie, and what to tell a person who lacks some."""
+"""What can be said of a published dataset, where its parts lie, and what to tell a person who lacks some.
+
+Of LoD-Loc's datasets two trees are in use. LoD-Loc's: ``UAVD4L-LoD/inTraj/{Query_image/, GT_pose.txt,
+GPS_pose.txt, intrinsic.txt}``, ``UAVD4L-LoD/split/*.json``, ``MODEL/*.obj``. LoD-Loc v2's:
+``data/UAVD4L-LoD/inTraj/{query/, dataset_test.txt}``, ``data/all_colmaps/UAVD4L-LoD/inTraj/colmap_320/
+{cameras,images}.txt``; the Swiss scenes lie there beside the others. A dataset in a layout of its own lists
+its ``parts`` instead.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +13,137 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from lodbench.datasets.published.spec import (
-    CAMERA_FILES,
-    IMAGE_FOLDERS,
-    MODEL_FOLDERS,
-    PREFIXES,
-    PRIOR_FILES,
-    REFERENCE_FOLDER,
-    TEXTURED_NAMES,
-    TRUTH_FILES,
-    Part,
-    PublishedSpec,
-    SplitSpec,
-)
 from lodbench.errors import DatasetError
+from lodbench.geometry.similarity import ShiftedEcef
 from lodbench.storage.paths import data_root
+
+TRUTH_FILES = ("GT_pose.txt",)
+PRIOR_FILES = ("GPS_pose.txt", "GPS_pose_new.txt", "GPS_pose_new_all.txt")
+CAMERA_FILES = ("intrinsic.txt",)
+IMAGE_FOLDERS = ("Query_image", "query")
+MASK_FOLDERS = ("masks", "Mask")
+MODEL_FOLDERS = ("MODEL", "model", "")
+# Not published with the queries: beside the city model, and beside the splits.
+TEXTURED_NAMES = ("textured", "textured.glb", "textured.obj")
+REFERENCE_FOLDER = "references"
+
+# Where a folder of datasets may begin below the root: as unpacked, or as either release's code has it.
+PREFIXES = ("", "dataset/", "data/")
+
+
+@dataclass(frozen=True, slots=True)
+class SplitSpec:
+    """One split.
+
+    Attributes:
+        name: Name in tables.
+        folders: Where its files lie below the root, in the order tried.
+        split_files: Names of its split JSON, in the order tried.
+        prior_files: Further names of the file of priors.
+        num_queries: Queries of the paper's tables, solved from their percentages; None where unknown.
+        prior_median: The paper's median error of the priors, metres and degrees.
+        is_test: Whether it is run where no split is named.
+    """
+
+    name: str
+    folders: tuple[str, ...]
+    split_files: tuple[str, ...]
+    prior_files: tuple[str, ...] = ()
+    num_queries: int | None = None
+    prior_median: tuple[float, float] | None = None
+    is_test: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Host:
+    """Where publishers host a part."""
+
+    what: str
+    url: str
+    how: str
+
+
+@dataclass(frozen=True, slots=True)
+class Download:
+    """A file with an address that does not change."""
+
+    url: str
+    path: str
+    sha256: str
+    num_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A file, or files, of a dataset in a layout of its own.
+
+    Attributes:
+        place: Below the dataset's folder, as a pattern: ``query_images/val/*``.
+        what: In words.
+        split: The split that cannot be read without it; "" for none in particular.
+        is_needed: Whether queries cannot be made without it.
+        media: Its MIME type.
+    """
+
+    place: str
+    what: str
+    split: str = ""
+    is_needed: bool = True
+    media: str = "text/plain"
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedSpec:
+    """One dataset: queries over one city model.
+
+    Attributes:
+        id: Name on the command line.
+        title: Name in the papers.
+        lod: Level of detail of the city model, for people: the files do not say; or what else the map is.
+        folder: The folder of the download.
+        splits: In the order of the papers' tables.
+        hosts: Where to get it.
+        city_files: Names of the city model, in the order tried; patterns where there are ``parts``.
+        unreadable_city_files: Names of it in formats that are not read.
+        ecef: The frame its files may come in besides east, north, up.
+        photo_crs: CRS of which the local frame is a shift, to place photos by their GPS.
+        downloads: What can be fetched by itself.
+        parts: Files of a layout of its own; empty for LoD-Loc's.
+        protocol: Name of its bins and metrics, of ``lodbench.evaluation.protocols``.
+        year: Of its publication.
+        camera_height_m: Between which heights above the ground its cameras are; None where not stated.
+    """
+
+    id: str
+    title: str
+    lod: str
+    folder: str
+    splits: tuple[SplitSpec, ...]
+    hosts: tuple[Host, ...]
+    city_files: tuple[str, ...] = ()
+    unreadable_city_files: tuple[str, ...] = ()
+    ecef: ShiftedEcef | None = None
+    photo_crs: str | None = None
+    downloads: tuple[Download, ...] = ()
+    parts: tuple[Part, ...] = ()
+    protocol: str = "lodloc"
+    year: str = "2024"
+    camera_height_m: tuple[float, float] | None = None
+
+    @property
+    def map_words(self) -> str:
+        """Returns what the map is: ``LoD2``, or ``surface model with orthophoto``."""
+        return f"LoD{self.lod}" if self.lod[:1].isdigit() else self.lod
+
+
+# LoD-Loc's download, of which all four are part.
+_LODLOC_FILES = "https://pan.baidu.com/s/1Ue37i0OQpS2jzo-fQ3o4bA?pwd=xxdv"
+QUERIES = Host(
+    "queries, poses, priors, intrinsics, splits",
+    _LODLOC_FILES,
+    "code xxdv; linked from https://github.com/VictorZoo/LoD-Loc",
+)
+MODEL_WITH_QUERIES = Host("city model", _LODLOC_FILES, "folder MODEL of the same download")
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,14 +298,12 @@ def require_data(found: Survey) -> None:
     if found.city_model is not None and not found.city_model.exists():
         raise DatasetError(f"The city model {found.city_model} does not exist.", "Set `city=FILE`.")
     if found.spec.parts:
-        if any(part.is_needed for part in found.lacking):
-            raise not_all_of(found)
-        return
-    has_test = any(files.spec.is_test for files in found.splits)
-    broken = any(not files.is_complete for files in found.splits)
-    if has_test and not broken:
-        return
-    raise not_all_of(found)
+        is_whole = not any(part.is_needed for part in found.lacking)
+    else:
+        has_test = any(files.spec.is_test for files in found.splits)
+        is_whole = has_test and all(files.is_complete for files in found.splits)
+    if not is_whole:
+        raise not_all_of(found)
 
 
 def not_all_of(found: Survey) -> DatasetError:
@@ -192,96 +313,61 @@ def not_all_of(found: Survey) -> DatasetError:
 
 def advice(found: Survey) -> str:
     """Returns what to do about missing parts, for a screen of 24 lines."""
-    spec = found.spec
-    if spec.parts:
-        return _advice_on_parts(found)
-    tests = [split for split in spec.splits if split.is_test]
-    parts = ", ".join((TRUTH_FILES[0], PRIOR_FILES[0], CAMERA_FILES[0]))
-    lists = ", ".join(split.split_files[0] for split in tests)
-    where = "" if found.root == data_root() else f" --root {found.root}"
+    spec, where = found.spec, "" if found.root == data_root() else f" --root {found.root}"
     lines = [
         "missing:",
         *(f"  {line}" for line in found.missing()[:6]),
         f"expected, in {found.root} or dataset.root=DIR:",
+        *(_parts_of(spec) if spec.parts else _tree_of(spec)),
+        "get it:",
+        *(f"  {host.what}: {host.url}\n    {host.how}" for host in spec.hosts),
+        "check it:",
+        f"  lodbench dataset check {spec.id}{where}",
+    ]
+    return "\n".join(lines)
+
+
+def _parts_of(spec: PublishedSpec) -> list[str]:
+    width = max(len(part.place) for part in spec.parts)
+    optional = {True: "", False: " (if there)"}
+    return [f"  {part.place.ljust(width)}  {part.what}{optional[part.is_needed]}" for part in spec.parts]
+
+
+def _tree_of(spec: PublishedSpec) -> list[str]:
+    tests = [split for split in spec.splits if split.is_test]
+    parts = ", ".join((TRUTH_FILES[0], PRIOR_FILES[0], CAMERA_FILES[0]))
+    lists = ", ".join(split.split_files[0] for split in tests)
+    return [
         f"  {tests[0].folders[0]}/{{{parts}, {IMAGE_FOLDERS[0]}/, masks/}}",
         *(f"  {split.folders[0]}/{{the same}}" for split in tests[1:]),
         f"  {spec.folder}/split/{{{lists}}}   (else all poses are queries)",
         f"  {MODEL_FOLDERS[0]}/{spec.city_files[0]}   (or city=FILE)",
         f"  {MODEL_FOLDERS[0]}/{TEXTURED_NAMES[0]}/, {spec.folder}/{REFERENCE_FOLDER}/   (if required)",
         "  masks/ is not published: building masks (255 = building) by any network, named as the photos",
-        "get it:",
-        *(f"  {host.what}: {host.url}\n    {host.how}" for host in spec.hosts),
-        "check it:",
-        f"  lodbench dataset check {spec.id}{where}",
     ]
-    return "\n".join(lines)
-
-
-def _advice_on_parts(found: Survey) -> str:
-    spec, where = found.spec, "" if found.root == data_root() else f" --root {found.root}"
-    width = max(len(part.place) for part in spec.parts)
-    lines = [
-        "missing:",
-        *(f"  {line}" for line in found.missing()[:6]),
-        f"expected, in {found.root} or dataset.root=DIR:",
-        *(
-            f"  {part.place.ljust(width)}  {part.what}{'' if part.is_needed else ' (if there)'}"
-            for part in spec.parts
-        ),
-        "get it:",
-        *(f"  {host.what}: {host.url}\n    {host.how}" for host in spec.hosts),
-        "check it:",
-        f"  lodbench dataset check {spec.id}{where}",
-    ]
-    return "\n".join(lines)
 
 
 def _find_split(base: Path, spec: SplitSpec, prior_file: str | None) -> SplitFiles | None:
-    folder = next(
-        (
-            base / prefix / name
-            for name in spec.folders
-            for prefix in PREFIXES
-            if (base / prefix / name).is_dir()
-        ),
-        None,
-    )
+    places = (base / prefix / name for name in spec.folders for prefix in PREFIXES)
+    folder = next((place for place in places if place.is_dir()), None)
     if folder is None:
         return None
-    colmap = _colmap_folder(folder)
+    # Where LoD-Loc v2's code keeps the COLMAP model of a scene.
+    colmap = folder.parent.parent / "all_colmaps" / folder.parent.name / folder.name / "colmap_320"
     names = (prior_file,) if prior_file is not None else (*PRIOR_FILES, *spec.prior_files)
     priors = [folder / name for name in names if (folder / name).exists()]
-    truth_folder = _first([folder / "GT_pose"])
+    lists = [folder.parent / "split" / name for name in spec.split_files]
     return SplitFiles(
         spec=spec,
         folder=folder,
-        truth=_first(
-            [*(folder / n for n in TRUTH_FILES), folder / "GT_pose", *_in(colmap, "images.txt")],
-        ),
-        truth_folder=truth_folder,
+        truth=_first([*(folder / n for n in TRUTH_FILES), folder / "GT_pose", colmap / "images.txt"]),
+        truth_folder=_first([folder / "GT_pose"]),
         priors=_first([*priors, *([] if prior_file else [folder / "GPS_pose"])]),
         other_priors=tuple(priors[1:]),
-        cameras=_first(
-            [*(folder / n for n in CAMERA_FILES), folder / "intrinsic", *_in(colmap, "cameras.txt")]
-        ),
+        cameras=_first([*(folder / n for n in CAMERA_FILES), folder / "intrinsic", colmap / "cameras.txt"]),
         images=_first(folder / name for name in IMAGE_FOLDERS),
-        names=_first(
-            [
-                *(folder.parent / "split" / name for name in spec.split_files),
-                *([folder / "dataset_test.txt"] if spec.is_test else []),
-            ]
-        ),
+        names=_first([*lists, *([folder / "dataset_test.txt"] if spec.is_test else [])]),
     )
-
-
-def _colmap_folder(folder: Path) -> Path | None:
-    """Returns where LoD-Loc v2's code keeps the COLMAP model of a scene folder."""
-    path = folder.parent.parent / "all_colmaps" / folder.parent.name / folder.name / "colmap_320"
-    return path if path.is_dir() else None
-
-
-def _in(folder: Path | None, name: str) -> list[Path]:
-    return [] if folder is None else [folder / name]
 
 
 def _first(paths: Iterable[Path]) -> Path | None:

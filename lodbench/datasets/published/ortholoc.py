@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.codes import READING_INFERRED
+from lodbench.datasets.faults import READING_INFERRED
 from lodbench.datasets.pose_text import lines_to_text
-from lodbench.datasets.published.layout import not_all_of
+from lodbench.datasets.published.layout import Host, Part, PublishedSpec, SplitSpec, not_all_of
 from lodbench.datasets.published.own_layout import (
     AUTO,
     Array,
@@ -32,7 +32,6 @@ from lodbench.datasets.published.raster_maps import (
     pinhole,
     raster_of,
 )
-from lodbench.datasets.published.spec import Host, Part, PublishedSpec, SplitSpec
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError, require_within
 from lodbench.findings import Findings

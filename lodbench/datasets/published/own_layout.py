@@ -16,11 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.codes import READING_CONTRADICTED, READING_INFERRED
-from lodbench.datasets.exchange.posed import LayoutGuard, content
-from lodbench.datasets.pose_text import lines_to_text, parse_camera
-from lodbench.datasets.published.layout import Survey, advice, require_data, survey
-from lodbench.datasets.published.spec import PublishedSpec
+from lodbench.datasets.faults import READING_CONTRADICTED, READING_INFERRED
+from lodbench.datasets.pose_text import LayoutGuard, content, lines_to_text, parse_camera
+from lodbench.datasets.published.layout import PublishedSpec, Survey, advice, require_data, survey
 from lodbench.datasets.query import Dataset, Entry, notes_of
 from lodbench.errors import ConfigError, DatasetError, LodbenchError, nearest_names
 from lodbench.findings import Findings

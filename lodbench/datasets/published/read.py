@@ -12,7 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from lodbench.datasets.codes import (
+from lodbench.datasets.exchange.colmap import read_colmap
+from lodbench.datasets.faults import (
     FILE_CHOSEN,
     NAME_DISAGREES,
     NO_CAMERA,
@@ -25,12 +26,9 @@ from lodbench.datasets.codes import (
     SEVERAL_PRIORS,
     STEM_AMBIGUOUS,
 )
-from lodbench.datasets.exchange.colmap import read_colmap
-from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.pose_files import read_pose_file
-from lodbench.datasets.pose_text import read_cameras
-from lodbench.datasets.published.layout import SplitFiles
-from lodbench.datasets.published.spec import MASK_FOLDERS
+from lodbench.datasets.pose_text import FoundPose, read_cameras
+from lodbench.datasets.published.layout import MASK_FOLDERS, SplitFiles
 from lodbench.datasets.query import Entry
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.findings import Findings

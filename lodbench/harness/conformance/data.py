@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.errors import LodbenchError

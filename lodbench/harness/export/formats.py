@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import is_own_geopackage
-from lodbench.datasets.exchange.colmap import require_no_binary, write_colmap
+from lodbench.datasets.exchange.colmap import write_colmap
+from lodbench.datasets.exchange.colmap_moved import require_no_binary
 from lodbench.datasets.exchange.geojson import (
     camera_feature,
     nowhere_feature,
     write_geojson,
     write_geopackage,
 )
-from lodbench.datasets.exchange.kapture import write_kapture
+from lodbench.datasets.exchange.kapture_nerfstudio import write_kapture, write_nerfstudio
 from lodbench.datasets.exchange.lines import write_lines, write_tum
-from lodbench.datasets.exchange.nerfstudio import write_nerfstudio
 from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm, write_pix4d
-from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.queries import own_failure, queries_csv

@@ -5,9 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from lodbench.datasets.codes import GPS_IN_IMAGE, IMAGE_SIZE, IMAGE_UNREADABLE, MASK_UNFIT
-from lodbench.datasets.faults import is_decodable, mask_fault
-from lodbench.datasets.instance_labels import read_classes, read_labels
+from lodbench.datasets.faults import (
+    GPS_IN_IMAGE,
+    IMAGE_SIZE,
+    IMAGE_UNREADABLE,
+    MASK_UNFIT,
+    is_decodable,
+    mask_fault,
+)
+from lodbench.datasets.inputs import read_classes, read_labels
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, QueryFault
 from lodbench.execution import Progress

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.exchange.colmap import read_colmap
-from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.own import find_mask
 from lodbench.datasets.pose_files import brought, read_pose_file
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
 from lodbench.harness.photo import RoughPoses

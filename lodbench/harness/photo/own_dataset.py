@@ -13,18 +13,19 @@ import numpy as np
 from lodbench import __version__
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.exchange.kapture import unposed_images
-from lodbench.datasets.exchange.posed import DEGREES_CRS, FoundPose
+from lodbench.datasets.exchange.kapture_nerfstudio import unposed_images
 from lodbench.datasets.own import (
+    LeftOut,
     OwnImage,
     Written,
+    images_from_photos,
+    images_from_poses,
     require_new_folder,
     require_some_mask,
     write_dataset,
 )
-from lodbench.datasets.own_sources import LeftOut, images_from_photos, images_from_poses
 from lodbench.datasets.pose_files import brought, read_pose_file
-from lodbench.datasets.pose_text import read_known_cameras
+from lodbench.datasets.pose_text import DEGREES_CRS, FoundPose, read_known_cameras
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, CameraSigmas, Pose

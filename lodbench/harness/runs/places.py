@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.exchange.posed import read_json
+from lodbench.datasets.pose_text import read_json
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, own_failure

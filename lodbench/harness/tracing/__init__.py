@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.exchange.posed import FoundPose, LayoutGuard, read_json
 from lodbench.datasets.own import find_photo
+from lodbench.datasets.pose_text import FoundPose, LayoutGuard, read_json
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.lens import distort

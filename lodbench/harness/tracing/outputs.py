@@ -22,9 +22,8 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import RawCity, starts_of
 from lodbench.citymodel.read import read_city_model
-from lodbench.datasets.own import OwnImage, Written, find_photo, write_dataset
-from lodbench.datasets.own_sources import named_apart
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.own import OwnImage, Written, find_photo, named_apart, write_dataset
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.harness.local_page import LocalServer, saved_or_why
 from lodbench.harness.tracing import parse_tracing, write_tracing
 from lodbench.harness.tracing.solve import Building, Model, TracedMap

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from shapely import Polygon, contains_xy
 
 from lodbench.datasets.exchange.colmap import read_colmap, read_colmap_points
-from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.pose_text import FoundPose
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry.similarity import Similarity
 from lodbench.harness.georeference_start import rough_start

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lodbench.datasets.inputs import Input, declared_inputs
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.geometry import Pose
 from lodbench.methods.conformance.trial import TrialAnswers

@@ -15,8 +15,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.extrude import scene_of_blocks
 from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.inputs import Input, declared_inputs
-from lodbench.datasets.instance_labels import masks_of_labels
+from lodbench.datasets.inputs import Input, declared_inputs, masks_of_labels
 from lodbench.datasets.query import Query, Reference
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, EulerAngles, Pose

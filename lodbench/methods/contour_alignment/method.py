@@ -14,7 +14,7 @@ from lodbench.citymap.city_map import corrected_map
 from lodbench.citymap.laser import range_log_densities
 from lodbench.citymodel.extrude import pitched_blocks
 from lodbench.datasets.inputs import Input
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.estimation.outline_alignment import Aligner

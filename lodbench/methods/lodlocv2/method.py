@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.geometry import Pose, rotations_at_yaws
 from lodbench.methods.fits import Particles, PoseScorer, Scoring, fit_input, nothing_fits

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, require_choice, require_numbers, require_within
 from lodbench.geometry import AxisRange, PoseGrid
 from lodbench.methods.search_params import set_sizes

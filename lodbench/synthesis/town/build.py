@@ -19,7 +19,7 @@ import numpy as np
 
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import DatasetError
 from lodbench.execution.progress import Progress
 from lodbench.geometry import EulerAngles, Pose

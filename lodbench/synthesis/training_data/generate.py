@@ -24,7 +24,7 @@ from lodbench.citymodel.options import PATH_OPTIONS, ReadOptions, changed_option
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import open_sources
 from lodbench.datasets.folder import RENDERED_TRUTH_FILE, write_poses
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.execution.executor import (

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lodbench.datasets.published.open import PublishedParams
+from lodbench.datasets.published.lodloc import PublishedParams
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Pose

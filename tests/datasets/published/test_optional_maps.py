@@ -7,8 +7,7 @@ import pytest
 
 from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
 from lodbench.datasets.published.layout import advice, survey
-from lodbench.datasets.published.open import PublishedParams
-from lodbench.datasets.published.uavd4l_lodv2 import SPEC, open_dataset
+from lodbench.datasets.published.lodloc import UAVD4L_LODV2, PublishedParams, open_lodloc
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
 from tests.town import CAMERA, box_obj
@@ -34,16 +33,16 @@ def write(folder: Path, *, extra: bool) -> Path:
 
 
 def test_both_are_found_at_their_places(tmp_path):
-    dataset = open_dataset(PublishedParams("uavd4l_lodv2", str(write(tmp_path, extra=True))))
+    dataset = open_lodloc(PublishedParams("uavd4l_lodv2", str(write(tmp_path, extra=True))))
     assert dataset.textured_map == tmp_path / "MODEL" / "textured"
     assert [reference.name for reference in dataset.references] == ["r.jpg"]
 
 
 def test_without_them_there_are_none_and_the_advice_says_where_they_belong(tmp_path):
     root = str(write(tmp_path, extra=False))
-    dataset = open_dataset(PublishedParams("uavd4l_lodv2", root))
+    dataset = open_lodloc(PublishedParams("uavd4l_lodv2", root))
     assert (dataset.textured_map, dataset.references) == (None, ())
-    words = advice(survey(SPEC, root, None))
+    words = advice(survey(UAVD4L_LODV2, root, None))
     assert "MODEL/textured/" in words
     assert "UAVD4L-LoD/references/" in words
 
@@ -53,4 +52,4 @@ def test_a_map_that_is_named_and_not_there_is_told(tmp_path):
         "uavd4l_lodv2", str(write(tmp_path, extra=False)), textured_map=str(tmp_path / "none.glb")
     )
     with pytest.raises(DatasetError, match="does not exist"):
-        open_dataset(params)
+        open_lodloc(params)

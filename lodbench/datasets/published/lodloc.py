@@ -1,4 +1,6 @@
-"""What the papers' datasets have in common: their parts are found, read, and brought to east, north, up.
+"""LoD-Loc's datasets, ``dataset=uavd4l_lod | uavd4l_lodv2 | swiss_epfl | swiss_epflv2``, in east, north, up.
+
+See the cards in data_cards. Those of LoD-Loc v2 have the same queries over LoD1 blocks.
 
 Which frame a published dataset comes in, by what stands upright in it. The Swiss city model was once
 turned into earth-centred coordinates, minus those of an origin; whether a download still is, its files do
@@ -18,18 +20,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
-from lodbench.datasets.codes import FRAME_ASSUMED, FRAMES_DIFFER, SPLIT_MISSING, TURNED_TO_ENU
-from lodbench.datasets.published.layout import Survey, advice, require_data, survey
-from lodbench.datasets.published.spec import PublishedSpec
+from lodbench.datasets.faults import FRAME_ASSUMED, FRAMES_DIFFER, SPLIT_MISSING, TURNED_TO_ENU
+from lodbench.datasets.published.layout import (
+    MODEL_WITH_QUERIES,
+    QUERIES,
+    Download,
+    Host,
+    PublishedSpec,
+    SplitSpec,
+    Survey,
+    advice,
+    require_data,
+    survey,
+)
 from lodbench.datasets.query import Dataset, Reference, notes_of
 from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
-from lodbench.geometry.similarity import ShiftedEcef, enu_from_ecef_rotation
+from lodbench.geometry.similarity import SWISS_EPFL_FRAME, ShiftedEcef, enu_from_ecef_rotation
 
 if TYPE_CHECKING:
     from lodbench.citymodel.scene import Scene
     from lodbench.datasets.published.read import SplitContent
+
 
 ENU, SHIFTED_ECEF = "enu", "shifted_ecef"
 
@@ -209,12 +222,128 @@ def _turned(content: SplitContent, ecef: ShiftedEcef) -> SplitContent:
         return None if pose is None else ecef.pose_to_enu(pose)
 
     entries = tuple(
-        replace(
-            entry,
-            prior=turn(entry.prior),
-            hypotheses=tuple(ecef.pose_to_enu(pose) for pose in entry.hypotheses),
-        )
-        for entry in content.entries
+        replace(e, prior=turn(e.prior), hypotheses=tuple(map(ecef.pose_to_enu, e.hypotheses)))
+        for e in content.entries
     )
     truth = {key: ecef.pose_to_enu(pose) for key, pose in content.truth.items()}
     return replace(content, entries=entries, truth=truth)
+
+
+_UAVD4L_SPLITS = (
+    SplitSpec(
+        "in_traj",
+        ("UAVD4L-LoD/inTraj", "UAVD4L-LoDv2/inTraj", "inTraj"),
+        ("UAV_inTraj_test.json",),
+        num_queries=1604,
+        prior_median=(6.48, 1.63),
+    ),
+    SplitSpec(
+        "out_of_traj",
+        ("UAVD4L-LoD/outTraj", "UAVD4L-LoDv2/outTraj", "outTraj"),
+        ("UAV_outTraj_test.json",),
+        num_queries=2192,
+        prior_median=(11.1, 0.92),
+    ),
+    SplitSpec(
+        "synthetic",
+        ("UAVD4L-LoD/Synthesis", "UAVD4L-LoDv2/Synthesis", "Synthesis"),
+        ("UAV_train.json", "UAV_train_sample.json"),
+        is_test=False,
+    ),
+)
+
+UAVD4L_LOD = PublishedSpec(
+    id="uavd4l_lod",
+    title="UAVD4L-LoD",
+    lod="3",
+    folder="UAVD4L-LoD",
+    splits=_UAVD4L_SPLITS,
+    city_files=("UAVD4L-LoD.obj",),
+    unreadable_city_files=("UAVD4L-LoD.osgb", "UAVD4L-LoD.blend"),
+    photo_crs="EPSG:4547",
+    hosts=(QUERIES, MODEL_WITH_QUERIES),
+)
+
+
+_LOD1 = Download(
+    url="https://raw.githubusercontent.com/VictorZoo/LoD-Loc-v2/"
+    "10bfcf89decbb8134395898ddaa763a6a4dad1f2/UAVD4L-LoD1.obj",
+    path="MODEL/UAVD4L-LoD1.obj",
+    sha256="f045255d3689f9cb4fd4f2dac67ffad6bea585f5a1d9e7a5628fb069d5d4ec83",
+    num_bytes=3_151_818,
+)
+
+UAVD4L_LODV2 = replace(
+    UAVD4L_LOD,
+    id="uavd4l_lodv2",
+    title="UAVD4L-LoDv2",
+    lod="1",
+    city_files=("UAVD4L-LoD1.obj", "move22.obj", "UAVD4L-LoDv2.obj"),
+    unreadable_city_files=("move22.osgb", "move22.blend"),
+    hosts=(QUERIES, Host("city model", _LOD1.url, "or: lodbench dataset download uavd4l_lodv2")),
+    downloads=(_LOD1,),
+    year="2025",
+)
+
+
+_SWISS_SPLITS = (
+    SplitSpec(
+        "in_place",
+        ("Swiss-EPFL/inPlace", "Swiss-EPFLv2/inPlace", "UAVD4L-LoD/Swiss_in", "inPlace", "Swiss_in"),
+        ("Swiss_inPlace_test.json",),
+        prior_files=("inPlace_gps_newAll.txt",),
+        num_queries=712,
+        prior_median=(17.6, 3.87),
+    ),
+    SplitSpec(
+        "out_of_place",
+        ("Swiss-EPFL/outPlace", "Swiss-EPFLv2/outPlace", "UAVD4L-LoD/Swiss_out", "outPlace", "Swiss_out"),
+        ("Swiss_outPlace_test.json",),
+        prior_files=("outPlace_gps_newAll.txt",),
+        num_queries=379,
+        prior_median=(17.9, 3.94),
+    ),
+    SplitSpec(
+        "synthetic",
+        ("Swiss-EPFL/Synthesis", "Swiss-EPFLv2/Synthesis", "Synthesis"),
+        ("Swiss_train.json", "train.json"),
+        is_test=False,
+    ),
+)
+
+SWISS_EPFL = PublishedSpec(
+    id="swiss_epfl",
+    title="Swiss-EPFL",
+    lod="2",
+    folder="Swiss-EPFL",
+    splits=_SWISS_SPLITS,
+    city_files=("Swiss-EPFL-LoD.obj", "Swiss-EPFL.obj"),
+    unreadable_city_files=("Swiss-EPFL.osgb", "Swiss-EPFL-LoD.blend"),
+    ecef=SWISS_EPFL_FRAME,
+    hosts=(QUERIES, MODEL_WITH_QUERIES),
+)
+
+
+_NOT_RELEASED = Host(
+    "city model",
+    "https://github.com/VictorZoo/LoD-Loc-v2/issues/2",
+    "not released as of 2025-12-06: ask there",
+)
+
+SWISS_EPFLV2 = replace(
+    SWISS_EPFL,
+    id="swiss_epflv2",
+    title="Swiss-EPFLv2",
+    lod="1",
+    city_files=("swiss_LoD1_final.obj", "Swiss-EPFL-LoD1.obj", "Swiss-EPFLv2.obj"),
+    unreadable_city_files=("swiss_LoD1_final.osgb",),
+    hosts=(QUERIES, _NOT_RELEASED),
+    year="2025",
+)
+
+LODLOC = {spec.id: spec for spec in (UAVD4L_LOD, UAVD4L_LODV2, SWISS_EPFL, SWISS_EPFLV2)}
+
+
+def open_lodloc(params: PublishedParams) -> Dataset:
+    """Returns the one of LoD-Loc's datasets that the parameters name; see ``open_published``."""
+    return open_published(LODLOC[params.name], params)
