@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from lodbench.datasets.pose_text import read_poses
-from lodbench.evaluation.errors import pose_error
+from lodbench.evaluation.pose_errors import pose_error
 
 METHODS = "lodlocv2,contour_alignment,region"
 # Times and machine facts stand apart from results: docs/evaluation.md.
@@ -53,7 +53,7 @@ CHUNKS = {
     "lodbench.citymodel.cleaning._CHUNK_POINTS": 1001,
     "lodbench.citymodel.frame._CHUNK_POINTS": 1001,
     "lodbench.citymodel.scene._CHUNK_TRIANGLES": 999,
-    "lodbench.rendering.engine_layout._CHUNK_TRIANGLES": 999,
+    "lodbench.rendering.engine_arrays._CHUNK_TRIANGLES": 999,
 }
 LIBRARY_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 VARIATIONS = {

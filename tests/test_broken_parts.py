@@ -17,8 +17,8 @@ from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_settings, draw_priors, make_priors
 from lodbench.errors import ConfigError
 from lodbench.harness.results import run_method
+from lodbench.methods.localize import weight_files
 from lodbench.methods.registry import configure_method
-from lodbench.methods.timed_localize import weight_files
 from lodbench.segmentation import notes_of
 from lodbench.segmentation.registry import fingerprint_of, make_segmenter
 from tests.site_packages import write_package

@@ -24,6 +24,6 @@ def test_examples_hold(name):
 
 
 def test_the_public_names_have_examples():
-    assert {"lodbench.geometry.pose", "lodbench.geometry.camera", "lodbench.evaluation.errors"} <= set(
+    assert {"lodbench.geometry.pose", "lodbench.geometry.camera", "lodbench.evaluation.pose_errors"} <= set(
         MODULES
     )

@@ -14,8 +14,8 @@ from experiments.command import run
 from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.bench.views import Job, of_seeds, protocol_of, sweep
 from lodbench.cli.bench_views import add_city, add_drawing, seeds_of, views_of
+from lodbench.evaluation.pose_errors import DEFAULT_THRESHOLDS, summarize
 from lodbench.evaluation.queries import ERROR
-from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, summarize
 from lodbench.methods import Method
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.lodlocv2 import LodLocV2

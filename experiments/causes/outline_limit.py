@@ -19,7 +19,7 @@ from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.estimation.outline import OutlinePoints
 from lodbench.estimation.outline_alignment import Aligner, smooth_distance
-from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
+from lodbench.evaluation.pose_errors import PROBABILITY_THRESHOLD, hits_of
 from lodbench.geometry import Pose, wrap_deg
 from lodbench.geometry.pose import turn_per_angle, vector_from_pose
 from lodbench.harness.city import open_city

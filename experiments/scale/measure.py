@@ -23,7 +23,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import read_scene
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera
-from lodbench.rendering.engine_store import arrays_folder
+from lodbench.rendering.engine_arrays import arrays_folder
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views

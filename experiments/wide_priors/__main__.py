@@ -14,7 +14,7 @@ from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.bench.views import Job, of_seeds, protocol_of, sweep
 from lodbench.cli.bench_views import add_city, add_drawing, seeds_of, views_of
 from lodbench.evaluation import pose_error
-from lodbench.evaluation.errors import FAILED
+from lodbench.evaluation.pose_errors import FAILED
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.reporting.aligned_text import count_of, format_columns
 from lodbench.synthesis.views_dataset import ViewsParams

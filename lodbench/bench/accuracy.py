@@ -23,8 +23,8 @@ from lodbench.citymodel.lods import lod_in_words
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation import DEFAULT_THRESHOLDS, SplitSummary
 from lodbench.evaluation.metrics import Calibration, calibrate
+from lodbench.evaluation.pose_errors import PROBABILITY_THRESHOLD, hits_of
 from lodbench.evaluation.queries import ERROR, summarize_queries
-from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.methods import Method
 from lodbench.reporting.aligned_text import count_of, format_columns
 from lodbench.reporting.figures import draw_calibration

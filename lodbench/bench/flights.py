@@ -22,14 +22,13 @@ from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.datasets.query import Dataset, Query
 from lodbench.errors import QueryFault
 from lodbench.evaluation import pose_error
-from lodbench.evaluation.errors import FAILED, PoseError
 from lodbench.evaluation.flight_findings import MapScore, score_map
 from lodbench.evaluation.metrics import Calibration, calibrate
-from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
+from lodbench.evaluation.pose_errors import FAILED, PROBABILITY_THRESHOLD, PoseError, hits_of
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.methods.flight import FlightMethod
-from lodbench.methods.flight.gone_buildings import shares_held, views_of
+from lodbench.methods.flight.demolished_buildings import shares_held, views_of
 from lodbench.methods.protocol import Estimate, FlightEstimate
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.masks import read_mask

@@ -19,7 +19,7 @@ from lodbench.datasets.inputs import Input, declared_inputs, read_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.metrics import InstanceMatches, match_instances
-from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
+from lodbench.evaluation.pose_errors import DEFAULT_THRESHOLDS
 from lodbench.methods import Method
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.figures import LINE_STYLES, SERIES, draw_figure

@@ -29,8 +29,8 @@ from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError
+from lodbench.evaluation.pose_errors import PROBABILITY_THRESHOLD, hits_of
 from lodbench.evaluation.queries import ERROR
-from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.geometry import Camera
 from lodbench.harness.city import open_city
 from lodbench.harness.runs.run import RunSettings, run_method

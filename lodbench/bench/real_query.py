@@ -24,15 +24,15 @@ from lodbench.datasets.query import Dataset, Query
 from lodbench.errors import ConfigError, DatasetError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.edge_distance import PhotoEdges, median_and_share
-from lodbench.evaluation.errors import FAILED
+from lodbench.evaluation.pose_errors import FAILED
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.camera import pixel_rays
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.requirements import segmented_inputs
 from lodbench.methods import Method
+from lodbench.methods.localize import localize_flight, localize_query
 from lodbench.methods.protocol import Estimate, SupportsFlights
-from lodbench.methods.timed_localize import localize_flight, localize_query
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.rendering.surfaces import Surfaces
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, png_bytes

@@ -14,8 +14,7 @@ from lodbench.bench import Progress, no_progress
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError
-from lodbench.evaluation.errors import pose_error
-from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
+from lodbench.evaluation.pose_errors import PROBABILITY_THRESHOLD, hits_of, pose_error
 from lodbench.harness.runs.run import Run, RunSettings, run_method
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsPriorWidth

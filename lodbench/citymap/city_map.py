@@ -29,17 +29,16 @@ from lodbench.rendering import (
     ViewEdges,
     make_renderer,
 )
-from lodbench.rendering.bits import Words
 from lodbench.rendering.edges import edge_faces, edge_pairs, edges_in_view
-from lodbench.rendering.projection import require_poses, require_size, view_planes
+from lodbench.rendering.masks import Words
+from lodbench.rendering.projection import bounding_spheres, require_poses, require_size, view_planes
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.rendering.selection import bounding_spheres
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.rendering.surfaces import Surfaces
 from lodbench.storage import random_stream
 
 if TYPE_CHECKING:
-    from lodbench.rendering.pyrender_textured import PyrenderTextured
+    from lodbench.rendering.backends import PyrenderTextured
     from lodbench.rendering.textured import TexturedRenderer
     from lodbench.synthesis.photo import PhotoRenderer
 
@@ -163,7 +162,7 @@ class CityMap:
     def silhouettes(self, camera: Camera, rotations: Floats, centers: Floats) -> Words:
         """Returns N silhouettes, bit-packed: (N, H, ceil(W / 64)) uint64.
 
-        ``lodbench.rendering.bits.unpack_mask`` turns one into an (H, W) mask.
+        ``lodbench.rendering.masks.unpack_mask`` turns one into an (H, W) mask.
         """
         self.usage.add("silhouettes", len(centers))
         return self.scorer.silhouettes(camera, rotations, centers)
@@ -291,7 +290,7 @@ class CityMap:
             return None
         if self.name != "pyrender":
             return self._textured_raster
-        from lodbench.rendering.pyrender_textured import PyrenderTextured
+        from lodbench.rendering.backends import PyrenderTextured
 
         return PyrenderTextured(self._textured_mesh)
 

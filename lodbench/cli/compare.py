@@ -11,9 +11,8 @@ from typing import Any
 from lodbench.cli.parser import Parser
 from lodbench.cli.verify import DataOptions, read_config, reopen_dataset, run_folders
 from lodbench.errors import ConfigError, LodbenchError
-from lodbench.evaluation.protocols import PROTOCOLS
-from lodbench.evaluation.queries import has_truth
-from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
+from lodbench.evaluation.pose_errors import DEFAULT_THRESHOLDS, Threshold
+from lodbench.evaluation.queries import PROTOCOLS, has_truth
 from lodbench.harness.results import protocol_of, summary_at
 from lodbench.harness.runs.compare import (
     agreement,

@@ -19,9 +19,14 @@ from lodbench.datasets.pose_files import brought, read_pose_file
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import LodbenchError
-from lodbench.evaluation.pose_matching import match_poses, suspect_convention
-from lodbench.evaluation.predictions import Prediction, evaluate, pose_numbers
-from lodbench.evaluation.protocols import protocol_named
+from lodbench.evaluation.predictions import (
+    Prediction,
+    evaluate,
+    match_poses,
+    pose_numbers,
+    suspect_convention,
+)
+from lodbench.evaluation.queries import protocol_named
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.runs import Result, chosen_entries, queries_digest

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
-from lodbench.estimation.normal_equations import Quadratic
+from lodbench.estimation.optimization import Quadratic
 from lodbench.estimation.outline import OutlinePoints, edges_in_reach, sample_outline
-from lodbench.estimation.prior import Prior
-from lodbench.estimation.state_vector import shortened
+from lodbench.estimation.state_vector import Prior, shortened
 from lodbench.geometry import Camera
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.geometry.signed_distance import signed_distance

@@ -25,7 +25,7 @@ import scipy
 from numpy.typing import NDArray
 
 from lodbench.estimation.outline import OutlinePoints
-from lodbench.estimation.probability import Gaussian
+from lodbench.estimation.state_vector import Gaussian
 from lodbench.kernels.estimation import error_covariance
 from lodbench.storage import random_stream
 

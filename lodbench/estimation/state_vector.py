@@ -1,17 +1,22 @@
-"""What is estimated of a photo, as one vector: its columns, and the views it stands for.
+"""What is estimated of a photo, as one vector: its columns, its prior, and the probability that it is right.
 
-A pose (metres, degrees), by how many percent the lens is longer than declared, then metres: how much higher
-than in the map all roofs are and where all walls end, and how much farther all eaves stand out. Shorter
-vectors begin alike; it is also the order in which an outline says how it moves.
+A vector is a pose (metres, degrees), by how many percent the lens is longer than declared, then metres: how
+much higher than in the map all roofs are and where all walls end, and how much farther all eaves stand out.
+Shorter vectors begin alike; it is also the order in which an outline says how it moves.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.geometry import wrap_deg
 from lodbench.geometry.angles import rotations_from_euler
+from lodbench.geometry.pose import turn_per_angle
+from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
 
@@ -53,3 +58,131 @@ def views_of(vectors: Floats) -> tuple[Floats, Floats]:
     # Of poses the slice is empty, and its sum 0.
     rotations[:, :2] *= 1.0 + 0.01 * vectors[:, LENS:CAMERAS].sum(axis=1)[:, None, None]
     return rotations, np.ascontiguousarray(vectors[:, :3])
+
+
+# How softly a declared range ends, as a share of its half width: x, y, z, pitch, roll and yaw. Softly in what
+# is often declared narrower than it is.
+_EDGE_SHARES = np.array([1.0, 1.0, 0.1, 0.1, 0.1, 0.5])
+# And where it ends for good, in half widths, and how softly there: evidence of pixels that are not
+# independent outweighs any softer end, and from far below nearly every photo is parted well by some roof.
+_WALLS, _WALL_SHARE = np.array([np.inf, np.inf, 1.3, 5.0, 5.0, 2.5]), 0.02
+
+
+class Prior:
+    """A Gaussian about a state vector of N numbers, with independent errors.
+
+    Args:
+        mean: (N,) metres, degrees and what else is estimated.
+        sigmas: (N,) standard deviations, none 0.
+        half_widths: (6,) of the range of poses that was declared, where its ends count; N is 6 then.
+    """
+
+    def __init__(self, mean: Floats, sigmas: Floats, half_widths: Floats | None = None) -> None:
+        self.mean, self.sigmas, self._range = mean, sigmas, half_widths
+
+    def offsets(self, vectors: Floats) -> Floats:
+        """Returns (..., N) how far vectors are from its mean; yaw within half a turn."""
+        return differences(vectors, self.mean)
+
+    @property
+    def precision(self) -> Floats:
+        """Returns (N,) the inverse of its variances."""
+        return np.asarray(self.sigmas**-2.0)
+
+    def information(self) -> Floats:
+        """Returns (N, N) the inverse of its covariance."""
+        return np.diag(self.precision)
+
+    def log_density(self, vectors: Floats) -> Floats:
+        """Returns the (M,) logarithm of its density at vectors (M, N), up to a constant.
+
+        Eq. (R7) of docs/methods/region.md.
+        """
+        away = self.offsets(vectors)
+        squares = (away / self.sigmas) ** 2
+        if self._range is not None:
+            beyond = np.maximum(np.abs(away) - self._range, 0.0) / (_EDGE_SHARES * self._range)
+            through = np.maximum(np.abs(away) - _WALLS * self._range, 0.0) / (_WALL_SHARE * self._range)
+            squares = squares + beyond**2 + through**2
+        return np.asarray(-0.5 * squares.sum(axis=-1))
+
+
+# What the probability is of.
+WITHIN_M, WITHIN_DEG = 2.0, 2.0
+# An answer less probable than this is more likely wrong.
+TRUSTED = 0.5
+# Draws of the error: enough for a probability to a percent or two.
+DRAWS = 2048
+_NUMBERS = (("x", "m"), ("y", "m"), ("z", "m"), ("pitch", "deg"), ("roll", "deg"), ("yaw", "deg"))
+
+
+class Gaussian(NamedTuple):
+    """A Gaussian of state vectors.
+
+    Attributes:
+        mean: (N,).
+        covariance: (N, N).
+    """
+
+    mean: Floats
+    covariance: Floats
+
+    def root(self) -> Floats:
+        """Returns (N, N) a square root of the covariance: it times its transpose is that."""
+        squares, axes = np.linalg.eigh(self.covariance)
+        return np.asarray(axes * np.sqrt(np.maximum(squares, 0.0)))
+
+
+def probability_within(covariance_6: Floats, vector: Floats) -> float:
+    """Returns the probability that an estimate with a Gaussian error lies within (2 m, 2 deg).
+
+    Eq. (M4) of docs/methods/index.md.
+
+    Args:
+        covariance_6: (6, 6) of x, y, z (metres), pitch, roll and yaw (degrees).
+        vector: (6,) the estimate.
+    """
+    errors = fixed_draws(covariance_6, DRAWS)
+    return share_within(errors, np.full(DRAWS, 1.0 / DRAWS), turn_per_angle(vector))
+
+
+def beyond_range(offset: Floats, covariance: Floats, half_widths: Sequence[float]) -> tuple[str, ...]:
+    """Returns a sentence for an answer beyond the declared range of the prior, or nothing.
+
+    Args:
+        offset: (6,) of the answer from the prior: metres and degrees.
+        covariance: (6, 6) of the answer.
+        half_widths: Of the range, in the same order.
+    """
+    beyond = np.abs(offset) - np.asarray(half_widths)
+    # Twice what the answer may be wrong by: on the edge of the range it is no news.
+    is_out = beyond > np.maximum(2.0 * np.sqrt(np.diagonal(covariance)), (1.0, 1.0, 1.0, 0.5, 0.5, 0.5))
+    out = [f"{name} {offset[k]:+.1f} {unit}" for k, (name, unit) in enumerate(_NUMBERS) if is_out[k]]
+    if not out:
+        return ()
+    return (f"the pose lies outside the stated range of the prior: {', '.join(out)}",)
+
+
+def fixed_draws(covariance_6: Floats, count: int) -> Floats:
+    """Returns (count, 6) draws of a Gaussian error without mean; at most 2,056, the same each time."""
+    # The same draws for every query: the answer is a function of the covariances alone.
+    standard = random_stream(0, "probability within").standard_normal((DRAWS + 8, 6))[:count]
+    return np.asarray(standard @ Gaussian(np.zeros(6), covariance_6).root().T)
+
+
+def share_within(errors: Floats, shares: Floats, turn: Floats) -> float:
+    """Returns the share of errors that are within 2 m and 2 degrees.
+
+    Args:
+        errors: (N, 6) metres and degrees.
+        shares: (N,) of each.
+        turn: (3, 3) from ``turn_per_angle``.
+    """
+    away = np.linalg.norm(errors[:, :3], axis=1)
+    turned = np.linalg.norm(errors[:, 3:] @ turn.T, axis=1)
+    return min(1.0, float(shares[(away < WITHIN_M) & (turned < WITHIN_DEG)].sum()))
+
+
+def is_near(error: Floats, turn: Floats) -> bool:
+    """Returns whether an error, (6,), is within 2 m and 2 degrees; ``turn`` as of ``share_within``."""
+    return bool(np.linalg.norm(error[:3]) < WITHIN_M and np.linalg.norm(turn @ error[3:]) < WITHIN_DEG)

@@ -5,21 +5,21 @@ from typing import TYPE_CHECKING
 from lodbench.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from lodbench.evaluation.errors import PoseError as PoseError
-    from lodbench.evaluation.errors import pose_error as pose_error
-    from lodbench.evaluation.recall import DEFAULT_THRESHOLDS as DEFAULT_THRESHOLDS
-    from lodbench.evaluation.recall import SplitSummary as SplitSummary
-    from lodbench.evaluation.recall import Threshold as Threshold
-    from lodbench.evaluation.recall import summarize as summarize
+    from lodbench.evaluation.pose_errors import DEFAULT_THRESHOLDS as DEFAULT_THRESHOLDS
+    from lodbench.evaluation.pose_errors import PoseError as PoseError
+    from lodbench.evaluation.pose_errors import SplitSummary as SplitSummary
+    from lodbench.evaluation.pose_errors import Threshold as Threshold
+    from lodbench.evaluation.pose_errors import pose_error as pose_error
+    from lodbench.evaluation.pose_errors import summarize as summarize
 
 __all__, __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "DEFAULT_THRESHOLDS": "recall",
-        "PoseError": "errors",
-        "SplitSummary": "recall",
-        "Threshold": "recall",
-        "pose_error": "errors",
-        "summarize": "recall",
+        "DEFAULT_THRESHOLDS": "pose_errors",
+        "PoseError": "pose_errors",
+        "SplitSummary": "pose_errors",
+        "Threshold": "pose_errors",
+        "pose_error": "pose_errors",
+        "summarize": "pose_errors",
     },
 )

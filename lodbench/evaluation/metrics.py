@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import STOPPED, ConfigError
-from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
+from lodbench.evaluation.pose_errors import PROBABILITY_THRESHOLD, hits_of
 from lodbench.evaluation.statistics import Interval, wilson_interval
 from lodbench.plugins import installed
 

@@ -29,7 +29,7 @@ from lodbench.datasets.faults import (
 )
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
-from lodbench.evaluation.errors import pose_error
+from lodbench.evaluation.pose_errors import pose_error
 from lodbench.execution import Progress
 from lodbench.findings import FindingCode, Findings
 from lodbench.geometry import Camera, Pose

@@ -39,7 +39,7 @@ from lodbench.datasets.published.catalogue import SPECS
 from lodbench.datasets.published.layout import Download
 from lodbench.datasets.query import Dataset, Entry, repeated_keys
 from lodbench.errors import DatasetError, LodbenchError, Words
-from lodbench.evaluation.errors import PoseError, pose_error
+from lodbench.evaluation.pose_errors import PoseError, pose_error
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
 from lodbench.geometry.angles import off_nadir_deg

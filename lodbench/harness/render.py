@@ -27,8 +27,8 @@ from lodbench.harness.render_kinds import KINDS, Kind, View, choose_renderer, wr
 from lodbench.photos.pictures import picture_size
 from lodbench.plugins import blaming
 from lodbench.rendering import open_renderer
+from lodbench.rendering.backends import PyrenderTextured
 from lodbench.rendering.projection import require_pinhole
-from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.textured import TexturedRenderer
 from lodbench.reporting.overlays import is_readable_picture
 from lodbench.storage import make_folder, write_text

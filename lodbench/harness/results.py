@@ -12,9 +12,8 @@ from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import ConfigError, nearest_names
-from lodbench.evaluation.protocols import LODLOC, Protocol, protocol_named
-from lodbench.evaluation.queries import has_truth, summarize_queries
-from lodbench.evaluation.recall import Threshold
+from lodbench.evaluation.pose_errors import Threshold
+from lodbench.evaluation.queries import LODLOC, Protocol, has_truth, protocol_named, summarize_queries
 from lodbench.harness.runs.stored import StoredRun, read_whole_run
 from lodbench.methods import Method
 from lodbench.methods.registry import configure_method

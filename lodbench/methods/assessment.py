@@ -17,16 +17,14 @@ from lodbench.citymap import CityMap
 from lodbench.citymap.laser import RangedPose, pose_by_range
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
-from lodbench.estimation.lens import LensErrors
-from lodbench.estimation.model_lines import ModelLines, Projected, lines_in_view, project_lines
-from lodbench.estimation.photo_edges import PhotoEdges
-from lodbench.estimation.probability import probability_within
+from lodbench.estimation.edge_alignment import PhotoEdges
+from lodbench.estimation.model_lines import LensErrors, ModelLines, Projected, lines_in_view, project_lines
+from lodbench.estimation.state_vector import probability_within
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.camera import UNKNOWN, CameraSigmas
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
-from lodbench.methods.fits import EDGES_WIDTH, photo_edges
 from lodbench.methods.protocol import Estimate
-from lodbench.methods.search_params import SearchRange
+from lodbench.methods.search import EDGES_WIDTH, SearchRange, photo_edges
 
 Floats = NDArray[np.float64]
 

@@ -15,13 +15,13 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault, require_numbers
-from lodbench.estimation.probability import TRUSTED
+from lodbench.estimation.state_vector import TRUSTED
 from lodbench.geometry import Pose
 from lodbench.methods.assessment import assessed
 from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region import Region, RegionParams
-from lodbench.methods.search_params import SearchRange
+from lodbench.methods.search import SearchRange
 
 # Two answers within 2 m and 2 degrees of the truth are no farther from each other than this.
 _TOGETHER_M, _TOGETHER_DEG = 4.0, 4.0

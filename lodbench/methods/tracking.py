@@ -17,12 +17,12 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault, require_numbers
 from lodbench.estimation.outline_alignment import Aligner
-from lodbench.estimation.probability import probability_within
+from lodbench.estimation.state_vector import probability_within
 from lodbench.geometry import Pose
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
 from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
-from lodbench.methods.search_params import set_sizes
+from lodbench.methods.search import set_sizes
 
 Floats = NDArray[np.float64]
 

@@ -116,14 +116,21 @@ def edge_bins(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Edg
         size: Width and height to work at, pixels.
         blur_px: Standard deviation of the blur, pixels of that size.
     """
-    small: Picture = cv2.resize(photo, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    if small.ndim == 2:
-        small = np.repeat(small[..., None], 3, axis=2)
-    lab = cv2.GaussianBlur(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), (0, 0), blur_px)
+    lab = _blurred_lab(photo, size, blur_px)
     beside, upright = (np.abs(cv2.Sobel(lab, cv2.CV_32F, *axis)).sum(axis=2) for axis in ((1, 0), (0, 1)))
     around = mean_around(beside + upright, size[0] / _AROUND_SHARE) + np.float32(1e-3)
     first, second = (_levels(edges / around, _EDGE_LEVELS).astype(np.uint16) for edges in (beside, upright))
     return EdgeBins(first, second, _EDGE_LEVELS)
+
+
+def _blurred_lab(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Picture:
+    """Returns a photo's (H, W, 3) L, a and b (CIE Lab) at a working size, blurred."""
+    small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    if small.ndim == 2:
+        small = np.repeat(small[..., None], 3, axis=2)
+    small /= np.float32(255)
+    lab = cv2.GaussianBlur(cv2.cvtColor(small, cv2.COLOR_BGR2LAB), (0, 0), blur_px)
+    return np.asarray(lab, dtype=np.float32)
 
 
 def _is_grey(photo: Picture) -> bool:
@@ -156,7 +163,6 @@ def _levels(values: Picture, count: int) -> NDArray[np.int64]:
 
 Levels = NDArray[np.uint8]
 
-# The part of the width that the mean strength is taken over.
 # Every so many-th row and column says where one level ends and the next begins.
 _STEP = 3
 
@@ -174,11 +180,7 @@ def gradient_forms(
         blur_px: Standard deviation of the blur before, pixels of that size.
         least_mean: Added to the mean strength, of CIE Lab's 0 to 100 a pixel.
     """
-    small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    if small.ndim == 2:
-        small = np.repeat(small[..., None], 3, axis=2)
-    small /= np.float32(255)
-    lab = cv2.GaussianBlur(cv2.cvtColor(small, cv2.COLOR_BGR2LAB), (0, 0), blur_px)
+    lab = _blurred_lab(photo, size, blur_px)
     # Channels apart: numpy's sums over an axis of three take ten times as long.
     across, down = (cv2.split(cv2.Sobel(lab, cv2.CV_32F, *axis, scale=0.125)) for axis in ((1, 0), (0, 1)))
     pairs = ((across, across), (across, down), (down, down))

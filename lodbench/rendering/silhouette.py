@@ -18,22 +18,19 @@ from lodbench.kernels.arguments import Scratch, View
 from lodbench.kernels.masks import count_bits
 from lodbench.kernels.silhouettes import draw_instances, draw_views, score_views
 from lodbench.kernels.simd import LANES
-from lodbench.rendering.bits import Words, pack_mask, unpack_mask, words_per_row
-from lodbench.rendering.engine_arrays import blank_scratch
-from lodbench.rendering.engine_layout import moved_arrays
-from lodbench.rendering.engine_store import open_arrays
+from lodbench.rendering.engine_arrays import blank_scratch, moved_arrays, open_arrays
 from lodbench.rendering.fit import Fit, IouFit, fit_values
-from lodbench.rendering.instances import Instances
-from lodbench.rendering.nearby import nearby_order
+from lodbench.rendering.masks import Instances, Words, pack_mask, unpack_mask, words_per_row
 from lodbench.rendering.projection import (
+    nearby_order,
     pose_arrays,
     require_pinhole,
     require_poses,
     require_size,
+    select_buildings,
     view_planes,
 )
-from lodbench.rendering.protocol import IouCounts
-from lodbench.rendering.selection import select_buildings
+from lodbench.rendering.renderer import IouCounts
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.evaluation.metrics import Calibration
-from lodbench.evaluation.recall import SplitSummary
+from lodbench.evaluation.pose_errors import SplitSummary
 from lodbench.reporting.aligned_text import count_of
 
 if TYPE_CHECKING:

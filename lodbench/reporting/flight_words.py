@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.evaluation.errors import pose_error
+from lodbench.evaluation.pose_errors import pose_error
 from lodbench.geometry import Pose
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.answers import UNTRUSTED, columns_legend, rounded_down, trust_counts

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 from lodbench.citymodel.lods import lod_in_words
 from lodbench.datasets.real_flights import BOARD_HEAD
 from lodbench.datasets.real_flights import NAME as REAL_FLIGHTS
-from lodbench.evaluation.protocols import LODLOC, protocol_named
-from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
+from lodbench.evaluation.pose_errors import DEFAULT_THRESHOLDS
+from lodbench.evaluation.queries import LODLOC, protocol_named
 from lodbench.reporting.aligned_text import csv_cell, plain_text
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
 from lodbench.reporting.page import facts, markup, rendered

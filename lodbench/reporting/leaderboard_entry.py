@@ -11,7 +11,7 @@ from typing import Any
 
 from lodbench.errors import DatasetError
 from lodbench.evaluation.metrics import is_taken
-from lodbench.evaluation.recall import EVALUATOR_VERSION
+from lodbench.evaluation.pose_errors import EVALUATOR_VERSION
 from lodbench.reporting.summaries import upgraded_split
 from lodbench.storage.json_text import parse_json
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from lodbench.evaluation.errors import Apart, PoseError
+from lodbench.evaluation.pose_errors import Apart, PoseError
 from lodbench.reporting.answers import percent_text, probability_text
 from lodbench.reporting.map_figure import Spot
 from lodbench.reporting.page import Picture, markup, rendered

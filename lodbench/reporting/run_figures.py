@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.evaluation.errors import Apart
+from lodbench.evaluation.pose_errors import Apart
 from lodbench.evaluation.statistics import Agreement, Comparison
 from lodbench.reporting.aligned_text import count_of, format_columns, plain_text
 from lodbench.reporting.figures import LINE_STYLES, SERIES, draw_figure

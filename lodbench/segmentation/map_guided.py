@@ -18,7 +18,7 @@ from lodbench.errors import QueryFault, require_numbers, require_within
 from lodbench.geometry import AxisRange, Camera, Pose, PoseGrid
 from lodbench.geometry.angles import rotations_at_yaws
 from lodbench.rendering import ContourFit, RegionFit, appearance_bins, edge_bins
-from lodbench.rendering.bits import pack_mask
+from lodbench.rendering.masks import pack_mask
 from lodbench.segmentation.masks import read_photo
 from lodbench.segmentation.probability import resized_photo, working_size
 from lodbench.segmentation.region_cut import cut, held_out_evidence

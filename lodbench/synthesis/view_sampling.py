@@ -17,7 +17,7 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler
 from lodbench.photos.pictures import encoded_mask
-from lodbench.rendering.protocol import Renderer
+from lodbench.rendering.renderer import Renderer
 from lodbench.storage import make_folder, new_folder, random_stream, write_bytes
 
 # UAVD4L's drone camera; masks and renderings of it are made at FINE_SIZE, coarse ones at half that.

@@ -19,7 +19,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
-from lodbench.evaluation.errors import pose_error
+from lodbench.evaluation.pose_errors import pose_error
 from lodbench.geometry import AxisRange, EulerAngles, Pose, PoseGrid, rotations_at_yaws
 from lodbench.methods import Input
 from lodbench.segmentation.probability import working_size

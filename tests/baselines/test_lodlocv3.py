@@ -11,7 +11,7 @@ from lodbench.baselines.lodlocv3.instance_fit import InstanceFit, label_image
 from lodbench.datasets.inputs import masks_of_labels
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
-from lodbench.evaluation.errors import pose_error
+from lodbench.evaluation.pose_errors import pose_error
 from lodbench.geometry import Camera
 from lodbench.methods import Input
 from lodbench.storage import random_stream

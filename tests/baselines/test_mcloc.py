@@ -12,7 +12,7 @@ from lodbench.baselines.mcloc.method import FeatureScorer
 
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
-from lodbench.evaluation.errors import pose_error
+from lodbench.evaluation.pose_errors import pose_error
 from lodbench.methods import Input
 from lodbench.storage import random_stream
 

@@ -6,7 +6,7 @@ from lodbench.bench.accuracy import blocks_of, measure_accuracy, report_accuracy
 from lodbench.bench.views import with_prior_range
 from lodbench.errors import ConfigError
 from lodbench.evaluation import PoseError
-from lodbench.evaluation.errors import FAILED
+from lodbench.evaluation.pose_errors import FAILED
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, queries_frame
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.lodlocv2 import LodLocV2, LodLocV2Params

@@ -13,8 +13,8 @@ from lodbench.citymodel import open_scene
 from lodbench.cli.bench import main
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.prior_sources import UniformPrior
+from lodbench.evaluation.pose_errors import Threshold
 from lodbench.evaluation.queries import ERROR
-from lodbench.evaluation.recall import Threshold
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.protocol import Estimate, FlightEstimate
 from lodbench.segmentation.registry import make_segmenter

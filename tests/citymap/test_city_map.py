@@ -12,7 +12,7 @@ from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.geometry import EulerAngles, Pose, rotation_from_euler
 from lodbench.rendering import BoundaryFit, IouFit
-from lodbench.rendering.bits import unpack_mask
+from lodbench.rendering.masks import unpack_mask
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.reference import ReferenceRenderer
 

@@ -16,8 +16,7 @@ from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.photos.xmp import LaserRange
-from lodbench.rendering.ground import Ground
-from lodbench.rendering.surfaces import Surfaces
+from lodbench.rendering.surfaces import Ground, Surfaces
 from tests.town import box_obj
 
 CAMERA = Camera(1000, 800, 900.0, 890.0, 505.0, 396.0)

@@ -11,7 +11,7 @@ from lodbench.datasets.pose_text import FoundPose, format_pose, inverted, lines_
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation import pose_error
-from lodbench.evaluation.pose_matching import match_poses, suspect_convention
+from lodbench.evaluation.predictions import match_poses, suspect_convention
 from lodbench.geometry import Pose
 from tests.town import true_poses
 

@@ -1,16 +1,22 @@
-"""Metrics by hand, and metrics of other packages: found, shown, and left out where they fail."""
+"""Metrics by hand, calibration, panoptic quality; metrics of other packages, left out where they fail."""
 
 import math
 import re
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from lodbench.evaluation import metrics
-from lodbench.evaluation.errors import FAILED, FAILED_PARTS
+from lodbench.evaluation.metrics import InstanceMatches, calibrate, match_instances, risk_coverage
+from lodbench.evaluation.pose_errors import FAILED, FAILED_PARTS
 from lodbench.evaluation.queries import COLUMNS, ERROR, PARTS, queries_frame, summarize_queries
 from lodbench.plugins import PlugIn, installed
+from lodbench.storage import random_stream
 
 
 def frame(*rows: dict):
@@ -129,3 +135,101 @@ def test_the_columns_that_a_metric_is_given_are_documented():
     firsts = [row.split("|")[1] for row in table.splitlines() if row.startswith("| `")]
     named = [name for first in firsts for name in re.findall(r"`(\w+)`", first)]
     assert sorted(named) == sorted(COLUMNS)
+
+
+@pytest.fixture(scope="module")
+def honest():
+    generator = random_stream(0, "calibration")
+    said = generator.uniform(0, 1, 20_000)
+    return said, generator.uniform(0, 1, 20_000) < said
+
+
+def test_honest_probabilities_are_calibrated(honest):
+    calibration = calibrate(*honest)
+    assert calibration.ece < 0.015
+    assert len(calibration.bins) == 10
+    assert sum(b.count for b in calibration.bins) == 20_000
+    # The mean of p (1 - p) over uniform p.
+    assert calibration.brier == pytest.approx(1 / 6, abs=0.005)
+    # Answering down to the share c has risk c / 2, the area of which is 1 / 4.
+    assert calibration.aurc == pytest.approx(0.25, abs=0.01)
+    for b in calibration.bins:
+        assert b.low <= b.confidence <= b.high
+        assert b.interval[0] - 0.02 <= b.confidence <= b.interval[1] + 0.02
+
+
+def test_overconfidence_shows(honest):
+    said, found = honest
+    assert calibrate(np.sqrt(said), found).ece == pytest.approx(2 / 3 - 1 / 2, abs=0.01)
+
+
+def test_a_wrong_order_costs_area(honest):
+    said, found = honest
+    assert calibrate(1 - said, found).aurc > 0.7
+
+
+def test_equal_probabilities_have_no_order():
+    hits = np.array([True, False, False, True])
+    coverage, risk = risk_coverage(np.full(4, 0.5), hits)
+    np.testing.assert_allclose(risk, 0.5)
+    np.testing.assert_allclose(coverage, [0, 0.25, 0.5, 0.75, 1])
+
+
+def test_risk_by_hand():
+    coverage, risk = risk_coverage(np.array([0.2, 0.9, 0.6]), np.array([False, True, False]))
+    np.testing.assert_allclose(risk, [0, 0, 1 / 2, 2 / 3])
+    np.testing.assert_allclose(coverage, [0, 1 / 3, 2 / 3, 1])
+
+
+def test_certainty_falls_into_the_last_bin():
+    (only,) = calibrate([1.0, 1.0], [True, False]).bins
+    assert (only.low, only.high, only.count, only.found) == (0.9, 1.0, 2, 0.5)
+
+
+def test_nothing_to_judge():
+    calibration = calibrate([], [])
+    assert calibration.bins == ()
+    assert math.isnan(calibration.ece)
+    assert math.isnan(calibration.aurc)
+
+
+LABELS = arrays(np.uint16, (12, 9), elements=st.integers(0, 4))
+
+
+def test_two_buildings_taken_for_one_are_one_pair_or_none():
+    true = np.zeros((10, 20), np.uint16)
+    true[:, :12], true[:, 12:] = 1, 2
+    matches = match_instances(np.ones_like(true), true, 1)
+    # The larger covers 120 of 200 pixels: it is matched, the other is missed.
+    assert matches == InstanceMatches(1, 0.6, 1, 2)
+    assert matches.recognition == pytest.approx(2 / 3)
+    assert matches.segmentation == pytest.approx(0.6)
+    assert matches.panoptic == pytest.approx(0.4)
+    true[:, :10], true[:, 10:] = 1, 2
+    assert match_instances(np.ones_like(true), true, 1).matched == 0
+
+
+def test_small_ones_do_not_count_on_either_side():
+    true = np.zeros((10, 10), np.uint16)
+    true[:2, :2], true[5:, 5:] = 1, 2
+    found = np.where(true == 2, 7, 0)
+    found[0, 9] = 3
+    assert match_instances(found, true, 5) == InstanceMatches(1, 1.0, 1, 1)
+    assert match_instances(found, true, 1) == InstanceMatches(1, 1.0, 2, 2)
+
+
+@given(LABELS)
+def test_labels_agree_with_themselves_by_any_name(labels):
+    renamed = np.where(labels > 0, 9 - labels, 0)
+    matches = match_instances(renamed, labels, 1)
+    count = len(np.unique(labels[labels > 0]))
+    assert matches == InstanceMatches(count, float(count), count, count)
+
+
+@given(LABELS, LABELS)
+def test_it_is_symmetric_and_sums(one, other):
+    ahead, back = match_instances(one, other, 1), match_instances(other, one, 1)
+    assert (ahead.matched, ahead.iou_sum) == (back.matched, pytest.approx(back.iou_sum))
+    both = ahead + back
+    assert both.found == both.true
+    assert ahead.matched <= min(ahead.found, ahead.true)

@@ -3,9 +3,8 @@
 import warnings
 from types import SimpleNamespace
 
-from lodbench.evaluation.errors import FAILED, PoseError
+from lodbench.evaluation.pose_errors import DEFAULT_THRESHOLDS, FAILED, PoseError
 from lodbench.evaluation.queries import ERROR, NO_TRUTH, queries_frame
-from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
 from lodbench.geometry import Pose
 from lodbench.harness.runs.compare import agreement, paired_comparison, require_same_queries
 

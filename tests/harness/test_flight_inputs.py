@@ -12,7 +12,7 @@ from lodbench.datasets.pose_text import FoundPose
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.photo.flight_inputs import masks_of, picture_file, poses_in_model, tied_notes
-from lodbench.methods.flight.tracks import width_looked_at
+from lodbench.methods.flight.relative_poses import width_looked_at
 from lodbench.photos.undistort import pinhole_of
 from tests.town import CAMERA
 

@@ -7,8 +7,7 @@ import pytest
 
 from lodbench.errors import ConfigError
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.matching.pose_solver import open_pose_solver
-from lodbench.matching.upright_pose import poses_of_pairs
+from lodbench.matching.pose_solver import open_pose_solver, poses_of_pairs
 
 CAMERA = Camera(1204, 896, 861.6, 853.3, 607.4, 434.8)
 NAMES = ["opencv", "poselib", "pycolmap", "upright"]

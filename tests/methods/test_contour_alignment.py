@@ -20,7 +20,7 @@ from lodbench.geometry import Pose
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
 from lodbench.methods.contour_alignment.likelihood import TRACKS
-from lodbench.methods.timed_localize import localize_query
+from lodbench.methods.localize import localize_query
 from lodbench.storage import random_stream
 from tests.town import BOXES, CAMERA, box_obj
 

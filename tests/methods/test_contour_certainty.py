@@ -15,7 +15,7 @@ from lodbench.citymap.city_map import corrected_map
 from lodbench.datasets.query import Query
 from lodbench.estimation.outline import OutlinePoints
 from lodbench.estimation.outline_alignment import Residuals
-from lodbench.estimation.probability import probability_within
+from lodbench.estimation.state_vector import probability_within
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.pose import vector_from_pose

@@ -8,17 +8,28 @@ import numpy as np
 import pytest
 
 from lodbench.citymap import CityMap
+from lodbench.citymodel.extrude import pitched_blocks
+from lodbench.citymodel.meshing import mesh_model
+from lodbench.citymodel.read import read_city_model
 from lodbench.datasets.prior_sources import UniformPrior
+from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
+from lodbench.estimation.state_vector import views_of
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
+from lodbench.geometry.pose import vector_from_pose
+from lodbench.methods.contour_alignment import ContourAlignment
+from lodbench.methods.localize import localize_query
 from lodbench.methods.region import Region, RegionParams
 from lodbench.methods.region.evidence import PhotoFit, PosePosterior
+from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.search import grid_starts
 from lodbench.methods.registry import make_method
-from lodbench.methods.timed_localize import localize_query
+from lodbench.rendering import IouFit
 from lodbench.storage import random_stream
-from tests.town import CAMERA
+from tests.methods.test_region_lines import shaded_photo
+from tests.methods.test_region_roofs import mean_errors
+from tests.town import CAMERA, prior_of, true_poses
 
 FAST = RegionParams(fine_width=200, starts=4, modes=2)
 
@@ -224,3 +235,148 @@ class TestWhatIsRefused:
         (key,) = wrong
         with pytest.raises(ConfigError, match=key):
             make_method("region", **wrong)
+
+
+@pytest.fixture
+def told(scene):
+    """The town, of whose buildings every other one is told to have a pitched roof."""
+    return replace(scene, pitched=np.arange(scene.num_buildings) % 2 == 0)
+
+
+def modes_found(scene):
+    return np.maximum.reduceat(scene.vertices[:, 2], scene.vertex_starts[:-1])
+
+
+def test_they_are_drawn_lower_and_the_others_as_they_are(scene, city_map, told):
+    for step in (0, 2):
+        plain = RaisedRoofs(city_map, scene, 0.8).at(step).scene
+        lowered = RaisedRoofs(city_map, told, 0.8).at(step).scene
+        np.testing.assert_allclose(modes_found(plain) - modes_found(lowered), 0.8 * told.pitched, atol=1e-4)
+        floors = [np.minimum.reduceat(s.vertices[:, 2], s.vertex_starts[:-1]) for s in (plain, lowered)]
+        np.testing.assert_array_equal(*floors)
+
+
+def test_roofs_by_themselves_are_counted_from_there(city_map, told):
+    own_m = np.linspace(-0.5, 0.5, told.num_buildings)
+    roofs = RaisedRoofs(city_map, told, 0.8)
+    moved = modes_found(roofs.with_offsets(own_m, 0.0, 0.0).at(0).scene) - modes_found(roofs.at(0).scene)
+    np.testing.assert_allclose(moved, own_m, atol=1e-4)
+
+
+def test_what_is_drawn_with_its_roof_is_no_block(shared_data):
+    model = read_city_model(shared_data / "city/germany_lod2/LoD2_32_280_5657_1_NW.gml")
+    blocks = mesh_model(model, "1", roof_height="median").scene
+    assert int(pitched_blocks(blocks).sum()) == int(blocks.pitched.sum()) == 48
+    assert not pitched_blocks(mesh_model(model, "2").scene).any()
+
+
+def test_floors_may_follow_the_ground(shared_data):
+    model = read_city_model(shared_data / "city/germany_lod2/LoD2_32_280_5657_1_NW.gml")
+    blocks = mesh_model(model, "1", roof_height="median").scene
+    vertices = blocks.vertices.copy()
+    owner = np.repeat(np.arange(blocks.num_buildings), np.diff(blocks.vertex_starts))
+    floors = np.minimum.reduceat(vertices[:, 2], blocks.vertex_starts[:-1])
+    is_floor = vertices[:, 2] < floors[owner] + 0.1
+    vertices[is_floor, 2] += 0.1 * (vertices[is_floor, 0] - vertices[:, 0].mean()) % 1.0
+    assert int(pitched_blocks(replace(blocks, vertices=vertices)).sum()) == 48
+
+
+def test_where_nothing_is_told_no_block_is_pitched(scene):
+    assert not pitched_blocks(scene).any()
+
+
+@pytest.mark.slow
+def test_told_roofs_bring_the_answer_nearer(told, tmp_path):
+    """Photos of a town whose every other roof is two metres lower than in the map, which tells which."""
+    city_map = CityMap(told, threads=1)
+    town = RaisedRoofs(city_map, told, 2.0).at(0)
+    each = [replace(FAST, pitched_lower_m=lower_m) for lower_m in (0.0, 2.0)]
+    untold, by_what_is_told = mean_errors(city_map, town, each, tmp_path, seeds=(0, 1))
+    assert by_what_is_told < 0.9 * untold
+
+
+def test_the_parameter_is_a_length():
+    with pytest.raises(ConfigError, match="pitched_lower_m"):
+        RegionParams(pitched_lower_m=-0.1)
+
+
+# Few pixels do not tell a longer lens from a lower flight.
+WIDE = CAMERA.scaled(960, 720)
+
+
+def lengthened(camera, percent):
+    return replace(camera, fx=camera.fx * (1 + 0.01 * percent), fy=camera.fy * (1 + 0.01 * percent))
+
+
+@pytest.mark.parametrize("percent", [-4.0, 0.0, 2.5])
+def test_another_lens_is_drawn_by_the_told_one(city_map, truths, percent):
+    for truth in truths:
+        vector = np.append(vector_from_pose(truth), percent)[None]
+        of_longer = IouFit(city_map.render(lengthened(CAMERA, percent), truth))
+        np.testing.assert_allclose(city_map.fit(CAMERA, *views_of(vector), of_longer), 1.0, atol=2e-3)
+
+
+def test_a_pose_is_a_camera_with_the_lens_as_told(city_map, queries, truths, shaded_photos):
+    params = RegionParams()
+    evidence = PosePosterior(
+        queries[0], city_map, PhotoFit(shaded_photos[0], (200, 150), params, False), params
+    )
+    poses = vector_from_pose(truths[0]) + random_stream(0, "poses").normal(0.0, 0.5, (5, 6))
+    cameras = np.column_stack([poses, np.zeros(5)])
+    np.testing.assert_array_equal(evidence.fits(poses), evidence.fits(cameras))
+    assert (evidence.fits(np.column_stack([poses, np.full(5, 3.0)])) != evidence.fits(poses)).all()
+
+
+@pytest.fixture(scope="module")
+def shaded_photos(city_map, truths):
+    return [shaded_photo(city_map, truth, number) for number, truth in enumerate(truths)]
+
+
+def errors_of(city_map, folder, percent, params):
+    """Returns the errors in place, metres, of photos whose lens is longer than told, and all notes."""
+    errors, notes = [], []
+    for number, truth in enumerate(true_poses(3).values()):
+        path, lens = folder / f"{number}.png", lengthened(WIDE, percent)
+        cv2.imwrite(str(path), shaded_photo(city_map, truth, number, lens))
+        query = Query(path.name, "all", WIDE, prior_of(truth), None, path)
+        estimate = Region(params).localize(query, city_map, partial(random_stream, 0, "test"))
+        errors.append(pose_error(estimate.pose, truth).translation_m)
+        notes.extend(estimate.notes)
+    return np.array(errors), notes
+
+
+@pytest.mark.slow
+def test_a_longer_lens_is_found_and_told(city_map, tmp_path):
+    """4 % are five metres of height, which whoever believes what is told makes up for."""
+    believing, _ = errors_of(city_map, tmp_path, 4.0, replace(FAST, lens_doubt_percent=0.0))
+    doubting, notes = errors_of(
+        city_map, tmp_path, 4.0, replace(FAST, lens_doubt_percent=4.0, doubt_nats=1.0)
+    )
+    assert np.median(believing) > 3.0
+    assert np.median(doubting) < 0.7 * np.median(believing)
+    assert any("focal length" in note and "longer" in note for note in notes)
+
+
+@pytest.mark.parametrize("method", [Region(FAST), ContourAlignment()], ids=["pixels", "mask"])
+def test_a_focal_length_known_badly_leaves_the_height_open(
+    city_map, queries, shaded_photos, tmp_path, method
+):
+    path = tmp_path / "photo.png"
+    cv2.imwrite(str(path), shaded_photos[0])
+    known = replace(queries[0], image=path)
+    sigmas, probabilities = [], []
+    for percent in (None, 0.1, 3.0):
+        query = replace(known, lens_percent=percent)
+        estimate = method.localize(query, city_map, partial(random_stream, 0, "test"))
+        sigmas.append(np.sqrt(np.diagonal(estimate.covariance)))
+        probabilities.append(estimate.probability)
+    np.testing.assert_array_equal(sigmas[0], sigmas[1])
+    assert sigmas[2][2] > 1.5 * sigmas[0][2]
+    assert probabilities[2] < probabilities[0] == probabilities[1]
+
+
+@pytest.mark.slow
+def test_a_lens_as_told_is_left_alone(city_map, tmp_path):
+    errors, notes = errors_of(city_map, tmp_path, 0.0, FAST)
+    assert not any("focal length" in note for note in notes)
+    assert np.median(errors) < 1.0

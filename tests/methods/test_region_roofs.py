@@ -7,18 +7,23 @@ from itertools import product
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely import Polygon
 
 from lodbench.citymap import CityMap
+from lodbench.citymodel.scene import SceneBuilder
 from lodbench.datasets.query import Query
-from lodbench.estimation.state_vector import BESIDE_POSE
+from lodbench.estimation.state_vector import ALL, BASE_OFFSET, BESIDE_POSE
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose import vector_from_pose
 from lodbench.methods.region import Region, RegionParams
 from lodbench.methods.region.evidence import PhotoFit, PosePosterior, StatePosterior
-from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, step_of
+from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, outward_moves, step_of
+from lodbench.rendering.edges import edge_faces
 from lodbench.storage import random_stream
 from lodbench.synthesis.views_dataset import Perturbation
-from tests.methods.test_region_lines import line_fit
+from tests.methods.test_region_lines import line_fit, shaded_photo, with_roofs
 from tests.town import CAMERA, prior_of, true_poses
 
 FAST = RegionParams(fine_width=200, starts=4, modes=2)
@@ -171,3 +176,142 @@ def test_roofs_that_err_each_by_itself_lead_no_answer_astray(city_map, roofs, un
     told = [replace(FAST, own_roofs_m=own_roofs_m) for own_roofs_m in (0.0, 1.0)]
     trusting, doubting = mean_errors(city_map, town.at(0), told, tmp_path)
     assert doubting < 0.95 * trusting
+
+
+# An L of 10 by 10 metres, a point in one of its walls, and triangles of its roof.
+CORNERS = np.array([[0, 0], [10, 0], [10, 4], [4, 4], [4, 10], [0, 10], [0, 5]], float)
+ROOF = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 6], [3, 4, 6], [4, 5, 6]])
+
+
+def house(turn_deg, flips):
+    """Returns the L as a block 6 m high, turned, its faces oriented as ``flips`` says."""
+    turn = np.radians(turn_deg)
+    plan = CORNERS @ [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
+    count = len(plan)
+    points = np.vstack([np.column_stack([plan, np.full(count, z)]) for z in (0.0, 6.0)])
+    here, after = np.arange(count), np.roll(np.arange(count), -1)
+    below = np.stack([here, after, here + count], 1)
+    walls = np.concatenate([below, np.stack([after, after + count, here + count], 1)])
+    faces = np.concatenate([ROOF + count, ROOF, walls])
+    flipped = np.resize(flips, len(faces))
+    faces[flipped] = faces[flipped, ::-1]
+    builder = SceneBuilder(("house",))
+    builder.add(points, faces, np.zeros(len(faces), np.int64))
+    return builder.finish(lod="", crs=None, origin=None), plan
+
+
+@given(st.floats(0.0, 360.0), st.lists(st.booleans(), min_size=7, max_size=7), st.floats(-1.0, 1.5))
+@settings(max_examples=30, deadline=None)
+def test_outlines_grow_as_shapely_grows_them(turn_deg, flips, metres):
+    """Whatever way the faces are oriented, and with a wall of two pieces."""
+    scene, plan = house(turn_deg, flips)
+    top = scene.vertices[:, 2] > 3.0
+    moved = scene.vertices[:, :2] + metres * outward_moves(edge_faces(scene), len(scene.vertices))
+    order = [int(np.argmin(np.linalg.norm(scene.vertices[top][:, :2] - corner, axis=1))) for corner in plan]
+    grown = Polygon(moved[top][order])
+    expected = Polygon(plan).buffer(metres, join_style="mitre")
+    assert grown.is_valid
+    assert grown.symmetric_difference(expected).area < 0.03 * abs(metres) + 1e-3
+
+
+def test_what_no_wall_meets_stays():
+    """A flat outline has no eaves."""
+    scene, _ = house(20.0, [False])
+    flat = replace(scene, triangles=scene.triangles[: len(ROOF)], triangle_starts=np.array([0, len(ROOF)]))
+    assert not outward_moves(edge_faces(flat), len(flat.vertices)).any()
+
+
+def test_roofs_are_drawn_wider_over_the_same_floors(scene, roofs):
+    wide = roofs.with_offsets(np.zeros(scene.num_buildings), 0.0, 0.5).at(0).scene
+    owner = np.repeat(np.arange(scene.num_buildings), np.diff(scene.vertex_starts))
+    floors = np.minimum.reduceat(scene.vertices[:, 2], scene.vertex_starts[:-1])[owner]
+    is_floor = scene.vertices[:, 2] == floors
+    np.testing.assert_array_equal(wide.vertices[is_floor], scene.vertices[is_floor])
+    out = np.linalg.norm(wide.vertices[~is_floor] - scene.vertices[~is_floor], axis=1)
+    np.testing.assert_allclose(out, 0.5 * np.sqrt(2.0), rtol=1e-2)
+
+
+def test_lines_know_how_far_eaves_stand_out(scene, roofs, queries, truths):
+    """Photos of a town whose eaves stand out 0.8 m: its lines fit best so wide, from either map."""
+    wide = roofs.with_offsets(np.zeros(scene.num_buildings), 0.0, 0.8)
+    eaves = np.linspace(-0.4, 2.0, 13)
+    for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
+        photo, pose = photo_of(wide.at(0), truth, number), vector_from_pose(truth)
+        for seen_of, told_m in ((roofs, 0.0), (wide, 0.8)):
+            fit = line_fit(photo, query, seen_of, np.append(pose, [0.0, 0.0, 0.0, told_m]))
+            log_likelihood = fit(np.column_stack([np.tile(np.append(pose, [0.0, 0.0, 0.0]), (13, 1)), eaves]))
+            assert eaves[int(np.argmax(log_likelihood))] == pytest.approx(0.8, abs=0.41)
+
+
+@pytest.mark.slow
+def test_eaves_that_the_map_lacks_lead_no_answer_astray(scene, city_map, roofs, tmp_path):
+    """Photos of a town whose eaves stand out 1.2 m, over the map of its walls."""
+    wide = roofs.with_offsets(np.zeros(scene.num_buildings), 0.0, 1.2).at(0)
+    told = [replace(FAST, eaves_m=eaves_m) for eaves_m in (0.0, 0.6)]
+    trusting, doubting = mean_errors(city_map, wide, told, tmp_path)
+    assert doubting < 0.8 * trusting
+
+
+def lifted(roofs, feet_m):
+    return roofs.with_offsets(roofs.own_m, feet_m, 0.0)
+
+
+@pytest.mark.parametrize("feet_m", [0.5, 2.0])
+def test_lifted_feet_are_those_of_a_town_whose_walls_are_hidden_so_far(scene, roofs, truths, feet_m):
+    """Against the worlds of ``dataset=views``, which were written for another purpose."""
+    expected = CityMap(Perturbation(hidden_feet_m=feet_m).perturbed(scene), threads=1)
+    for truth in truths:
+        seen = lifted(roofs, feet_m).at(0).render(CAMERA, truth)
+        np.testing.assert_array_equal(seen, expected.render(CAMERA, truth))
+        assert not np.array_equal(seen, roofs.at(0).render(CAMERA, truth))
+
+
+def test_points_of_walls_move_by_their_share(scene, roofs):
+    """From any map, and of any height of roofs, to that of other feet; tops of walls stay."""
+    owner = np.repeat(np.arange(scene.num_buildings), np.diff(scene.vertex_starts))
+    for step, first_m, last_m in ((0, 0.0, 1.5), (2, 1.0, -0.5)):
+        before, after = (
+            lifted(roofs, feet_m).at(step).scene.vertices[:, 2].astype(float) for feet_m in (first_m, last_m)
+        )
+        of_points = lifted(roofs, first_m).lifts(before, owner, step)
+        np.testing.assert_allclose(before + (last_m - first_m) * of_points, after, atol=1e-4)
+        modes_found = np.maximum.reduceat(after, scene.vertex_starts[:-1])
+        np.testing.assert_allclose(
+            modes_found,
+            np.maximum.reduceat(scene.vertices[:, 2], scene.vertex_starts[:-1]) + step * STEP_M,
+            atol=1e-4,
+        )
+
+
+def test_no_wall_is_left_lower_than_two_metres_and_flat_outlines_stay(scene, city_map):
+    heights = np.resize([0.0, 3.0, 9.0], scene.num_buildings)
+    floors = np.minimum.reduceat(scene.vertices[:, 2], scene.vertex_starts[:-1])
+    owner = np.repeat(np.arange(scene.num_buildings), np.diff(scene.vertex_starts))
+    low = scene.vertices.copy()
+    low[:, 2] = np.minimum(low[:, 2], (floors + heights)[owner])
+    part = replace(scene, vertices=low)
+    feet = np.minimum.reduceat(
+        lifted(RaisedRoofs(city_map, part), 4.0).at(0).scene.vertices[:, 2], scene.vertex_starts[:-1]
+    )
+    rises = np.maximum.reduceat(low[:, 2], scene.vertex_starts[:-1]) - floors
+    np.testing.assert_allclose(feet - floors, np.clip(rises - 2.0, 0.0, 4.0), atol=1e-4)
+
+
+def test_walls_hidden_below_do_not_drag_cameras_that_lines_place(roofs, queries, truths):
+    """Photos of a town without its lowest 3 m, whose lines are laid where the map has walls end."""
+    town, heights_m, found = lifted(roofs, 3.0), np.linspace(-6.0, 6.0, 49), []
+    for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
+        photo, pose = shaded_photo(town.at(0), truth, number), with_roofs(truth)
+        fit = line_fit(photo, query, roofs, pose)
+        higher, lower = (pose + np.eye(ALL)[BASE_OFFSET] * feet_m for feet_m in (3.0, -1.0))
+        assert np.ptp(fit(np.stack([pose, higher, lower]))) < 3.0
+        found.append(heights_m[int(fit(pose + np.outer(heights_m, np.eye(ALL)[2])).argmax())])
+    assert np.abs(found).max() <= 0.5
+
+
+@pytest.mark.slow
+def test_hidden_feet_lead_no_answer_far_astray(city_map, roofs, tmp_path):
+    """Photos of a town without its lowest three metres: under the belief that all is seen they cost more."""
+    told = [replace(FAST, feet_m=feet_m) for feet_m in (0.0, 1.0)]
+    trusting, doubting = mean_errors(city_map, lifted(roofs, 3.0).at(0), told, tmp_path, seeds=range(3))
+    assert doubting < trusting

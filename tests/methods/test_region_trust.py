@@ -17,15 +17,14 @@ from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.methods.fits import query_photo
 from lodbench.methods.region import Region, RegionParams
 from lodbench.methods.region import evidence as photo_module
 from lodbench.methods.region.evidence import Photo
 from lodbench.methods.region.trust import ConfidenceFeatures, success_probability
+from lodbench.methods.search import query_photo
 from lodbench.rendering.photo_bins import directed_edge_levels
 from lodbench.storage import random_stream
-from tests.methods.test_region_lens import WIDE
-from tests.methods.test_region_lines import shaded_photo
+from tests.methods.test_region import WIDE, shaded_photo
 from tests.methods.test_region_roofs import FAST
 from tests.town import CAMERA, prior_of, true_poses
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lodbench.errors import LodbenchError
-from lodbench.methods.workspace import Workspace, open_workspace
+from lodbench.methods.protocol import Workspace, open_workspace
 
 pytestmark = pytest.mark.attack
 
@@ -103,7 +103,7 @@ def test_a_folder_with_a_damaged_file_is_made_anew(tmp_path, damage):
 
 def test_a_kill_keeps_the_finished_parts(tmp_path):
     code = (
-        "import sys, time\nfrom pathlib import Path\nfrom lodbench.methods.workspace import Workspace\n"
+        "import sys, time\nfrom pathlib import Path\nfrom lodbench.methods.protocol import Workspace\n"
         "work = Workspace(Path(sys.argv[1]))\nwork.part('first', lambda file: file.write_text('done'))\n"
         "work.part('second', lambda file: (file.write_text('half'), time.sleep(600)))\n"
     )

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from parts import part_of
+from hostile_scenes import part_of
 
 from lodbench.citymodel import Scene, open_scene
 

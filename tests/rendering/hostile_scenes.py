@@ -1,10 +1,14 @@
-"""Scenes made to break a rasteriser, and cameras put where they hurt."""
+"""Scenes made to break a rasteriser, cameras put where they hurt, masks of boxes, and hits by brute force."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from hypothesis import strategies as st
 
 from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler
+from lodbench.kernels.raster_rule import NEAR_M
+from lodbench.rendering.masks import pack_mask
 
 # Corners of a unit box (x, y, z in bits 2, 1, 0); its faces, outward, the floor first.
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
@@ -123,3 +127,83 @@ def hostile_views(draw) -> tuple[Camera, Pose]:
 def straight_down(height_m: float) -> Pose:
     """Returns a camera over the origin with north up: x right is east, y down is south, no rounding."""
     return Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, height_m]))
+
+
+def part_of(scene: Scene, buildings) -> Scene:
+    """Returns the scene of some of the buildings, ascending."""
+    points, triangles, v_starts, t_starts = [], [], [0], [0]
+    for b in buildings:
+        v0, v1 = scene.vertex_starts[b : b + 2]
+        t0, t1 = scene.triangle_starts[b : b + 2]
+        points.append(scene.vertices[v0:v1])
+        triangles.append(scene.triangles[t0:t1] - v0 + v_starts[-1])
+        v_starts.append(v_starts[-1] + v1 - v0)
+        t_starts.append(t_starts[-1] + t1 - t0)
+    return Scene(
+        np.concatenate(points),
+        np.concatenate(triangles).astype(np.int32),
+        np.array(v_starts, dtype=np.int64),
+        np.array(t_starts, dtype=np.int64),
+        tuple(scene.building_ids[b] for b in buildings),
+        scene.lod,
+        scene.crs,
+        scene.origin,
+    )
+
+
+def blobs(rng, width, height, count):
+    """Returns masks of a few boxes each, some empty, some full."""
+    masks = np.zeros((count, height, width), dtype=bool)
+    for n in range(count):
+        for _ in range(n % 4):
+            left, right = np.sort(rng.integers(0, width + 1, 2))
+            top, bottom = np.sort(rng.integers(0, height + 1, 2))
+            masks[n, top:bottom, left:right] ^= True
+    masks[-1] = True
+    return masks
+
+
+def packed(masks):
+    """Returns masks as the engine has them."""
+    return np.stack([pack_mask(mask) for mask in masks])
+
+
+# Hits nearer to an edge than this share of the triangle, or to the next hit than this share of the
+# depth, are not decided here.
+_MARGIN = 1e-2
+
+
+@dataclass
+class Hits:
+    """Depth (H, W) metres, triangle (H, W), and where both are beyond doubt."""
+
+    depth: np.ndarray
+    triangle: np.ndarray
+    is_sure: np.ndarray
+
+
+def cast_rays(scene: Scene, camera: Camera, pose: Pose) -> Hits:
+    """Returns the nearest hit of the ray through each pixel's centre."""
+    corners = (scene.vertices.astype(np.float64) - pose.center)[scene.triangles] @ pose.rotation.T
+    x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+    rays = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.ones((len(y), len(x)))], axis=2)
+    depth = np.full((len(corners), len(y), len(x)), np.inf)
+    doubt = np.zeros((len(y), len(x)), dtype=bool)
+    for t, (a, b, c) in enumerate(corners):
+        # weights @ corners = depth * ray, so the weights of (ray / depth) sum to 1 / depth.
+        matrix = np.array([a, b, c]).T
+        if abs(np.linalg.det(matrix)) < 1e-9:
+            doubt[:] = True
+            continue
+        weights = rays @ np.linalg.inv(matrix).T
+        total = weights.sum(axis=2)
+        share = (weights / np.where(total == 0, 1, total)[..., None]).min(axis=2)
+        z = 1 / np.where(total == 0, 1e-12, total)
+        depth[t] = np.where((share > 0) & (z > NEAR_M), z, np.inf)
+        doubt |= (np.abs(share) < _MARGIN) & (z > 0)
+    ordered = np.sort(depth, axis=0)
+    hit = np.isfinite(ordered[0])
+    gap = ordered[1] - np.where(hit, ordered[0], 0)
+    is_sure = ~doubt & hit & (gap > _MARGIN * np.where(hit, ordered[0], 0)) & (ordered[0] > 1.01 * NEAR_M)
+    return Hits(ordered[0], depth.argmin(axis=0), is_sure)

@@ -1,16 +1,29 @@
-"""The raster covers the engine's pixels to the bit, and says truly what each of them shows."""
+"""The raster covers what the engine does and says what pixels show; textured planes are as projected."""
 
+import cv2
 import numpy as np
 import pytest
-from hostile_scenes import KINDS, SIZES, box, hostile_scenes, hostile_views, scene_of, straight_down
+from hostile_scenes import (
+    KINDS,
+    SIZES,
+    box,
+    cast_rays,
+    hostile_scenes,
+    hostile_views,
+    scene_of,
+    straight_down,
+)
 from hypothesis import HealthCheck, given, settings
-from ray_oracle import cast_rays
+from hypothesis import strategies as st
 
+from lodbench.citymodel.mesh.textured import TexturedMesh, join_textured
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler
+from lodbench.rendering.backends import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.reference import ReferenceRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.rendering.textured import TexturedRenderer, grouped_scene, triangle_groups
 
 CAMERA = Camera(130, 97, 80.0, 71.0, 60.0, 52.0)
 
@@ -182,3 +195,136 @@ def test_real_quarters(real_quarter):
 def test_a_camera_it_cannot_render_is_refused(camera):
     with pytest.raises(RenderingError):
         RasterRenderer(scene_of(box([0, 0, 0], [1, 1, 1])), 1).draw(camera, straight_down(5.0))
+
+
+TEXTURED_CAMERA = Camera(200, 160, 190.0, 195.0, 101.0, 78.0)
+POSE = Pose.from_euler(EulerAngles(35.0, 2.0, 20.0), [12.0, -45.0, 95.0])
+# A square of ground, 120 m wide, with a picture on it.
+SIZE_M, PIXELS = 120.0, 256
+
+
+def smooth_picture():
+    y, x = np.mgrid[0:PIXELS, 0:PIXELS] / (PIXELS - 1.0)
+    waves = 0.5 + 0.3 * np.sin(9 * x + 4 * y)
+    return (255 * np.stack([0.15 + 0.7 * x, 0.15 + 0.7 * y, waves], axis=2)).astype(np.uint8)
+
+
+def ground(picture, size_m=SIZE_M, height_m=0.0, repeats=1.0) -> TexturedMesh:
+    half = size_m / 2
+    corners = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
+    corners = np.column_stack([corners, np.full(4, height_m)])
+    uv = repeats * np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+    faces = np.array([(0, 1, 2), (0, 2, 3)])
+    none = np.zeros((2, 3, 3), np.uint8)
+    return TexturedMesh(corners[faces], uv[faces], np.zeros(2, np.int32), none, (picture,))
+
+
+def textured_draw(mesh, pose=POSE, camera=TEXTURED_CAMERA, threads=1):
+    return TexturedRenderer(mesh, threads).colours(camera, pose.rotation[None], pose.center[None])[0]
+
+
+def test_perspective_is_that_of_the_plane():
+    to_ground = np.array([[SIZE_M / PIXELS, 0, -SIZE_M / 2], [0, -SIZE_M / PIXELS, SIZE_M / 2], [0, 0, 1.0]])
+    plane = np.column_stack([POSE.rotation[:, 0], POSE.rotation[:, 1], POSE.translation])
+    shift = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+    view = np.linalg.inv(shift) @ TEXTURED_CAMERA.matrix @ plane @ to_ground @ shift
+    size = (TEXTURED_CAMERA.width, TEXTURED_CAMERA.height)
+    expected = cv2.warpPerspective(smooth_picture(), view, size, flags=cv2.INTER_LINEAR)
+    covered = cv2.warpPerspective(np.ones((PIXELS, PIXELS), np.uint8), view, size, flags=cv2.INTER_NEAREST)
+    covered = cv2.erode(covered, np.ones((5, 5), np.uint8)) > 0
+    assert covered.mean() > 0.4
+    off = np.abs(textured_draw(ground(smooth_picture())).astype(float) - expected)[covered]
+    assert off.mean() < 1.0
+    assert np.percentile(off, 99) < 4.0
+
+
+def test_a_far_view_of_a_fine_pattern_is_grey_not_moire():
+    # Squares of one texel, a hundred of which fall into a pixel.
+    squares = np.indices((PIXELS, PIXELS)).sum(axis=0) % 2
+    picture = np.repeat((255 * squares)[:, :, None], 3, axis=2).astype(np.uint8)
+    far = Pose.from_euler(EulerAngles(0.0, 0.0, 30.0), [0.0, 0.0, 400.0])
+    seen = textured_draw(ground(picture, repeats=20.0), far)
+    depth = TexturedRenderer(ground(picture), 1).depths(
+        TEXTURED_CAMERA, far.rotation[None], far.center[None]
+    )[0]
+    inside = cv2.erode((depth > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    assert inside.sum() > 1000
+    assert np.abs(seen[inside].astype(float) - 127.5).max() < 12
+
+
+def test_the_nearer_surface_hides_the_other_and_nothing_is_pale():
+    red = np.broadcast_to(np.array([200, 10, 10], np.uint8), (8, 8, 3)).copy()
+    below = ground(smooth_picture())
+    both = join_textured([below, ground(red, 30.0, 20.0)])
+    down = Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), [0.0, 0.0, 100.0])
+    seen, alone = textured_draw(both, down), textured_draw(below, down)
+    assert (np.abs(seen[75:82, 98:104].astype(int) - [200, 10, 10]) <= 1).all()
+    outside = np.ones(seen.shape[:2], dtype=bool)
+    outside[30:125, 50:150] = False
+    np.testing.assert_array_equal(seen[outside], alone[outside])
+    up = Pose.from_euler(EulerAngles(180.0, 0.0, 0.0), [0.0, 0.0, 100.0])
+    assert len(np.unique(textured_draw(both, up).reshape(-1, 3), axis=0)) == 1
+
+
+def test_colours_of_corners_are_blended_over_their_triangle():
+    corners = np.array([[(-500.0, -500.0, 0.0), (500.0, -500.0, 0.0), (0.0, 800.0, 0.0)]])
+    colours = np.array([[(200, 100, 50)] * 3], dtype=np.uint8)
+    mesh = TexturedMesh(corners, np.zeros((1, 3, 2)), np.array([-1], np.int32), colours, ())
+    np.testing.assert_allclose(textured_draw(mesh)[80, 100], [200, 100, 50], atol=1)
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_batches_and_threads_change_nothing(count):
+    rng = np.random.default_rng(count)
+    mesh = join_textured([ground(smooth_picture(), 40.0, float(z)) for z in rng.uniform(0, 30, 5)])
+    yaws = rng.uniform(0, 360, count)
+    rotations = np.array([rotation_from_euler(EulerAngles(30.0, 0.0, yaw)) for yaw in yaws])
+    centers = -90 * rotations[:, 2]
+    whole = TexturedRenderer(mesh, 3).colours(TEXTURED_CAMERA, rotations, centers)
+    single = TexturedRenderer(mesh, 1)
+    for i in range(count):
+        np.testing.assert_array_equal(
+            single.colours(TEXTURED_CAMERA, rotations[[i]], centers[[i]])[0], whole[i]
+        )
+    assert len(np.unique(whole[0].reshape(-1, 3), axis=0)) > 100
+
+
+@pytest.mark.slow
+def test_pyrender_draws_the_same():
+    pytest.importorskip("pyrender")
+    try:
+        theirs = PyrenderTextured(ground(smooth_picture())).colours(
+            TEXTURED_CAMERA, POSE.rotation[None], POSE.center[None]
+        )[0]
+    except RenderingError as error:
+        pytest.skip(str(error))
+    off = np.abs(theirs.astype(int) - textured_draw(ground(smooth_picture()))).max(axis=2)
+    assert np.median(off) <= 1
+    assert (off > 12).mean() < 0.03
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 60))
+def test_a_scene_has_the_triangles_and_each_vertex_once(seed, count):
+    """Corners on whole metres, so that many are shared, within a group and beyond it."""
+    rng = np.random.default_rng(seed)
+    corners = (rng.integers(-40, 40, (count, 1, 3)) + rng.integers(-1, 2, (count, 3, 3))).astype(np.float64)
+    order, starts = triangle_groups(corners)
+    corners = corners[order]
+    scene = grouped_scene(corners, starts)
+    np.testing.assert_array_equal(scene.vertices[scene.triangles], corners)
+    np.testing.assert_array_equal(scene.triangle_starts, starts)
+    for group in range(scene.num_buildings):
+        (v, w), (t, u) = scene.vertex_starts[group : group + 2], starts[group : group + 2]
+        expected = np.unique(corners[t:u].reshape(-1, 3), axis=0)
+        np.testing.assert_array_equal(scene.vertices[v:w], expected)
+
+
+def test_neighbours_are_in_one_group_and_far_ones_are_not():
+    near, far = np.zeros((2, 3, 3)), np.full((1, 3, 3), 500.0)
+    _, starts = triangle_groups(np.concatenate([near, far]))
+    assert starts.tolist() == [0, 2, 3]
+
+
+def test_no_triangle_makes_no_building():
+    scene = grouped_scene(np.zeros((0, 3, 3)), np.zeros(1, dtype=np.int64))
+    assert (scene.num_buildings, len(scene.vertices), len(scene.triangles)) == (0, 0, 0)

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from lodbench.evaluation.recall import summarize
+from lodbench.evaluation.pose_errors import summarize
 from lodbench.reporting.figures import RecallCurve, draw_recall_curves
 from lodbench.reporting.run_figures import ErrorSample, Trace, draw_error_curves, draw_traces, shares_below
 

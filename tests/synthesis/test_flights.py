@@ -18,8 +18,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose import pose_from_vector, rotation_derivatives, vector_from_pose
-from lodbench.methods.flight.relative_poses import placed
-from lodbench.methods.flight.tracks import relative_poses
+from lodbench.methods.flight.relative_poses import placed, relative_poses
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation.masks import read_mask
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS

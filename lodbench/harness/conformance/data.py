@@ -16,8 +16,8 @@ from lodbench.datasets.pose_text import FoundPose
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.errors import LodbenchError
-from lodbench.evaluation.errors import FAILED, FAILED_PARTS
 from lodbench.evaluation.metrics import is_taken
+from lodbench.evaluation.pose_errors import FAILED, FAILED_PARTS
 from lodbench.evaluation.predictions import Prediction, evaluate
 from lodbench.evaluation.queries import ERROR, PARTS, queries_frame
 from lodbench.geometry import Pose

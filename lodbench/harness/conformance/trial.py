@@ -26,7 +26,7 @@ from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.methods.conformance.rules import Violation
 from lodbench.methods.conformance.trial import BLOCKS, TRUTHS
 from lodbench.rendering import DEPTH, LayerRenderer, open_renderer
-from lodbench.rendering.bits import pack_mask
+from lodbench.rendering.masks import pack_mask
 
 # No multiple of 64 wide: packed rows end within a word.
 CAMERA = Camera(310, 230, 231.0, 229.0, 156.5, 113.0)

@@ -43,8 +43,8 @@ from lodbench.harness.photo.many import (
 from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo
 from lodbench.harness.tracebacks import told_as_fault
 from lodbench.methods import Estimate
+from lodbench.methods.localize import localize_flight
 from lodbench.methods.protocol import FlightEstimate, Streams, SupportsFlights
-from lodbench.methods.timed_localize import localize_flight
 from lodbench.photos.files import Flight, split_flights
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.notes import height_notes, refused_notes

@@ -25,10 +25,10 @@ from lodbench.harness.photo.outputs import PhotoView, photo_features, write_phot
 from lodbench.harness.photo.prepare import PreparedPhoto, pinhole_mask, prepare_photo, undistorted_photo
 from lodbench.harness.tracebacks import told_as_fault
 from lodbench.methods import Estimate, Method
-from lodbench.methods.fits import NothingFits
 from lodbench.methods.localize import localize
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.protocol import SupportsPriorWidth
+from lodbench.methods.search import NothingFits
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.notes import place_notes, refused_notes, xmp_note
 from lodbench.rendering import Renderer, make_renderer

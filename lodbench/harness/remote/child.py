@@ -35,10 +35,16 @@ from lodbench.harness.remote.wire import (
     unpacked,
 )
 from lodbench.harness.runs import code_digest, words_in
-from lodbench.methods.protocol import Estimate, Method, SupportsFlights, SupportsPrepare, SupportsTrial
+from lodbench.methods.localize import weight_files
+from lodbench.methods.protocol import (
+    Estimate,
+    Method,
+    SupportsFlights,
+    SupportsPrepare,
+    SupportsTrial,
+    Workspace,
+)
 from lodbench.methods.registry import configure_method
-from lodbench.methods.timed_localize import weight_files
-from lodbench.methods.workspace import Workspace
 from lodbench.rendering import Fit, IouCounts
 
 Floats = NDArray[np.float64]

@@ -25,8 +25,7 @@ from lodbench.errors import (
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.remote.process import Child, ProcessFault, RunnerFault
 from lodbench.harness.remote.wire import KINDS, MalformedMessage, drawn_bytes, fault_of
-from lodbench.methods.protocol import Estimate, Streams
-from lodbench.methods.workspace import Workspace
+from lodbench.methods.protocol import Estimate, Streams, Workspace
 from lodbench.storage.paths import path_name
 
 INPROCESS, SUBPROCESS = "inprocess", "subprocess"

@@ -22,8 +22,7 @@ from lodbench.geometry import Pose
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.tracebacks import keep_traceback, words_of
 from lodbench.methods import Estimate, Method
-from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
-from lodbench.methods.timed_localize import (
+from lodbench.methods.localize import (
     localize_flight,
     localize_queries,
     localize_query,
@@ -31,6 +30,7 @@ from lodbench.methods.timed_localize import (
     number_fault,
     uncertainty_fault,
 )
+from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
 from lodbench.segmentation import binary_mask, no_wider
 from lodbench.storage import make_folder, write_text
 from lodbench.storage.disk import writable

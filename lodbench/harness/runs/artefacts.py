@@ -15,8 +15,7 @@ from lodbench import __version__
 from lodbench.citymodel.options import PATH_OPTIONS
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.prior_sources import prior_text
-from lodbench.evaluation.protocols import LODLOC, protocol_named
-from lodbench.evaluation.queries import queries_csv, summarize_queries
+from lodbench.evaluation.queries import LODLOC, protocol_named, queries_csv, summarize_queries
 from lodbench.execution.executor import LIBRARIES
 from lodbench.harness.runs import Result, words_in
 from lodbench.harness.runs.run import Run

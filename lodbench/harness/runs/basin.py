@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
 from lodbench.evaluation.basin import ORIENTATION, TRANSLATION, BasinStep
+from lodbench.evaluation.pose_errors import SplitSummary
 from lodbench.evaluation.queries import summarize_queries
-from lodbench.evaluation.recall import SplitSummary
 from lodbench.execution import Ledger, Progress
 from lodbench.geometry import rotations_at_yaws
 from lodbench.harness.runs import chosen_entries

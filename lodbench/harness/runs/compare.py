@@ -12,10 +12,17 @@ from typing import Any
 import numpy as np
 
 from lodbench.citymodel.lods import lod_in_words
-from lodbench.evaluation.errors import Apart, apart, pose_error
+from lodbench.evaluation.pose_errors import (
+    DEFAULT_THRESHOLDS,
+    PROBABILITY_THRESHOLD,
+    Apart,
+    Threshold,
+    apart,
+    hits_of,
+    pose_error,
+)
 from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, of_split
-from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, PROBABILITY_THRESHOLD, Threshold, hits_of
 from lodbench.evaluation.statistics import Agreement, Comparison, mcnemar, paired_medians
 from lodbench.geometry import Pose
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, open_predictions

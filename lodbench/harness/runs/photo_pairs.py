@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError
-from lodbench.evaluation.errors import PoseError
+from lodbench.evaluation.pose_errors import PoseError
 from lodbench.evaluation.queries import ERROR
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose

@@ -34,7 +34,7 @@ from lodbench.methods import Method
 from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
 from lodbench.plugins import blaming
 from lodbench.rendering import Fit, IouCounts, IouFit, Scorer
-from lodbench.rendering.nearby import nearby_order
+from lodbench.rendering.projection import nearby_order
 from lodbench.segmentation import Segmenter
 from lodbench.storage import random_stream
 from lodbench.storage.digest import remember_contents

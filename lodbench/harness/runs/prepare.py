@@ -24,9 +24,8 @@ from lodbench.geometry import Camera, Pose
 from lodbench.harness.runs.requirements import require_near, require_photo
 from lodbench.harness.tracebacks import keep_traceback, words_of
 from lodbench.methods import Method
-from lodbench.methods.protocol import SupportsFlights, SupportsPrepare
-from lodbench.methods.timed_localize import weight_files
-from lodbench.methods.workspace import open_workspace
+from lodbench.methods.localize import weight_files
+from lodbench.methods.protocol import SupportsFlights, SupportsPrepare, open_workspace
 from lodbench.photos.measurements import Measurements
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer

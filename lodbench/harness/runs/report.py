@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from lodbench.citymodel.scene import Scene
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.metrics import calibrate
+from lodbench.evaluation.pose_errors import PROBABILITY_THRESHOLD, hits_of
 from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, has_truth, of_split, own_failure
-from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.harness.runs.gallery import chosen_queries, query_pictures
 from lodbench.harness.runs.places import draw_places, flight_findings, survey_table
 from lodbench.harness.runs.predict import open_predictions

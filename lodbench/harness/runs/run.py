@@ -21,7 +21,7 @@ from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.predictions import Prediction, evaluate
-from lodbench.evaluation.protocols import protocol_named
+from lodbench.evaluation.queries import protocol_named
 from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams, own_digest
 from lodbench.execution.fan_out import expect_workers
 from lodbench.execution.guards import only_one_in

@@ -21,8 +21,16 @@ from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.predictions import evaluate
-from lodbench.evaluation.protocols import LODLOC, protocol_named
-from lodbench.evaluation.queries import ERROR, NO_TRUTH, PARTS, PRIOR_ERROR, has_truth, is_without_truth
+from lodbench.evaluation.queries import (
+    ERROR,
+    LODLOC,
+    NO_TRUTH,
+    PARTS,
+    PRIOR_ERROR,
+    has_truth,
+    is_without_truth,
+    protocol_named,
+)
 from lodbench.geometry import wrap_deg
 from lodbench.harness.city import city_digests, open_city
 from lodbench.harness.runs import Result, chosen_entries, flights_digest, queries_digest

@@ -13,9 +13,8 @@ import numpy as np
 from lodbench.errors import QueryFault
 from lodbench.methods.conformance.rules import Violation
 from lodbench.methods.conformance.trial import TrialAnswers, ask, streams_of
-from lodbench.methods.protocol import Estimate, Method, SupportsBatches, SupportsPrepare
-from lodbench.methods.timed_localize import localize_queries, weight_files
-from lodbench.methods.workspace import Workspace
+from lodbench.methods.localize import localize_queries, weight_files
+from lodbench.methods.protocol import Estimate, Method, SupportsBatches, SupportsPrepare, Workspace
 
 _STREAMS_HINT = "Draw random numbers from streams only; keep nothing in the class or module."
 _STATE_HINT = "Keep no state between queries: what localize learns stays in it."

@@ -14,8 +14,8 @@ from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.geometry import Pose
 from lodbench.methods.conformance.trial import TrialAnswers
+from lodbench.methods.localize import uncertainty_fault
 from lodbench.methods.protocol import Estimate, Method, SupportsPriorWidth
-from lodbench.methods.timed_localize import uncertainty_fault
 from lodbench.storage.paths import path_name
 
 # The priors are 9 m and 3 degrees off; answers beyond these are in another frame or turned round.

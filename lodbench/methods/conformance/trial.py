@@ -19,9 +19,8 @@ from lodbench.datasets.inputs import Input, declared_inputs, masks_of_labels
 from lodbench.datasets.query import Query, Reference
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.methods.protocol import Estimate, Method, Streams, SupportsPrepare
-from lodbench.methods.timed_localize import localize_query
-from lodbench.methods.workspace import Workspace
+from lodbench.methods.localize import localize_query
+from lodbench.methods.protocol import Estimate, Method, Streams, SupportsPrepare, Workspace
 from lodbench.rendering import LayerRenderer, open_renderer
 from lodbench.storage import random_stream
 

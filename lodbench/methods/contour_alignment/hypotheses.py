@@ -15,11 +15,19 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.estimation.normal_equations import Quadratic
+from lodbench.estimation.optimization import Quadratic
 from lodbench.estimation.outline_alignment import Aligner
 from lodbench.estimation.posterior import shares_of
-from lodbench.estimation.probability import DRAWS, WITHIN_M, fixed_draws, is_near, share_within
-from lodbench.estimation.state_vector import CAMERAS, POSES, shortened
+from lodbench.estimation.state_vector import (
+    CAMERAS,
+    DRAWS,
+    POSES,
+    WITHIN_M,
+    fixed_draws,
+    is_near,
+    share_within,
+    shortened,
+)
 from lodbench.geometry import Pose
 from lodbench.geometry.pose import pose_from_vector, turn_per_angle
 from lodbench.methods.contour_alignment.likelihood import (

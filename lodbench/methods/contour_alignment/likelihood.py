@@ -12,15 +12,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.estimation.normal_equations import Quadratic
-from lodbench.estimation.outline_alignment import Residuals
-from lodbench.estimation.outline_errors import (
+from lodbench.estimation.optimization import Quadratic
+from lodbench.estimation.outline import (
     LEAST_WEIGHT,
     add_outliers,
     near_distances,
     outline_covariance,
     outline_noise,
 )
+from lodbench.estimation.outline_alignment import Residuals
 from lodbench.estimation.state_vector import CAMERAS
 from lodbench.kernels.estimation import whiten
 from lodbench.methods.contour_alignment.params import ContourAlignmentParams

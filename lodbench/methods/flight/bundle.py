@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lodbench.estimation.lens import project, projection_slopes
-from lodbench.estimation.normal_equations import NormalEquations
+from lodbench.estimation.model_lines import project, projection_slopes
+from lodbench.estimation.optimization import NormalEquations
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.pose import pose_from_vector, rotation_derivatives
 

@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
-from lodbench.estimation.lens import LensErrors
-from lodbench.estimation.model_lines import ModelLines, lines_in_view, project_lines
-from lodbench.estimation.photo_edges import PhotoEdges
+from lodbench.estimation.edge_alignment import PhotoEdges
+from lodbench.estimation.model_lines import LensErrors, ModelLines, lines_in_view, project_lines
 from lodbench.geometry import Camera
 from lodbench.geometry.pose import pose_from_vector
-from lodbench.methods.flight.photo_terms import Fit, PhotoTerms, Residuals, summed_up
-from lodbench.methods.flight.roof_parts import RoofParts
+from lodbench.methods.flight.photo_terms import Fit, PhotoTerms, Residuals, RoofParts, summed_up
 from lodbench.photos.pictures import read_picture
 
 Floats = NDArray[np.float64]

@@ -2,29 +2,194 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene import Scene, floors_and_rises
 from lodbench.datasets.query import Query
 from lodbench.geometry.pose import pose_from_vector
 from lodbench.methods.flight.aligning import Aligned
-from lodbench.methods.flight.building_heights import BuildingHeight, building_heights
-from lodbench.methods.flight.gone_buildings import gone_buildings, views_of
-from lodbench.methods.flight.joint import shared_covariance
-from lodbench.methods.flight.missing_buildings import missing_buildings
+from lodbench.methods.flight.demolished_buildings import (
+    APART_DEG,
+    apart_deg,
+    gone_buildings,
+    roof_middles,
+    views_of,
+)
+from lodbench.methods.flight.joint import (
+    CONSTANTS,
+    FOCAL,
+    ROOFS,
+    Solution,
+    State,
+    covariance_of,
+    precisions_of,
+    shared_covariance,
+)
 from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.roof_edges import open_pictures
-from lodbench.methods.flight.roof_sweep import sweep_roofs
-from lodbench.methods.flight.state import CONSTANTS, FOCAL, Solution, State
-from lodbench.methods.flight.witnesses import APART_DEG, apart_deg, roof_middles
+from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, sweep_roofs
+from lodbench.methods.flight.unmapped_buildings import missing_buildings
 
 Floats = NDArray[np.float64]
+
+# Heights that a building may be off by, metres.
+_HEIGHTS_M: Floats = np.arange(-60.0, 60.01, 0.25)
+# The map's errors are of a Cauchy density, half as wide as this share of what is told of them: most heights
+# are right to a little, some wrong by much.
+_USUAL = 0.175
+# Outlines err by this share of what they say themselves; they are wrong altogether (a tree, a neighbour) this
+# often where pixels speak too, more rarely of buildings that stand free, and then by so many metres.
+_OUTLINES, _ASTRAY, _ASTRAY_ALONE, _ASTRAY_M = 0.7, 0.05, 0.01, 4.0
+# A height is in doubt that is off by more than so many metres, with more than this probability, and known to
+# better than that many.
+_DOUBT_M, _DOUBT, _OPEN_M = 1.0, 0.4, 2.5
+# What is told of less than this, in m^-2, is told of nothing.
+_LEAST_INFORMATION = 1e-3
+# Of a building that would be lower than this, metres, masks show nothing: whether it is gone is looked at
+# elsewhere. However low a building is, its roof is looked for so far below the map's.
+_LOWEST_M, _LOWER_M = 2.0, 1.0
+# Around the best height a peak is so wide, metres; heights are told no better than this, and by pixels alone
+# no worse than that.
+_PEAK_M, _BEST_M, _WORST_M = 1.0, 0.2, 1.0
+# Roofs are sharp whose best height is so many nats better than most heights; what all are wrong about alike
+# is the median of no fewer.
+_SHARP, _FEWEST_SHARP = 1.2, 5
+
+
+class BuildingHeight(NamedTuple):
+    """By how much a building is higher than the map has it, all others' mean error taken away.
+
+    Attributes:
+        higher_m: Metres.
+        sigma_m: Its standard deviation.
+        photos: Photos whose pixels told, 0 for outlines alone.
+        is_in_doubt: Whether the map's height is contradicted.
+    """
+
+    higher_m: float
+    sigma_m: float
+    photos: int
+    is_in_doubt: bool
+
+
+class _Outlines(NamedTuple):
+    """How much higher a building is by outlines, standard deviations after and before they were looked at."""
+
+    higher_m: float
+    sigma_m: float
+    beforehand_m: float
+
+
+def building_heights(
+    aligned: Aligned, curves: Mapping[int, RoofCurve], scene: Scene, params: FlightParams
+) -> dict[int, BuildingHeight]:
+    """Returns the heights of buildings whose outlines or pixels tell them, by row of the scene.
+
+    Eq. (F20) of docs/methods/flight.md.
+
+    Args:
+        aligned: Where the flight ended.
+        curves: What pixels say of heights; see ``sweep_roofs``.
+        scene: The map.
+        params: How far heights may be wrong.
+    """
+    by_outlines = dict(_by_outlines(aligned, params))
+    (_, rises), common = floors_and_rises(scene), _common(curves)
+    by_pixels = {} if common is None else curves
+    found = {}
+    for row in sorted({*by_outlines, *by_pixels}):
+        told = _beforehand(params.roof_m, float(rises[row]))
+        outlines, curve = by_outlines.get(row), by_pixels.get(row)
+        if outlines is not None and abs(outlines.higher_m) > HEIGHTS_M[-1]:
+            # Pixels have not looked there.
+            alone = _log_normal(outlines.higher_m, outlines.sigma_m)
+            told, curve = np.where(np.isfinite(told), alone, -np.inf), None
+        elif outlines is not None:
+            told = told + _nats_of_outlines(outlines, _ASTRAY_ALONE if curve is None else _ASTRAY)
+        if curve is not None:
+            told = told + _nats_of_pixels(curve, common or 0.0)
+        height = _height(told, 0 if curve is None else curve.photos, float(rises[row]))
+        if outlines is not None or height.sigma_m < _WORST_M:
+            found[row] = height
+    return found
+
+
+def _beforehand(roof_m: float, rise_m: float) -> Floats:
+    """Returns how likely errors of a building's height are before photos are looked at, nats."""
+    likely = -np.log1p((_HEIGHTS_M / max(_USUAL * roof_m, 1e-3)) ** 2)
+    return np.where(_HEIGHTS_M >= min(_LOWEST_M - rise_m, -_LOWER_M), likely, -np.inf)
+
+
+def _nats_of_outlines(outlines: _Outlines, astray: float) -> Floats:
+    """Returns how well heights explain what outlines tell beyond what the joint problem knew beforehand."""
+    precision = outlines.sigma_m**-2.0
+    information = max(precision - outlines.beforehand_m**-2.0, _LEAST_INFORMATION)
+    higher_m = outlines.higher_m * precision / information
+    nearest_m = float(np.clip(higher_m, *_HEIGHTS_M[[0, -1]]))
+    right = np.log1p(-astray) + _log_normal(nearest_m, _OUTLINES / math.sqrt(information))
+    return np.asarray(np.logaddexp(right, math.log(astray) + _log_normal(0.0, _ASTRAY_M)))
+
+
+def _log_normal(mean_m: float, sigma_m: float) -> Floats:
+    """Returns the logarithm of a normal density at all heights."""
+    return np.asarray(
+        -0.5 * ((_HEIGHTS_M - mean_m) / sigma_m) ** 2 - math.log(sigma_m * math.sqrt(2.0 * math.pi))
+    )
+
+
+def _nats_of_pixels(curve: RoofCurve, common_m: float) -> Floats:
+    """Returns how well heights explain pixels, beyond those looked at as well as most of them."""
+    usual = float(np.median(curve.nats))
+    return np.interp(_HEIGHTS_M, HEIGHTS_M - common_m, curve.nats, left=usual, right=usual)
+
+
+def _height(told: Floats, photos: int, rise_m: float) -> BuildingHeight:
+    """Returns the best height, given how well heights explain everything, nats."""
+    shares = np.exp(told - told.max())
+    shares /= shares.sum()
+    peak = np.abs(_HEIGHTS_M - _HEIGHTS_M[np.argmax(told)]) <= _PEAK_M
+    best = float(shares[peak] @ _HEIGHTS_M[peak] / shares[peak].sum())
+    sigma = max(float(np.sqrt(shares @ (_HEIGHTS_M - best) ** 2)), _BEST_M)
+    is_off = abs(best) > _DOUBT_M and float(shares[np.abs(_HEIGHTS_M) > _DOUBT_M].sum()) > _DOUBT
+    return BuildingHeight(best, sigma, photos, is_off and sigma < _OPEN_M and rise_m + best > _LOWEST_M)
+
+
+def _common(curves: Mapping[int, RoofCurve]) -> float | None:
+    """Returns by how much all roofs are higher than the map as poses have it, metres; None if few tell."""
+    sharp = [HEIGHTS_M[np.argmax(curve.nats)] for curve in curves.values() if _is_sharp(curve)]
+    return float(np.median(sharp)) if len(sharp) >= _FEWEST_SHARP else None
+
+
+def _is_sharp(curve: RoofCurve) -> bool:
+    return bool(curve.nats.max() - np.median(curve.nats) > _SHARP)
+
+
+def _by_outlines(aligned: Aligned, params: FlightParams) -> Iterator[tuple[int, _Outlines]]:
+    """Yields each building's row, and how much higher its parts are than all roofs."""
+    state, solution = aligned.state, aligned.as_told
+    first = CONSTANTS + len(solution.buildings)
+    sums = np.zeros((len(solution.buildings), first + len(state.roofs)))
+    sums[:, ROOFS] = -1.0
+    of_building = {int(b): np.flatnonzero(state.roofs.building == b) for b in solution.buildings}
+    for row, parts in enumerate(of_building.values()):
+        sums[row, first + parts] = 1.0 / len(parts)
+    values = np.concatenate([state.constants, state.buildings_m[solution.buildings], state.roofs.heights_m])
+    values += (solution.shared_step - aligned.solution.shared_step)[: len(values)]
+    sigmas = np.sqrt(np.diag(covariance_of(solution, sums)))
+    for (row, parts), higher, sigma in zip(of_building.items(), sums @ values, sigmas, strict=True):
+        building = state.buildings_m[row]
+        own = 1.0 / precisions_of(building - state.constants[ROOFS], params.roof_m)
+        of_parts = 1.0 / precisions_of(state.roofs.heights_m[parts] - building, params.part_m)
+        beforehand = np.sqrt(own + of_parts.sum() / len(parts) ** 2)
+        yield row, _Outlines(float(higher), float(sigma), float(beforehand))
+
 
 # What masks alone say.
 MASKS = "masks too large by"

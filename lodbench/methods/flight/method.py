@@ -12,23 +12,36 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
-from lodbench.estimation.probability import probability_within
-from lodbench.estimation.state_vector import differences
+from lodbench.estimation.state_vector import differences, probability_within
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment
-from lodbench.methods.flight.aligning import Aligned, align, footprint_covariance, mean_iou, side_by_side
+from lodbench.methods.flight.aligning import (
+    STARTS_M,
+    Aligned,
+    Ends,
+    align,
+    ends_of,
+    flight_error,
+    footprint_covariance,
+    mean_iou,
+    restarted,
+    side_by_side,
+)
 from lodbench.methods.flight.bundle import block_of
+from lodbench.methods.flight.demolished_buildings import without_contradicted
 from lodbench.methods.flight.findings import MASKS, cannot_tell_focal, constants_of, findings_of, lost_of
-from lodbench.methods.flight.joint import photo_covariance, solve
+from lodbench.methods.flight.joint import (
+    CONSTANTS,
+    FOCAL,
+    State,
+    photo_covariance,
+    solve,
+    without_odd_heights,
+)
 from lodbench.methods.flight.params import FlightParams
-from lodbench.methods.flight.photo_terms import LENS
-from lodbench.methods.flight.relative_poses import FEWEST_PHOTOS, Reconstruction, placed
-from lodbench.methods.flight.roof_parts import RoofParts
+from lodbench.methods.flight.photo_terms import LENS, RoofParts
+from lodbench.methods.flight.relative_poses import FEWEST_PHOTOS, Reconstruction, placed, relative_poses
 from lodbench.methods.flight.shared_looks import agreed_places, with_masks_by_looks
-from lodbench.methods.flight.starts import STARTS_M, Ends, ends_of, flight_error, restarted
-from lodbench.methods.flight.state import CONSTANTS, FOCAL, State, without_odd_heights
-from lodbench.methods.flight.tracks import relative_poses
-from lodbench.methods.flight.witnesses import without_contradicted
 from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
 from lodbench.methods.region import Region
 

@@ -1,4 +1,4 @@
-"""What ties photos to each other: relative poses of pairs, and a reconstruction of the flight.
+"""What ties photos to each other: relative poses of pairs by features, and a reconstruction of the flight.
 
 A pair has a turn, and a direction from one photo to the other. A reconstruction (COLMAP and the like) has the
 poses of all, right up to a similarity.
@@ -6,6 +6,7 @@ poses of all, right up to a similarity.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -14,8 +15,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lodbench.geometry import Pose
+from lodbench.datasets.query import Query
+from lodbench.geometry import Camera, Pose
 from lodbench.geometry.pose import cross_matrix, pose_from_vector
+from lodbench.matching.protocol import Features, Matches
+from lodbench.matching.sift import MutualNn, MutualNnParams, Sift, SiftParams
+from lodbench.methods.flight.bundle import PairMatches
+from lodbench.photos.pictures import read_picture
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +41,7 @@ class RelativePose:
         rotation: (3, 3) second_from_first.
         direction: (3,) unit, towards the first photo's centre in the second's camera.
         information: (5, 5) of the turn (radians, second camera's axes) and the direction (``tangents``).
-        per_focal: (5,) by how much both change per share that the focal length is longer than told.
+        per_focal: (5,) by how much both change per share that the focal length is longer than declared.
     """
 
     first: int
@@ -55,7 +61,7 @@ class RelativePose:
         Args:
             vectors: (P, 6) poses of all photos, metres and degrees.
             derivatives: Of each, from ``rotation_derivatives``.
-            focal: By which share the focal length is longer than told.
+            focal: By which share the focal length is longer than declared.
         """
         here, there = (pose_from_vector(vectors[k]) for k in (self.first, self.second))
         baseline = here.center - there.center
@@ -77,7 +83,7 @@ class RelativePose:
         return residuals - self.per_focal * focal, jacobian
 
     def weighted_information(self, residuals: Floats, scale: float = 1.0) -> Floats:
-        """Returns (5, 5) the information, less for a pair far off; errors are a share of those told."""
+        """Returns (5, 5) the information, less for a pair far off; errors are a share of those declared."""
         return robust(self.information / scale**2, residuals)
 
 
@@ -101,6 +107,10 @@ def tangents(direction: Floats) -> Floats:
 def rotation_vector(rotation: Floats) -> Floats:
     """Returns (3,) radians about the axes."""
     return np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64).ravel()
+
+
+def _turn(vector: Floats) -> Floats:
+    return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(vector).as_matrix())
 
 
 def _axial(skew: Floats) -> Floats:
@@ -146,10 +156,7 @@ class Reconstruction:
 
     def moved(self, step: Floats) -> Reconstruction:
         """Returns it after a step of its (10,) unknowns. Eq. (F10) of docs/methods/flight.md."""
-        turn, tip = (
-            scipy.spatial.transform.Rotation.from_rotvec(step[part]).as_matrix()
-            for part in (slice(3, 6), MOUNT)
-        )
+        turn, tip = (_turn(step[part]) for part in (slice(3, 6), MOUNT))
         scale = float(np.exp(step[6]))
         poses = {
             photo: Pose.from_center(
@@ -186,19 +193,15 @@ class Reconstruction:
 
     def weighted_information(self, residuals: Floats, scales: Sequence[float]) -> Floats:
         """Returns (6, 6) the information, less for a photo far off; places and turns err by shares (2,)."""
-        told = np.repeat(scales, 3)
-        return robust(self.information / np.outer(told, told), residuals)
+        shares = np.repeat(scales, 3)
+        return robust(self.information / np.outer(shares, shares), residuals)
 
 
 def placed(poses: Mapping[int, Pose], vectors: Floats, information: Floats) -> Reconstruction | None:
-    """Returns a reconstruction moved to where photos are thought to be; None if it has too few of them.
+    """Returns a reconstruction moved to where photos are thought to be, (P, 6); None of too few of them.
 
-    The turn is the mean of what each photo says, so that a straight flight leaves none open.
-
-    Args:
-        poses: In the reconstruction's frame, by number of the photo.
-        vectors: (P, 6) where photos are thought to be, metres and degrees.
-        information: (6, 6) of each pose within it; see ``Reconstruction``.
+    The turn is the mean of what each photo says, so that a straight flight leaves none open; poses are by
+    number of the photo, in its own frame, and the information, (6, 6), is of each of them.
     """
     if len(poses) < FEWEST_PHOTOS:
         return None
@@ -224,3 +227,174 @@ def placed(poses: Mapping[int, Pose], vectors: Floats, information: Floats) -> R
         for k, photo in enumerate(photos)
     }
     return Reconstruction(moved, here[kept].mean(axis=0), information)
+
+
+# Photos are looked at no wider than this, pixels, and for so many features; of more photos than so many each
+# is looked at less closely, but no narrower than that, for they tie each other the more often.
+_WIDTH, _FEATURES, _CLOSELY, _NARROWEST = 2048, 4000, 100, 1024
+# Each photo is paired with so many that were taken near it, which look the same way to within this, degrees.
+_NEIGHBOURS, _ALIKE_DEG = 4, 50.0
+# Features agree to within so many pixels; fewer that do say nothing. Points of one pair err together.
+_REACH_PX, _FEWEST, _NOISE_PX, _HEAT = 1.5, 30, 0.3, 4.0
+# What is burned into both photos stands still to so many pixels. So does all of a pair from one place, of
+# which less than this share moves.
+_STILL_PX, _FEW_MOVE = 2.0, 0.1
+# A pair's turn is no further from what sensors say than this, degrees.
+_FURTHEST_DEG = 15.0
+# By how much the focal length is changed to see what it does to a pair.
+_FOCAL_STEP = 0.005
+
+
+def relative_poses(queries: Sequence[Query], vectors: Floats) -> tuple[list[RelativePose], list[PairMatches]]:
+    """Returns what features say of pairs of photos, and those that agree; none where there are no photos.
+
+    Where they were taken is known about: (P, 6), metres and degrees.
+    """
+    width = width_looked_at(len(queries))
+    sift = Sift(SiftParams(max_features=round(_FEATURES * (width / _WIDTH) ** 1.5)))
+    matcher = MutualNn(MutualNnParams(ratio=0.8))
+    pairs, found = _pairs(vectors), dict[int, tuple[Features, Camera] | None]()
+    ties, shared = list[RelativePose](), list[PairMatches]()
+    last = {photo: number for number, pair in enumerate(pairs) for photo in pair}
+    for number, (first, second) in enumerate(pairs):
+        for photo in (first, second):
+            if photo not in found:
+                found[photo] = _features(queries[photo], sift, width)
+        # Features are held no longer than they are needed: hundreds of photos have gigabytes.
+        here, there = (
+            found.pop(photo) if last[photo] == number else found[photo] for photo in (first, second)
+        )
+        if here is None or there is None:
+            continue
+        matches = matcher.match(here[0], there[0])
+        is_scene = _is_scene(matches, here[0].size == there[0].size)
+        rays = [_rays(here[1], matches.first[is_scene]), _rays(there[1], matches.second[is_scene])]
+        guess = pose_from_vector(vectors[second]).rotation @ pose_from_vector(vectors[first]).rotation.T
+        tie = two_view(rays[0], rays[1], here[1].fx, guess)
+        if tie is not None:
+            *relative, agrees = tie
+            ties.append(RelativePose(first, second, *relative))
+            pixels = np.stack([matches.first[is_scene], matches.second[is_scene]])[:, agrees]
+            shared.append(PairMatches(first, second, pixels.astype(np.float64), np.stack(rays)[:, agrees]))
+    return ties, shared
+
+
+def width_looked_at(photos: int) -> int:
+    """Returns how wide each of so many photos is looked at, pixels: the whole costs little more than 100."""
+    return max(_NARROWEST, min(_WIDTH, round(_WIDTH * math.sqrt(_CLOSELY / max(photos, 1)))))
+
+
+def two_view(
+    first: Floats, second: Floats, focal_px: float, guess: Floats
+) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.bool_]] | None:
+    """Returns the relative pose of two photos from points visible in both; None if they say none.
+
+    Args:
+        first: (N, 2) points of the first photo at depth 1, x right and y down.
+        second: (N, 2) of the second.
+        focal_px: Pixels of their focal length.
+        guess: (3, 3) about how the second photo is turned against the first.
+
+    Returns:
+        The last four fields of ``RelativePose``, and (N,) which points agree with it.
+    """
+    if len(first) < _FEWEST:
+        return None
+    reach = _REACH_PX / focal_px
+    matrix, _ = cv2.findEssentialMat(first, second, np.eye(3), cv2.RANSAC, 0.9999, reach)
+    if matrix is None or matrix.shape != (3, 3):
+        return None
+    _, rotation, translation, _ = cv2.recoverPose(matrix, first, second, np.eye(3))
+    start = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64).ravel()
+    if np.degrees(np.linalg.norm(rotation_vector(start[0] @ guess.T))) > _FURTHEST_DEG:
+        return None
+    inside = np.abs(_sampson(first, second, *start)) < 2.0 * reach
+    if np.count_nonzero(inside) < _FEWEST:
+        return None
+    one, other = first[inside], second[inside]
+    rotation, direction, slopes, residuals = _refined(one, other, start, reach)
+    noise = max(1.4826 * float(np.median(np.abs(residuals))), _NOISE_PX / focal_px)
+    weights = 1.0 / (1.0 + (residuals / reach) ** 2) ** 2
+    information = (slopes * weights[:, None]).T @ slopes / (_HEAT * noise**2)
+    # With a longer lens the same pixels are nearer to the axis.
+    shorter = 1.0 / (1.0 + _FOCAL_STEP)
+    longer = _refined(one * shorter, other * shorter, (rotation, direction), reach)
+    turned = np.concatenate([rotation_vector(longer[0] @ rotation.T), tangents(direction) @ longer[1]])
+    return rotation, direction, information, turned / _FOCAL_STEP, inside
+
+
+def _refined(
+    first: Floats, second: Floats, start: tuple[Floats, Floats], reach: float
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Returns rotation and direction by least squares, slopes (N, 5) and residuals (N,) there."""
+    rotation, direction = start
+    across = tangents(direction)
+
+    def residuals(step: Floats) -> Floats:
+        return _sampson(first, second, *_stepped(rotation, direction, across, step))
+
+    found = scipy.optimize.least_squares(
+        residuals, np.zeros(5), loss="cauchy", f_scale=reach, x_scale=0.01, max_nfev=20
+    )
+    rotation, direction = _stepped(rotation, direction, across, found.x)
+    across = tangents(direction)
+    here, small = _sampson(first, second, rotation, direction), 1e-6
+    moved = (_stepped(rotation, direction, across, small * unit) for unit in np.eye(5))
+    slopes = np.stack([(_sampson(first, second, *each) - here) / small for each in moved], axis=1)
+    return rotation, direction, slopes, here
+
+
+def _stepped(rotation: Floats, direction: Floats, across: Floats, step: Floats) -> tuple[Floats, Floats]:
+    moved = direction + step[3:] @ across
+    return _turn(step[:3]) @ rotation, moved / np.linalg.norm(moved)
+
+
+def _sampson(first: Floats, second: Floats, rotation: Floats, direction: Floats) -> Floats:
+    """Returns (N,) signed distances of points to the epipolar constraint, to first order, at depth 1."""
+    essential = cross_matrix(direction) @ rotation
+    one = np.column_stack([first, np.ones(len(first))])
+    other = np.column_stack([second, np.ones(len(second))])
+    line, back = one @ essential.T, other @ essential
+    steep = np.sqrt((line[:, :2] ** 2).sum(axis=1) + (back[:, :2] ** 2).sum(axis=1))
+    return np.asarray((other * line).sum(axis=1) / np.maximum(steep, 1e-12))
+
+
+def _features(query: Query, sift: Sift, widest: int) -> tuple[Features, Camera] | None:
+    """Returns a photo's features, and the camera they are pixels of; None for one that cannot be read."""
+    camera = query.camera
+    picture = None if query.image is None else read_picture(query.image)
+    if picture is None:
+        return None
+    width = min(widest, picture.shape[1])
+    size = width, max(1, round(width * camera.height / camera.width))
+    if size != (picture.shape[1], picture.shape[0]):
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return sift.extract(np.ascontiguousarray(picture[..., ::-1])), camera.scaled(*size)
+
+
+def _is_scene(matches: Matches, has_same_size: bool) -> NDArray[np.bool_]:
+    """Returns (M,) which matches are of the scene: burned-in text stands still; all where few move."""
+    moves = np.asarray(np.linalg.norm(matches.first - matches.second, axis=1) > _STILL_PX)
+    if not has_same_size or np.count_nonzero(moves) < _FEW_MOVE * len(moves):
+        return np.ones(len(moves), dtype=bool)
+    return moves
+
+
+def _rays(camera: Camera, pixels: NDArray[np.float32]) -> Floats:
+    away = pixels.astype(np.float64) - np.array([camera.cx, camera.cy])
+    return np.ascontiguousarray(away / np.array([camera.fx, camera.fy]))
+
+
+def _pairs(vectors: Floats) -> list[tuple[int, int]]:
+    """Returns the pairs of photos that may show the same, each once, the smaller number first."""
+    axes = np.array([pose_from_vector(vector).rotation[2] for vector in vectors])
+    apart_m = np.linalg.norm(vectors[:, None, :3] - vectors[None, :, :3], axis=2)
+    is_alike = axes @ axes.T > np.cos(np.radians(_ALIKE_DEG))
+    apart_m[~is_alike] = np.inf
+    np.fill_diagonal(apart_m, np.inf)
+    pairs = set()
+    for photo, row in enumerate(apart_m):
+        for other in np.argsort(row, kind="stable")[:_NEIGHBOURS]:
+            if np.isfinite(row[other]):
+                pairs.add((min(photo, int(other)), max(photo, int(other))))
+    return sorted(pairs)

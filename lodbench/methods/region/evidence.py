@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Query
-from lodbench.estimation.prior import Prior
 from lodbench.estimation.state_vector import (
     BASE_OFFSET,
     CAMERAS,
@@ -23,6 +22,7 @@ from lodbench.estimation.state_vector import (
     OUTLINES,
     POSE,
     ROOFS,
+    Prior,
     views_of,
 )
 from lodbench.geometry import Camera
@@ -30,7 +30,7 @@ from lodbench.geometry.pose import vector_from_pose
 from lodbench.methods.region.params import RegionParams
 from lodbench.methods.region.roofs import RaisedRoofs, step_of
 from lodbench.rendering import ContourFit, Fit, RegionFit, Scorer, appearance_bins, edge_bins
-from lodbench.rendering.bits import Words
+from lodbench.rendering.masks import Words
 from lodbench.rendering.photo_bins import Levels, directed_edge_levels
 
 Floats = NDArray[np.float64]

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap.laser import range_log_densities
-from lodbench.estimation.evolution import maximize
-from lodbench.estimation.probability import Gaussian
-from lodbench.estimation.state_vector import BASE_OFFSET, EAVE_OFFSET, OUTLINES, ROOFS
+from lodbench.estimation.optimization import maximize
+from lodbench.estimation.state_vector import BASE_OFFSET, EAVE_OFFSET, OUTLINES, ROOFS, Gaussian
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import PhotoFit, StatePosterior
 from lodbench.methods.region.line_likelihood import LineLikelihood

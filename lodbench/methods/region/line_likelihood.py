@@ -15,9 +15,8 @@ import scipy
 from numpy.typing import NDArray
 
 from lodbench.datasets.query import Query
-from lodbench.estimation.evolution import maximize
-from lodbench.estimation.probability import Gaussian
-from lodbench.estimation.state_vector import ALL, BESIDE_POSE, POSE, ROOFS, views_of
+from lodbench.estimation.optimization import maximize
+from lodbench.estimation.state_vector import ALL, BESIDE_POSE, POSE, ROOFS, Gaussian, views_of
 from lodbench.geometry import Camera
 from lodbench.geometry.angles import rotations_from_euler
 from lodbench.geometry.pose import pose_from_vector

@@ -11,18 +11,17 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.citymap.laser import range_log_densities
 from lodbench.datasets.query import Query
-from lodbench.estimation.evolution import maximize_abreast
+from lodbench.estimation.optimization import maximize_abreast
 from lodbench.estimation.outline import OutlinePoints, sample_outline
-from lodbench.estimation.probability import Gaussian
-from lodbench.estimation.state_vector import POSE
+from lodbench.estimation.state_vector import POSE, Gaussian
 from lodbench.geometry import Pose, PoseGrid, wrap_deg
 from lodbench.geometry.pose import pose_from_vector
 from lodbench.kernels.arguments import EdgeArrays
-from lodbench.methods.fits import nothing_fits
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import Photo, PosePosterior
 from lodbench.methods.region.params import RegionParams
 from lodbench.methods.region.roofs import RaisedRoofs
+from lodbench.methods.search import nothing_fits
 from lodbench.rendering import Scorer
 
 Floats = NDArray[np.float64]

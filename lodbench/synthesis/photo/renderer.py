@@ -27,8 +27,7 @@ from lodbench.kernels.looks import (
 from lodbench.kernels.shading import BRIGHTEST, TONE_STEPS, expose, resolve_photo
 from lodbench.photos.pictures import encoded
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.rendering.texture_charts import make_charts
-from lodbench.rendering.triangle_groups import grouped_scene, triangle_groups
+from lodbench.rendering.textured import grouped_scene, make_charts, triangle_groups
 from lodbench.synthesis.objects import SceneProps
 from lodbench.synthesis.photo.light import (
     NO_LAND_COVER,

@@ -20,7 +20,7 @@ from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Pose
 from lodbench.photos.pictures import encoded, encoded_mask
-from lodbench.rendering.pyrender_textured import PyrenderTextured
+from lodbench.rendering.backends import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import digest_of, random_stream, write_bytes

@@ -11,9 +11,9 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.harness.remote import RemoteMethod, RunnerParams
 from lodbench.methods import Estimate
 from lodbench.methods.conformance.trial import streams_of
+from lodbench.methods.localize import localize_query
+from lodbench.methods.protocol import Workspace
 from lodbench.methods.registry import make_method
-from lodbench.methods.timed_localize import localize_query
-from lodbench.methods.workspace import Workspace
 
 
 def remote(elsewhere: str, **settings) -> RemoteMethod:

@@ -15,7 +15,7 @@ from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.flight import FlightParams, aligning
 from lodbench.methods.flight.photo_terms import flight_terms
 from lodbench.synthesis.flights import MapErrors, change_map
-from tests.methods.flight.test_method import flight, localize
+from tests.methods.flight.test_joint import flight, localize
 from tests.town import CAMERA
 
 pytestmark = pytest.mark.nightly

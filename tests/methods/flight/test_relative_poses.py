@@ -14,13 +14,19 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.pose import pose_from_vector, rotation_derivatives
 from lodbench.methods.flight import FlightMethod, FlightParams
-from lodbench.methods.flight.joint import solve
-from lodbench.methods.flight.relative_poses import RelativePose, placed, rotation_vector, tangents
-from lodbench.methods.flight.roof_parts import RoofParts
-from lodbench.methods.flight.state import State
-from lodbench.methods.flight.tracks import relative_poses, two_view, width_looked_at
+from lodbench.methods.flight.joint import State, solve
+from lodbench.methods.flight.photo_terms import RoofParts
+from lodbench.methods.flight.relative_poses import (
+    RelativePose,
+    placed,
+    relative_poses,
+    rotation_vector,
+    tangents,
+    two_view,
+    width_looked_at,
+)
 from lodbench.storage import random_stream
-from tests.methods.flight.test_method import flight
+from tests.methods.flight.test_joint import flight
 
 VECTORS = np.array(
     [

@@ -15,7 +15,7 @@ from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.flight.shared_looks import agreed_places, exposures, look_of, with_masks_by_looks
 from lodbench.methods.protocol import Estimate
 from lodbench.segmentation import binary_mask
-from tests.methods.flight.test_method import flight, localize
+from tests.methods.flight.test_joint import flight, localize
 from tests.town import CAMERA
 
 # Blue, green and red of ground, roofs and walls.
