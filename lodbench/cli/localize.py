@@ -122,6 +122,9 @@ class LocalizeOptions:
     imagery: Path | None = flag(
         None, "orthophoto (GeoTIFF, JPEG 2000) under the map of a flight's page", metavar="FILE"
     )
+    workers: int | None = flag(
+        None, "processes that share several photos out (default: one per core)", metavar="N"
+    )
     seed: int = flag(0, "random seed (default: 0)")
     out: Path = flag(Path("localized"), "folder of the results (default: localized)", metavar="DIR")
     json: bool = flag(False, "print JSON, for scripts")
@@ -219,8 +222,13 @@ def _several(
     from lodbench.harness.photo.localize import open_map
     from lodbench.harness.photo.many import localize_photos
     from lodbench.harness.photo.outputs import write_view
+    from lodbench.harness.photo.workers import default_workers
     from lodbench.methods.protocol import SupportsFlights
 
+    # A script that calls this must not be run again by each worker: those of the command line are none.
+    is_command = Path(sys.argv[0]).stem in ("lodbench", "__main__")
+    suited = default_workers(request, len(photos)) if is_command else 1
+    request = replace(request, workers=options.workers or suited)
     if isinstance(request.method, SupportsFlights) and not options.each_alone:
         imagery = None if options.imagery is None else open_imagery(options.imagery, open_map(request).scene)
         answers = localize_flights(request, photos, masks, options.reconstruction, imagery)
@@ -318,6 +326,8 @@ def _require_options(options: LocalizeOptions) -> None:
     for name, why, hint in _OF_SEVERAL if options.is_one else ():
         if getattr(options, name) is not None:
             raise ConfigError(f"`--{name}` {why}.", hint)
+    if options.workers is not None and options.workers < 1:
+        raise ConfigError(f"`--workers {options.workers}` is not a number of processes.")
     if options.masks is not None and not options.masks.is_dir():
         raise ConfigError(
             f"`--masks {options.masks}` is not a folder.", "Name the folder of the photos' masks."

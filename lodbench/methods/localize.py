@@ -30,6 +30,7 @@ from lodbench.methods.protocol import (
     Streams,
     SupportsBatches,
     SupportsFlights,
+    SupportsPhotosAlone,
     SupportsPrepare,
     SupportsWeights,
     Workspace,
@@ -74,16 +75,25 @@ def localize_queries(
 
 @single_threaded_blas
 def localize_flight(
-    method: SupportsFlights, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
+    method: SupportsFlights,
+    queries: Sequence[Query],
+    city_map: CityMap,
+    streams: Sequence[Streams],
+    alone: Sequence[Estimate | QueryFault] | None = None,
 ) -> FlightEstimate:
     """Returns a method's answer to a flight, poses drawn and time shared evenly among its photos.
+
+    ``alone`` is what other processes found of each photo by itself: their time and poses are not counted.
 
     Raises:
         TypeError: The method returned another number of answers, or something else.
     """
     city_map.usage.take()
     started = time.perf_counter()
-    found = method.localize_flight(queries, city_map, streams)
+    if alone is not None and isinstance(method, SupportsPhotosAlone):
+        found = method.solve(queries, alone, city_map)
+    else:
+        found = method.localize_flight(queries, city_map, streams)
     if not isinstance(found, FlightEstimate) or len(found.estimates) != len(queries):
         raise TypeError(f"localize_flight returned no FlightEstimate of {len(queries)} photos")
     try:

@@ -159,6 +159,23 @@ class SupportsFlights(Protocol):
         ...
 
 
+@runtime_checkable
+class SupportsPhotosAlone(SupportsFlights, Protocol):
+    """A method for flights whose answer is ``solve`` of ``localize_alone``, which any process may do."""
+
+    def localize_alone(
+        self, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
+    ) -> Sequence[Estimate | QueryFault]:
+        """Returns what each photo of a flight says by itself, in their order; none depends on another."""
+        ...
+
+    def solve(
+        self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
+    ) -> FlightEstimate:
+        """Returns what ``localize_flight`` does, given what ``localize_alone`` returned."""
+        ...
+
+
 class Follower(Protocol):
     """What a method knows of a sequence so far."""
 

@@ -3,7 +3,7 @@
 import csv
 import json
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -15,7 +15,10 @@ from lodbench.cli import main
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.pose_text import FoundPose
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.harness.photo import PhotoRequest
 from lodbench.harness.photo.many import FINDINGS_FILE, FLIGHTS_FILE, PhotoAnswer, write_answers
+from lodbench.harness.photo.workers import default_workers
+from lodbench.methods.region import Region
 from lodbench.rendering import make_renderer
 from lodbench.reporting.answers import UNTRUSTED
 from lodbench.synthesis.view_sampling import view_of
@@ -209,6 +212,43 @@ def test_photos_of_one_wall_are_not_trusted_and_the_rest_of_the_command_works(ca
     assert "flight 1: 4 photos" in output
     with (tmp_path / "out" / "localized.csv").open() as stream:
         assert all(row["trust"] == UNTRUSTED for row in csv.DictReader(stream))
+
+
+@pytest.mark.slow
+def test_answers_do_not_depend_on_the_number_of_processes(capsys, flight, tmp_path):
+    photos = tmp_path / "photos"
+    shutil.copytree(flight.photos, photos / "a")
+    # Photos of one name, whose files are numbered; one of them has no place.
+    (photos / "b").mkdir()
+    for name, place in (("DJI_0001.JPG", {"GpsLatitude": "", "GpsLongitude": ""}), ("DJI_0002.JPG", {})):
+        mask = cv2.imread(str((flight.masks / name).with_suffix(".png")), 0)
+        write(photos / "b" / name, flight.truth[name], "11:47:10", mask, **place)
+    for way in (["--each-alone", "--method", "region"], ["--method-option", "single=region"]):
+        folders = [tmp_path / f"{way[0]}{workers}" for workers in (1, 3)]
+        outputs = [
+            localize(
+                capsys, photos, "--city", flight.city, *way, "--out", folder, "--workers", folder.name[-1]
+            )
+            for folder in folders
+        ]
+        assert outputs[0][0] == outputs[1][0]
+        assert outputs[0][1].replace(str(folders[0]), "") == outputs[1][1].replace(str(folders[1]), "")
+        names = [sorted(file.name for file in folder.iterdir()) for folder in folders]
+        assert names[0] == names[1]
+        assert "DJI_0002_2_overlay.png" in names[0]
+        for name in (name for name in names[0] if name.endswith((".csv", ".png", ".geojson"))):
+            assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()
+
+
+def test_a_process_is_started_for_no_fewer_photos_than_pay(tmp_path, monkeypatch):
+    monkeypatch.setattr("os.cpu_count", lambda: 4)
+    request = PhotoRequest(city=tmp_path, out=tmp_path, photo=tmp_path, method=Region())
+    assert [default_workers(request, photos) for photos in (1, 7, 8, 100)] == [1, 1, 2, 4]
+    assert default_workers(replace(request, segmenter=OfAnotherPackage()), 100) == 1
+
+
+class OfAnotherPackage:
+    """A segmenter that may hold a device."""
 
 
 def test_sidecars_of_a_city_that_is_nowhere_are_refused_before_photos_are_solved(capsys, flight, tmp_path):

@@ -82,7 +82,7 @@ def test_undistorted_copies_are_as_wide_as_features_are_looked_for_in(tmp_path):
     cv2.imwrite(str(tmp_path / "a.jpg"), np.zeros((600, 2400, 3), np.uint8))
     request = SimpleNamespace(photo=tmp_path / "a.jpg")
     photo = SimpleNamespace(camera=camera, pinhole=pinhole_of(camera), request=request)
-    copy = picture_file(photo, tmp_path, 1)
+    copy = picture_file(photo, tmp_path / "1.jpg")
     assert cv2.imread(str(copy)).shape[1] == width_looked_at(10) == 2048
 
 

@@ -113,6 +113,7 @@ class PhotoRequest(RoughRequest):
         seed: Seed of the search.
         start: Rough poses of photos, which go before all else that is known of these; None without any.
         has_prior_range: Whether a person said how far off rough poses may be: photos are not asked then.
+        workers: Processes that several photos are shared out to; 1 for this one.
     """
 
     photo: Path
@@ -121,6 +122,7 @@ class PhotoRequest(RoughRequest):
     seed: int = 0
     start: RoughPoses | None = None
     has_prior_range: bool = False
+    workers: int = 1
 
     def measured_of(self, stated: PhotoMetadata) -> Measurements | None:
         """Returns what was measured beside a photo, deviations of those numbers that are its own among it."""

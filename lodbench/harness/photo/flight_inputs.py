@@ -138,8 +138,8 @@ def with_small_mask(photo: PreparedPhoto) -> PreparedPhoto:
     return replace(photo, mask=no_wider(photo.mask, _MASK_WIDTH, photo.pinhole))
 
 
-def picture_file(photo: PreparedPhoto, folder: Path, number: int) -> Path | None:
-    """Returns a file of a photo as its pinhole sees it: the photo itself, or a smaller copy undistorted.
+def picture_file(photo: PreparedPhoto, copy: Path) -> Path | None:
+    """Returns a file of a photo as its pinhole sees it: the photo, or a smaller one, written to ``copy``.
 
     None where it cannot be decoded: methods for flights can do without.
     """
@@ -151,9 +151,8 @@ def picture_file(photo: PreparedPhoto, folder: Path, number: int) -> Path | None
     width = min(_PICTURE_WIDTH, pixels.shape[1])
     height = max(1, round(width * photo.camera.height / photo.camera.width))
     small = undistorted(_scaled(pixels, width, height), photo.camera, photo.pinhole)
-    path = folder / f"{number}.jpg"
-    write_bytes(path, encoded(small, path.suffix))
-    return path
+    write_bytes(copy, encoded(small, copy.suffix))
+    return copy
 
 
 def _scaled(pixels: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:

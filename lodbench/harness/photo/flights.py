@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -17,10 +18,9 @@ from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.datasets.query import Query
 from lodbench.errors import LodbenchError, QueryFault
 from lodbench.evaluation import PoseError
-from lodbench.execution import Progress
 from lodbench.geometry import Pose
 from lodbench.harness.map_findings import city_and_marks, contradiction_features
-from lodbench.harness.photo import PhotoRequest
+from lodbench.harness.photo import LocalizedPhoto, PhotoRequest
 from lodbench.harness.photo.flight_inputs import (
     masks_of,
     names_of,
@@ -29,7 +29,7 @@ from lodbench.harness.photo.flight_inputs import (
     tied_notes,
     with_small_mask,
 )
-from lodbench.harness.photo.localize import OpenMap, inputs_of, open_map, write_answer
+from lodbench.harness.photo.localize import inputs_of, open_map, write_answer
 from lodbench.harness.photo.many import (
     FINDINGS_FILE,
     FLIGHTS_FILE,
@@ -41,10 +41,11 @@ from lodbench.harness.photo.many import (
     write_answers,
 )
 from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo
+from lodbench.harness.photo.workers import PhotoWorker, PhotoWorkers, photo_workers
 from lodbench.harness.tracebacks import told_as_fault
 from lodbench.methods import Estimate
 from lodbench.methods.localize import localize_flight
-from lodbench.methods.protocol import FlightEstimate, Streams, SupportsFlights
+from lodbench.methods.protocol import FlightEstimate, Streams, SupportsFlights, SupportsPhotosAlone
 from lodbench.photos.files import Flight, split_flights
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.notes import height_notes, refused_notes
@@ -85,38 +86,43 @@ def localize_flights(
     place = open_map(request)
     names = names_of(photos)
     own_masks, failures = masks_of(photos, masks)
-    hints: dict[int, str] = {}
-    ready = _ready(request, photos, own_masks, place, failures, hints)
-    rows = list(ready)
     city_map = CityMap(place.scene)
     flights: list[FlightAnswer] = []
     estimates: dict[int, Estimate] = {}
-    for flight in split_flights([(photos[row], ready[row][0].stated) for row in rows]):
-        mine = [rows[row] for row in flight.rows]
-        found = _solve(request, {names[row]: ready[row] for row in mine}, city_map, known)
-        for row, estimate in zip(mine, found.estimates, strict=True):
-            if isinstance(estimate, QueryFault):
-                failures[row] = estimate.message
-            else:
-                estimates[row] = estimate
-        taken = _taken(flight, [names[row] for row in rows])
-        taken += tied_notes(reconstruction, [photos[row] for row in mine], known)
-        taken += refused_notes([ready[row][0].stated for row in mine])
-        if not request.has_height:
-            taken += height_notes([ready[row][0].stated for row in mine], request.heights)
-        name, paths = f"flight {len(flights) + 1}", tuple(photos[row] for row in mine)
-        source: PriorSource = "metadata" if request.start is None else "poses"
-        flights.append(FlightAnswer(name, paths, tuple(taken), found.findings, source))
-    answers = []
-    with Progress("overlays", len(photos)) as progress:
-        for row, photo in enumerate(photos):
-            located = None
-            if row in estimates:
-                prepared, prior = ready[row]
-                located = write_answer(prepared, prepared.view(), place, prior, estimates[row])
-            reason, flight_name = failures.get(row, ""), _flight_of(photo, flights)
-            answers.append(PhotoAnswer(photo, located, reason, flight_name, hints.get(row, "")))
-            progress.advance()
+    with photo_workers(request, place) as workers, TemporaryDirectory() as folder:
+        items = {
+            row: (photo, own_masks[row], Path(folder) / f"{row}.jpg")
+            for row, photo in enumerate(photos)
+            if row not in failures
+        }
+        ready, unfit = _ready(request, photos, items, workers)
+        failures |= {row: reason for row, (reason, _) in unfit.items()}
+        hints = {row: hint for row, (_, hint) in unfit.items()}
+        rows = list(ready)
+        for flight in split_flights([(photos[row], ready[row].photo.stated) for row in rows]):
+            mine = [rows[row] for row in flight.rows]
+            found = _solve(request, {row: ready[row] for row in mine}, photos, known, city_map, workers)
+            for row, estimate in zip(mine, found.estimates, strict=True):
+                if isinstance(estimate, QueryFault):
+                    failures[row] = estimate.message
+                else:
+                    estimates[row] = estimate
+            taken = _taken(flight, [names[row] for row in rows])
+            taken += tied_notes(reconstruction, [photos[row] for row in mine], known)
+            taken += refused_notes([ready[row].photo.stated for row in mine])
+            if not request.has_height:
+                taken += height_notes([ready[row].photo.stated for row in mine], request.heights)
+            name, paths = f"flight {len(flights) + 1}", tuple(photos[row] for row in mine)
+            source: PriorSource = "metadata" if request.start is None else "poses"
+            flights.append(FlightAnswer(name, paths, tuple(taken), found.findings, source))
+        sent = {row: (ready[row].sent, ready[row].prior, each) for row, each in sorted(estimates.items())}
+        located = dict(workers.each("overlays", _written, sent, photos))
+    answers = [
+        PhotoAnswer(
+            photo, located.get(row), failures.get(row, ""), _flight_of(photo, flights), hints.get(row, "")
+        )
+        for row, photo in enumerate(photos)
+    ]
     written = write_answers(request.out, answers, flights)
     _write_findings(written, place.scene, place.frame)
     for flight_answer in flights:
@@ -132,65 +138,123 @@ def localize_flights(
     return written
 
 
+# A photo as it goes from process to process: file, mask, and all that is known of it but the request.
+_Sent = tuple[Path, Path | None, dict[str, Any]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ready:
+    """A photo that can be used.
+
+    Attributes:
+        photo: The photo.
+        prior: Its rough pose, in the city's coordinates.
+        image: Its pixels as its pinhole sees them; None where they cannot be decoded.
+    """
+
+    photo: PreparedPhoto
+    prior: Pose
+    image: Path | None
+
+    @property
+    def sent(self) -> _Sent:
+        """Returns the photo without the request, which workers have."""
+        request = self.photo.request
+        values = {each.name: getattr(self.photo, each.name) for each in fields(PreparedPhoto)}
+        return request.photo, request.mask, {name: v for name, v in values.items() if name != "request"}
+
+
+def _received(request: PhotoRequest, sent: _Sent) -> PreparedPhoto:
+    photo, mask, values = sent
+    return PreparedPhoto(replace(request, photo=photo, mask=mask), **values)
+
+
+def _prepared(
+    worker: PhotoWorker, item: tuple[Path, Path | None, Path]
+) -> tuple[_Sent, Pose, Path | None] | tuple[str, str]:
+    """Returns a photo that can be used, or why it cannot, and what would help; its copy goes to a path."""
+    photo, mask, copy = item
+    try:
+        wanted = replace(worker.request, photo=photo, mask=mask)
+        assert wanted.method is not None  # noqa: S101 - the caller has chosen
+        prepared = with_small_mask(prepare_photo(wanted, inputs_of(wanted.method)))
+        prior = prepared.prior(worker.place.scene, worker.place.frame)
+        image = picture_file(prepared, copy)
+    except LodbenchError as fault:
+        return fault.message.rstrip("."), hint_for_many(fault)
+    return _Ready(prepared, prior, image).sent, prior, image
+
+
 def _ready(
     request: PhotoRequest,
     photos: Sequence[Path],
-    masks: Sequence[Path | None],
-    place: OpenMap,
-    failures: dict[int, str],
-    hints: dict[int, str],
-) -> dict[int, tuple[PreparedPhoto, Pose]]:
-    """Returns the photos that can be used, with their rough poses, by row; fills in why others cannot.
-
-    ``hints`` receives what would help these.
-    """
-    assert request.method is not None  # noqa: S101 - the caller has chosen
-    requires = inputs_of(request.method)
-    ready: dict[int, tuple[PreparedPhoto, Pose]] = {}
-    with Progress("masks", len(photos)) as progress:
-        for row, photo in enumerate(photos):
-            if row not in failures:
-                try:
-                    wanted = replace(request, photo=photo, mask=masks[row])
-                    prepared = with_small_mask(prepare_photo(wanted, requires))
-                    ready[row] = prepared, prepared.prior(place.scene, place.frame)
-                except LodbenchError as fault:
-                    failures[row], hints[row] = fault.message.rstrip("."), hint_for_many(fault)
-            progress.advance()
-    return ready
+    items: Mapping[int, tuple[Path, Path | None, Path]],
+    workers: PhotoWorkers,
+) -> tuple[dict[int, _Ready], dict[int, tuple[str, str]]]:
+    """Returns the photos that can be used, by row, and why others cannot and what would help."""
+    ready, failures = dict[int, _Ready](), dict[int, tuple[str, str]]()
+    for row, found in workers.each("masks", _prepared, items, photos):
+        if len(found) == 3:
+            ready[row] = _Ready(_received(request, found[0]), *found[1:])
+        else:
+            failures[row] = found
+    return dict(sorted(ready.items())), failures
 
 
 def _solve(
     request: PhotoRequest,
-    photos: Mapping[str, tuple[PreparedPhoto, Pose]],
-    city_map: CityMap,
+    ready: Mapping[int, _Ready],
+    photos: Sequence[Path],
     known: Mapping[Path, Pose],
+    city_map: CityMap,
+    workers: PhotoWorkers,
 ) -> FlightEstimate:
     """Returns the answers to the photos of a flight, in the city's coordinates."""
-    method, origin = request.method, city_map.scene.origin
+    method, names = request.method, names_of(photos)
     assert isinstance(method, SupportsFlights)  # noqa: S101 - the caller has looked
-    with TemporaryDirectory() as folder:
-        queries = []
-        for number, (name, (photo, prior)) in enumerate(photos.items()):
-            image = picture_file(photo, Path(folder), number)
-            local, tied = prior.shifted(-origin), known.get(photo.request.photo)
-            queries.append(
-                Query(
-                    name,
-                    "",
-                    photo.pinhole,
-                    local,
-                    photo.mask,
-                    image,
-                    sequence="flight",
-                    reconstructed=tied,
-                    lens_percent=photo.lens_percent,
-                    camera_sigmas=photo.camera_sigmas,
-                    measured=photo.measured,
-                )
-            )
-        streams = [partial(random_stream, request.seed, "localize", "photo") for _ in queries]
-        return solved_flight(method, queries, city_map, streams, request.out)
+    queries = {
+        row: Query(
+            names[row],
+            "",
+            each.photo.pinhole,
+            each.prior.shifted(-city_map.scene.origin),
+            each.photo.mask,
+            each.image,
+            sequence="flight",
+            reconstructed=known.get(photos[row]),
+            lens_percent=each.photo.lens_percent,
+            camera_sigmas=each.photo.camera_sigmas,
+            measured=each.photo.measured,
+        )
+        for row, each in ready.items()
+    }
+    streams = partial(random_stream, request.seed, "localize", "photo")
+    alone = None
+    if isinstance(method, SupportsPhotosAlone) and request.workers > 1:
+        items = {row: (query, streams) for row, query in queries.items()}
+        by_row = dict(workers.each("photos", _alone, items, photos))
+        alone = [by_row[row] for row in queries]
+    return solved_flight(method, [*queries.values()], city_map, [streams] * len(queries), request.out, alone)
+
+
+def _alone(worker: PhotoWorker, item: tuple[Query, Streams]) -> Estimate | QueryFault:
+    """Returns what a photo of a flight says by itself."""
+    method = worker.request.method
+    assert isinstance(method, SupportsPhotosAlone)  # noqa: S101 - the caller has looked
+    query, streams = item
+    try:
+        with told_as_fault(f"method {getattr(method, 'name', '')}", worker.request.out, query.name):
+            (found,) = method.localize_alone([query], worker.city_map, [streams])
+    except QueryFault as fault:
+        return fault
+    return found
+
+
+def _written(worker: PhotoWorker, item: tuple[_Sent, Pose, Estimate]) -> LocalizedPhoto:
+    """Writes a photo's answer."""
+    sent, prior, estimate = item
+    photo = _received(worker.request, sent)
+    return write_answer(photo, photo.view(), worker.place, prior, estimate)
 
 
 def solved_flight(
@@ -199,15 +263,17 @@ def solved_flight(
     city_map: CityMap,
     streams: Sequence[Streams],
     out: Path,
+    alone: Sequence[Estimate | QueryFault] | None = None,
 ) -> FlightEstimate:
     """Returns a method's answers to the photos of a flight, in the city's coordinates.
 
     What a plug-in's code raises is the fault of each of them; where it raised is kept in the folder ``out``.
+    ``alone`` is what each photo says by itself, where that is known.
     """
     origin = city_map.scene.origin
     try:
         with told_as_fault(f"method {getattr(method, 'name', '')}", out, "flight"):
-            found = localize_flight(method, queries, city_map, streams)
+            found = localize_flight(method, queries, city_map, streams, alone)
     except QueryFault as fault:
         return FlightEstimate([fault] * len(queries))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,9 +14,9 @@ from typing import Any
 from lodbench.datasets.exchange.geojson import nowhere_feature, write_geojson
 from lodbench.datasets.own import find_mask
 from lodbench.errors import DatasetError, LodbenchError
-from lodbench.execution import Progress
 from lodbench.harness.photo import LocalizedPhoto, PhotoRequest
 from lodbench.harness.photo.localize import localize_photo
+from lodbench.harness.photo.workers import PhotoWorker, photo_workers
 from lodbench.harness.tracebacks import last_write
 from lodbench.photos.files import find_photos, require_photos
 from lodbench.photos.map_frame import SURVEY_COLUMNS, survey_row
@@ -182,25 +182,30 @@ def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path |
         photos: The files.
         masks: Folder of masks named as the photos, or None.
     """
-    answers: list[PhotoAnswer] = []
-    with _keeping(request.out, answers, photos), Progress("photos", len(photos)) as progress:
-        for photo in photos:
-            mask = find_mask(masks, f"{photo.parent.name}/{photo.name}", photo)
-            answers.append(_answer(replace(request, photo=photo, mask=mask), masks))
-            progress.advance()
-    return write_answers(request.out, answers)
+    answers: dict[int, PhotoAnswer] = {}
+    items = {
+        row: (photo, find_mask(masks, f"{photo.parent.name}/{photo.name}", photo), masks)
+        for row, photo in enumerate(photos)
+    }
+    with _keeping(request.out, answers, photos), photo_workers(request) as workers:
+        for row, answer in workers.each("photos", _answer, items, photos):
+            answers[row] = answer
+    return write_answers(request.out, [answers[row] for row in items])
 
 
 @contextmanager
-def _keeping(out: Path, answers: Sequence[PhotoAnswer], photos: Sequence[Path]) -> Iterator[None]:
+def _keeping(out: Path, answers: Mapping[int, PhotoAnswer], photos: Sequence[Path]) -> Iterator[None]:
     """Writes the answers there are when the block is stopped; an earlier table goes before."""
     try:
         yield
     except KeyboardInterrupt:
-        if any(answer.found is not None for answer in answers) and not (out / TABLE_FILE).exists():
-            left = [PhotoAnswer(photo, None, "stopped before its turn") for photo in photos[len(answers) :]]
+        if any(answer.found is not None for answer in answers.values()) and not (out / TABLE_FILE).exists():
+            kept = [
+                answers.get(row) or PhotoAnswer(photo, None, "stopped before its turn")
+                for row, photo in enumerate(photos)
+            ]
             with last_write(out):
-                write_answers(out, [*answers, *left])
+                write_answers(out, kept)
                 _LOG.warning("%d of %d photos were done until then: %s", len(answers), len(photos), out)
         raise
 
@@ -250,13 +255,14 @@ def _is_free(out: Path, number: int, photos: set[str]) -> bool:
         return False  # a file of somebody else's
 
 
-def _answer(request: PhotoRequest, masks: Path | None) -> PhotoAnswer:
+def _answer(worker: PhotoWorker, item: tuple[Path, Path | None, Path | None]) -> PhotoAnswer:
+    photo, mask, masks = item
     try:
-        if masks is not None and request.mask is None:
+        if masks is not None and mask is None:
             raise DatasetError(f"{masks} holds no mask of it")
-        return PhotoAnswer(request.photo, localize_photo(request))
+        return PhotoAnswer(photo, localize_photo(replace(worker.request, photo=photo, mask=mask)))
     except LodbenchError as fault:
-        return PhotoAnswer(request.photo, None, fault.message.rstrip("."), hint=hint_for_many(fault))
+        return PhotoAnswer(photo, None, fault.message.rstrip("."), hint=hint_for_many(fault))
 
 
 def hint_for_many(fault: LodbenchError) -> str:

@@ -49,9 +49,18 @@ class Aligned:
     as_told: Solution
 
 
-def align(queries: Sequence[Query], state: State, city_map: CityMap, params: FlightParams) -> Aligned:
-    """Returns where a flight ends from a state, which steps move: robust kernels that narrow, then none."""
-    evidence = _Evidence.of(queries, city_map, params)
+def align(
+    queries: Sequence[Query],
+    state: State,
+    city_map: CityMap,
+    params: FlightParams,
+    evidence: Evidence | None = None,
+) -> Aligned:
+    """Returns where a flight ends from a state, which steps move: robust kernels that narrow, then none.
+
+    ``evidence`` is ``Evidence.of`` the same queries, map and parameters, where there is one already.
+    """
+    evidence = evidence or Evidence.of(queries, city_map, params)
     steps = params.steps
     reaches: list[float | None] = [*map(float, np.geomspace(*_REACHES_PX, steps)), *([None] * steps)]
     # As the map has them: of roofs that earlier steps drew higher, none is drawn so here.
@@ -74,7 +83,7 @@ def align(queries: Sequence[Query], state: State, city_map: CityMap, params: Fli
 
 
 @dataclass(frozen=True, slots=True)
-class _Evidence:
+class Evidence:
     """What a flight's photos are compared by: outlines of masks, or edges.
 
     Attributes:
@@ -86,15 +95,16 @@ class _Evidence:
     photos: Sequence[EdgePhoto | None] = ()
 
     @classmethod
-    def of(cls, queries: Sequence[Query], city_map: CityMap, params: FlightParams) -> _Evidence:
+    def of(cls, queries: Sequence[Query], city_map: CityMap, params: FlightParams) -> Evidence:
+        """Returns that of a flight's photos, over a map."""
         if params.single == "region":
             return cls(photos=[edge_photo(query, city_map) for query in queries])
         return cls(masks=[Aligner(query, city_map, params.photo().outline_model()) for query in queries])
 
-    def over(self, city_map: CityMap) -> _Evidence:
+    def over(self, city_map: CityMap) -> Evidence:
         """Returns the same over another map."""
         photos = [None if photo is None else photo._replace(city_map=city_map) for photo in self.photos]
-        return _Evidence([aligner.over(city_map) for aligner in self.masks], photos)
+        return Evidence([aligner.over(city_map) for aligner in self.masks], photos)
 
     def terms(
         self, state: State, reach_px: float | None, params: FlightParams, threads: Executor | None

@@ -135,6 +135,8 @@ def adjusted(
         if number == len(_REACHES_PX) // 2:
             is_right = np.linalg.norm(residuals, axis=1) < 3.0 * _WRONG_PX / focal_px
             seen = seen.of(is_right & _is_wide(seen, vectors, points)[seen.points])
+            if not len(seen.photos):  # nothing is left that tells how far it is: photos from one place
+                return start, np.zeros(0, dtype=np.int64)
             points = _triangulated(seen, vectors)
     counts = np.bincount(seen.photos, minlength=len(vectors))
     return vectors, np.flatnonzero(counts >= _FEWEST)

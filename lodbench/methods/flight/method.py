@@ -19,6 +19,7 @@ from lodbench.methods.flight.aligning import (
     STARTS_M,
     Aligned,
     Ends,
+    Evidence,
     align,
     ends_of,
     flight_error,
@@ -289,9 +290,12 @@ class FlightMethod:
         else:
             iou = mean_iou([aligned.terms[k] for k in photos])
             found = [(aligned.state.vectors[photos], aligned.state.constants, iou)]
+        # Restarts look at the same photos: each is made ready once.
+        some = [queries[k] for k in photos]
+        evidence = Evidence.of(some, city_map, self.params) if len(starts_m) else None
         for start_m in starts_m:
             begun = start.begun(photos, offset + np.append(start_m, np.zeros(3)))
-            again = align([queries[k] for k in photos], begun, city_map, self.params)
+            again = align(some, begun, city_map, self.params, evidence)
             found.append((again.state.vectors, again.state.constants, mean_iou(again.terms)))
         return ends_of(found)
 

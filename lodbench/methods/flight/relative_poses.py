@@ -7,7 +7,8 @@ poses of all, right up to a similarity.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -236,6 +237,9 @@ _WIDTH, _FEATURES, _CLOSELY, _NARROWEST = 2048, 4000, 100, 1024
 _NEIGHBOURS, _ALIKE_DEG = 4, 50.0
 # Features agree to within so many pixels; fewer that do say nothing. Points of one pair err together.
 _REACH_PX, _FEWEST, _NOISE_PX, _HEAT = 1.5, 30, 0.3, 4.0
+# So many pairs ahead features are looked for while others are compared.
+_AHEAD = 4
+_Seen = tuple[Features, Camera]
 # What is burned into both photos stands still to so many pixels. So does all of a pair from one place, of
 # which less than this share moves.
 _STILL_PX, _FEW_MOVE = 2.0, 0.1
@@ -253,19 +257,9 @@ def relative_poses(queries: Sequence[Query], vectors: Floats) -> tuple[list[Rela
     width = width_looked_at(len(queries))
     sift = Sift(SiftParams(max_features=round(_FEATURES * (width / _WIDTH) ** 1.5)))
     matcher = MutualNn(MutualNnParams(ratio=0.8))
-    pairs, found = _pairs(vectors), dict[int, tuple[Features, Camera] | None]()
+    pairs = _pairs(vectors)
     ties, shared = list[RelativePose](), list[PairMatches]()
-    last = {photo: number for number, pair in enumerate(pairs) for photo in pair}
-    for number, (first, second) in enumerate(pairs):
-        for photo in (first, second):
-            if photo not in found:
-                found[photo] = _features(queries[photo], sift, width)
-        # Features are held no longer than they are needed: hundreds of photos have gigabytes.
-        here, there = (
-            found.pop(photo) if last[photo] == number else found[photo] for photo in (first, second)
-        )
-        if here is None or there is None:
-            continue
+    for (first, second), here, there in _features_of_pairs(queries, pairs, sift, width):
         matches = matcher.match(here[0], there[0])
         is_scene = _is_scene(matches, here[0].size == there[0].size)
         rays = [_rays(here[1], matches.first[is_scene]), _rays(there[1], matches.second[is_scene])]
@@ -277,6 +271,27 @@ def relative_poses(queries: Sequence[Query], vectors: Floats) -> tuple[list[Rela
             pixels = np.stack([matches.first[is_scene], matches.second[is_scene]])[:, agrees]
             shared.append(PairMatches(first, second, pixels.astype(np.float64), np.stack(rays)[:, agrees]))
     return ties, shared
+
+
+def _features_of_pairs(
+    queries: Sequence[Query], pairs: Sequence[tuple[int, int]], sift: Sift, widest: int
+) -> Iterator[tuple[tuple[int, int], _Seen, _Seen]]:
+    """Yields pairs whose photos can be read with both features; another thread is some pairs ahead.
+
+    Features are held no longer than they are needed: hundreds of photos have gigabytes.
+    """
+    last = {photo: number for number, pair in enumerate(pairs) for photo in pair}
+    found: dict[int, Future[_Seen | None]] = {}
+    with ThreadPoolExecutor(1) as other:
+        for number, pair in enumerate(pairs):
+            for photo in (photo for near in pairs[number : number + _AHEAD] for photo in near):
+                if photo not in found:
+                    found[photo] = other.submit(_features, queries[photo], sift, widest)
+            here, there = (
+                (found.pop(photo) if last[photo] == number else found[photo]).result() for photo in pair
+            )
+            if here is not None and there is not None:
+                yield pair, here, there
 
 
 def width_looked_at(photos: int) -> int:
@@ -359,7 +374,7 @@ def _sampson(first: Floats, second: Floats, rotation: Floats, direction: Floats)
     return np.asarray((other * line).sum(axis=1) / np.maximum(steep, 1e-12))
 
 
-def _features(query: Query, sift: Sift, widest: int) -> tuple[Features, Camera] | None:
+def _features(query: Query, sift: Sift, widest: int) -> _Seen | None:
     """Returns a photo's features, and the camera they are pixels of; None for one that cannot be read."""
     camera = query.camera
     picture = None if query.image is None else read_picture(query.image)

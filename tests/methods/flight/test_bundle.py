@@ -115,6 +115,14 @@ def test_a_photo_that_shares_little_is_no_part_of_the_block():
     assert block_of([], vectors, SIGMAS, FOCAL_PX) == {}
 
 
+def test_photos_from_one_place_are_no_block():
+    """No ray meets another at an angle: no point has a depth."""
+    vectors = np.repeat(poses_of(1), 4, axis=0)
+    vectors[:, 5] += [0.0, 4.0, 8.0, 12.0]
+    rays, in_view = rays_of(vectors, town_points())
+    assert block_of(pairs_of(rays, in_view), vectors, SIGMAS, FOCAL_PX) == {}
+
+
 def matches(first, second, places):
     """Returns the matches of a pair, features named by a number in either photo."""
     pixels = np.array(places, dtype=np.float64).T[..., None] * [1.0, 2.0]
