@@ -2,51 +2,52 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
-from lodbench.bench import Report, add_options, options_of
-from lodbench.cli.bench import measured
+from lodbench.bench.report import Report
+from lodbench.cli.bench import PrintOptions, measured
 from lodbench.cli.parser import Parser, report_fault
 from lodbench.cli.settings import in_syntax_of
 from lodbench.errors import LodbenchError
 from lodbench.execution import ProgressCallback
+from lodbench.params import add_options, flag, options_of
 
-Measure = Callable[[argparse.Namespace, ProgressCallback], Report]
+T = TypeVar("T")
 
 
-def run(name: str, add: Callable[[argparse.ArgumentParser], None], measure: Measure) -> int:
+@dataclass(frozen=True, kw_only=True)
+class PictureOptions:
+    """Where pictures go."""
+
+    pictures: Path | None = flag(None, "folder for pictures, if there are any", metavar="DIR")
+
+
+def run(name: str, kind: type[T], measure: Callable[[T, ProgressCallback], Report]) -> int:
     """Runs an experiment with the words of the command line.
 
     Args:
         name: Of its folder, and of its module.
-        add: Adds its options to a parser.
-        measure: Measures what they ask for.
+        kind: A dataclass whose fields are its options.
+        measure: Measures what they request.
 
     Returns:
         The exit code: 2 where the words or what they name cannot be measured.
     """
     parser = Parser(f"python -m experiments.{name}", description=sys.modules["__main__"].__doc__)
-    add(parser)
-    parser.add_argument("--pictures", type=Path, metavar="DIR", help="folder for pictures, if there are any")
-    parser.add_argument("--json", action="store_true", help="one figure per line, for machines")
+    writes_its_own = any(each.name == "pictures" for each in fields(kind))  # type: ignore[arg-type]
+    for options in (kind, *(() if writes_its_own else (PictureOptions,)), PrintOptions):
+        add_options(parser, options)
     try:
-        measured(parser.parse_args(), name, measure)
+        given = parser.parse_args()
+        pictures = None if writes_its_own else options_of(given, PictureOptions).pictures
+        measured(options_of(given, kind), name, measure, pictures, options_of(given, PrintOptions).json)
     except LodbenchError as fault:
         typed = ("bench", "accuracy")
         fault.message, fault.hint = in_syntax_of(typed, fault.message), in_syntax_of(typed, fault.hint)
         report_fault(fault)
         return 2
     return 0
-
-
-def run_options(name: str, kind: type, measure: Callable[[Any, ProgressCallback], Report]) -> int:
-    """Runs an experiment whose options are the fields of a dataclass; see ``run``."""
-    return run(
-        name,
-        lambda parser: add_options(parser, kind),
-        lambda given, steps: measure(options_of(given, kind), steps),
-    )

@@ -149,7 +149,8 @@ def flag(default: Any, meaning: str | None, *flags: str, **named: Any) -> Any:
         flags: What it is called.
         named: As of ``add_argument``, where the field's type does not say it. ``apart``: it stands before the
             heading of its part; ``old``: its former name; ``sets``: the settings of the library that it sets,
-            by which messages name it.
+            by which messages name it; ``either``: what those of which one is given have in common, one must
+            be where their default is ``...``.
     """
     return field(default=default, metadata={"help": meaning, "flags": flags, **named})
 
@@ -166,29 +167,41 @@ def part(kind: type, title: str = "") -> Any:
 
 def add_options(parser: argparse.ArgumentParser, kind: type, title: str = "") -> None:
     """Adds the options of a dataclass to a parser, in the order of its fields."""
-    hints = get_type_hints(kind)
-    group: Any = None
+    hints, groups = get_type_hints(kind), dict[str, Any]()
     for each in fields(kind):
-        declared = dict(each.metadata)
-        if "part" in declared:
-            add_options(parser, declared["part"], declared["title"])
-            continue
-        flags, is_apart, old = (declared.pop(name, None) for name in ("flags", "apart", "old"))
-        declared.pop("sets", None)
-        named = _by_type(hints[each.name], flags is None) | declared
-        if flags is None:
-            parser.add_argument(each.name, **named)
-            continue
-        if title and not is_apart and group is None:
-            group = parser.add_argument_group(title)
-        if each.default is ...:
-            named["required"] = True
-        elif each.default not in (None, (), False):
+        if "part" in each.metadata:
+            add_options(parser, each.metadata["part"], each.metadata["title"])
+        elif each.metadata:
+            _add_option(parser, groups, each, hints[each.name], title)
+
+
+def _add_option(
+    parser: argparse.ArgumentParser, groups: dict[str, Any], each: Field[Any], hint: Any, title: str
+) -> None:
+    """Adds one option, below the title, if there is one, and beside those of which only one is given."""
+    declared = {name: value for name, value in each.metadata.items() if name != "sets"}
+    flags, is_apart, old, either = (declared.pop(name, None) for name in ("flags", "apart", "old", "either"))
+    named = _by_type(hint, flags is None) | declared
+    if flags is None:
+        if each.default is not ...:
             named["default"] = each.default
-        add = (parser if is_apart or not title else group).add_argument
-        add(*(flags or (_flag(each),)), dest=each.name, **named)
-        if old is not None:
-            add(old, dest=each.name, action="former")
+        parser.add_argument(each.name, **named)
+        return
+    place: Any = parser
+    if title and not is_apart:
+        place = groups[title] = groups.get(title) or parser.add_argument_group(title)
+    if each.default is ... and either is None:
+        named["required"] = True
+    elif each.default not in (None, (), False, ...):
+        named["default"] = each.default
+    if either is not None:
+        is_required = each.default is ...
+        place = groups[either] = groups.get(either) or place.add_mutually_exclusive_group(
+            required=is_required
+        )
+    place.add_argument(*(flags or (_flag(each),)), dest=each.name, **named)
+    if old is not None:
+        place.add_argument(old, dest=each.name, action="former")
 
 
 def options_of(given: argparse.Namespace, kind: type[T]) -> T:
@@ -201,11 +214,13 @@ def options_of(given: argparse.Namespace, kind: type[T]) -> T:
     for each in fields(cast("Any", kind)):
         if "part" in each.metadata:
             values[each.name] = options_of(given, each.metadata["part"])
-        else:
-            value = getattr(given, each.name)
-            values[each.name] = each.default if value is None else _frozen(value)
+        elif each.metadata:
+            value, default = getattr(given, each.name), None if each.default is ... else each.default
+            values[each.name] = default if value is None else _frozen(value)
     options = kind(**values)
     for each in fields(cast("Any", kind)):  # after its own bounds, which say more
+        if each.name not in values:
+            continue
         numbers = [number for number in _flat(values[each.name]) if isinstance(number, float)]
         require_within((each.metadata.get("flags") or (_flag(each),))[0], numbers, -math.inf)
     return options
@@ -233,7 +248,7 @@ def _all(kind: type) -> Iterator[Field[Any]]:
     for each in fields(kind):
         if "part" in each.metadata:
             yield from _all(each.metadata["part"])
-        else:
+        elif each.metadata:
             yield each
 
 

@@ -2,7 +2,7 @@
 
 Built-in parts are entry points too. A package that is broken harms who chooses it and nobody else: nothing
 is imported before, and a name that lodbench has itself stays lodbench's. ``docs/plugins.md`` has an example
-of every kind.
+of every kind. Files of configuration lie beside them, in lodbench's package and in others'.
 """
 
 from __future__ import annotations
@@ -295,3 +295,12 @@ def _words(error: BaseException, module: str = "") -> str:
     ]
     where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {text[0] if text else 'no message'}{where}"
+
+
+def config_files(group: str, ending: str = ".yaml") -> dict[str, Path]:
+    """Returns the files of a group such as ``source`` by name; lodbench's own go before those of plug-ins."""
+    found: dict[str, Path] = {}
+    for _, _, folder in config_folders():
+        for file in sorted((folder / group).glob(f"*{ending}")) if folder is not None else ():
+            found.setdefault(file.name.removesuffix(ending), file)
+    return found

@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import parse_city_model
 from lodbench.cli import main
-from lodbench.cli.train import task, train_method
+from lodbench.cli.training import train_method, train_segmenter
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset
@@ -119,7 +119,7 @@ def test_a_segmenter_that_cannot_be_made_wherever_it_is_chosen(package, blamed, 
     package("segmenters", code + "    def fingerprint(self, entries): ...\n    def build(self, init): ...")
     blamed("segmenter", make_segmenter, "kit")
     config = {"segmenter": {"name": "kit"}, "schedule": {}, "data": "a", "out": str(tmp_path)}
-    blamed("segmenter", task, OmegaConf.create(config))
+    blamed("segmenter", train_segmenter, OmegaConf.create(config))
 
 
 def test_a_dataset_that_cannot_be_opened_from_python(package, blamed):

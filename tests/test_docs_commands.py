@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from lodbench.cli import COMMANDS, main
-from lodbench.cli.commands import load_command
+from lodbench.cli import main
+from lodbench.cli.commands import COMMANDS, load_command
 from lodbench.cli.parser import Parser
 
 ROOT = Path(__file__).resolve().parents[1]

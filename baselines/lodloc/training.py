@@ -14,7 +14,7 @@ from lodbench import __version__
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.extras import require
 from lodbench.storage import digest_of, file_digest, make_folder, write_text
-from lodbench.storage.arrays import file_check
+from lodbench.storage.digest import file_check
 from lodbench.storage.json_text import parse_json
 from lodbench.training.samples import require_unseen
 

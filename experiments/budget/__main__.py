@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import sys
-from argparse import ArgumentParser
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from experiments.command import run
-from lodbench.bench import Figure, Progress, Report, no_progress
+from lodbench.bench.report import Figure, Progress, Report, no_progress
 from lodbench.bench.views import Job, of_seeds, protocol_of, sweep
-from lodbench.cli.bench_views import add_city, add_drawing, seeds_of, views_of
+from lodbench.cli.bench_views import DrawnOptions
 from lodbench.evaluation.pose_errors import DEFAULT_THRESHOLDS, summarize
 from lodbench.evaluation.queries import ERROR
 from lodbench.methods import Method
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.lodlocv2 import LodLocV2
+from lodbench.params import flag, part
 from lodbench.reporting.aligned_text import count_of, format_columns
 from lodbench.reporting.figures import BudgetPoint, draw_budget
 from lodbench.synthesis.views_dataset import ViewsParams
@@ -90,16 +90,24 @@ def _ladder() -> list[Method]:
     return methods
 
 
-def _add(parser: ArgumentParser) -> None:
-    add_city(parser)
-    add_drawing(parser, 50)
+@dataclass(frozen=True, kw_only=True)
+class Drawn(DrawnOptions):
+    """What is drawn."""
+
+    views: int = flag(50, "seeded views (50)", sets=("dataset.num_views",))
+
+
+@dataclass(frozen=True, kw_only=True)
+class BudgetOptions:
+    """What is measured."""
+
+    city: Path | None = flag(None, "city model; the demo town if not given")
+    drawn: Drawn = part(Drawn)
+
+
+def _measured(given: BudgetOptions, steps: Progress) -> Report:
+    return measure_budget(given.drawn.over(given.city), given.drawn.each_seed(), steps)
 
 
 if __name__ == "__main__":
-    sys.exit(
-        run(
-            "budget",
-            _add,
-            lambda given, steps: measure_budget(views_of(given, given.city), seeds_of(given), steps),
-        )
-    )
+    sys.exit(run("budget", BudgetOptions, _measured))

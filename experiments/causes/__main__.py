@@ -8,9 +8,8 @@ a method kept, a better choice among them.
 from __future__ import annotations
 
 import sys
-from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -18,12 +17,13 @@ import numpy as np
 
 from experiments.causes.outline_limit import share_within_reach
 from experiments.command import run
-from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.bench.accuracy import drawable, names_of, share_found
+from lodbench.bench.report import Figure, Progress, Report, no_progress
 from lodbench.bench.views import Job, protocol_of, sweep
-from lodbench.cli.bench_views import add_methods, asked_methods, asked_views, seeds_of
+from lodbench.cli.bench_views import ViewedOptions
 from lodbench.errors import ConfigError
 from lodbench.methods import Method
+from lodbench.params import flag, part
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.table_columns import finite_text
 from lodbench.synthesis.views_dataset import ViewsParams
@@ -154,18 +154,22 @@ def _figures(table: dict[str, dict[str, dict[str, float]]]) -> Iterator[Figure]:
                 yield Figure(f"found {column} {method} {city}", percent, "%")
 
 
-def _add(parser: ArgumentParser) -> None:
-    add_methods(parser)
-    limit = "what the best estimate finds that knows map and noise, from so many masks a view"
-    parser.add_argument("--limit", type=int, default=0, metavar="MASKS", help=limit)
+@dataclass(frozen=True, kw_only=True)
+class CausesOptions:
+    """What is measured."""
+
+    viewed: ViewedOptions = part(ViewedOptions)
+    limit: int = flag(
+        0, "what the best estimate finds that knows map and noise, from so many masks a view", metavar="MASKS"
+    )
 
 
-def _measured(given: Namespace, steps: Progress) -> Report:
+def _measured(given: CausesOptions, steps: Progress) -> Report:
     if 0 < given.limit < _FEWEST_MASKS:
         raise ConfigError(f"--limit is of {_FEWEST_MASKS} masks a view or more.", "Write --limit 200.")
-    methods, drawn = asked_methods(given), asked_views(given)
-    return measure_causes(drawn, seeds_of(given), methods, steps, limit_draws=given.limit)
+    methods, drawn = given.viewed.methods(), given.viewed.views()
+    return measure_causes(drawn, given.viewed.drawn.each_seed(), methods, steps, limit_draws=given.limit)
 
 
 if __name__ == "__main__":
-    sys.exit(run("causes", _add, _measured))
+    sys.exit(run("causes", CausesOptions, _measured))

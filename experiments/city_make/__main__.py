@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry import box, mapping
 
-from experiments.command import run_options
-from lodbench.bench import SEED, Figure, Progress, Report, no_progress, option
+from experiments.command import run
+from lodbench.bench.report import SEED, Figure, Progress, Report, no_progress
 from lodbench.bench.startup import Build
 from lodbench.citymodel.read import open_scene
 from lodbench.citymodel.scene import floors_and_rises
 from lodbench.errors import require_numbers
+from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.storage import random_stream
 from lodbench.synthesis.surface_survey import write_raster
@@ -33,10 +34,10 @@ _GROUND_M = 500.0
 class CityMakeOptions:
     """What is made, and how large."""
 
-    buildings: int = option(10_000, "footprints, one in each lot of a square grid")
-    side_m: float = option(1000.0, "side of the square, metres")
-    cell_m: float = option(0.5, "cells of the surface model, metres")
-    seed: int = option(0, SEED)
+    buildings: int = flag(10_000, "footprints, one in each lot of a square grid (10000)")
+    side_m: float = flag(1000.0, "side of the square, metres (1000.0)")
+    cell_m: float = flag(0.5, "cells of the surface model, metres (0.5)")
+    seed: int = flag(0, SEED)
 
     def __post_init__(self) -> None:
         require_numbers(self, "", ("buildings",), 1, 1_000_000)
@@ -101,4 +102,4 @@ def _write_inputs(folder: Path, options: CityMakeOptions) -> Floats:
     return heights
 
 
-sys.exit(run_options("city_make", CityMakeOptions, measure_city_make))
+sys.exit(run("city_make", CityMakeOptions, measure_city_make))

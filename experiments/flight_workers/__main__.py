@@ -7,10 +7,11 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.command import run_options
-from lodbench.bench import SEED, Figure, Progress, Report, no_progress, option
+from experiments.command import run
+from lodbench.bench.report import SEED, Figure, Progress, Report, no_progress
 from lodbench.bench.startup import Build
 from lodbench.errors import LodbenchError, require_numbers
+from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
 
 
@@ -18,9 +19,9 @@ from lodbench.reporting.aligned_text import format_columns
 class FlightWorkersOptions:
     """How many photos of the demo town, and by how many."""
 
-    photos: int = option(100, "photos of the demo town")
-    workers: int = option(2, "processes, beside one")
-    seed: int = option(0, SEED)
+    photos: int = flag(100, "photos of the demo town (100)")
+    workers: int = flag(2, "processes, beside one (2)")
+    seed: int = flag(0, SEED)
 
     def __post_init__(self) -> None:
         require_numbers(self, "", ("photos", "workers"), 1, 10_000)
@@ -70,4 +71,4 @@ def _write_photos(build: Build, options: FlightWorkersOptions) -> list[str]:
     return ["localize", "demo/in_place/Query_image", *city, "--each-alone", "--method", "region"]
 
 
-sys.exit(run_options("flight_workers", FlightWorkersOptions, measure_workers))
+sys.exit(run("flight_workers", FlightWorkersOptions, measure_workers))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import ArgumentTypeError
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from experiments.command import run
 from experiments.guided_masks.silhouettes import REFERENCE_PX, Disturbance, disturbed
-from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.bench.mask_quality import one_core
 from lodbench.bench.photo_masks import PhotoMask, labelled_photos, mean_and_interval, write_overlay
+from lodbench.bench.report import Figure, Progress, Report, no_progress
 from lodbench.cli.parts import segmenter_of
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry.signed_distance import signed_distance
+from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.segmentation.map_guided import MapGuided, guided_mask, without_map
 from lodbench.segmentation.masks import read_photo
@@ -226,18 +227,6 @@ def _place_means(photos: list[GuidedPhoto], what: str) -> list[float]:
     return [float(np.mean(means)) for means in found if means]
 
 
-def _add(parser: ArgumentParser) -> None:
-    add = parser.add_argument
-    add("--photos", type=Path, required=True, metavar="DIR", help="PLACE/photos with traced PLACE/masks")
-    add("--guided-by", action="append", required=True, type=_disturbance, metavar="PX,DEG",
-        help="how far silhouettes are off, pixels of a photo 1200 wide; may be repeated")  # fmt: skip
-    add("--blocks", action="store_true", help="also as blocks, a tenth of the buildings left out or added")
-    add("--draws", type=int, default=4, help="silhouettes of each photo (4)")
-    add("--grabcut", action="store_true", help="measure OpenCV's GrabCut beside it")
-    add("--seed", type=int, default=0, help="of the silhouettes (0)")
-    add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated")
-
-
 def _disturbance(text: str) -> Disturbance:
     try:
         shift_px, turn_deg = (float(part) for part in text.split(","))
@@ -248,7 +237,26 @@ def _disturbance(text: str) -> Disturbance:
     return Disturbance(shift_px, turn_deg)
 
 
-def _measure(given: Namespace, steps: Progress) -> Report:
+@dataclass(frozen=True, kw_only=True)
+class GuidedWords:
+    """What is measured."""
+
+    photos: Path = flag(..., "PLACE/photos with traced PLACE/masks", metavar="DIR")
+    guided_by: tuple[Disturbance, ...] = flag(
+        ...,
+        "how far silhouettes are off, pixels of a photo 1200 wide; may be repeated",
+        type=_disturbance,
+        metavar="PX,DEG",
+    )
+    blocks: bool = flag(False, "also as blocks, a tenth of the buildings left out or added")
+    draws: int = flag(4, "silhouettes of each photo (4)")
+    grabcut: bool = flag(False, "measure OpenCV's GrabCut beside it")
+    seed: int = flag(0, "of the silhouettes (0)")
+    segmenter_option: tuple[str, ...] = flag((), "may be repeated", metavar="KEY=VALUE")
+    pictures: Path | None = flag(None, "folder for pictures, if there are any", metavar="DIR")
+
+
+def _measure(given: GuidedWords, steps: Progress) -> Report:
     segmenter = segmenter_of("map_guided", given.segmenter_option)
     assert isinstance(segmenter, MapGuided)  # noqa: S101
     blocks = [each._replace(is_blocks=True) for each in given.guided_by] if given.blocks else []
@@ -259,4 +267,4 @@ def _measure(given: Namespace, steps: Progress) -> Report:
 
 
 if __name__ == "__main__":
-    sys.exit(run("guided_masks", _add, _measure))
+    sys.exit(run("guided_masks", GuidedWords, _measure))

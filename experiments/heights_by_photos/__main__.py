@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.command import run
-from lodbench.bench import Figure, Progress, Report, no_progress
+from lodbench.bench.report import Figure, Progress, Report, no_progress
 from lodbench.citymodel.scene import floors_and_rises
 from lodbench.cli.bench_views import city_file, seeds
 from lodbench.datasets.query import Dataset, Query
@@ -21,6 +20,7 @@ from lodbench.errors import ConfigError
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.methods.flight.footprint_heights import footprint_heights
+from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.storage import random_stream
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
@@ -76,36 +76,38 @@ def _off(dataset: Dataset, noise_m: float, noise_deg: float, seed: int) -> tuple
     return off, np.array([height.sigma_m for height in found.values()]), int((rises > 0).sum())
 
 
-def _add(parser: ArgumentParser) -> None:
-    add: Any = parser.add_argument
-    add("--flight", type=Path, nargs="+", default=[], help="real flights with city.obj")
-    add("--city", type=Path, help="city model to draw flights over")
-    add("--seeds", type=seeds, default="0", help="of drawn flights, comma-separated (0)")
-    add("--photos", type=int, default=16, help="of each drawn flight (16)")
-    add("--path", choices=tuple(FLIGHT_PATHS), default="orbit", help="how they fly (orbit)")
-    add("--noise-m", type=float, default=0.0, help="added to places (0)")
-    add("--noise-deg", type=float, default=0.0, help="added to directions (0)")
+@dataclass(frozen=True, kw_only=True)
+class HeightsOptions:
+    """What is measured."""
+
+    flight: tuple[Path, ...] = flag((), "real flights with city.obj", nargs="+", action="store")
+    city: Path | None = flag(None, "city model to draw flights over")
+    seeds: tuple[int, ...] = flag((0,), "of drawn flights, comma-separated (0)", type=seeds, action="store")
+    photos: int = flag(16, "of each drawn flight (16)")
+    path: str = flag("orbit", "how they fly (orbit)", choices=tuple(FLIGHT_PATHS))
+    noise_m: float = flag(0.0, "added to places (0)")
+    noise_deg: float = flag(0.0, "added to directions (0)")
 
 
-def _drawn(given: Namespace, numbers: Sequence[int]) -> dict[str, Dataset]:
+def _drawn(given: HeightsOptions) -> dict[str, Dataset]:
     flights = {
         f"{given.path} {seed}": FlightsParams(
-            str(city_file(given)), num_flights=1, num_photos=given.photos, path=given.path,
+            str(city_file(given.city)), num_flights=1, num_photos=given.photos, path=given.path,
             flights_seed=seed, look="varied",
         )
-        for seed in numbers
+        for seed in given.seeds
     }  # fmt: skip
     return {name: open_flights(params) for name, params in flights.items()}
 
 
-def _measured(given: Namespace, steps: Progress) -> Report:
+def _measured(given: HeightsOptions, steps: Progress) -> Report:
     flights = {path.name: open_real_flight(RealFlightParams(str(path))) for path in given.flight}
     if given.city is not None:
-        flights |= _drawn(given, given.seeds)
+        flights |= _drawn(given)
     if not flights:
         raise ConfigError("There is no flight.", "Give --flight DIR, or --city FILE.")
     return measure_heights(flights, given.noise_m, given.noise_deg, steps)
 
 
 if __name__ == "__main__":
-    sys.exit(run("heights_by_photos", _add, _measured))
+    sys.exit(run("heights_by_photos", HeightsOptions, _measured))

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import sys
-from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.command import run
-from lodbench.bench import Figure, Progress, Report, no_progress
+from lodbench.bench.report import Figure, Progress, Report, no_progress
 from lodbench.cli.bench_views import city_file, seeds
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.lines import write_lines
@@ -26,6 +24,7 @@ from lodbench.geometry import Pose
 from lodbench.geometry.similarity import Similarity
 from lodbench.harness.georeference import GeoreferenceRequest, georeference
 from lodbench.methods.registry import make_method
+from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.storage import random_stream
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
@@ -64,13 +63,13 @@ def measure_reconstructions(
     """
     rows = [["path", "seed", "median m", "median deg", "worst m", "off m", "sigma m", "start m"]]
     paths = list(FLIGHT_PATHS) if flights.path is None else [flights.path]
-    asked = [(path, seed) for seed in seeds for path in paths]
+    wanted = [(path, seed) for seed in seeds for path in paths]
     # All are drawn before the first is placed: what cannot be drawn is told before the work.
     drawn = [
-        open_flights(replace(flights, num_flights=1, path=path, flights_seed=seed)) for path, seed in asked
+        open_flights(replace(flights, num_flights=1, path=path, flights_seed=seed)) for path, seed in wanted
     ]
-    medians, count = [], len(asked)
-    for number, ((path, seed), dataset) in enumerate(zip(asked, drawn, strict=True)):
+    medians, count = [], len(wanted)
+    for number, ((path, seed), dataset) in enumerate(zip(wanted, drawn, strict=True)):
         try:
             numbers = _placed(dataset, noise, seed)
             medians.append(numbers[0])
@@ -151,22 +150,24 @@ def write_reconstruction(dataset: Dataset, folder: Path, noise: Noise, seed: int
     write_lines(rough, folder / "rough.txt")
 
 
-def _add(parser: ArgumentParser) -> None:
-    add: Any = parser.add_argument
-    add("--city", type=Path, required=True, help="city model")
-    add("--seeds", type=seeds, default="0", help="comma-separated (0)")
-    add("--photos", type=int, default=16, help="of each flight (16)")
-    add("--mask-iou", type=float, default=0.88, help="of the degraded masks (0.88)")
-    add("--noise-m", type=float, default=0.1, help="of a reconstruction's places (0.1)")
-    add("--noise-deg", type=float, default=0.05, help="of its directions (0.05)")
-    add("--path", choices=tuple(FLIGHT_PATHS), help="how they fly (each kind)")
-    add("--map-lod", help="level of detail to place it in (the lowest)")
-    add("--mask-lod", help="that masks are drawn from, or finest (the map's)")
+@dataclass(frozen=True, kw_only=True)
+class ReconstructionOptions:
+    """What is measured."""
+
+    city: Path = flag(..., "city model")
+    seeds: tuple[int, ...] = flag((0,), "comma-separated (0)", type=seeds, action="store")
+    photos: int = flag(16, "of each flight (16)")
+    mask_iou: float = flag(0.88, "of the degraded masks (0.88)")
+    noise_m: float = flag(0.1, "of a reconstruction's places (0.1)")
+    noise_deg: float = flag(0.05, "of its directions (0.05)")
+    path: str | None = flag(None, "how they fly (each kind)", choices=tuple(FLIGHT_PATHS))
+    map_lod: str | None = flag(None, "level of detail to place it in (the lowest)")
+    mask_lod: str | None = flag(None, "that masks are drawn from, or finest (the map's)")
 
 
-def _measured(given: Namespace, steps: Progress) -> Report:
+def _measured(given: ReconstructionOptions, steps: Progress) -> Report:
     flights = FlightsParams(
-        str(city_file(given)),
+        str(city_file(given.city)),
         num_photos=given.photos,
         path=given.path,
         mask_iou=given.mask_iou,
@@ -177,4 +178,4 @@ def _measured(given: Namespace, steps: Progress) -> Report:
 
 
 if __name__ == "__main__":
-    sys.exit(run("reconstructions", _add, _measured))
+    sys.exit(run("reconstructions", ReconstructionOptions, _measured))

@@ -2,7 +2,7 @@
 
 import sys
 
-from experiments.command import run_options
+from experiments.command import run
 from experiments.scale.measure import ScaleOptions, measure_scale
 
-sys.exit(run_options("scale", ScaleOptions, measure_scale))
+sys.exit(run("scale", ScaleOptions, measure_scale))

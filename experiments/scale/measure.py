@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 
 from experiments.scale.grown_city import TILE_BUILDINGS, grown_city, open_grown_city
 from experiments.scale.opening import Opening, open_apart
-from lodbench.bench import SEED, Figure, Progress, Report, no_progress, option
+from lodbench.bench.report import SEED, Figure, Progress, Report, no_progress
 from lodbench.bench.silhouettes import SilhouetteOptions, Swarm, make_swarm
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import read_scene
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera
+from lodbench.params import flag
 from lodbench.rendering.engine_arrays import arrays_folder
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.reporting.aligned_text import format_columns
@@ -49,12 +50,16 @@ class ScaleOptions:
         repeats: Passes over each view, the cities in turn; the fastest counts.
     """
 
-    buildings: int = option(1_000_000, "of the large city, its core the first 1,000; a million takes 1.7 GB")
-    num_views: int = option(10, "seeded views of each kind: in the core, to the horizon", flag="views")
-    hypotheses: int = option(400, "around each view")
+    buildings: int = flag(
+        1_000_000, "of the large city, its core the first 1,000; a million takes 1.7 GB (1000000)"
+    )
+    num_views: int = flag(
+        10, "seeded views of each kind: in the core, to the horizon (10)", "--views", metavar="VIEWS"
+    )
+    hypotheses: int = flag(400, "around each view (400)")
     horizon_hypotheses: int = 13
     repeats: int = 3
-    seed: int = option(0, SEED)
+    seed: int = flag(0, SEED)
 
     def __post_init__(self) -> None:
         if self.buildings < TILE_BUILDINGS:

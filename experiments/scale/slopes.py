@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.command import run_options
+from experiments.command import run
 from experiments.scale.grown_city import TILE_BUILDINGS
 from experiments.scale.slope_points import Reach, points_within
-from lodbench.bench import SEED, Figure, Progress, Report, no_progress, option
+from lodbench.bench.report import SEED, Figure, Progress, Report, no_progress
 from lodbench.errors import ConfigError
+from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.table_columns import finite_text
 
@@ -30,12 +31,14 @@ if TYPE_CHECKING:
 class SlopeOptions:
     """How far each axis goes: by tens from the least, workers by doubling; no size is beyond what is told."""
 
-    hypotheses: int = option(100_000, "most of a query, from 100")
-    buildings: int = option(100_000, "most of a city, from 1,000; a million takes 1.7 GB of the cache")
-    tiled: int = option(10_000, "most compiled from CityGML tiles, from 1,000; a million takes 3 GB of disk")
-    queries: int = option(10_000, "most of a run, stored and read back, from 10")
-    workers: int = option(4, "most processes")
-    seed: int = option(0, SEED)
+    hypotheses: int = flag(100_000, "most of a query, from 100 (100000)")
+    buildings: int = flag(100_000, "most of a city, from 1,000; a million takes 1.7 GB of the cache (100000)")
+    tiled: int = flag(
+        10_000, "most compiled from CityGML tiles, from 1,000; a million takes 3 GB of disk (10000)"
+    )
+    queries: int = flag(10_000, "most of a run, stored and read back, from 10 (10000)")
+    workers: int = flag(4, "most processes (4)")
+    seed: int = flag(0, SEED)
 
     def __post_init__(self) -> None:
         least = {"hypotheses": 100, "buildings": TILE_BUILDINGS, "tiled": 1000, "queries": 10, "workers": 1}
@@ -125,4 +128,4 @@ def _picture(data: pd.DataFrame, slopes: dict[str, float]) -> dict[str, bytes]:
 
 
 if __name__ == "__main__":
-    sys.exit(run_options("scale.slopes", SlopeOptions, measure_slopes))
+    sys.exit(run("scale.slopes", SlopeOptions, measure_slopes))

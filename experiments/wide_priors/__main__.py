@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import sys
-from argparse import ArgumentParser
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from experiments.command import run
-from lodbench.bench import Figure, Progress, Report, no_progress
+from lodbench.bench.report import Figure, Progress, Report, no_progress
 from lodbench.bench.views import Job, of_seeds, protocol_of, sweep
-from lodbench.cli.bench_views import add_city, add_drawing, seeds_of, views_of
+from lodbench.cli.bench_views import DrawnOptions
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.pose_errors import FAILED
 from lodbench.methods.contour_alignment import ContourAlignment
+from lodbench.params import flag, part
 from lodbench.reporting.aligned_text import count_of, format_columns
 from lodbench.synthesis.views_dataset import ViewsParams
 
@@ -101,16 +101,24 @@ def report_pairs(pairs: pd.DataFrame, title: str) -> Report:
     return Report(f"{format_columns(rows)}\n{counted}", figures, pairs)
 
 
-def _add(parser: ArgumentParser) -> None:
-    add_city(parser)
-    add_drawing(parser, 6)
+@dataclass(frozen=True, kw_only=True)
+class Drawn(DrawnOptions):
+    """What is drawn."""
+
+    views: int = flag(6, "seeded views (6)", sets=("dataset.num_views",))
+
+
+@dataclass(frozen=True, kw_only=True)
+class WidePriorsOptions:
+    """What is measured."""
+
+    city: Path | None = flag(None, "city model; the demo town if not given")
+    drawn: Drawn = part(Drawn)
+
+
+def _measured(given: WidePriorsOptions, steps: Progress) -> Report:
+    return measure_wide_priors(given.drawn.over(given.city), given.drawn.each_seed(), steps)
 
 
 if __name__ == "__main__":
-    sys.exit(
-        run(
-            "wide_priors",
-            _add,
-            lambda given, steps: measure_wide_priors(views_of(given, given.city), seeds_of(given), steps),
-        )
-    )
+    sys.exit(run("wide_priors", WidePriorsOptions, _measured))

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench import Figure, Progress, Report, no_progress
+from lodbench.bench.report import Figure, Progress, Report, no_progress
 from lodbench.bench.views import TILTS, Job, of_seeds, protocol_of, sweep
 from lodbench.citymodel.lods import lod_in_words
 from lodbench.errors import DatasetError, LodbenchError

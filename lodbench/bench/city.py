@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.bench import Figure, Progress, Report, no_progress, option, plain_report
 from lodbench.bench.city_peers import naive_mesh, project_plainly, project_tuned, time_cjio
+from lodbench.bench.report import Figure, Progress, Report, no_progress, plain_report
 from lodbench.citymodel import mesh_model, open_scene, read_city_model
 from lodbench.citymodel.gml.writer import CityGmlWriter
 from lodbench.citymodel.mesh.writer import obj_text
@@ -31,6 +31,7 @@ from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.scene_file import read_scene
 from lodbench.citymodel.subset import keep_buildings
 from lodbench.errors import CityModelError, ConfigError
+from lodbench.params import flag
 from lodbench.storage import write_chunks
 
 _MEGABYTE = 1e6
@@ -79,12 +80,12 @@ print(json.dumps([min(times), digest]))
 class CityOptions:
     """What to measure; with tiles nothing else is."""
 
-    lod: str | None = option(None, "level of detail, or finest (lowest with walls)")
-    repeats: int = option(5, "passes, the fastest counts")
-    tiles: int = option(0, "instead: make one scene of so many tiles of its buildings; 0 for none")
-    workers: int | None = option(None, "processes for the tiles (one per core)", parse=int)
-    beside: str | None = option(None, "Python whose lodbench reads the city in turns with this one")
-    large_mb: int = option(137, "size of the city repeated, for the memory figure; 0 for none")
+    lod: str | None = flag(None, "level of detail, or finest (lowest with walls)")
+    repeats: int = flag(5, "passes, the fastest counts (5)")
+    tiles: int = flag(0, "instead: make one scene of so many tiles of its buildings; 0 for none (0)")
+    workers: int | None = flag(None, "processes for the tiles (one per core)")
+    beside: str | None = flag(None, "Python whose lodbench reads the city in turns with this one")
+    large_mb: int = flag(137, "size of the city repeated, for the memory figure; 0 for none (137)")
 
     def __post_init__(self) -> None:
         if self.repeats < 1 or self.large_mb < 0 or self.tiles < 0:

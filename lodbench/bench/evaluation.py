@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lodbench.bench import SEED, Figure, Progress, Report, load_in_words, no_progress, option, plain_report
+from lodbench.bench.report import SEED, Figure, Progress, Report, load_in_words, no_progress, plain_report
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, LodbenchError
@@ -22,6 +22,7 @@ from lodbench.harness.runs.places import scene_of
 from lodbench.harness.runs.report import run_report
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import verify_run
+from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.table_formats import format_csv
 from lodbench.reporting.tables import tables_of
@@ -35,9 +36,9 @@ _SPLIT = "all"
 class EvaluationOptions:
     """What to measure."""
 
-    num_queries: int = option(2192, "as the largest published split", flag="queries")
-    num_methods: int = option(100, "scored on all of them", flag="methods")
-    seed: int = option(0, SEED)
+    num_queries: int = flag(2192, "as the largest published split (2192)", "--queries", metavar="QUERIES")
+    num_methods: int = flag(100, "scored on all of them (100)", "--methods", metavar="METHODS")
+    seed: int = flag(0, SEED)
 
     def __post_init__(self) -> None:
         if min(self.num_queries, self.num_methods) < 1:
@@ -135,10 +136,10 @@ _SAME = ("poses.txt", "queries.csv", "summary.json")
 class WorkerOptions:
     """What is run."""
 
-    queries: int = option(200, "of the demo")
-    workers: int = option(2, "processes of one thread each, beside as many threads of a serial run")
-    method: str = option("lodlocv2", "the method")
-    repeats: int = option(2, "rounds of all commands in turn, the fastest counts")
+    queries: int = flag(200, "of the demo (200)")
+    workers: int = flag(2, "processes of one thread each, beside as many threads of a serial run (2)")
+    method: str = flag("lodlocv2", "the method (lodlocv2)")
+    repeats: int = flag(2, "rounds of all commands in turn, the fastest counts (2)")
 
     def __post_init__(self) -> None:
         if min(self.queries, self.repeats) < 1 or self.workers < 2:

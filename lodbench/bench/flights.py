@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench import Figure, Progress, Report, no_progress, plain_report
+from lodbench.bench.report import Figure, Progress, Report, no_progress, plain_report
 from lodbench.citymap import CityMap
 from lodbench.citymap.city_map import corrected_map
 from lodbench.citymodel.cache import open_cached_city

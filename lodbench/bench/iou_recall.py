@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import cv2
 import numpy as np
 
-from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.bench.accuracy import blocks_of
+from lodbench.bench.report import Figure, Progress, Report, no_progress
 from lodbench.bench.views import TILTS, Job, sweep
 from lodbench.datasets.inputs import Input, declared_inputs, read_labels
 from lodbench.datasets.query import Entry

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench import SEED, Figure, Progress, Report, no_progress, option, plain_report, words
+from lodbench.bench.report import Figure, Progress, Report, no_progress, plain_report, words
 from lodbench.citymap import CityMap
 from lodbench.citymodel.mesh.texture_files import open_textured_map
 from lodbench.citymodel.options import ReadOptions
@@ -36,6 +36,7 @@ from lodbench.harness.city import open_city
 from lodbench.harness.runs.run import RunSettings, run_method
 from lodbench.methods import Method
 from lodbench.methods.registry import make_method
+from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.figures import SERIES, draw_figure
 from lodbench.segmentation.masks import MaskFiles, MasksParams
@@ -78,16 +79,20 @@ class MapsOptions:
         ConfigError: A map is not known, or there is no query.
     """
 
-    methods: tuple[str, ...] = option(
+    methods: tuple[str, ...] = flag(
         ("region", "contour_alignment"),
         "methods, comma-separated, settings after colons (uavd4l:matcher=xfeat); '' for the surface model's "
-        "cost and heights alone",
-        flag="method",
-        parse=words,
+        "cost and heights alone (region,contour_alignment)",
+        "--method",
+        metavar="METHOD",
+        type=words,
+        action="store",
     )
-    maps: tuple[str, ...] = option(tuple(MAPS), "maps, comma-separated", parse=words)
-    queries: int = option(20, "photos per split, in place and out of place")
-    town_seed: int = option(0, SEED + " of the town")
+    maps: tuple[str, ...] = flag(
+        tuple(MAPS), f"maps, comma-separated ({','.join(MAPS)})", type=words, action="store"
+    )
+    queries: int = flag(20, "photos per split, in place and out of place (20)")
+    town_seed: int = flag(0, "random seed of the town (0)")
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.maps if name not in MAPS]

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench import Figure, Progress, Report, no_progress
+from lodbench.bench.report import Figure, Progress, Report, no_progress
 from lodbench.errors import ConfigError, DatasetError, LodbenchError, nearest_names, require_within
 from lodbench.evaluation.statistics import Interval, bootstrap_means, bootstrap_ratio
 from lodbench.reporting.aligned_text import format_columns

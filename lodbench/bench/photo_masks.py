@@ -12,8 +12,8 @@ import mapbox_earcut
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench import Figure, Progress, no_progress
 from lodbench.bench.mask_quality import SHEET_FILE, draw_all, found_mask, name_and_weights, one_core
+from lodbench.bench.report import Figure, Progress, no_progress
 from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError

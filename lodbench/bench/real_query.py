@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench import Progress, Report, no_progress
 from lodbench.bench.real_report import EdgeBound, report_real
+from lodbench.bench.report import Progress, Report, no_progress
 from lodbench.citymap import CityMap
 from lodbench.citymap.linear_places import ground_errors
 from lodbench.citymodel.scene import Scene, building_boxes

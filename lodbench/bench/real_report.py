@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench import Figure, Report
+from lodbench.bench.report import Figure, Report
 from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.prior_sources import UniformPrior

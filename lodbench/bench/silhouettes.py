@@ -21,11 +21,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench import SEED, Figure, Progress, Report, load_in_words, no_progress, option, words
+from lodbench.bench.report import SEED, Figure, Progress, Report, load_in_words, no_progress, words
 from lodbench.citymodel import Scene, open_scene
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.geometry import Camera, Pose, rotations_at_yaws
+from lodbench.params import flag
 from lodbench.rendering import ContourFit, RegionFit, Scorer, appearance_bins, edge_bins, make_renderer
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.reporting.aligned_text import format_columns
@@ -230,17 +231,24 @@ class SilhouetteOptions:
         repeats: Passes over each view, peers included; the fastest counts.
     """
 
-    num_views: int = option(20, "seeded views, pitch 20 to 60 degrees from nadir", flag="views")
-    num_horizon: int = option(10, "with pitch 60 to 75, reported apart; 0 for none", flag="horizon-views")
-    hypotheses: int = option(2000, "around each view")
+    num_views: int = flag(
+        20, "seeded views, pitch 20 to 60 degrees from nadir (20)", "--views", metavar="VIEWS"
+    )
+    num_horizon: int = flag(
+        10, "with pitch 60 to 75, reported apart; 0 for none (10)", "--horizon-views", metavar="HORIZON_VIEWS"
+    )
+    hypotheses: int = flag(2000, "around each view (2000)")
     sizes: tuple[tuple[int, int], ...] = (FINE_SIZE, (301, 224))
     threads: tuple[int, ...] = ()
-    peers: tuple[str, ...] = option(
-        ("pyrender", "open3d"), "renderers to stand beside, comma-separated", parse=words
+    peers: tuple[str, ...] = flag(
+        ("pyrender", "open3d"),
+        "renderers to stand beside, comma-separated (pyrender,open3d)",
+        type=words,
+        action="store",
     )
     peer_hypotheses: int = 20
     repeats: int = 3
-    seed: int = option(0, SEED)
+    seed: int = flag(0, SEED)
 
     def __post_init__(self) -> None:
         if min(self.num_views, self.hypotheses, self.peer_hypotheses, self.repeats) < 1:

@@ -16,9 +16,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from lodbench.bench import Figure, Progress, Report, load_in_words, no_progress, option
+from lodbench.bench.report import Figure, Progress, Report, load_in_words, no_progress
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.geometry.angles import dji_from_rotation
+from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
 
 # Buildings of the tile that is cut from the demo town.
@@ -46,13 +47,13 @@ class StartupOptions:
         is_cold: Whether localize is run over an empty kernel cache as well, once.
     """
 
-    repeats: int = option(5, "rounds of all commands in turn; the least of each counts")
-    beside: str | None = option(None, "Python whose lodbench is run in turns with this one")
-    beside_path: str | None = option(None, "folder that holds the package lodbench to run in turns")
-    tile: str | None = option(None, "city model for city info (20 buildings of the demo town)")
-    photo: str | None = option(None, "photo to localise, with --city (one of the demo)")
-    city: str | None = option(None, "city model of the photo (the demo town)")
-    is_cold: bool = False
+    repeats: int = flag(5, "rounds of all commands in turn; the least of each counts (5)")
+    beside: str | None = flag(None, "Python whose lodbench is run in turns with this one")
+    beside_path: str | None = flag(None, "folder that holds the package lodbench to run in turns")
+    tile: str | None = flag(None, "city model for city info (20 buildings of the demo town)")
+    photo: str | None = flag(None, "photo to localise, with --city (one of the demo)")
+    city: str | None = flag(None, "city model of the photo (the demo town)")
+    is_cold: bool = flag(False, "localize over an empty kernel cache as well, which compiles", "--cold")
 
     def __post_init__(self) -> None:
         if self.repeats < 1:

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lodbench.bench import Figure, Progress, Report, load_in_words, no_progress, option, plain_report
 from lodbench.bench.flights import queries_of
+from lodbench.bench.report import Figure, Progress, Report, load_in_words, no_progress, plain_report
 from lodbench.citymap import CityMap
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.scene import Scene
@@ -28,6 +28,7 @@ from lodbench.harness.track import Track, TrackRequest, track
 from lodbench.harness.track_frames import Footage
 from lodbench.methods.flight import FlightMethod
 from lodbench.methods.protocol import Estimate
+from lodbench.params import flag
 from lodbench.photos.pose import RoughPlace
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.segmentation import Segmenter
@@ -45,9 +46,9 @@ _OFF_M, _OFF_DEG = np.array([4.0, -5.0, 6.0]), 3.0
 class TrackingOptions:
     """What to draw."""
 
-    frames: int = option(60, "of each flight")
+    frames: int = flag(60, "of each flight (60)")
     size: tuple[int, int] = (640, 480)
-    look: str = option("varied", "of the frames: plain, varied or hard")
+    look: str = flag("varied", "of the frames: plain, varied or hard (varied)")
 
 
 def measure_tracking(

@@ -11,12 +11,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lodbench.bench import SEED, Figure, Progress, Report, load_in_words, no_progress, option, plain_report
+from lodbench.bench.report import SEED, Figure, Progress, Report, load_in_words, no_progress, plain_report
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import ConfigError, LodbenchError, require_within
 from lodbench.execution.fan_out import fan_out
 from lodbench.geometry import Camera
+from lodbench.params import flag
 from lodbench.photos.pictures import encoded_mask
 from lodbench.rendering import open_renderer
 from lodbench.storage import make_folder
@@ -35,10 +36,10 @@ from lodbench.synthesis.training_data.plan_views import (
 class TrainingDataOptions:
     """What to measure."""
 
-    views: int = option(24, "photos of each size; ten times as many masks")
-    workers: int | None = option(None, "processes (one per core)", parse=int)
-    props: Path | None = option(None, "scene props to picture; made up without", parse=Path)
-    seed: int = option(0, SEED)
+    views: int = flag(24, "photos of each size; ten times as many masks (24)")
+    workers: int | None = flag(None, "processes (one per core)")
+    props: Path | None = flag(None, "scene props to picture; made up without")
+    seed: int = flag(0, SEED)
 
     def __post_init__(self) -> None:
         if self.views < 2:

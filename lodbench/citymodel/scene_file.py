@@ -19,7 +19,7 @@ from lodbench.citymodel.raw import starts_of
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import CityModelError
 from lodbench.storage import digest_of, new_folder, write_text
-from lodbench.storage.arrays import map_array, text_check, write_arrays, write_blocks
+from lodbench.storage.digest import map_array, text_check, write_arrays, write_blocks
 from lodbench.storage.json_text import parse_json
 
 # Raise it whenever the arrays or their meaning change: older folders are then read no more.

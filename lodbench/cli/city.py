@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import textwrap
 import time
 from collections.abc import Callable, Sequence
@@ -11,19 +10,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lodbench.citymodel.codes import finding_catalogue
 from lodbench.citymodel.formats import formats_in_words
-from lodbench.citymodel.options import LAYERS, ReadOptions
+from lodbench.citymodel.lods import lod_in_words
+from lodbench.citymodel.options import ReadOptions
+from lodbench.cli.city_convert import ConvertOptions, TileOptions, converted, read_city, require_other
 from lodbench.cli.parser import Parser
-from lodbench.cli.parts import DATE_HELP, READ_SETTINGS, SourceProfile, load_profile
-from lodbench.errors import CityModelError, ConfigError, require_choice
+from lodbench.errors import CityModelError, ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.params import add_options, flag, options_of, part, word
+from lodbench.reporting.aligned_text import count_of, format_columns
 
 if TYPE_CHECKING:
-    from lodbench.citymodel import CityModel
     from lodbench.citymodel.convert import Conversion
-
-_PACKED = (".gz", ".zip")
 
 
 _EXAMPLES = """\
@@ -50,42 +49,6 @@ how to read a file, each as --option KEY=VALUE (explained under lodbench.citymod
   ground_column=NAME  ground_m=0  terrain=FILE  surface=FILE  base=as_given|ground|sunk  sunk_m=3
   date=YYYY-MM-DD
 """
-
-
-@dataclass(frozen=True, kw_only=True)
-class TileOptions:
-    """How files are read, and how the answer is given."""
-
-    crs: str | None = flag(
-        None, "reference system of the coordinates, if the file names none or a wrong one", sets=("crs",)
-    )
-    date: str | None = flag(None, DATE_HELP, metavar="YYYY-MM-DD", sets=("date",))
-    source: str = flag("folder", "publisher's profile, as in run source=PROFILE", metavar="PROFILE")
-    option: tuple[str, ...] = flag((), "see below; may be repeated", metavar="KEY=VALUE", sets=READ_SETTINGS)
-    layers: tuple[str, ...] = flag(
-        (),
-        f"objects besides buildings: {', '.join(LAYERS)}",
-        metavar="NAME,...",
-        type=lambda text: text.split(","),
-        action="store",
-    )
-    json: bool = flag(False, "print JSON, for scripts")
-
-    def profile(self) -> SourceProfile:
-        """Returns how to read.
-
-        Raises:
-            ConfigError: The profile or an option is unknown.
-        """
-        profile = load_profile(self.source, self.option, self.crs, self.date)
-        if self.layers:
-            profile = replace(profile, options=replace(profile.options, layers=self.layers))
-        return profile
-
-    def write(self, values: dict[str, Any], as_text: Callable[[], str]) -> None:
-        """Prints an answer."""
-        text = json.dumps(values, indent=2, ensure_ascii=False) if self.json else as_text()
-        sys.stdout.write(text + "\n")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,57 +91,6 @@ class MakeOptions:
     tiles_read: TileOptions = part(TileOptions)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ConvertOptions:
-    """What `city convert` is given."""
-
-    files: tuple[Path, ...] = word(
-        "city models, read as one; without -o the last name is OUT", metavar="FILE"
-    )
-    out: Path | None = flag(
-        None, "file to write; its ending chooses the format", "-o", "--out", metavar="OUT"
-    )
-    tiles: float | None = flag(None, "write tiles of M metres, and an index of them", metavar="M")
-    executor: str | None = flag(
-        None,
-        "what reads the tiles of a .scene (default: process)",
-        choices=("serial", "process", "dask"),
-    )
-    textures: bool = flag(False, "keep the textures of surfaces (.gml, .json, .jsonl, .glb, .obj)")
-    workers: int | None = flag(None, "how many processes (default: one per core)")
-    address: str | None = flag(None, "of Dask's scheduler")
-    lod: str | None = flag(
-        None,
-        "level to write; finest: each building's best (default: all for CityJSON, the lowest for meshes)",
-        sets=("lod",),
-    )
-    citygml: str | None = flag(None, "version of a .gml (default: 2.0)", choices=("2.0", "3.0"))
-    to_crs: str | None = flag(None, "project to another reference system in metres", metavar="CRS")
-    id: tuple[str, ...] = flag((), "only the building of this id; may be repeated")
-    bbox: tuple[float, float, float, float] | None = flag(
-        None,
-        "only buildings whose middle lies inside, in the reference system written",
-        metavar=("W", "S", "E", "N"),
-    )
-    where: tuple[str, ...] = flag(
-        (),
-        "only buildings with this attribute, or with a part that has it; may be repeated",
-        metavar="ATTRIBUTE=VALUE",
-    )
-    roof_height: str | None = flag(
-        None,
-        "derive LoD1 where there is none: median, max, p70 or eave",
-        metavar="RULE",
-        sets=("roof_height",),
-    )
-    tiles_read: TileOptions = part(TileOptions)
-
-    def is_whole(self, files: Sequence[Path]) -> bool:
-        """Tells whether one file or folder is converted as it is: nothing chosen, cut or projected."""
-        is_part = self.id or self.where or self.bbox or self.to_crs or self.tiles
-        return len(files) == 1 and not is_part
-
-
 _ACTIONS: dict[str, tuple[type, str]] = {
     "info": (
         InfoOptions,
@@ -199,7 +111,7 @@ _ACTIONS: dict[str, tuple[type, str]] = {
 }
 
 
-OPTIONS = {name: kind for name, (kind, *_) in _ACTIONS.items()}
+OPTIONS = {f"city {name}": kind for name, (kind, *_) in _ACTIONS.items()}
 
 
 def main(argv: Sequence[str]) -> int:
@@ -228,7 +140,6 @@ def main(argv: Sequence[str]) -> int:
 def _scene_info(wanted: InfoOptions) -> int:
     """Tells of a scene, with as little loaded as that takes: a second is long."""
     from lodbench.citymodel.scene_file import scene_info
-    from lodbench.cli.city_text import format_scene
 
     reported = scene_info(wanted.file)
     wanted.tiles_read.write(reported, lambda: format_scene(str(wanted.file), reported))
@@ -237,9 +148,8 @@ def _scene_info(wanted: InfoOptions) -> int:
 
 def _info(wanted: InfoOptions, options: ReadOptions) -> int:
     from lodbench.citymodel import city_info
-    from lodbench.cli.city_text import format_info
 
-    info = city_info(_read([wanted.file], replace(options, is_strict=False)))
+    info = city_info(read_city([wanted.file], replace(options, is_strict=False)))
     wanted.tiles_read.write(info, lambda: format_info(str(wanted.file), info))
     return 0
 
@@ -258,7 +168,7 @@ def _check(wanted: CheckOptions, options: ReadOptions) -> int:
                 f"{wanted.geojson} is not a file in a folder that is there.", "--geojson FILE"
             )
     start = time.perf_counter()
-    model = _read([wanted.file], replace(options, is_strict=False, has_details=True))
+    model = read_city([wanted.file], replace(options, is_strict=False, has_details=True))
     read_seconds = time.perf_counter() - start
     report = check_city(model)
     if wanted.geojson is not None:
@@ -270,45 +180,14 @@ def _check(wanted: CheckOptions, options: ReadOptions) -> int:
 
 
 def _convert(wanted: ConvertOptions, options: ReadOptions, lod: str | None) -> int:
-    from lodbench.citymodel.convert import (
-        convert_city,
-        convert_textured,
-        convert_tiles,
-        has_room_for_pictures,
-        keeps_details,
-    )
-    from lodbench.citymodel.source import open_sources
-    from lodbench.cli.city_text import conversion_summary, format_conversion
+    out, done = converted(wanted, options, lod)
+    if done is None:
+        from lodbench.citymodel.scene_file import scene_info
 
-    files, out = from_and_to(wanted)
-    _require_heard(wanted, out, lod)
-    if wanted.textures and not has_room_for_pictures(out):
-        raise CityModelError(f"{out} has no room for pictures.", "Name it .glb, .obj, .json, .jsonl or .gml.")
-    is_tiles = out.suffix == ".scene" and wanted.is_whole(files)
-    if is_tiles and len(open_sources(files[0], options.layers)) > 1:
-        return _compile(wanted, files[0], out, options, lod)
-    has_details = keeps_details(out) or bool(wanted.where) or wanted.textures
-    options = replace(options, has_details=has_details, has_textures=wanted.textures)
-    model = _chosen(wanted, _read(files, options))
-    is_mesh = wanted.textures and model.pictures is None
-    if is_mesh and (keeps_details(out) or not wanted.is_whole(files) or files[0].suffix in _PACKED):
-        raise CityModelError(
-            f"Of {files[0].name} no pictures can be kept so.",
-            "Those of a mesh are kept in .glb and .obj, of a whole file or folder. Or leave out --textures.",
-        )
-
-    def write(part: CityModel, target: Path) -> Conversion:
-        if wanted.textures and not keeps_details(target):
-            return convert_textured(part, target, files[0] if is_mesh else None, options)
-        version = wanted.citygml or "2.0"
-        how: dict[str, Any] = {"lod": lod, "roof_height": wanted.roof_height, "citygml": version}
-        return convert_city(part, target, options=options, **how)
-
-    if wanted.tiles is None:
-        summaries = [conversion_summary(str(out), write(model, out))]
-    else:
-        done = convert_tiles(model, out, wanted.tiles, write)
-        summaries = [conversion_summary(str(each.target), each) for each in done]
+        reported = scene_info(out)
+        wanted.tiles_read.write({"written": str(out), **reported}, lambda: format_scene(str(out), reported))
+        return 0
+    summaries = [conversion_summary(str(target), each) for target, each in done]
     values = summaries[0] if wanted.tiles is None else {"tiles": summaries}
     wanted.tiles_read.write(values, lambda: "\n".join(map(format_conversion, summaries)))
     return 0
@@ -317,7 +196,6 @@ def _convert(wanted: ConvertOptions, options: ReadOptions, lod: str | None) -> i
 def _make(wanted: MakeOptions, options: ReadOptions) -> int:
     """Writes footprints as buildings, and the page that says where their heights come from."""
     from lodbench.citymodel.convert import check_target
-    from lodbench.cli.city_text import format_made
     from lodbench.harness.city_make import make_city
 
     check_target(wanted.out)
@@ -333,126 +211,152 @@ def _make(wanted: MakeOptions, options: ReadOptions) -> int:
     return 0
 
 
-def _require_heard(wanted: ConvertOptions, out: Path, lod: str | None) -> None:
-    """Raises ConfigError if an option means nothing to what is written."""
-    from lodbench.citymodel.derive import ROOF_HEIGHTS
+_MEANINGS = {str(code): code for code in finding_catalogue()}
 
-    suffix = out.suffix.lower()
-    is_gml = suffix in (".gml", ".xml", ".citygml")
-    is_parallel = wanted.executor is not None or wanted.workers is not None or wanted.address is not None
-    is_level_1 = lod is not None and lod.lower().removeprefix("lod") == "1"
-    unheard = [
-        ("--citygml", "without a .gml", wanted.citygml is not None and not is_gml),
-        ("--executor, --workers or --address", "without a .scene", is_parallel and suffix != ".scene"),
-        ("--roof-height", "without --lod 1", wanted.roof_height is not None and not is_level_1),
-        ("--lod", "with --textures", wanted.lod and wanted.textures and suffix in (".glb", ".obj")),
+
+def format_info(name: str, info: dict[str, Any]) -> str:
+    """Returns the data of ``city_info`` as lines of text."""
+    x, y, z = info["extent_m"]
+    place = info["center_lat_lon"]
+    noun = "building part" if info["parts"] == 1 else "building parts"
+    parts = f", and {info['parts']:,} {noun}" if info["parts"] else ""
+    lines = [
+        name,
+        f"format     {info['format']} {info['version'] or ''}".rstrip(),
+        f"CRS        {crs_in_words(info['crs'])}",
+        *([] if place is None else [f"centre     latitude {place[0]:.5f}, longitude {place[1]:.5f}"]),
+        f"extent     {x:,.1f} m x {y:,.1f} m, {z:,.1f} m high",
+        f"buildings  {info['buildings']:,}{parts}",
+        *_roof_lines(info["pitched_roofs"]),
+        *(
+            f"{'and' if n == 0 else '':10} {count:,} {name}"
+            for n, (name, count) in enumerate(info["objects"].items())
+        ),
+        "",
+        *_level_lines(info["lods"]),
+        "",
+        *_finding_lines(info["findings"], info["finding_objects"]),
     ]
-    for option, how, is_unheard in unheard:
-        if is_unheard:
-            raise ConfigError(f"{option} is not used {how}.", f"Leave {option} out.")
-    if wanted.roof_height is not None:
-        require_choice("--roof-height", wanted.roof_height, ROOF_HEIGHTS)
-    for pair in wanted.where:
-        if "=" not in pair:
-            raise ConfigError(f"--where {pair} names no value.", "It reads: --where ATTRIBUTE=VALUE")
-    west, south, east, north = wanted.bbox or (0.0, 0.0, 1.0, 1.0)
-    if not (west < east and south < north):
-        raise ConfigError("--bbox holds nothing: its west is not below its east, or its south its north.")
+    return "\n".join(lines)
 
 
-def _chosen(wanted: ConvertOptions, model: CityModel) -> CityModel:
-    """Returns the buildings requested, in the reference system requested."""
-    from lodbench.citymodel.subset import choose_buildings, reproject, require_same_heights
-
-    if wanted.to_crs is not None:
-        require_same_heights(model, wanted.to_crs)
-        model = reproject(model, wanted.to_crs)
-    where = [pair.partition("=")[::2] for pair in wanted.where]
-    return choose_buildings(model, ids=wanted.id, bbox=wanted.bbox, where=where)
+def _roof_lines(pitched: int) -> list[str]:
+    """Returns how many buildings have pitched roofs by an attribute of the file."""
+    count = count_of(format(pitched, ","), "buildings")
+    return [f"roofs      {count} pitched (from the file)"] if pitched else []
 
 
-def _compile(wanted: ConvertOptions, tiles: Path, out: Path, options: ReadOptions, lod: str | None) -> int:
-    """Makes a scene of many tiles; goes on where it was stopped."""
-    from lodbench.citymodel.scene_file import scene_info
-    from lodbench.cli.city_text import format_scene
-    from lodbench.execution.executor import ExecutorParams
-    from lodbench.harness.tiled_city import compile_tiles
-
-    executor = ExecutorParams(wanted.executor or "process", wanted.workers, None, wanted.address)
-    with ProgressCallback(f"compiling {tiles.name}", "tiles") as progress:
-        compile_tiles(
-            tiles, out, lod=lod, roof_height=wanted.roof_height, options=options, executor=executor,
-            progress=progress,
-        )  # fmt: skip
-    reported = scene_info(out)
-    wanted.tiles_read.write({"written": str(out), **reported}, lambda: format_scene(str(out), reported))
-    return 0
-
-
-def _read(files: Sequence[Path], options: ReadOptions) -> CityModel:
-    from lodbench.citymodel import read_city_model
-
-    with ProgressCallback(f"reading {files[0].name}", "MB", 1_000_000) as progress:
-        return read_city_model(files, options=options, progress=progress)
+def format_scene(name: str, info: dict[str, Any]) -> str:
+    """Returns the data of ``scene_info`` as lines of text."""
+    extent = info["extent_m"]
+    lines = [
+        name,
+        f"format     scene, {lod_in_words(info['lod']) if info['lod'] else 'one level'}",
+        f"CRS        {crs_in_words(info['crs'])}",
+        *([] if extent is None else ["extent     {:,.1f} m x {:,.1f} m, {:,.1f} m high".format(*extent)]),
+        f"buildings  {info['buildings']:,}",
+        *_roof_lines(info["pitched_roofs"]),
+        *(f"{key:10} {info[key]:,}" for key in ("tiles", "triangles") if info[key] is not None),
+        "",
+        *_finding_lines(info["findings"], info["finding_objects"]),
+    ]
+    return "\n".join(lines)
 
 
-def from_and_to(wanted: ConvertOptions) -> tuple[list[Path], Path]:
-    """Returns the files to convert and the one to write, whose folder is there then.
+def crs_in_words(crs: str | None) -> str:
+    """Returns a reference system with its name: ``EPSG:28992 (Amersfoort / RD New)``."""
+    if crs is None:
+        return "none: local coordinates, taken as metres"
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
 
-    Raises:
-        CityModelError: There is nothing to convert, or the target is no format or may be one of the cities.
+    try:
+        return f"{crs} ({CRS.from_user_input(crs).name})"
+    except CRSError:
+        return crs
+
+
+def conversion_summary(target: str, done: Conversion) -> dict[str, Any]:
+    """Returns what was written as plain values.
+
+    Args:
+        target: Where it was written.
+        done: What ``convert_city`` returned.
     """
-    from lodbench.citymodel.convert import check_target
-
-    files, out = wanted.files, wanted.out
-    if out is None:
-        files, out = files[:-1], files[-1]
-    if not files:
-        raise CityModelError(
-            f"There is nothing to convert {out} from.", "lodbench city convert FILE... -o OUT"
-        )
-    is_made = wanted.tiles is not None and not out.parent.exists()  # the folder, with the first tile
-    check_target(out.parent.with_name(out.name) if is_made else out)
-    require_other(out, files)
-    if wanted.out is None and _may_be_a_tile(out, files):
-        raise CityModelError(
-            f"{out} is there already, and may be one of the tiles: nothing is written over it.",
-            f"Name a new file, -o OUT, or say that it is meant: -o {out}.",
-        )
-    return _once(files), out
-
-
-def _once(files: Sequence[Path]) -> list[Path]:
-    """Returns files less those named twice, or lying in a folder named too; standard error says which."""
-    read: dict[Path, Path] = {}
-    for file in files:
-        place = file.resolve()
-        folder = next((each for each in files if each != file and each.resolve() in place.parents), None)
-        if place in read or folder is not None:
-            how = f"lies in {folder}" if folder is not None else "is named twice"
-            sys.stderr.write(f"lodbench: {file} {how}: it is read once.\n")
-        else:
-            read[place] = file
-    return list(read.values())
+    model, mesh = done.model, done.mesh
+    findings = {"findings": done.findings.counts(), "finding_objects": done.findings.objects()}
+    summary: dict[str, Any] = {
+        "written": target,
+        "buildings": len(model.building_ids),
+        "parts": model.num_parts,
+        "crs": model.crs,
+        "left_out": list(done.left_out),
+    }
+    if mesh is None:
+        return summary | {"lods": list(model.lods), "polygons": len(model.polygons)} | findings
+    return summary | {
+        "lod": mesh.scene.lod,
+        "origin": mesh.scene.origin.tolist(),
+        "triangles": len(mesh.scene.triangles),
+        "area_m2": round(mesh.area_m2, 3),
+        "meshed_m2": round(mesh.meshed_m2, 3),
+        "lost_m2": round(mesh.lost_m2, 3),
+        "excess_m2": round(mesh.excess_m2, 3),
+        **findings,
+    }
 
 
-def _may_be_a_tile(out: Path, files: Sequence[Path]) -> bool:
-    """Tells whether the last word is a city of which no -o says that it is written: ``*.gml`` ends so."""
-    from lodbench.citymodel.source import is_city_file
+def format_made(made: dict[str, Any]) -> str:
+    """Returns what `city make` wrote as lines of text."""
+    lines = [f"{made['written']}: LoD 1, {count_of(format(made['buildings'], ','), 'buildings')}"]
+    lines += [f"CRS {crs_in_words(made['crs'])}"]
+    lines += [f"  {count:>8,}  height from {source}" for source, count in made["heights_from"].items()]
+    lines += [f"  {count:>8,}  ground from {source}" for source, count in made["grounds_from"].items()]
+    lines += [f"  {count:>8,}  left out: {why}" for why, count in made["left_out"].items()]
+    lines += [f"which from where: {made['page']}"]
+    return "\n".join([*lines, *_finding_lines(made["findings"], made["finding_objects"])])
 
-    first = files[0]
-    is_neighbour = out.suffix == first.suffix and out.resolve().parent == first.resolve().parent
-    return is_city_file(out) and (len(files) > 1 or is_neighbour)
+
+def format_conversion(summary: dict[str, Any]) -> str:
+    """Returns what was written as lines of text."""
+    buildings = count_of(format(summary["buildings"], ","), "buildings")
+    if "lods" in summary:
+        lods = ", ".join(filter(None, summary["lods"])) or "unnamed"
+        parts = f", {count_of(format(summary['parts'], ','), 'parts')}" if summary["parts"] else ""
+        what = f"LoD {lods}, {buildings}{parts}, {summary['polygons']:,} polygons"
+        lines = [f"{summary['written']}: {what}", f"CRS {crs_in_words(summary['crs'])}"]
+    else:
+        lod = f"{lod_in_words(summary['lod'])}, " if summary["lod"] else ""
+        what = f"{lod}{buildings}, {summary['triangles']:,} triangles"
+        origin = " ".join(f"{value:.3f}" for value in summary["origin"])
+        areas = "{area_m2:,.2f} m2 in, {meshed_m2:,.2f} m2 meshed".format(**summary)
+        areas += ", {lost_m2:,.2f} m2 lost, {excess_m2:,.2f} m2 too much".format(**summary)
+        lines = [
+            f"{summary['written']}: {what}",
+            areas,
+            f"origin {origin}, CRS {crs_in_words(summary['crs'])}",
+        ]
+    lines += [f"left out: {line}" for line in summary["left_out"]]
+    return "\n".join([*lines, *_finding_lines(summary["findings"], summary["finding_objects"])])
 
 
-def require_other(out: Path, files: Sequence[Path]) -> None:
-    """Raises CityModelError if a file to write is one of those to read, or would be from then on."""
-    place = out.resolve()
-    for file in files:
-        if place == file.resolve():
-            raise CityModelError(f"{out} is the city itself.", "Choose another name to write to.")
-        if file.is_dir() and place.is_relative_to(file.resolve()):
-            raise CityModelError(
-                f"{out} lies in the folder that is read, and would be one of its tiles.",
-                f"Write it outside of {file}.",
-            )
+def _level_lines(lods: dict[str, dict[str, float]]) -> list[str]:
+    rows = [["LoD", "polygons", "triangles", "area m2", "meshed m2", "lost m2"]]
+    for name, row in lods.items():
+        areas = [f"{row.get(key, 0.0):,.2f}" for key in ("area_m2", "meshed_m2", "lost_m2")]
+        rows.append([name or "none", f"{row['polygons']:,}", f"{row['triangles']:,}", *areas])
+    return format_columns(rows).splitlines()
+
+
+def _finding_lines(findings: dict[str, int], objects: dict[str, int]) -> list[str]:
+    """Returns a line per kind of finding: how often, in how many buildings, and what it means."""
+    if not findings:
+        return ["findings   none"]
+    width = max(map(len, findings))
+    kinds = "1 kind" if len(findings) == 1 else f"{len(findings)} kinds"
+    rows = [f"findings   {kinds} (which and where: lodbench city check FILE)"]
+    rows.append(f"  {'':{width}}  {'count':>8}  {'buildings':>9}")
+    for name, count in findings.items():
+        places = f"{objects[name]:,}" if objects.get(name) else "-"
+        rows.append(f"  {name.ljust(width)}  {count:>8,}  {places:>9}  {_MEANINGS[name].meaning}")
+    return rows

@@ -17,23 +17,32 @@ COMMANDS = {
         "lodbench.cli.locate",
         "map coordinates of pixels, or mask regions, of a localised photo",
     ),
-    "track": ("lodbench.cli.track", "localise each frame of a video or of a folder of frames"),
+    "track": ("lodbench.cli.flights:main_track", "localise each frame of a video or of a folder of frames"),
     "georeference": (
-        "lodbench.cli.georeference",
+        "lodbench.cli.flights:main_georeference",
         "georeference a COLMAP model by its buildings, without ground control points",
     ),
-    "mask": ("lodbench.cli.mask", "make or correct a photo's building mask by hand; LabelMe, COCO, QGIS"),
-    "trace": ("lodbench.cli.trace", "trace a map of roofs in the photos of a COLMAP model; make a benchmark"),
+    "mask": (
+        "lodbench.cli.drawing:main_mask",
+        "make or correct a photo's building mask by hand; LabelMe, COCO, QGIS",
+    ),
+    "trace": (
+        "lodbench.cli.drawing:main_trace",
+        "trace a map of roofs in the photos of a COLMAP model; make a benchmark",
+    ),
     "run": ("lodbench.cli.run", "localise the photos of a dataset with one method, and score the poses"),
     "basin": ("lodbench.cli.run:main_basin", "measure recall over the error of the prior"),
     "evaluate": ("lodbench.cli.evaluate", "score poses made by another program: COLMAP, TUM, ..."),
     "compare": ("lodbench.cli.compare", "put runs into one table, and test whether they differ"),
-    "report": ("lodbench.cli.report", "write an HTML page of a run: tables, figures, every photo"),
+    "report": (
+        "lodbench.cli.stored_runs:main_report",
+        "write an HTML page of a run: tables, figures, every photo",
+    ),
     "export": (
-        "lodbench.cli.export",
+        "lodbench.cli.stored_runs:main_export",
         "write a run's poses for other programs: COLMAP, Metashape, GeoJSON, ...",
     ),
-    "status": ("lodbench.cli.status", "show the progress of runs"),
+    "status": ("lodbench.cli.stored_runs:main_status", "show the progress of runs"),
     "verify": ("lodbench.cli.verify", "recompute a run's numbers from its stored poses; fail if they differ"),
     "leaderboard": ("lodbench.cli.leaderboard", "add a verified run; build tables and pages"),
     "bench": ("lodbench.cli.bench", "measure speed and accuracy, beside other programs"),
@@ -43,24 +52,30 @@ COMMANDS = {
         "list, check, download or import datasets; make one of your photos (init)",
     ),
     "render": (
-        "lodbench.cli.render",
+        "lodbench.cli.training:main_render",
         "draw a city from given poses: silhouette, depth, label, colour, overlay",
     ),
     "generate-training-data": (
-        "lodbench.cli.render:main_generate",
+        "lodbench.cli.training:main_generate",
         "render images, masks and poses of a city",
     ),
-    "train": ("lodbench.cli.train", "train a segmentation network, or a method, on such images"),
+    "train": (
+        "lodbench.cli.training:main_train",
+        "train a segmentation network, or a method, on such images",
+    ),
     "doctor": (
-        "lodbench.cli.doctor",
+        "lodbench.cli.doctor:main_doctor",
         "check this installation, and say what to install for optional features",
     ),
-    "check-method": ("lodbench.cli.check_plugin:main_method", "check that a method conforms to the protocol"),
+    "check-method": ("lodbench.cli.doctor:main_method", "check that a method conforms to the protocol"),
     "check-plugin": (
-        "lodbench.cli.check_plugin",
+        "lodbench.cli.doctor:main_plugin",
         "check any other plug-in likewise: see docs/plugins.md",
     ),
-    "completion": ("lodbench.cli.completion", "print a script that completes commands in bash or zsh"),
+    "completion": (
+        "lodbench.cli.shell:main_completion",
+        "print a script that completes commands in bash or zsh",
+    ),
 }
 
 # Action of `lodbench dataset` -> (as of ``COMMANDS``; the words begin with the action; one line of help).

@@ -93,7 +93,7 @@ class CompareOptions:
         object.__setattr__(self, "format", self.format or ("html" if is_page else "text"))
 
 
-OPTIONS = {"": CompareOptions}
+OPTIONS = {"compare": CompareOptions}
 
 
 def main(argv: Sequence[str]) -> int:

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lodbench.cli.configs import read_config
 from lodbench.cli.dataset_list import config_card
 from lodbench.cli.parser import Parser
-from lodbench.cli.settings import in_syntax_of
+from lodbench.cli.settings import in_syntax_of, read_config
 from lodbench.datasets.prior_sources import is_prior_text, prior_digest, prior_text
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_settings, draw_priors, make_priors, open_dataset
@@ -69,7 +68,7 @@ class PriorsOptions:
     out: Path = flag(..., "the file to write", metavar="FILE")
 
 
-OPTIONS = {"check": CheckOptions, "prior": PriorsOptions}
+OPTIONS = {"dataset check": CheckOptions, "dataset prior": PriorsOptions}
 
 
 def main(argv: Sequence[str]) -> int:

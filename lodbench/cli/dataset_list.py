@@ -11,24 +11,67 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lodbench.cli.configs import config_files
 from lodbench.cli.parser import Parser
 from lodbench.datasets.published.catalogue import SPECS, croissant_text, fetch, read_card, spec_of
 from lodbench.datasets.published.layout import Survey, survey
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
 from lodbench.execution import ProgressCallback
-from lodbench.plugins import PlugIn, installed
+from lodbench.params import flag, parsed, word
+from lodbench.plugins import PlugIn, config_files, installed
 from lodbench.reporting.aligned_text import plain_text
 from lodbench.storage import make_folder, write_text
 from lodbench.storage.paths import data_root
+
+_NAME = "as `lodbench dataset list` has it"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ListOptions:
+    """What `dataset list` is given."""
+
+    root: str | None = flag(None, "where to look; else LODBENCH_DATA", metavar="DIR")
+    json: bool = flag(False, "print plain values instead of text")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DownloadOptions:
+    """What `dataset download` is given."""
+
+    dataset: str = word(_NAME, metavar="NAME")
+    root: str | None = flag(None, "where to; else LODBENCH_DATA", metavar="DIR")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CardOptions:
+    """What `dataset card` is given."""
+
+    dataset: str = word(_NAME, metavar="NAME")
+    out: Path | None = flag(None, "write NAME.md, and NAME.croissant.json for a download", metavar="DIR")
+    croissant: bool = flag(False, "print the JSON-LD instead of Markdown")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions:
+    """What `dataset make-demo` is given."""
+
+    folder: Path = word("folder to write it into", metavar="DIR")
+    num_queries: int = flag(40, "over both splits (40)")
+    seed: int = flag(0, "random seed (default: 0)")
+    look: str = flag("test", "test (default) or train: other streets, roofs, colours")
+
+
+OPTIONS = {
+    "dataset list": ListOptions,
+    "dataset download": DownloadOptions,
+    "dataset card": CardOptions,
+    "dataset make-demo": DemoOptions,
+}
 
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     parser = Parser("lodbench dataset list", description="The datasets, and what is there.")
-    parser.add_argument("--root", metavar="DIR", help="where to look; else LODBENCH_DATA")
-    parser.add_argument("--json", action="store_true", help="print plain values instead of text")
-    options = parser.parse_args(argv[1:])
+    options = parsed(parser, argv[1:], ListOptions)
     found = [survey(spec, options.root, None) for spec in SPECS.values()]
     others = [plug_in for plug_in in installed("datasets") if plug_in.name not in SPECS]
     if options.json:
@@ -93,13 +136,7 @@ def _values(found: Survey) -> dict[str, Any]:
 def main_demo(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     parser = Parser("lodbench dataset make-demo", description="Write the demo dataset.")
-    parser.add_argument("folder", type=Path, metavar="DIR", help="folder to write it into")
-    parser.add_argument("--num-queries", type=int, default=40, help="over both splits (40)")
-    parser.add_argument("--seed", type=int, default=0, help="random seed (default: 0)")
-    parser.add_argument(
-        "--look", default="test", help="test (default) or train: other streets, roofs, colours"
-    )
-    options = parser.parse_args(argv[1:])
+    options = parsed(parser, argv[1:], DemoOptions)
 
     from lodbench.synthesis.town.build import CITY_FILE, build_demo
 
@@ -120,9 +157,7 @@ def main_download(argv: Sequence[str]) -> int:
         "lodbench dataset download",
         description="Fetch the files of a published dataset that have a stable address.",
     )
-    parser.add_argument("dataset", metavar="NAME", help="as `lodbench dataset list` has it")
-    parser.add_argument("--root", metavar="DIR", help="where to; else LODBENCH_DATA")
-    options = parser.parse_args(argv[1:])
+    options = parsed(parser, argv[1:], DownloadOptions)
     spec = spec_of(options.dataset)
     root = data_root() if options.root is None else Path(options.root).expanduser()
     lines = []
@@ -150,12 +185,7 @@ def main_card(argv: Sequence[str]) -> int:
         ConfigError: There is no card of that name.
     """
     parser = Parser("lodbench dataset card", description="Print or write a dataset's card.")
-    parser.add_argument("dataset", metavar="NAME", help="as `lodbench dataset list` has it")
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="write NAME.md, and NAME.croissant.json for a download"
-    )
-    parser.add_argument("--croissant", action="store_true", help="print the JSON-LD instead of Markdown")
-    options = parser.parse_args(argv[1:])
+    options = parsed(parser, argv[1:], CardOptions)
     texts = _card_texts(options.dataset)
     if options.out is None:
         if options.croissant and CROISSANT not in texts:

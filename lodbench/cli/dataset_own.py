@@ -140,7 +140,7 @@ _ACTIONS: dict[str, tuple[type, str, str, str]] = {
 }
 
 
-OPTIONS = {name: kind for name, (kind, *_) in _ACTIONS.items()}
+OPTIONS = {f"dataset {name}": kind for name, (kind, *_) in _ACTIONS.items()}
 
 
 def main(argv: Sequence[str]) -> int:

@@ -8,16 +8,26 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
-from lodbench.cli.configs import composed, config_files, hydra_version, read_config
 from lodbench.cli.parser import report_fault
-from lodbench.cli.settings import Group, groups_of, settings_of, settings_of_group, tell_old_names
+from lodbench.cli.settings import (
+    Group,
+    groups_of,
+    read_config,
+    report_old_names,
+    settings_of,
+    settings_of_group,
+)
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
-from lodbench.plugins import config_folders, plugin_names
+from lodbench.plugins import config_files, config_folders, plugin_names
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
 
 # Keys whose value is a path: quoted for Hydra, whose grammar gives commas, brackets and = a meaning.
 PATH_KEYS = frozenset(
@@ -92,7 +102,7 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
     if faults and not any(word in _SWEEP_FLAGS for word in argv):
         raise faults[0]
     _report_faults(jobs, faults)
-    tell_old_names(command, typed)
+    report_old_names(command, typed)
     return 2 if faults else 0
 
 
@@ -353,3 +363,27 @@ def _choices_with(name: str, group: Group) -> list[str]:
         for choice in sorted(files, key=lambda choice: name in (read_config(group.folder, choice) or {}))
         if any(s.key == f"{group.key}.{name}" for s in settings_of_group(group.key, group.folder, choice))
     ]
+
+
+def composed(config_name: str, words: Sequence[str], return_hydra_config: bool = False) -> DictConfig:
+    """Returns a command's configuration.
+
+    Args:
+        config_name: Of the command's file.
+        words: As Hydra reads them.
+        return_hydra_config: With what Hydra says of itself, under ``hydra``.
+
+    Raises:
+        HydraException: A word means nothing to Hydra, or names no setting.
+    """
+    from hydra import compose, initialize_config_module
+
+    with initialize_config_module("lodbench.conf", job_name=config_name, **hydra_version()):
+        return compose(config_name, list(words), return_hydra_config)
+
+
+def hydra_version() -> dict[str, str]:
+    """Returns what tells Hydra which of its versions to be like; from 1.4 on it knows one."""
+    import hydra
+
+    return {"version_base": "1.3"} if hydra.__version__ < "1.4" else {}

@@ -59,7 +59,7 @@ _ACTIONS: dict[str, tuple[type, str]] = {
 }
 
 
-OPTIONS = {name: kind for name, (kind, *_) in _ACTIONS.items()}
+OPTIONS = {f"leaderboard {name}": kind for name, (kind, *_) in _ACTIONS.items()}
 
 
 def main(argv: Sequence[str]) -> int:

@@ -158,7 +158,7 @@ def parser() -> Parser:
     return made
 
 
-OPTIONS = {"": LocalizeOptions}
+OPTIONS = {"localize": LocalizeOptions}
 
 
 def main(argv: Sequence[str]) -> int:

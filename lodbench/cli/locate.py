@@ -77,7 +77,7 @@ class LocateOptions:
     json: bool = flag(False, "print JSON, for scripts")
 
 
-OPTIONS = {"": LocateOptions}
+OPTIONS = {"locate": LocateOptions}
 
 
 def main(argv: Sequence[str]) -> int:

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 
 _NEGATIVE = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$", re.IGNORECASE)
-# Set while words are completed: receives the parser instead of its parsing anything.
-seen: list[Callable[[argparse.ArgumentParser], None]] = []
+# While words are completed: receives the parser instead of its parsing anything.
+waiting: list[Callable[[argparse.ArgumentParser], None]] = []
 
 
 class Parser(argparse.ArgumentParser):
@@ -46,8 +46,8 @@ class Parser(argparse.ArgumentParser):
             ConfigError: A word is wrong, or one is missing.
         """
         words: Sequence[str] = sys.argv[1:] if args is None else args
-        if seen:
-            seen[-1](self)
+        if waiting:
+            waiting[-1](self)
         if not any(isinstance(action, argparse._SubParsersAction) for action in self._actions):
             self._require_flags(words)
         found, left = super().parse_known_args(args, namespace)
@@ -111,17 +111,17 @@ class OldName(argparse.Action):
         super().__init__(option_strings, dest, help=argparse.SUPPRESS, **named)
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
-        """Sets the value and tells the new name."""
+        """Sets the value and reports the new name."""
         new = next(
             action.option_strings[-1]
             for action in parser._actions
             if action.dest == self.dest and not isinstance(action, OldName)
         )
-        tell_old_name(str(option_string), new)
+        report_old_name(str(option_string), new)
         setattr(namespace, self.dest, values)
 
 
-def tell_old_name(old: str, new: str) -> None:
+def report_old_name(old: str, new: str) -> None:
     """Says in one line that a name was changed."""
     sys.stderr.write(f"lodbench: {old} is now called {new}; the old name goes with version 0.3.\n")
 
@@ -152,18 +152,18 @@ class PlainFormatter(logging.Formatter):
         return f"lodbench: {plain_text(record.getMessage())}"
 
 
-class SaidOnce(logging.Filter):
+class OnceFilter(logging.Filter):
     """Lets a warning pass once: what a command does city by city it need not say for each."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._said: set[str] = set()
+        self._lines: set[str] = set()
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Returns whether a record's line is a new one."""
         line = record.getMessage()
-        is_new = line not in self._said
-        self._said.add(line)
+        is_new = line not in self._lines
+        self._lines.add(line)
         return is_new
 
 

@@ -9,10 +9,11 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from lodbench.citymodel.options import ReadOptions
-from lodbench.cli.configs import config_files, read_config
+from lodbench.cli.settings import read_config
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, nearest_names
+from lodbench.plugins import config_files
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.registry import AUTO, FOR_PHOTOS, chosen_segmenter, make_segmenter
 
@@ -129,17 +130,19 @@ def require_frames_looked_at(segmenter: Segmenter, name: str) -> None:
         raise ConfigError(f"`--segmenter {name}` looks at no frames.", f"{FOR_PHOTOS} does.")
 
 
-def require_one_mask_source(options: Any, *flags: str) -> None:
+def require_one_mask_source(options: Any, *flags: str, **others: str) -> None:
     """Refuses a segmenter beside masks that are made already: one of the two would be looked at for nothing.
 
     Args:
         options: With ``segmenter``, and ``segmenter_option`` where the command has it.
         flags: The command's options that name masks.
+        others: Likewise, by the fields that they set.
 
     Raises:
         ConfigError: Both were given.
     """
-    named = [flag for flag in flags if getattr(options, flag.removeprefix("--")) is not None]
+    sources = {flag.removeprefix("--"): flag for flag in flags} | others
+    named = [flag for name, flag in sources.items() if getattr(options, name) is not None]
     makers = ["--segmenter"] if options.segmenter is not None else []
     makers += ["--segmenter-option"] if getattr(options, "segmenter_option", []) else []
     if named and makers:

@@ -10,7 +10,6 @@ from typing import Any
 from lodbench.checks import FAULT, OK, Check
 from lodbench.citymodel.lifespans import date_in
 from lodbench.citymodel.options import PATH_OPTIONS
-from lodbench.cli.configs import config_files
 from lodbench.cli.parts import option_pairs, profile_of
 from lodbench.cli.settings import settings_of
 from lodbench.datasets.own import find_mask, require_some_mask
@@ -24,6 +23,7 @@ from lodbench.harness.remote.process import RunnerFault
 from lodbench.methods import Method
 from lodbench.methods.registry import configure_method
 from lodbench.params import to_params
+from lodbench.plugins import config_files
 
 # What names the run folder leaves out paths, whose content is named instead, and how work is spread.
 # The origin of a published dataset is withheld for privacy, so it is not written down either.

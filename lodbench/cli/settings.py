@@ -9,14 +9,13 @@ from collections.abc import Iterator, Sequence
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple, cast, get_type_hints
 
 from lodbench.cli.commands import ACTIONS, COMMANDS
-from lodbench.cli.configs import config_files
-from lodbench.cli.parser import tell_old_name
+from lodbench.cli.parser import report_old_name
 from lodbench.errors import ConfigError, Option, Words, nearest_names
 from lodbench.params import flags_of
-from lodbench.plugins import config_folders, find_plugin
+from lodbench.plugins import config_files, config_folders, find_plugin
 
 # Hydra's own flags; the second part takes a value.
 _FLAGS = {"-m", "--multirun", "--resolve", "--retry-failed"}
@@ -96,10 +95,10 @@ def is_read(command: str, key: str) -> bool:
     return (command, key) != ("generate-training-data", "executor.share")
 
 
-def tell_old_names(command: str, words: Sequence[str]) -> None:
+def report_old_names(command: str, words: Sequence[str]) -> None:
     """Says of a command's words that were renamed what they are called now."""
     if command in _OF_DATASETS and any(word.startswith(f"{_SHORT['city']}=") for word in words):
-        tell_old_name(f"{_SHORT['city']}=", "city=")
+        report_old_name(f"{_SHORT['city']}=", "city=")
 
 
 _LINE = re.compile(r"(?P<indent> *)(?P<key>[\w.-]+):(?: +(?P<value>[^#\s][^#]*?))? *(?:# *(?P<meaning>.*))?$")
@@ -275,24 +274,8 @@ def _attributes(described: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
                 yield f"{prefix}{name}", " ".join(words.split())
 
 
-# Benches draw their dataset: what its settings are called there.
+# Where no option is declared for a setting.
 _SAME = {name: f"--{name}" for name in ("city", "crs", "lod", "method", "segmenter")}
-_OF_VIEWS = {
-    "lod": "--map-lod",
-    "roof_height": "--roof-height",
-    "dataset.num_views": "--views",
-    "dataset.mask_iou": "--mask-iou",
-    "dataset.tilt_deg": "--tilt-width",
-    "dataset.range_m": "--prior-range",
-    "dataset.height_m": "--prior-height",
-    "dataset.camera_height_m": "--camera-height",
-    "dataset.building_share": "--building-share",
-}
-_OF_BENCH = {
-    "accuracy": _SAME | _OF_VIEWS,
-    "flights": _SAME | {"lod": "--map-lod"},
-    "real": _SAME | {"dataset.root": "--query"},
-}
 # Settings of a part are words of one flag.
 _PARTS = {"method": "--method-option", "segmenter": "--segmenter-option", "prior": "--set"}
 # These take settings as ``KEY=VALUE`` alone.
@@ -333,13 +316,13 @@ def in_syntax_of(words: Sequence[str], text: Words) -> Words:
 def _flags_declared(words: Sequence[str]) -> dict[str, str]:
     """Returns the flags of a command by the settings that they set, as its ``OPTIONS`` declare them."""
     command, action = words[0], words[1] if len(words) > 1 else ""
-    if command == "bench":
-        return _OF_BENCH.get(action, _SAME)
     place = ACTIONS.get(action, ("",))[0] if command == "dataset" else COMMANDS.get(command, ("",))[0]
     module = import_module(place.partition(":")[0]) if place else None
     kinds: dict[str, type] = getattr(module, "OPTIONS", {})
-    kind = kinds.get(action, kinds.get(""))
-    return _SAME if kind is None else flags_of(kind)
+    kind = kinds.get(f"{command} {action}", kinds.get(command))
+    if kind is None:
+        return _SAME
+    return _SAME | flags_of(kind) if command == "bench" else flags_of(kind)
 
 
 def _part(option: Option) -> str:
@@ -354,3 +337,41 @@ def _flag(option: Option, flag: str) -> str:
     takes_pair = flag in ("--option", *_PARTS.values())
     value = option.words.partition(".")[2] or option.words if takes_pair else option.value
     return f"{flag} {value}".rstrip()
+
+
+# What OmegaConf makes more of than YAML does: references to other settings, and 1e-3, a text in YAML 1.1.
+_OF_OMEGACONF = re.compile(r"\$\{|\d[eE]")
+
+
+def read_config(group: str, name: str) -> dict[str, Any] | None:
+    """Returns what a file of configuration says; None if there is none.
+
+    What it leaves to be set (``???``) is left out, and the paths of a run are not known.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    file = config_files(group).get(name)
+    if file is None:
+        return None
+    try:
+        values = _values_of(file, group)
+    except Exception as error:  # the YAML reader's faults share no base with OmegaConf's
+        raise ConfigError(f"{file} cannot be read: {str(error).splitlines()[0]}") from error
+    section = values[group]
+    if not isinstance(section, dict):
+        raise ConfigError(f"{file} holds no settings.", "Lines are key: value.")
+    return {str(key): value for key, value in section.items() if value != "???"}
+
+
+def _values_of(file: Path, group: str) -> dict[str, Any]:
+    """Returns what a file of a group says, under the group's name, references resolved."""
+    text = file.read_text(encoding="utf-8")
+    if not _OF_OMEGACONF.search(text):
+        import yaml
+
+        return {group: yaml.safe_load(text) or {}}
+    from omegaconf import OmegaConf
+
+    config = OmegaConf.create({"paths": {"data_root": None, "runs": "runs"}, group: OmegaConf.load(file)})
+    return cast("dict[str, Any]", OmegaConf.to_container(config, resolve=True))

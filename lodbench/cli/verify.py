@@ -63,7 +63,7 @@ class VerifyOptions:
     data: DataOptions = part(DataOptions)
 
 
-OPTIONS = {"": VerifyOptions}
+OPTIONS = {"verify": VerifyOptions}
 
 
 def main(argv: Sequence[str]) -> int:

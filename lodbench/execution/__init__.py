@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING
 from lodbench.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from lodbench.execution.ledger import Ledger as Ledger
+    from lodbench.execution.progress import Ledger as Ledger
     from lodbench.execution.progress import Progress as Progress
     from lodbench.execution.progress import ProgressCallback as ProgressCallback
 
 __all__, __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "Ledger": "ledger",
+        "Ledger": "progress",
         "Progress": "progress",
         "ProgressCallback": "progress",
     },

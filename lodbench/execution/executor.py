@@ -1,18 +1,35 @@
-"""Where work is done: in this process, over processes, on a Dask cluster, by the same code."""
+"""Where work is done: in this process, over processes, on a Dask cluster, by the same code.
+
+Dask owns the transport and its workers, lodbench what is handed out and kept.
+"""
 
 from __future__ import annotations
 
+import logging
 import os
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing, contextmanager
+from concurrent.futures import CancelledError
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
+from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
+from uuid import uuid4
 
-from lodbench.errors import ConfigError, LodbenchError, require_choice, require_within
-from lodbench.execution.fan_out import Processes
-from lodbench.storage.digest import digest_of_code, package_files
+from lodbench.errors import ConfigError, LodbenchError, WorkersGone, require_choice, require_within
+from lodbench.execution.fan_out import (
+    KEEP_DYING,
+    KEEP_DYING_HINT,
+    Processes,
+    begin,
+    ctrl_c_for_this_thread,
+    start_tracker,
+)
+from lodbench.extras import require
+from lodbench.storage.digest import own_digest
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -90,8 +107,6 @@ def open_workers(
         WorkersGone: The scheduler is not there.
     """
     if executor.name == DASK:
-        from lodbench.execution.cluster import dask_workers
-
         settings = executor.address, executor.num_workers, executor.timeout_s
         with dask_workers(*settings, prepare, prepare_with) as cluster:
             yield cluster
@@ -112,27 +127,6 @@ def spread(
         yield from workers.map(work, items)
 
 
-# Folders whose code no answer depends on: what is left counts, and so does a folder that is yet to come.
-_IDLE = frozenset(("bench", "cli", "evaluation", "reporting", "training"))
-# Those of `baselines/`, which need not lie where the package does.
-_BASELINES = "lodbench.baselines"
-# What computes an answer. Those of extras need not be there.
-LIBRARIES = (
-    "numpy", "numba", "opencv-python-headless", "scipy",
-    "torch", "transformers", "kornia", "romatch", "poselib", "pycolmap", "pyrender", "open3d",
-)  # fmt: skip
-
-
-@cache
-def own_digest() -> str:
-    """Returns a digest of lodbench's own code and of the libraries that compute, as installed here."""
-    package = Path(__file__).parents[1]
-    files = [
-        file for file in sorted(package.rglob("*.py")) if file.relative_to(package).parts[0] not in _IDLE
-    ]
-    return digest_of_code(dict.fromkeys((*files, *package_files(_BASELINES))), LIBRARIES)
-
-
 def require_code_version(code: str) -> None:
     """Makes sure that a worker's code and libraries are those of the command.
 
@@ -147,3 +141,248 @@ def require_code_version(code: str) -> None:
             "its code of lodbench, or a version of its libraries, is not the command's.",
             "Install the same on all machines: `lodbench doctor` lists versions.",
         )
+
+
+_LOGGER = logging.getLogger(__name__)
+# Items handed to the cluster per worker of it: one at work, one waiting.
+_AHEAD = 2
+# So often an item is tried again on another worker when the one it was on died or hung.
+_RETRIES = 3
+# A scheduler that does not answer for so long is not there, seconds.
+_CONNECT_S = 30
+# A cluster of our own gives up workers that do not come back for so long after they died, seconds: Dask's 15
+# are fewer than a start takes on a busy machine. So often it is required to put others in their place.
+_LOST_S, _REPLACE_S = 120, 30
+
+
+class DaskWorkers:
+    """Workers of a cluster, as ``Processes`` are of this machine.
+
+    Args:
+        client: Dask's.
+        address: The scheduler's, for messages.
+        prepare: Module-level function, called once in each worker before its first item.
+        prepare_with: Its arguments.
+        workers: How many are requested, where none has come yet.
+        timeout_s: Seconds without any result after which the workers count as hung.
+        own: The cluster, where it is one of this process: workers that are lost are replaced.
+    """
+
+    def __init__(
+        self,
+        client: Any,
+        address: str,
+        prepare: Callable[..., None],
+        prepare_with: tuple[Any, ...],
+        workers: int,
+        timeout_s: float,
+        own: Any = None,
+    ) -> None:
+        self._client, self._address, self._timeout_s, self._own = client, address, timeout_s, own
+        threads = client.nthreads().values()
+        self.count = len(threads) or max(1, workers)
+        self._has_told = False
+        if own is None and not threads:
+            self._tell_no_worker()
+        if max(threads, default=1) > 1:
+            _LOGGER.warning("Dask's workers have several threads, of which one works: --nthreads 1 is better")
+        # One name for all that is prepared alike: a worker does it once, a new one does it again.
+        # A task, not scattered data: made again where the worker that held it died. As bytes: workers hand it
+        # to each other, and what one of them works with, such as a network it has loaded, cannot be sent.
+        dumps = import_module("distributed.protocol.pickle").dumps
+        self._common = client.submit(
+            _together, uuid4().hex, dumps((Path.cwd(), prepare, prepare_with)), pure=False, retries=_RETRIES
+        )
+
+    def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Yields results as ``Processes.map`` does.
+
+        Raises:
+            WorkersGone: Workers cannot begin, keep dying or hanging, or the scheduler goes away.
+            Exception: What the work raised.
+        """
+        with _one_line_for(self._address):
+            yield from self._results(work, iter(items))
+
+    def _results(self, work: Callable[[Item], Result], waiting: Iterator[Item]) -> Iterator[Result]:
+        """Yields results as they come; items are handed out as others come back."""
+
+        def submit(count: int) -> set[Any]:
+            return {
+                self._client.submit(_on_worker, self._common, work, item, pure=False, retries=_RETRIES)
+                for item in islice(waiting, count)
+            }
+
+        running, hung = submit(_AHEAD * self.count), 0
+        while running:
+            try:
+                done, running = self._wait(running)
+            except TimeoutError as error:
+                hung += 1
+                if hung > _RETRIES:
+                    raise WorkersGone(KEEP_DYING, KEEP_DYING_HINT) from error
+                # What they were at is done again.
+                names = [name for name, keys in self._client.processing().items() if keys]
+                self._client.restart_workers(names)
+                continue
+            for future in done:
+                yield self._result(future)
+                hung = 0
+            running |= submit(len(done))
+
+    def _result(self, future: Any) -> Any:
+        """Returns the result of what is done.
+
+        The worker that holds it may die before it has handed it over: then one that replaces it does the work
+        again, and is waited for as long as any.
+        """
+        until = time.monotonic() + self._timeout_s
+        while True:
+            try:
+                return future.result(_REPLACE_S)
+            except TimeoutError as error:
+                if future.status == "error":  # what the work itself raised
+                    raise
+                if time.monotonic() >= until:
+                    raise WorkersGone(KEEP_DYING, KEEP_DYING_HINT) from error
+            self._replace()
+
+    def _replace(self) -> None:
+        """Starts workers in place of those that are gone, as many as there were, where they are ours."""
+        if self._own is not None:
+            self._own.scale(len(self._own.worker_spec))
+
+    def _tell_no_worker(self) -> None:
+        if not self._has_told:
+            reported = "%s has no worker: `dask worker %s --nthreads 1` starts one"
+            _LOGGER.warning(reported, self._address, self._address)
+        self._has_told = True
+
+    def _has_workers(self) -> bool:
+        """Tells whether somebody is at work; a scheduler that does not answer is not said to have nobody."""
+        try:
+            is_there = bool(self._client.nthreads())
+        except OSError:  # if it is gone, waiting for results tells
+            return True
+        if is_there:
+            self._has_told = False
+        else:
+            self._tell_no_worker()
+        return is_there
+
+    def _wait(self, running: set[Any]) -> Any:
+        """Returns futures that are done, and those that are not."""
+        wait: Any = import_module("distributed").wait
+        until = time.monotonic() + self._timeout_s
+        while True:
+            try:
+                left_s = max(0.0, until - time.monotonic())
+                return wait(running, min(left_s, _REPLACE_S), "FIRST_COMPLETED")
+            except TimeoutError:
+                if self._own is None and not self._has_workers():
+                    # Nobody is at work who could hang: workers may wait in a queue of their own, for days.
+                    until = time.monotonic() + self._timeout_s
+                elif time.monotonic() >= until:
+                    raise
+            self._replace()
+
+
+@contextmanager
+def dask_workers(
+    address: str | None,
+    workers: int,
+    timeout_s: float,
+    prepare: Callable[..., None],
+    prepare_with: tuple[Any, ...],
+) -> Iterator[DaskWorkers]:
+    """Opens the cluster at an address, or one of its own on this machine.
+
+    Raises:
+        ConfigError: Dask is not installed, or the address is none.
+        WorkersGone: The scheduler is not there.
+    """
+    distributed = require("distributed", "cluster", "executor=dask")
+    own = None
+    try:
+        if address is None:
+            own = _own_cluster(distributed, workers)
+        else:
+            # Of a scheduler that goes it logs tracebacks beside the one line that says so.
+            for name in ("distributed", "distributed.client", "distributed.core"):
+                logging.getLogger(name).setLevel(logging.CRITICAL)
+        try:
+            client = distributed.Client(address or own, timeout=_CONNECT_S)
+        except (TypeError, ValueError) as error:
+            if address is None:
+                raise
+            raise ConfigError(
+                f"executor.address={address} is no address of a Dask scheduler: {error}.",
+                "It looks like tcp://HOST:8786; `dask scheduler` prints its own.",
+            ) from error
+        except OSError as error:
+            if address is None or error.errno is not None:
+                raise
+            raise WorkersGone(
+                f"Dask's scheduler {address} does not answer.", "dask scheduler starts one."
+            ) from error
+        with client:
+            _LOGGER.warning("Dask's dashboard: %s", client.dashboard_link)
+            name = address or "on this machine"
+            with import_module("dask.config").set({"distributed.deploy.lost-worker-timeout": f"{_LOST_S}s"}):
+                yield DaskWorkers(client, name, prepare, prepare_with, workers, timeout_s, own)
+    finally:
+        if own is not None:
+            own.close()
+
+
+def _own_cluster(distributed: Any, workers: int) -> Any:
+    """Returns a cluster of processes of one thread (the engine has threads itself) on this machine."""
+    start_tracker()
+    with ctrl_c_for_this_thread():
+        return distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            # The dashboard can be seen from this machine alone.
+            dashboard_address="127.0.0.1:8787",
+            # Workers that die are reported in lines of ours; a stopped run would print dozens.
+            silence_logs=logging.ERROR,
+        )
+
+
+@contextmanager
+def _one_line_for(address: str) -> Iterator[None]:
+    """Turns what Dask raises where its workers or its scheduler fail into errors of one line."""
+    distributed: Any = import_module("distributed")
+    try:
+        yield
+    except distributed.KilledWorker as error:
+        raise WorkersGone(KEEP_DYING, KEEP_DYING_HINT) from error
+    except (CancelledError, distributed.comm.CommClosedError) as error:
+        raise WorkersGone(
+            f"Dask's scheduler {address} is gone.",
+            "Start it again and give the same command: what was done is kept.",
+        ) from error
+
+
+# What this worker has prepared, by its token; the latest only, since it may hold a city.
+_prepared: list[str] = []
+# A worker of several threads does one item at a time all the same: they would share a method and a map, which
+# counts the poses that it draws.
+_one_at_a_time = threading.Lock()
+
+
+def _together(token: str, preparation: bytes) -> tuple[str, bytes]:
+    return token, preparation
+
+
+def _on_worker(common: tuple[str, bytes], work: Callable[[Any], Any], item: Any) -> Any:
+    token, preparation = common
+    with _one_at_a_time:
+        if _prepared != [token]:
+            folder, *prepared = import_module("distributed.protocol.pickle").loads(preparation)
+            # Paths that the user typed are relative to the command's folder, not to where the worker began.
+            with suppress(OSError):
+                os.chdir(folder)
+            begin(*prepared)
+            _prepared[:] = [token]
+        return work(item)

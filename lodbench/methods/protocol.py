@@ -13,7 +13,7 @@ import numpy as np
 
 from lodbench.errors import LodbenchError, QueryFault
 from lodbench.storage import digest_of, write_text
-from lodbench.storage.arrays import file_check
+from lodbench.storage.digest import file_check
 from lodbench.storage.disk import disk, make_folder
 from lodbench.storage.paths import cache_limit_bytes, cache_root, mark_used, path_name, prune_cache
 

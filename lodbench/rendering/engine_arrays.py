@@ -24,7 +24,7 @@ from lodbench.rendering.edges import edge_table
 from lodbench.rendering.masks import words_per_row
 from lodbench.rendering.projection import bounding_spheres, sphere_tree
 from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_text
-from lodbench.storage.arrays import map_array, write_arrays
+from lodbench.storage.digest import map_array, write_arrays
 from lodbench.storage.json_text import parse_json
 from lodbench.storage.paths import cache_limit_bytes, cache_root, mark_used, prune_cache
 

@@ -1,26 +1,31 @@
-"""Digests: short names for content, so that a changed input gets another name.
+"""Digests: short names for content, so that a changed input gets another name; arrays on disk with theirs.
 
 Files that are read again later must hold what they held: digests are remembered, and compared at reading. A
 run is named by the digests of its masks and photos, which it reads query by query, hours later perhaps. So
 the bytes that are decoded are those that are hashed: a file that was replaced, and put back before the end,
-cannot leave an answer behind.
+cannot leave an answer behind. Arrays are mapped, never copied or unpickled.
 """
 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xxhash
+from numpy.typing import DTypeLike, NDArray
 
 from lodbench.errors import InputChanged
+from lodbench.storage.disk import disk
 
 
 def digest_of(value: Any, length: int = 12) -> str:
@@ -64,7 +69,7 @@ def _version(library: str) -> str:
 
 # What files held when `content_digest` first read them: here, and as another process reported it.
 _scope: ContextVar[dict[Path, str] | None] = ContextVar("_scope", default=None)
-_told: dict[Path, str] = {}
+_reported: dict[Path, str] = {}
 
 
 @contextmanager
@@ -84,8 +89,8 @@ def known_contents() -> dict[Path, str]:
 
 def remember_contents(known: Mapping[Path, str]) -> None:
     """Lets a worker's process compare what it reads with what another process found, until changed."""
-    _told.clear()
-    _told.update(known)
+    _reported.clear()
+    _reported.update(known)
 
 
 def content_digest(path: Path | None) -> str | None:
@@ -115,7 +120,7 @@ def read_content(path: Path, digest: str | None = None) -> bytes:
     """
     content = path.read_bytes()
     scope = _scope.get()
-    expected = digest or (_told if scope is None else scope).get(path)
+    expected = digest or (_reported if scope is None else scope).get(path)
     if expected is not None and hashlib.sha256(content).hexdigest() != expected:
         raise InputChanged(
             f"{path} changed while it was in use; what was answered before is kept.",
@@ -135,3 +140,116 @@ def random_stream(seed: int, *names: str | int) -> np.random.Generator:
         hashlib.blake2b(path.encode(errors="surrogatepass"), digest_size=16).digest(), "little"
     )
     return np.random.Generator(np.random.Philox(key=key))
+
+
+# XXH3 runs at the speed of memory. It tells damage; against somebody who means harm no digest that lies
+# beside its data helps, whatever its kind.
+_BLOCK_BYTES = 1 << 20
+
+
+def write_arrays(folder: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, str]:
+    """Writes arrays as ``NAME.npy`` into a folder that nobody reads yet; returns the digest of each file.
+
+    Raises:
+        OSError: The disk is full.
+    """
+    return {name: _write(folder / f"{name}.npy", array) for name, array in arrays.items()}
+
+
+def write_blocks(path: Path, blocks: Iterable[NDArray[Any]], dtype: DTypeLike, shape: tuple[int, ...]) -> str:
+    """Writes an array of which a block is in memory at a time; returns the digest of the file.
+
+    Args:
+        path: The ``.npy`` file, which nobody reads yet.
+        blocks: Its rows, in order; all together ``shape[0]``.
+        dtype: Of the array.
+        shape: Likewise.
+
+    Raises:
+        OSError: The disk is full.
+    """
+    header = io.BytesIO()
+    plain: dict[str, Any] = {"descr": np.lib.format.dtype_to_descr(np.dtype(dtype)), "fortran_order": False}
+    np.lib.format.write_array_header_1_0(header, plain | {"shape": shape})
+    state = xxhash.xxh3_128(header.getvalue())
+    with path.open("wb", buffering=0) as stream:
+        disk().write(stream, header.getvalue(), path)
+        for block in blocks:
+            content = np.ascontiguousarray(block, dtype)
+            if content.size:
+                state.update(content.data)
+                disk().write(stream, content.data, path)
+    return state.hexdigest()
+
+
+def map_array(path: Path, digest: str) -> NDArray[Any]:
+    """Returns an array that is mapped from its file, read only.
+
+    Raises:
+        OSError: The file is missing.
+        ValueError: It is not the file that was written, or no array.
+    """
+    if file_check(path) != digest:
+        raise ValueError(f"{path.name} is not the file that was written")
+    try:
+        array: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+    except EOFError as error:
+        raise ValueError(str(error)) from error
+    return array
+
+
+def text_check(text: str) -> str:
+    """Returns what tells that a text is damaged: 32 hexadecimal digits."""
+    return xxhash.xxh3_128(text.encode()).hexdigest()
+
+
+def _write(path: Path, array: NDArray[Any]) -> str:
+    plain = np.ascontiguousarray(array)
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, np.lib.format.header_data_from_array_1_0(plain))
+    state = xxhash.xxh3_128(header.getvalue())
+    content = plain.tobytes() if plain.size == 0 else plain.data
+    state.update(content)
+    with path.open("wb", buffering=0) as stream:
+        disk().write(stream, header.getvalue(), path)
+        disk().write(stream, content, path)
+    return state.hexdigest()
+
+
+def file_check(path: Path) -> str:
+    """Returns what tells that a file is damaged: 32 hexadecimal digits.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    # Read, not mapped: pages looked at through a map count as the process's memory.
+    state, block = xxhash.xxh3_128(), bytearray(_BLOCK_BYTES)
+    with path.open("rb", buffering=0) as stream:
+        while count := stream.readinto(block):
+            state.update(memoryview(block)[:count])
+    return state.hexdigest()
+
+
+# Folders whose code no answer depends on: what is left counts, and so does a folder that is yet to come.
+_IDLE = frozenset(("bench", "cli", "evaluation", "reporting", "training"))
+
+
+# Those of `baselines/`, which need not lie where the package does.
+_BASELINES = "lodbench.baselines"
+
+
+# What computes an answer. Those of extras need not be there.
+LIBRARIES = (
+    "numpy", "numba", "opencv-python-headless", "scipy",
+    "torch", "transformers", "kornia", "romatch", "poselib", "pycolmap", "pyrender", "open3d",
+)  # fmt: skip
+
+
+@cache
+def own_digest() -> str:
+    """Returns a digest of lodbench's own code and of the libraries that compute, as installed here."""
+    package = Path(__file__).parents[1]
+    files = [
+        file for file in sorted(package.rglob("*.py")) if file.relative_to(package).parts[0] not in _IDLE
+    ]
+    return digest_of_code(dict.fromkeys((*files, *package_files(_BASELINES))), LIBRARIES)

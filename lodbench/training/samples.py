@@ -21,7 +21,7 @@ from lodbench.photos.pictures import picture_size, read_picture
 from lodbench.segmentation.compact import interiors
 from lodbench.segmentation.masks import read_mask, read_photo
 from lodbench.storage import digest_of
-from lodbench.storage.arrays import file_check
+from lodbench.storage.digest import file_check
 
 Photo = NDArray[np.uint8]
 # What a network may learn: where buildings are; from their labels, what lies well within one of them; from

@@ -5,8 +5,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lodbench.bench import Report
 from lodbench.bench.accuracy import measure_cities, names_of, share_rejectable, share_rejected
+from lodbench.bench.report import Report
 from lodbench.cli import bench_views, main
 from lodbench.errors import DatasetError
 from lodbench.evaluation.queries import ERROR

@@ -6,7 +6,7 @@ import pytest
 
 from lodbench.bench.photo_masks import measure_photo_masks
 from lodbench.cli import main
-from lodbench.cli.bench import MEASURES
+from lodbench.cli.bench import BENCHES
 from lodbench.segmentation.compact import CompactParams
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 
@@ -85,7 +85,8 @@ def test_a_single_photo_has_no_interval(folder):
 
 def test_pictures_that_cannot_be_kept_are_told_before_the_work(folder, capsys, monkeypatch):
     asked = []
-    monkeypatch.setitem(MEASURES, "segmentation", lambda options, steps: asked.append(options))
+    fake = BENCHES["segmentation"]._replace(measure=lambda options, steps: asked.append(options))
+    monkeypatch.setitem(BENCHES, "segmentation", fake)
     (folder / "file").write_text("")
     words = ["bench", "segmentation", "--photos", str(folder), "--pictures", str(folder / "file")]
     assert main(words) == 2

@@ -20,7 +20,7 @@ from lodbench.cli import main
 from lodbench.errors import CityModelError
 from lodbench.harness.city import city_digests
 from lodbench.harness.tiled_city import compile_tiles
-from lodbench.storage.arrays import write_arrays
+from lodbench.storage.digest import write_arrays
 
 from .gml_text import box_rings, city, member, solid_of, write
 from .test_cityjson import document, surface

@@ -12,7 +12,7 @@ from lodbench.citymodel import open_scene
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import read_scene, write_scene
 from lodbench.errors import CityModelError
-from lodbench.storage.arrays import text_check
+from lodbench.storage.digest import text_check
 
 from .gml_text import box_city
 

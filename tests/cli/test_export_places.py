@@ -165,7 +165,7 @@ def _crs_of_first_feature(file: Path) -> str:
 
 @pytest.mark.parametrize(("asked", "stated"), [(None, CRS), (CRS, CRS), (f"{CRS}+7837", f"{CRS}+7837")])
 def test_a_run_keeps_its_reference_system(capsys, monkeypatch, tmp_path, run, asked, stated):
-    monkeypatch.setattr("lodbench.cli.export.reopen_dataset", None)  # the data may be gone
+    monkeypatch.setattr("lodbench.cli.stored_runs.reopen_dataset", None)  # the data may be gone
     words = ["export", str(run), "--format", "geojson", "--out", str(tmp_path / "poses.geojson")]
     assert main([*words, *([] if asked is None else ["--crs", asked])]) == 0
     assert _crs_of_first_feature(tmp_path / "poses.geojson") == stated

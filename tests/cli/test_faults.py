@@ -148,7 +148,7 @@ def test_a_warning_is_said_once_in_a_command_and_again_in_the_next(capsys, monke
             logging.getLogger("lodbench.somewhere").warning("%d masks are scaled", number)
         return 0
 
-    monkeypatch.setattr("lodbench.cli.status.main", warn)
+    monkeypatch.setattr("lodbench.cli.stored_runs.main_status", warn)
     monkeypatch.setattr(logging.getLogger(), "handlers", [])  # pytest's: the command line has none
     for _ in range(2):
         assert main(["status"]) == 0

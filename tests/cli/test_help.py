@@ -6,19 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from lodbench.cli import COMMANDS, main, usage
-from lodbench.cli.commands import load_command
-from lodbench.cli.completion import CONFIGURED
-from lodbench.cli.configs import config_files
-from lodbench.cli.parser import Parser, seen
-from lodbench.cli.settings import config_text, groups_of, settings_in, settings_of_group
+from lodbench.cli.commands import COMMANDS, load_command
+from lodbench.cli.parser import Parser, waiting
+from lodbench.cli.settings import SETTINGS_COMMANDS, config_text, groups_of, settings_in, settings_of_group
+from lodbench.cli.shell import main, usage
 from lodbench.errors import ConfigError
+from lodbench.plugins import config_files
 
-FLAGGED = [name for name in COMMANDS if name not in CONFIGURED]
-GROUPS = {group for name in CONFIGURED.values() for group in groups_of(name)}
+FLAGGED = [name for name in COMMANDS if name not in SETTINGS_COMMANDS]
+GROUPS = {group for name in SETTINGS_COMMANDS for group in groups_of(name)}
 
 
-@pytest.mark.parametrize("command", CONFIGURED.values())
+@pytest.mark.parametrize("command", SETTINGS_COMMANDS)
 def test_every_setting_of_a_command_has_a_meaning(command):
     settings = list(settings_in(config_text(command)))
     assert len(settings) > 3
@@ -88,13 +87,13 @@ def parsers_of(command: str):
         found.append(parser)
         raise Left
 
-    seen.append(keep)
+    waiting.append(keep)
     try:
         for words in [[name] for name in getattr(module, "ACTIONS", {})] or [[]]:
             with pytest.raises(Left):
                 run(words)
     finally:
-        seen.remove(keep)
+        waiting.remove(keep)
     for parser in found:
         for action in parser._actions:
             found.extend(getattr(action, "_name_parser_map", {}).values())

@@ -190,7 +190,7 @@ def test_a_photo_that_cannot_be_read_costs_no_table(lodbench, tmp_path, content)
 
 @pytest.mark.parametrize("place", ["methods/protocol.py", "photos/pictures.py", "baselines/__init__.py"])
 def test_other_code_is_another_run(tmp_path, monkeypatch, place):
-    from lodbench.execution import executor as module
+    from lodbench.storage import digest as module
 
     changed, baselines = tmp_path / "lodbench", tmp_path / "baselines"
     shutil.copytree(Path(module.__file__).parents[1], changed, ignore=shutil.ignore_patterns("weights"))
@@ -204,13 +204,12 @@ def test_other_code_is_another_run(tmp_path, monkeypatch, place):
 
 
 def test_another_scipy_is_another_run(monkeypatch):
-    from lodbench.execution import executor as module
     from lodbench.storage import digest
 
-    before = module.own_digest.__wrapped__()
+    before = digest.own_digest.__wrapped__()
     there = digest.version
     monkeypatch.setattr(digest, "version", lambda name: "0.1" if name == "scipy" else there(name))
-    assert module.own_digest.__wrapped__() != before
+    assert digest.own_digest.__wrapped__() != before
 
 
 def test_a_setting_names_the_same_run_however_it_is_written(lodbench, tmp_path, dataset):

@@ -178,7 +178,7 @@ def test_no_line_on_standard_error_steers_a_terminal(capsys, monkeypatch):
         sys.stderr.write(f"\r|{ESCAPE}| \u202e1 of 2\n")
         return 0
 
-    monkeypatch.setattr("lodbench.cli.status.main", tell)
+    monkeypatch.setattr("lodbench.cli.stored_runs.main_status", tell)
     assert main(["status"]) == 0
     assert capsys.readouterr().err == "\r||  1 of 2\n"
 

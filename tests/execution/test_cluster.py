@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from lodbench.errors import WorkersGone
-from lodbench.execution.cluster import DaskWorkers, _on_worker, dask_workers
+from lodbench.execution.executor import DaskWorkers, _on_worker, dask_workers
 
 pytestmark = pytest.mark.attack
 

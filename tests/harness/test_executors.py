@@ -124,7 +124,7 @@ def test_training_data_sends_names_over_dask_and_notices_another_world(serial, t
 
 def test_a_scheduler_that_is_not_there(serial, capsys, monkeypatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("lodbench.execution.cluster._CONNECT_S", 1)
+    monkeypatch.setattr("lodbench.execution.executor._CONNECT_S", 1)
     words = [f"dataset.root={serial[0] / 'town/data'}", f"dataset.city_model={serial[0] / 'town/city.obj'}"]
     more = ["segmenter=masks", f"paths.runs={serial[0] / 'none'}", "executor=dask"]
     assert main(["run", "dataset=folder", *words, *more, "executor.address=tcp://127.0.0.1:9"]) == 2
@@ -231,8 +231,8 @@ def test_what_a_hung_worker_was_at_is_done_again(tmp_path: Path, name: str) -> N
 def test_a_worker_that_dask_gives_up_is_replaced(tmp_path: Path, monkeypatch) -> None:
     """On a busy machine one that had died started too slowly; then nobody was left, and nobody told."""
     pytest.importorskip("distributed")
-    monkeypatch.setattr("lodbench.execution.cluster._LOST_S", 0.01)
-    monkeypatch.setattr("lodbench.execution.cluster._REPLACE_S", 1)
+    monkeypatch.setattr("lodbench.execution.executor._LOST_S", 0.01)
+    monkeypatch.setattr("lodbench.execution.executor._REPLACE_S", 1)
     (tmp_path / "5").touch()
     executor = ExecutorParams("dask", workers=1)
     results = sorted(spread(executor, square_or_die, range(8), prepare, (Deadly(tmp_path),)))
@@ -287,7 +287,7 @@ def test_a_run_over_three_dask_workers_of_which_two_are_killed(tmp_path) -> None
 
 _AT_WORK = """
 import signal, time
-from lodbench.execution.cluster import dask_workers
+from lodbench.execution.executor import dask_workers
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a parent may have had it ignored

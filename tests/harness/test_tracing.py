@@ -14,7 +14,7 @@ from shapely import Polygon
 
 from lodbench.citymodel.read import read_city_model
 from lodbench.cli import main
-from lodbench.cli.trace import describe
+from lodbench.cli.drawing import describe_map
 from lodbench.datasets.exchange.colmap import read_colmap_points
 from lodbench.datasets.pose_text import read_poses
 from lodbench.errors import DatasetError
@@ -237,7 +237,7 @@ def test_corners_in_another_order_cross(model):
 class TestPage:
     @pytest.fixture
     def server(self, model, tmp_path):
-        with TraceServer(model, tmp_path / "traced.json", describe) as server:
+        with TraceServer(model, tmp_path / "traced.json", describe_map) as server:
             thread = Thread(target=server.serve_forever)
             thread.start()
             yield server

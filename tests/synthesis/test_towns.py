@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import lodbench
 from lodbench.cli import main
-from lodbench.cli.render import with_demo
+from lodbench.cli.training import with_demo
 from lodbench.datasets.inputs import Input, inputs_of, with_inputs
 from lodbench.datasets.query import Dataset
 from lodbench.synthesis import demo

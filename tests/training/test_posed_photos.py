@@ -10,7 +10,7 @@ import pytest
 
 from lodbench.citymodel import open_scene
 from lodbench.cli import main
-from lodbench.cli.train import report
+from lodbench.cli.training import report_trained
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.errors import DatasetError
 from lodbench.rendering.raster import RasterRenderer
@@ -92,7 +92,7 @@ def test_a_network_is_trained_on_them(flight, tmp_path, capsys):
 
 def test_views_with_few_buildings_leave_no_iou_and_the_reason_is_told(tmp_path):
     row = {"loss": 0.5, "mean_iou": math.nan, "pooled_iou": math.nan, "views": 0}
-    told = report(Trained(tmp_path / "compact.onnx", [row], "val views", 7, 0, {}))
+    told = report_trained(Trained(tmp_path / "compact.onnx", [row], "val views", 7, 0, {}))
     assert "val IoU: none, for no view to validate on has 5 % buildings or more\n" in told
     assert "nan" not in told
 

@@ -18,10 +18,9 @@ from urllib.request import url2pathname
 from lodbench.datasets.query import Dataset, Entry, repeated_keys
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.predictions import Prediction, pose_numbers
-from lodbench.execution.executor import own_digest
 from lodbench.plugins import KINDS, installed
 from lodbench.storage import digest_of, file_digest
-from lodbench.storage.digest import package_files
+from lodbench.storage.digest import own_digest, package_files
 from lodbench.storage.json_text import parse_json
 
 if TYPE_CHECKING:

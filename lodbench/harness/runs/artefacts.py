@@ -16,14 +16,13 @@ from lodbench.citymodel.options import PATH_OPTIONS
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.prior_sources import prior_text
 from lodbench.evaluation.queries import LODLOC, protocol_named, queries_csv, summarize_queries
-from lodbench.execution.executor import LIBRARIES
 from lodbench.harness.runs import Result, words_in
 from lodbench.harness.runs.run import Run
 from lodbench.plugins import blaming, installed, load_plugin, of_kind
 from lodbench.reporting.leaderboard_entry import has_random_weights
 from lodbench.reporting.summaries import SUMMARY_SCHEMA
 from lodbench.storage import hide_formula, write_text
-from lodbench.storage.digest import versions_of
+from lodbench.storage.digest import LIBRARIES, versions_of
 from lodbench.storage.paths import is_sealed, seal_of
 
 # Settings of a configuration's sections that hold a path, and are not the dataset's root and city.

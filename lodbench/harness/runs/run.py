@@ -22,7 +22,7 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.predictions import Prediction, evaluate
 from lodbench.evaluation.queries import protocol_named
-from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams, own_digest
+from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams
 from lodbench.execution.fan_out import expect_workers
 from lodbench.execution.guards import only_one_in
 from lodbench.harness.city import city_digests, open_city
@@ -64,7 +64,7 @@ from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.registry import masks_digest
 from lodbench.storage import can_write, digest_of, make_folder, remove_leftovers, write_text
-from lodbench.storage.digest import known_contents, remembered_contents
+from lodbench.storage.digest import known_contents, own_digest, remembered_contents
 from lodbench.storage.disk import disk
 from lodbench.storage.paths import path_name
 

@@ -27,14 +27,7 @@ from lodbench.datasets.folder import RENDERED_TRUTH_FILE, write_poses
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
-from lodbench.execution.executor import (
-    DASK,
-    PROCESS,
-    ExecutorParams,
-    own_digest,
-    require_code_version,
-    spread,
-)
+from lodbench.execution.executor import DASK, PROCESS, ExecutorParams, require_code_version, spread
 from lodbench.photos.pictures import encoded, read_picture
 from lodbench.storage import (
     digest_of,
@@ -45,7 +38,7 @@ from lodbench.storage import (
     write_bytes,
     write_text,
 )
-from lodbench.storage.digest import digest_of_code
+from lodbench.storage.digest import digest_of_code, own_digest
 from lodbench.storage.json_text import parse_json
 from lodbench.synthesis.land_cover import Land
 from lodbench.synthesis.objects import read_props

@@ -1,18 +1,21 @@
-"""`lodbench export RUN --format ...`: a run's poses for another program."""
+"""Runs that are there: `lodbench status`, how far they are; `report`, a page; `export`, other formats."""
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lodbench.citymodel.crs import is_same_plane, require_crs
+from lodbench.citymodel.imagery import Imagery, open_imagery
 from lodbench.citymodel.scene import Scene
-from lodbench.cli.parser import Parser
-from lodbench.cli.verify import DataOptions, reopen_dataset, run_folders
+from lodbench.cli.parser import Parser, report_fault
+from lodbench.cli.verify import DataOptions, read_config, reopen_dataset, run_folders, verify_folder
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
+from lodbench.execution.progress import format_seconds
 from lodbench.harness.city import open_city
 from lodbench.harness.export.formats import (
     CITY,
@@ -25,11 +28,140 @@ from lodbench.harness.export.formats import (
     wanted_by,
 )
 from lodbench.harness.export.localized import is_localized, read_localized_folder
-from lodbench.harness.runs.stored import StoredRun, read_whole_run, require_writable
+from lodbench.harness.runs.answer import FLIGHTS_FOLDER
+from lodbench.harness.runs.places import flight_findings, pages_of_run, scene_of, view_of_run
+from lodbench.harness.runs.report import run_report, title_of
+from lodbench.harness.runs.stored import (
+    RunStatus,
+    StoredRun,
+    find_runs,
+    read_status,
+    read_whole_run,
+    require_writable,
+)
 from lodbench.params import flag, parsed, part, word
 from lodbench.photos.map_frame import MapFrame
 from lodbench.plugins import blaming, plugin_names
-from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting.aligned_text import count_of, plain_text
+from lodbench.storage import write_text
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatusOptions:
+    """What `lodbench status` is given."""
+
+    runs: tuple[Path, ...] = word("run folders, or one that holds them", metavar="RUN")
+
+
+def main_status(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code: 2 if a folder holds no run that can be read."""
+    parser = Parser("lodbench status", description="Show the progress of runs, finished or not.")
+    code = 0
+    for folder in parsed(parser, argv, StatusOptions).runs:
+        for run in find_runs(folder):
+            try:
+                sys.stdout.write(describe_status(read_status(run)))
+            except DatasetError as fault:
+                if run == folder:
+                    raise
+                # One that is damaged is no reason to hide those beside it.
+                report_fault(fault)
+                code = 2
+    return code
+
+
+def describe_status(status: RunStatus) -> str:
+    """Returns a line per run, and one per reason of failure."""
+    done = f"{status.num_done} of {count_of(status.num_queries, 'queries')}"
+    if status.is_finished:
+        state = "finished"
+    elif status.num_done == status.num_queries:
+        state = "all queries done, tables not written yet"
+    elif status.seconds_per_query:
+        state = f"unfinished, about {format_seconds(status.seconds_left)} of work left"
+    else:
+        state = "unfinished"
+    lines = [f"{status.folder}: {done}, {state}"]
+    lines += [f"  {count} x {plain_text(reason)}" for reason, count in sorted(status.failures.items())]
+    return "\n".join(lines) + "\n"
+
+
+_ABOUT = """\
+Write one HTML page of a run, pictures inside, and one of each flight that a method solved as a whole; numbers
+are verified on the way. Beside it PAGE_3d.html shows city and cameras in three dimensions.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportOptions:
+    """What the command is given."""
+
+    runs: tuple[Path, ...] = word("run folders", metavar="RUN")
+    out: Path | None = flag(
+        None,
+        "the page, of one run (report.html in the run folder); its other pages are written beside it",
+        metavar="FILE",
+    )
+    data: DataOptions = part(DataOptions)
+    imagery: Path | None = flag(None, "orthophoto (GeoTIFF, JPEG 2000) under the maps", metavar="FILE")
+
+
+def main_report(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code: 1 if a run's numbers do not follow from its poses."""
+    parser = Parser("lodbench report", _ABOUT)
+    options = parsed(parser, argv, ReportOptions)
+    folders = run_folders(options.runs, options.out)
+    require_writable(options.out, folders, endings=(".html", ".htm"))
+    return max(_report(folder, options) for folder in folders)
+
+
+def _report(run: Path, options: ReportOptions) -> int:
+    """Writes the pages of a run; returns the exit code."""
+    verdict = verify_folder(run, options.data.dataset_root, options.data.city_model)
+    out = options.out or run / "report.html"
+    tilt = str(read_config(run)["tilt"])
+    scene = scene_of(verdict)
+    imagery = _imagery(options.imagery, scene)
+    flights = list(flight_findings(verdict)) if scene is not None else []
+    folder = run / FLIGHTS_FOLDER
+    files = {
+        # Into the run nothing is written that is requested elsewhere.
+        name: folder / f"{name}.html" if options.out is None else out.with_name(f"{out.stem}_{name}.html")
+        for name in flights
+    }
+    pages = {"The run": out.name, **{name: _way(file, out.parent) for name, file in files.items()}}
+    view = out.with_name(f"{out.stem}_3d.html")
+    view_page = "" if scene is None else view_of_run(verdict, scene, tilt, title_of(verdict), pages)
+    write_text(out, run_report(verdict, tilt, scene, view.name if view_page else "", imagery))
+    sys.stdout.write(f"{out}\n")
+    if view_page:
+        write_text(view, view_page)
+        sys.stdout.write(f"{view}\n")
+    if scene is not None and files:
+        there = _way(view, folder if options.out is None else out.parent) if view_page else ""
+        for name, page in pages_of_run(verdict, scene, tilt, there, imagery).items():
+            write_text(files[name], page)
+            sys.stdout.write(f"{files[name]}\n")
+    for line in verdict.differences:
+        sys.stderr.write(f"lodbench: {line}\n")
+    return 1 if verdict.differences else 0
+
+
+def _imagery(path: Path | None, scene: Scene | None) -> Imagery | None:
+    """Returns what lies under the maps, or None."""
+    if path is None:
+        return None
+    if scene is None:
+        raise ConfigError(
+            "--imagery needs the run's city model, which is not where it was.", "Set city=FILE."
+        )
+    return open_imagery(path, scene)
+
+
+def _way(file: Path, folder: Path) -> str:
+    """Returns the address of a file from the pages in a folder."""
+    return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
+
 
 _EPILOG = """\
 csv is the table for people: easting, northing, height, latitude, longitude, heading, pitch, roll, standard
@@ -61,10 +193,10 @@ class ExportOptions:
     data: DataOptions = part(DataOptions)
 
 
-OPTIONS = {"": ExportOptions}
+OPTIONS = {"report": ReportOptions, "export": ExportOptions}
 
 
-def main(argv: Sequence[str]) -> int:
+def main_export(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = parsed(
         Parser("lodbench export", "Write a run's poses for another program.", _EPILOG), argv, ExportOptions
@@ -83,7 +215,7 @@ def main(argv: Sequence[str]) -> int:
         else:
             export = _opened(options, read_whole_run(folder), form)
         with blaming("export_formats", options.format, "write the run"):
-            _report(export_run(export, form, options.out), form)
+            _tell_written(export_run(export, form, options.out), form)
     return 0
 
 
@@ -153,7 +285,7 @@ def _one_system(reported: Sequence[object], crs: str | None) -> str | None:
     return crs or (named[0] if named else None)
 
 
-def _report(done: Exported, form: ExportFormat) -> None:
+def _tell_written(done: Exported, form: ExportFormat) -> None:
     """Says what was written, and what its angles mean where they are not those of other formats."""
     sys.stdout.write(f"{done.path}: {done.count} pose{'s' * (done.count != 1)}\n")
     if convention := getattr(form, "convention", ""):
