@@ -135,6 +135,11 @@ class PhotoRequest(RoughRequest):
         return measured_of(stated, self.heights, [k for k, v in enumerate(others) if v is not None])
 
     @property
+    def threads(self) -> int | None:
+        """Returns the renderer's threads: one beside other workers, else one per core."""
+        return None if self.workers == 1 else 1
+
+    @property
     def has_height(self) -> bool:
         """Returns whether the rough pose's height is in the city's heights, and not what a drone states."""
         return self.start is not None or self.center is not None or self.given.height_m is not None

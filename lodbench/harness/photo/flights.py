@@ -178,7 +178,7 @@ def _prepared(
         wanted = replace(worker.request, photo=photo, mask=mask)
         assert wanted.method is not None  # noqa: S101 - the caller has chosen
         prepared = with_small_mask(prepare_photo(wanted, inputs_of(wanted.method)))
-        prior = prepared.prior(worker.place.scene, worker.place.frame)
+        prior = prepared.prior(worker.place().scene, worker.place().frame)
         image = picture_file(prepared, copy)
     except LodbenchError as fault:
         return fault.message.rstrip("."), hint_for_many(fault)
@@ -254,7 +254,7 @@ def _written(worker: PhotoWorker, item: tuple[_Sent, Pose, Estimate]) -> Localiz
     """Writes a photo's answer."""
     sent, prior, estimate = item
     photo = _received(worker.request, sent)
-    return write_answer(photo, photo.view(), worker.place, prior, estimate)
+    return write_answer(photo, photo.view(), worker.place(), prior, estimate)
 
 
 def solved_flight(

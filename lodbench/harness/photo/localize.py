@@ -63,12 +63,17 @@ _GIVEN = frozenset({Input.MASK, Input.MASK_ON_DEMAND, Input.IMAGE, Input.TILT, I
 STEPS = 3
 
 
-def localize_photo(request: PhotoRequest, advance: Callable[[], None] = lambda: None) -> LocalizedPhoto:
+def localize_photo(
+    request: PhotoRequest,
+    advance: Callable[[], None] = lambda: None,
+    opened: Callable[[], OpenMap] | None = None,
+) -> LocalizedPhoto:
     """Returns the pose of a photo, and writes its overlay and map.
 
     Args:
         request: What to localise, and how.
         advance: Called after each of ``STEPS`` steps: photo and mask, city, search.
+        opened: Returns the request's city, where many photos share it.
 
     Raises:
         LodbenchError: The photo, its metadata, mask or camera, or the city is missing or not fit, or a
@@ -79,7 +84,7 @@ def localize_photo(request: PhotoRequest, advance: Callable[[], None] = lambda: 
     photo = prepare_photo(request, requires)
     view = photo.view()
     advance()
-    place = open_map(request)
+    place = open_map(request) if opened is None else opened()
     prior = photo.prior(place.scene, place.frame)
     advance()
     with TemporaryDirectory() as folder:
@@ -94,6 +99,7 @@ def localize_photo(request: PhotoRequest, advance: Callable[[], None] = lambda: 
                 image=image,
                 method=method,
                 seed=request.seed,
+                threads=request.threads,
                 lens_percent=photo.lens_percent,
                 camera_sigmas=photo.camera_sigmas,
                 measured=photo.measured,

@@ -260,7 +260,8 @@ def _answer(worker: PhotoWorker, item: tuple[Path, Path | None, Path | None]) ->
     try:
         if masks is not None and mask is None:
             raise DatasetError(f"{masks} holds no mask of it")
-        return PhotoAnswer(photo, localize_photo(replace(worker.request, photo=photo, mask=mask)))
+        request = replace(worker.request, photo=photo, mask=mask)
+        return PhotoAnswer(photo, localize_photo(request, opened=worker.place))
     except LodbenchError as fault:
         return PhotoAnswer(photo, None, fault.message.rstrip("."), hint=hint_for_many(fault))
 

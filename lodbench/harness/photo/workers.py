@@ -47,7 +47,6 @@ class PhotoWorker:
     opened: OpenMap | None = None
     _city_map: CityMap | None = None
 
-    @property
     def place(self) -> OpenMap:
         """Returns the city.
 
@@ -60,8 +59,7 @@ class PhotoWorker:
     @property
     def city_map(self) -> CityMap:
         """Returns the map; beside other workers it is drawn by one thread."""
-        threads = None if self.request.workers == 1 else 1
-        self._city_map = self._city_map or CityMap(self.place.scene, threads=threads)
+        self._city_map = self._city_map or CityMap(self.place().scene, threads=self.request.threads)
         return self._city_map
 
 
