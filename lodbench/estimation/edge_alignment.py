@@ -68,11 +68,7 @@ class Candidates(NamedTuple):
     def expected(self, count: int, sigma_px: float) -> tuple[Floats, Floats]:
         """Returns (count,) expected distances, and (count,) probabilities that there is an edge.
 
-        Eq. (F5) of docs/methods/flight.md.
-
-        Args:
-            count: Of points.
-            sigma_px: Standard deviation of how far the photo's edge is from the line.
+        Eq. (F5) of docs/methods/flight.md; ``sigma_px`` is the deviation of the photo's edge from the line.
         """
         likely = self.strengths * np.exp(-0.5 * (self.distances / sigma_px) ** 2)
         sums = np.bincount(self.points, likely, count)
@@ -99,10 +95,7 @@ class PhotoEdges:
     def across(self, pixels: Floats, normals: Floats, reach_px: float) -> Candidates:
         """Returns the edges across lines, to a fraction of a pixel.
 
-        Args:
-            pixels: (N, 2) points of lines, pixels of the size; pixel centres at +0.5.
-            normals: (N, 2) unit, across the lines.
-            reach_px: How far to look to either side.
+        Points of lines, (N, 2), are pixels of the size with centres at +0.5, normals (N, 2) unit.
         """
         steps = int(np.ceil(reach_px / _STEP_PX)) + 1
         offsets = _STEP_PX * np.arange(-steps, steps + 1)
@@ -188,11 +181,7 @@ class EdgeLikelihood:
         self._background = self._measured_background()
 
     def refined(self, vector: Floats) -> EdgeAlignment | None:
-        """Returns the pose that edges and priors make most probable near one; None where few lines show.
-
-        Args:
-            vector: (6,) where to begin, within some pixels of the edges.
-        """
+        """Returns the pose that edges and priors make most probable near (6,); None where few lines show."""
         start = np.append(vector, np.zeros(CAMERA - POSES))
         refined, information = start, np.diag(self._sigmas**-2.0)
         for sigma_px in _SIGMAS_PX:

@@ -118,14 +118,7 @@ class ModelLines:
 
 
 def lines_in_view(city_map: CityMap, camera: Camera, pose: Pose, spacing_px: float) -> ModelLines:
-    """Returns points on the lines of a map that are visible from a pose.
-
-    Args:
-        city_map: The map.
-        camera: Pinhole.
-        pose: Scene frame.
-        spacing_px: Distance between points, pixels.
-    """
+    """Returns points, so many pixels apart, on the lines of a map that are visible from a pose."""
     (view,) = city_map.edges(camera, pose.rotation[None], pose.center[None], _CREASE_DEG)
     lengths = np.linalg.norm(view.pixels[:, 1] - view.pixels[:, 0], axis=1)
     rows = np.flatnonzero(view.is_visible & (lengths > _SHORTEST_PX))
@@ -185,7 +178,7 @@ def project_lines(
         along: (N, 3) their lines' directions, metres.
         camera: Pinhole as declared.
         vector: (6,) centre in metres, pitch, roll and yaw in degrees.
-        lens: How the camera differs from what is declared.
+        lens: How the camera differs from that.
     """
     rotation = rotation_from_euler(EulerAngles(*(float(v) for v in vector[3:6])))
     away = points - vector[:3]

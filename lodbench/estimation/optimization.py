@@ -39,12 +39,7 @@ class Quadratic(NamedTuple):
     log_density: float = 0.0
 
     def times_prior(self, precision: Floats, away: Floats) -> Quadratic:
-        """Returns the product with a Gaussian prior of independent errors.
-
-        Args:
-            precision: (N,) of the prior.
-            away: (N,) how far the point is from its mean.
-        """
+        """Returns the product with a prior of independent errors: (N,) precision, and (N,) off its mean."""
         return Quadratic(
             self.information + np.diag(precision),
             self.gradient + precision * away,
@@ -167,10 +162,7 @@ class ErrorGroup:
     def scale_after(self, factorised: scipy.sparse.linalg.SuperLU, step: Floats, members: int) -> float:
         """Returns the scale that a solution calls for. Eq. (F12) of docs/methods/flight.md.
 
-        Args:
-            factorised: The curvature.
-            step: (S,) of all unknowns.
-            members: How many errors have nothing to do with each other: those of one building have.
+        Of (S,) steps of all unknowns; ``members`` errors have nothing to do with each other.
         """
         if self.count == 0:
             return self.scale
@@ -231,14 +223,8 @@ def maximize_abreast(
 ) -> list[Gaussian]:
     """Returns what ``maximize`` does from some starts, evaluated together: of those not given up, in order.
 
-    Args:
-        value: As of ``maximize``.
-        starts: Where to begin.
-        generations: As of ``maximize``.
-        population: As of ``maximize``.
-        generators: Of random numbers, one for each start.
-        prune_gap: Searches whose best is lower than the highest by more after four generations are given up;
-            in units of the value.
+    Searches whose best is lower than the highest by more than ``prune_gap``, in units of the value, after
+    four generations are given up.
 
     Raises:
         ValueError: There are not as many generators as starts.
@@ -294,12 +280,9 @@ class _Searches:
         return np.asarray(self._means[:, None] + self._scales[:, None, None] * self._moves)
 
     def update(self, values: Floats) -> None:
-        """Moves each towards the better half of its generation drawn last, and learns its shape.
+        """Moves each towards the better half of its last generation by (W, M) values, and learns its shape.
 
         Eq. (R9) of docs/methods/region.md.
-
-        Args:
-            values: (W, M) of the points.
         """
         size, effective, path_rate, shape_rate = self.size, self._effective, self._path_rate, self._shape_rate
         order = np.argsort(-values, axis=1, kind="stable")[:, : self._parents]

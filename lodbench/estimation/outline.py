@@ -53,14 +53,9 @@ class OutlinePoints:
 
 
 def edges_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float) -> EdgeArrays:
-    """Returns the edges of the buildings that may be seen from anywhere near a prior.
+    """Returns the edges of the buildings that may be visible from anywhere near a prior.
 
-    Args:
-        scene: The city.
-        camera: The query's.
-        prior: Where to look from.
-        reach_m: How far the centre may be off.
-        turn_deg: How far the view may be turned.
+    The camera's centre may be off by ``reach_m``, and turned by ``turn_deg``.
     """
     rows = _in_reach(scene, camera, prior, reach_m, turn_deg)
     return edges_of(_part(scene, rows))._replace(rows=rows)
@@ -98,8 +93,8 @@ def sample_outline(
     Args:
         edges: Of the buildings in reach.
         camera: Pinhole of the silhouette's size.
-        vector: (6,) the pose that the silhouette is seen from; more is not looked at.
-        silhouette: (H, W) rendered from there.
+        vector: (6,) the pose that the silhouette is drawn from; what follows is not used.
+        silhouette: (H, W).
         spacing_px: Distance between points.
     """
     pose, derivatives = pose_from_vector(vector), rotation_derivatives(vector)
@@ -188,10 +183,7 @@ def near_distances(distances: Floats, agreement: Floats) -> Floats:
 def outline_noise(near: Floats) -> float:
     """Returns the standard deviation of a mask's outline in pixels, from the median distance.
 
-    Eq. (C8) of docs/methods/contour_alignment.md.
-
-    Args:
-        near: (N,) pixels, from ``near_distances``, less what is known to be shared.
+    Eq. (C8) of docs/methods/contour_alignment.md; (N,) ``near_distances``, less what is known to be shared.
     """
     low, high = NOISE_PX
     return float(np.clip(1.4826 * np.median(np.abs(near)), low, high)) if len(near) else high

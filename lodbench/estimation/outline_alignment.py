@@ -164,11 +164,7 @@ class Aligner:
         return vector
 
     def pixels_per_m(self, nearer_m: float) -> float:
-        """Returns the scale of the nearest quarter of the buildings in view, fine pixels per metre.
-
-        Args:
-            nearer_m: How much nearer than the prior the camera may be.
-        """
+        """Returns fine pixels per metre of the nearest quarter of buildings in view, from so much nearer."""
         camera, prior = self._query.camera.scaled(*self.model.size), self._query.prior
         rotation, center = np.ascontiguousarray(prior.rotation), np.ascontiguousarray(prior.center)
         shown = visible_buildings(self.edges.spheres, rotation, center, view_planes(camera, 0, camera.width))
@@ -178,14 +174,10 @@ class Aligner:
         return float(camera.fx / max(1.0, np.quantile(away, 0.25) - nearer_m))
 
     def linearize(self, vector: Floats, reach_px: float, size: tuple[int, int]) -> Linearization | None:
-        """Returns what the outlines say at a pose; None where too little outline is in view.
+        """Returns what the outlines say at a pose, (7,); None where too little outline is in view.
 
-        Eq. (C2) of docs/methods/contour_alignment.md.
-
-        Args:
-            vector: (7,) centre in metres, angles in degrees, and by how many percent the lens is longer.
-            reach_px: Scale of the robust kernel, pixels of the fine size.
-            size: Width and height of the silhouette, pixels.
+        Eq. (C2) of docs/methods/contour_alignment.md; the robust kernel's scale is in pixels of the fine
+        size.
         """
         here = self.measure(vector, size)
         if here is None:
@@ -257,12 +249,7 @@ def smooth_distance(mask: Mask) -> NDArray[np.float32]:
 def _without_roofs(products: Floats, gradients: Floats, roof_m: float) -> Quadratic:
     """Returns the likelihood of seven numbers with each building's height eliminated.
 
-    Eq. (C3) of docs/methods/contour_alignment.md.
-
-    Args:
-        products: (B, 8, 8) weighted products of slopes by building; the height comes last.
-        gradients: (B, 8) of slopes and residuals.
-        roof_m: Standard deviation of a building's height, metres; 0 where the map is exact.
+    Eq. (C3) of docs/methods/contour_alignment.md; (B, 8, 8) products of slopes, the height last.
     """
     information, gradient = products[:, :7, :7].sum(axis=0), gradients[:, :7].sum(axis=0)
     if roof_m > 0:

@@ -39,13 +39,8 @@ _PAIRS = np.triu_indices(6)
 def curvature_around(log_likelihood: Callable[[Floats], Floats], spread: Gaussian) -> Floats:
     """Returns the curvature (6, 6) of the likelihood at a mode: what the photo says if the map is right.
 
-    Eq. (R18) of docs/methods/region.md.
-
-    A quadratic is fitted to the likelihood of poses around the mode. What curves upwards there says nothing.
-
-    Args:
-        log_likelihood: (N, 6) poses to the (N,) logarithm of their likelihood.
-        spread: Of the poses that it is fitted to, about the mode.
+    Eq. (R18) of docs/methods/region.md. A quadratic is fitted to the (N,) log-likelihood of (N, 6) poses
+    spread about the mode. What curves upwards there says nothing.
     """
     roots = spread.root()
     # The same draws for every query: the answer is a function of the mode alone.
@@ -63,12 +58,9 @@ def curvature_around(log_likelihood: Callable[[Floats], Floats], spread: Gaussia
 
 
 def shares_of(evidence: Floats) -> Floats:
-    """Returns (M,) the posterior shares of some modes or hypotheses.
+    """Returns (M,) the posterior shares of some modes or hypotheses, given (M,) log evidence of each.
 
     Eq. (R13) of docs/methods/region.md, where the widths of modes are taken to be alike.
-
-    Args:
-        evidence: (M,) the logarithm of what speaks for each, up to a constant.
     """
     weights = np.exp(evidence - evidence.max())
     return np.asarray(weights / weights.sum())
@@ -255,10 +247,9 @@ def _share_that_leaves(least_m: float, poses: Floats, log_likelihood: Floats, re
 
 
 def _root(value: Callable[[float], float], low: float, high: float, step: float) -> float:
-    """Returns where a function that changes its sign between two places is 0, to a step.
+    """Returns where a function that changes its sign between two places is 0, to a step (Brent 1973, ch. 4).
 
-    Brent's method (Brent, "Algorithms for minimization without derivatives", 1973, chapter 4), as
-    ``scipy.optimize.brentq`` has it, whose import takes a sixth of a second.
+    As ``scipy.optimize.brentq`` has it, whose import takes a sixth of a second.
     """
     before, now = (low, value(low)), (high, value(high))
     beyond, last = before, high - low

@@ -49,10 +49,8 @@ def views_of(vectors: Floats) -> tuple[Floats, Floats]:
     """Returns the rotations (N, 3, 3) and centres (N, 3), metres, that show what some cameras see.
 
     A longer lens stretches what a camera sees across and down, and so do the first two rows of a rotation
-    that are stretched: cameras of many lenses are drawn as if they had the declared one.
-
-    Args:
-        vectors: (N, 6) poses, or (N, 7 or more) with the lens.
+    that are stretched: cameras of many lenses are drawn as if they had the declared one. Vectors are (N, 6)
+    poses, or longer with the lens.
     """
     rotations = rotations_from_euler(vectors[:, 3:6])
     # Of poses the slice is empty, and its sum 0.
@@ -134,13 +132,9 @@ class Gaussian(NamedTuple):
 
 
 def probability_within(covariance_6: Floats, vector: Floats) -> float:
-    """Returns the probability that an estimate with a Gaussian error lies within (2 m, 2 deg).
+    """Returns the probability that an estimate, (6,), with a Gaussian error lies within (2 m, 2 deg).
 
-    Eq. (M4) of docs/methods/index.md.
-
-    Args:
-        covariance_6: (6, 6) of x, y, z (metres), pitch, roll and yaw (degrees).
-        vector: (6,) the estimate.
+    Eq. (M4) of docs/methods/index.md; (6, 6) of x, y, z (metres), pitch, roll and yaw (degrees).
     """
     errors = fixed_draws(covariance_6, DRAWS)
     return share_within(errors, np.full(DRAWS, 1.0 / DRAWS), turn_per_angle(vector))
@@ -149,10 +143,7 @@ def probability_within(covariance_6: Floats, vector: Floats) -> float:
 def beyond_range(offset: Floats, covariance: Floats, half_widths: Sequence[float]) -> tuple[str, ...]:
     """Returns a sentence for an answer beyond the declared range of the prior, or nothing.
 
-    Args:
-        offset: (6,) of the answer from the prior: metres and degrees.
-        covariance: (6, 6) of the answer.
-        half_widths: Of the range, in the same order.
+    Its offset from the prior, (6,) metres and degrees, its covariance and the range's half widths go alike.
     """
     beyond = np.abs(offset) - np.asarray(half_widths)
     # Twice what the answer may be wrong by: on the edge of the range it is no news.
@@ -171,13 +162,7 @@ def fixed_draws(covariance_6: Floats, count: int) -> Floats:
 
 
 def share_within(errors: Floats, shares: Floats, turn: Floats) -> float:
-    """Returns the share of errors that are within 2 m and 2 degrees.
-
-    Args:
-        errors: (N, 6) metres and degrees.
-        shares: (N,) of each.
-        turn: (3, 3) from ``turn_per_angle``.
-    """
+    """Returns the share of errors, (N, 6), within 2 m and 2 degrees; ``turn`` of ``turn_per_angle``."""
     away = np.linalg.norm(errors[:, :3], axis=1)
     turned = np.linalg.norm(errors[:, 3:] @ turn.T, axis=1)
     return min(1.0, float(shares[(away < WITHIN_M) & (turned < WITHIN_DEG)].sum()))

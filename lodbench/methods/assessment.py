@@ -117,14 +117,8 @@ def _ranged(query: Query, city_map: CityMap, vector: Floats, covariance: Floats)
 def camera_columns(laid: Projected, lines: ModelLines, prior_sigmas: Floats) -> Floats:
     """Returns (6, 4) how far an answer moves per unit that the camera is not as declared.
 
-    Eq. (M5) of docs/methods/index.md.
-
-    The pose makes up for the camera as far as outlines weigh more than the prior: least squares, linearised.
-
-    Args:
-        laid: The model's lines at the answer.
-        lines: The same.
-        prior_sigmas: (6,) of the prior: metres and degrees.
+    Eq. (M5) of docs/methods/index.md. The pose makes up for the camera as far as the model's lines at the
+    answer weigh more than the prior, (6,) deviations in metres and degrees: least squares, linearised.
     """
     weights = lines.lengths_px / (_TOGETHER_PX * _NOISE_PX**2)
     by_pose, by_lens = laid.by_camera[:, :6], laid.by_camera[:, 6:]
@@ -135,13 +129,8 @@ def camera_columns(laid: Projected, lines: ModelLines, prior_sigmas: Floats) -> 
 def edge_excess(edges: PhotoEdges, laid: Projected) -> float | None:
     """Returns which share of lines lies on edges of the photo, less what does by chance.
 
-    Eq. (M7) of docs/methods/index.md.
-
-    None where there are few lines, or no edge anywhere beside them: such a photo contradicts nothing.
-
-    Args:
-        edges: The photo's.
-        laid: Points of lines.
+    Eq. (M7) of docs/methods/index.md. None where there are few lines, or no edge anywhere beside them: such a
+    photo contradicts nothing.
     """
     count = len(laid.pixels)
     if count < FEWEST_POINTS:

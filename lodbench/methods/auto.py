@@ -113,12 +113,9 @@ class Auto:
 def fuse_estimates(by_pixels: Estimate, by_mask: Estimate) -> Estimate:
     """Returns the answer by pixels, or the one by a mask where that is more probable, with a note.
 
-    Where the two lie apart, the mask's probability counts half (docs/adr/0013, point 4), and the pose by
-    pixels is the first of the alternatives.
-
-    Args:
-        by_pixels: Assessed, in the scene's frame.
-        by_mask: Likewise, with its mask; returned with stages of both, named ``mask: STAGE``.
+    Both are assessed, in the scene's frame. Where the two lie apart, the mask's probability counts half
+    (docs/adr/0013, point 4), and the pose by pixels is the first of the alternatives. Stages of the mask's
+    are named ``mask: STAGE``.
     """
     weight = 1.0 if _are_together(by_pixels.pose, by_mask.pose) else _ALONE
     own, probability = by_pixels.probability or 0.0, (by_mask.probability or 0.0) * weight

@@ -109,9 +109,7 @@ class LodLocV2Params:
     def for_prior(self, prior: UniformPrior) -> LodLocV2Params:
         """Returns these parameters with a grid that covers a prior's error at the same stride.
 
-        Eq. (L2) of docs/methods/lodlocv2.md.
-
-        An axis of one sample has no stride and stays as it is.
+        Eq. (L2) of docs/methods/lodlocv2.md. An axis of one sample has no stride and stays as it is.
         """
         wanted = {"x": prior.x_m, "y": prior.y_m, "z": prior.z_m, "yaw": prior.yaw_deg}
         changes: dict[str, float] = {}
@@ -172,13 +170,9 @@ class LodLocV2:
 def search(
     scorer_at: Callable[[tuple[int, int]], Scoring], prior: Pose, params: LodLocV2Params, streams: Streams
 ) -> Estimate:
-    """Returns the best pose by grid and filter, whatever poses are scored by.
+    """Returns the best pose by grid and filter, whatever poses are scored by at a working size.
 
-    Args:
-        scorer_at: Returns the scoring at a working size: width and height, pixels.
-        prior: Its tilt is every pose's.
-        params: The search's.
-        streams: Random numbers of the query.
+    All have the tilt of the prior.
     """
     started = time.perf_counter()
     best = Particles(prior.center[None], np.array([prior.euler.yaw_deg]), np.zeros(1))
@@ -211,12 +205,11 @@ def refine(
 ) -> tuple[Particles, dict[str, tuple[float, ...]]]:
     """Returns the best pose after the filter's last step, and the best score after each step.
 
-    Eq. (L7) of docs/methods/lodlocv2.md.
+    Eq. (L7) of docs/methods/lodlocv2.md. The scores are those of all beams (``fine``) and of each (``fine
+    beam 1`` and so on).
 
-    The scores are those of all beams (``fine``) and of each (``fine beam 1`` and so on).
-
-    Every beam starts from the same pose. In each step it keeps its best poses unchanged, so that
-    its score never falls, and adds moved copies of each; beams never mix (paper section 3.3).
+    Every beam starts from the same pose. In each step it keeps its best poses unchanged, so that its score
+    never falls, and adds moved copies of each; beams never mix (paper section 3.3).
     """
     first = score(start.centers, start.yaws_deg)
     beams = [_take(first, np.zeros(params.kept, dtype=np.int64)) for _ in range(params.beams)]

@@ -236,11 +236,7 @@ class SupportsPriorWidth(Protocol):
     """A method whose search can be fitted to how far off a prior may be."""
 
     def params_for_prior(self, prior: UniformPrior) -> Any:
-        """Returns the method's parameters, set to search all that such a prior leaves open.
-
-        Args:
-            prior: Half widths of the prior's error.
-        """
+        """Returns the method's parameters, set to search all within the half widths of a prior's error."""
         ...
 
 

@@ -50,11 +50,7 @@ class ConfiguredMethod:
         return ConfiguredMethod(self.kind, params)
 
     def for_tilt(self, tilt: str) -> ConfiguredMethod:
-        """Returns the same, told that priors have the true tilt where they do, if it asks.
-
-        Args:
-            tilt: The protocol's: ``prior`` or ``truth``.
-        """
+        """Returns the same for priors of the true tilt, if the protocol's (``prior``, ``truth``) is that."""
         method = self.make()
         if tilt != "truth" or not isinstance(method, SupportsTrueTilt):
             return self
@@ -87,10 +83,8 @@ def make_method(name: str, **params: Any) -> Method:
 def changed_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Returns those settings of a method that are not its defaults; none where it is not installed.
 
-    What its variant says (``variant``, ``matcher``, ``features``) and notes are left out.
-
-    Args:
-        settings: Of the method, ``name`` among them.
+    Its ``name`` is among them; what its variant says (``variant``, ``matcher``, ``features``) and notes are
+    left out.
     """
     try:
         params_type = load_plugin("methods", str(settings.get("name", ""))).params_type

@@ -41,11 +41,7 @@ class NothingFits(QueryFault):
 
 
 def nothing_fits(what: str) -> NothingFits:
-    """Returns the fault of a query none of whose hypotheses fits, and what to look at.
-
-    Args:
-        what: What none of them does.
-    """
+    """Returns the fault of a query none of whose hypotheses does what is named, and what to check."""
     return NothingFits(
         f"{what}: the prior may be far from the city, or look past it",
         "lodbench city info FILE says where the city is, and in which reference system; a gimbal's pitch is "

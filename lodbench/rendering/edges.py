@@ -106,9 +106,7 @@ def edge_pairs(scene: Scene) -> EdgePairs:
 def edge_faces(scene: Scene, pairs: EdgePairs | None = None) -> EdgeFaces:
     """Returns the edges of a scene where its vertices are.
 
-    Args:
-        scene: The scene.
-        pairs: Of this scene, or of one that differs in where its vertices are only; None to find them.
+    The pairs are of this scene, or of one that differs in where its vertices are only; None to find them.
     """
     pairs = edge_pairs(scene) if pairs is None else pairs
     points = scene.vertices.astype(np.float64)
@@ -174,13 +172,13 @@ def edges_in_view(
 ) -> ViewEdges:
     """Returns the edges of some buildings in one view, cut to the picture and split where they are hidden.
 
-    A place of an edge is hidden if the depth of all 3 x 3 pixels around it is less than its own, by
-    three pixels' footprints and 2 cm; one place is looked at per pixel of length. Of an edge that is hidden
-    otherwise, up to three pixels in a row that are not count as hidden too.
+    A place of an edge is hidden if the depth of all 3 x 3 pixels next to it is less than its own, by three
+    pixels' footprints and 2 cm; one place is tested per pixel of length. Of an edge that is hidden otherwise,
+    up to three pixels in a row that are not count as hidden too.
 
     Args:
         edges: Of the scene.
-        buildings: (K,) indices of the buildings to look at.
+        buildings: (K,) indices of the buildings whose edges are wanted.
         camera: Pinhole.
         pose: (3, 3) rotation cam_from_world and (3,) centre.
         depth: (H, W) depth of the view, all buildings in it.

@@ -108,13 +108,9 @@ class EdgeBins(NamedTuple):
 def edge_bins(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> EdgeBins:
     """Returns how strongly brightness and colour change across each pixel, in 12 equally full levels.
 
-    Gradients of L, a and b (Sobel) are taken after a blur and divided by their mean around the pixel, so that
-    a sharp foreground does not outweigh what lies in haze.
-
-    Args:
-        photo: (H, W) or (H, W, 3) BGR, 8 bits.
-        size: Width and height to work at, pixels.
-        blur_px: Standard deviation of the blur, pixels of that size.
+    Gradients of L, a and b (Sobel) are taken after a blur and divided by their mean about the pixel, so that
+    a sharp foreground does not outweigh what lies in haze. Photo and size as of ``appearance_bins``; the
+    blur's standard deviation is in pixels of that size.
     """
     lab = _blurred_lab(photo, size, blur_px)
     beside, upright = (np.abs(cv2.Sobel(lab, cv2.CV_32F, *axis)).sum(axis=2) for axis in ((1, 0), (0, 1)))
@@ -170,15 +166,11 @@ _STEP = 3
 def gradient_forms(
     photo: NDArray[Any], size: tuple[int, int], blur_px: float, least_mean: float
 ) -> NDArray[np.float32]:
-    """Returns (H, W, 3) xx, xy and yy of the gradients of L, a and b, over their mean strength around.
+    """Returns (H, W, 3) xx, xy and yy of the gradients of L, a and b, over their mean strength nearby.
 
     The square of the strength along any direction is a quadratic form of these: sums over the channels.
-
-    Args:
-        photo: (H, W) or (H, W, 3) BGR, 8 bits.
-        size: Width and height to work at, pixels.
-        blur_px: Standard deviation of the blur before, pixels of that size.
-        least_mean: Added to the mean strength, of CIE Lab's 0 to 100 a pixel.
+    Arguments as of ``edge_bins``; ``least_mean`` is added to the mean strength, of CIE Lab's 0 to 100 a
+    pixel.
     """
     lab = _blurred_lab(photo, size, blur_px)
     # Channels apart: numpy's sums over an axis of three take ten times as long.
@@ -192,14 +184,8 @@ def gradient_forms(
 def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Levels:
     """Returns (H, W, 12) uint8 how strongly brightness and colour change along each direction, 0 to 15.
 
-    Gradients of L, a and b (CIE Lab) are taken after a blur and divided by their mean around the pixel, so
-    that a sharp foreground does not outweigh what lies in haze. Direction ``k`` is ``k * pi / 12`` from the
-    picture's x axis towards its y axis.
-
-    Args:
-        photo: (H, W) or (H, W, 3) BGR, 8 bits.
-        size: Width and height to work at, pixels.
-        blur_px: Standard deviation of the blur, pixels of that size.
+    As ``edge_bins``, for any direction: ``k`` is ``k * pi / 12`` from the picture's x axis towards its y
+    axis.
     """
     forms = gradient_forms(photo, size, blur_px, 1e-3)
     angles = np.arange(DIRECTIONS) * (np.pi / DIRECTIONS)
@@ -216,9 +202,6 @@ def _level_table(steps: NDArray[np.int64]) -> Levels:
     """Returns (4096,) the level of each fine step of strength, so that levels are equally full.
 
     A search for the level of each strength would take longer than all else.
-
-    Args:
-        steps: Some of a photo, in fine steps.
     """
     up_to = np.bincount(steps.ravel(), minlength=FINEST + 1).cumsum()
     places = np.arange(1, EDGE_LEVELS) / EDGE_LEVELS * (steps.size - 1)

@@ -164,12 +164,7 @@ _BITS = 4
 
 
 def nearby_order(rotations: Floats, centers: Floats) -> NDArray[np.int64]:
-    """Returns an order of N poses along a Z-curve over their centres and directions (Morton 1966).
-
-    Args:
-        rotations: (N, 3, 3) cam_from_world.
-        centers: (N, 3) camera centres, metres.
-    """
+    """Returns an order of N poses along a Z-curve over centres, (N, 3), and directions (Morton 1966)."""
     if len(centers) <= 1:
         return np.arange(len(centers))
     # Neighbours in the first row of the rotation, the camera's x axis, have nearly the same yaw.

@@ -238,10 +238,9 @@ def _bands(camera: Camera, width: int) -> Iterator[Band]:
 
 
 def _blank_buffer(columns: int, height: int) -> Buffer:
-    """Returns an empty buffer.
+    """Returns an empty buffer; its columns are an odd number of cache lines long.
 
-    Its columns are an odd number of cache lines long: were it a power of two, as 1024 rows are, all
-    pixels of a row would compete for the same few places of the cache.
+    Were it a power of two, as 1024 rows are, all pixels of a row would compete for few places of the cache.
     """
     padded = 16 * ((height + 15) // 16 | 1)
     return Buffer(np.zeros((columns, padded)), np.full((columns, padded), -1, dtype=np.int32))

@@ -150,14 +150,7 @@ class SilhouetteRenderer:
     def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
         """Returns how well N hypotheses' silhouettes fit a query, (N,) float64, higher is better.
 
-        Args:
-            camera: Pinhole of the fit's size.
-            rotations: (N, 3, 3) cam_from_world.
-            centers: (N, 3) camera centres, local metres.
-            fit: Made from the query; see ``lodbench/rendering/fit.py``.
-
-        Raises:
-            RenderingError: As for ``counts``.
+        Arguments and errors as of ``counts``; see ``lodbench/rendering/fit.py``.
         """
         if isinstance(fit, IouFit):
             return self.counts(camera, rotations, centers, fit.mask).iou()

@@ -274,9 +274,8 @@ def answer_of(refined: Refined) -> Answer:
 def among_rivals(answer: Answer, ends: Floats, ious: Floats, ranges: Floats) -> Answer:
     """Returns an answer whose probabilities are shared with places where the silhouette fits nearly as well.
 
-    Eq. (C14) of docs/methods/contour_alignment.md.
-
-    Outlines there are other points, whose densities do not compare with the answer's; IoUs do.
+    Eq. (C14) of docs/methods/contour_alignment.md. Outlines there are other points, whose densities do not
+    compare with the answer's; IoUs do.
 
     Args:
         answer: What the end of highest IoU led to.

@@ -160,15 +160,9 @@ def log_likelihood(
 ) -> Quadratic:
     """Returns the log-likelihood of an outline under a hypothesis to second order, of ten numbers.
 
-    Eqs. (C5), (C10) of docs/methods/contour_alignment.md.
-
-    Args:
-        outline: The measured outline.
-        world: The hypothesis.
-        shared: (3,) the shared errors as estimated so far.
-        params: The method's. Its ``heat`` divides the whole: the model is not the whole truth, and points
-            that it takes for independent are not quite.
-        anywhere: The logarithm of the outline's density by ``density_anywhere``.
+    Eqs. (C5), (C10) of docs/methods/contour_alignment.md. It is of the shared errors, (3,), as estimated so
+    far, less the log density ``anywhere``. ``heat`` divides the whole: the model is not the whole truth, and
+    points that it takes for independent are not quite.
     """
     slopes, lengths_px = outline.slopes, (params.outline_px, params.roof_part_px)
     distances, noise_px, weights = _reweighted(outline, world, shared, params)
@@ -192,13 +186,8 @@ def density_anywhere(
     """Returns the logarithm of an outline's density if it lay anywhere near the mask's.
 
     Evidence is measured against it. Cameras at two places see other points of the model, and the one that
-    sees fewer, from further up, would have the higher density: each point's is below 1.
-
-    Args:
-        outline: The measured outline.
-        world: The hypothesis that says which points are outliers, and by how much.
-        shared: (3,) its shared errors as estimated so far.
-        params: The method's.
+    sees fewer, from further up, would have the higher density: each point's is below 1. The hypothesis says
+    which points are outliers, and by how much.
     """
     distances, noise_px, weights = _reweighted(outline, world, shared, params)
     log_density, lengths_px = 0.0, (params.outline_px, params.roof_part_px)

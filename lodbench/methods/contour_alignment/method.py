@@ -31,12 +31,7 @@ _EXPECTED: WeakKeyDictionary[CityMap, dict[float, CityMap | None]] = WeakKeyDict
 
 
 def expected_map(city_map: CityMap, pitched_lower_m: float) -> CityMap:
-    """Returns the map with blocks of pitched roofs so much lower; made once.
-
-    Args:
-        city_map: The map.
-        pitched_lower_m: How much lower than in the map such blocks are, metres.
-    """
+    """Returns the map with blocks of pitched roofs so much lower, metres; made once."""
     if pitched_lower_m == 0 or city_map.scene.pitched is None:
         return city_map
     known = _EXPECTED.setdefault(city_map, {})

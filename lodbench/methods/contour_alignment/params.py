@@ -172,11 +172,7 @@ class ContourAlignmentParams(SearchRange):
         return (*place, tilt, tilt, max(0.5 * self.range_yaw_deg, 1e-4))
 
     def outline_model(self, measured: Measurements | None = None) -> OutlineModel:
-        """Returns how outlines are compared until hypotheses of tilt and lens are weighed.
-
-        Args:
-            measured: Beside the photo: deviations of the prior that are stated.
-        """
+        """Returns how outlines are compared, beside stated deviations, until tilt and lens are weighed."""
         reach_m, turn_deg = self.reach()
         sigmas = self.prior_sigmas() if measured is None else measured.over(np.array(self.prior_sigmas()))
         return OutlineModel(
@@ -217,9 +213,8 @@ class ContourAlignmentParams(SearchRange):
     def over(self, pixels_per_m: float) -> ContourAlignmentParams:
         """Returns these parameters for buildings of such a scale, pixels of the fine size per metre.
 
-        Eq. (C16) of docs/methods/contour_alignment.md.
-
-        Near buildings need closer starts. A degree is as many pixels over all: its stride grows instead.
+        Eq. (C16) of docs/methods/contour_alignment.md. Near buildings need closer starts. A degree is as many
+        pixels over all: its stride grows instead.
         """
         share = max(_CLOSEST, _STRIDE_PX / max(_STRIDE_PX, pixels_per_m * self.stride_m))
         return replace(

@@ -156,15 +156,8 @@ def footprint_covariance(
 ) -> Floats:
     """Returns the covariance of what all cameras are off by with the buildings they show, (size, size).
 
-    Eq. (F17) of docs/methods/flight.md.
-
-    East and north come first, square metres; all else is 0.
-
-    Args:
-        terms: What photos say: the parts of roofs that they show.
-        roofs: Whose parts these are.
-        footprint_m: By how much one building's footprint is off along each axis, standard deviation, metres.
-        size: Numbers in all.
+    Eq. (F17) of docs/methods/flight.md. East and north come first, square metres; all else is 0. One
+    building's footprint is off by ``footprint_m`` along each axis.
     """
     shown = [roofs.building[term.parts] for term in terms if term is not None]
     buildings = np.concatenate([np.zeros(0, np.int64), *shown])
@@ -190,7 +183,7 @@ def flight_error(
     Args:
         queries: The photos.
         priors: (P, 6) what the sensors said, metres and degrees.
-        offsets: (N, 6) candidates: poses that photos found by themselves, less what was said of them.
+        offsets: (N, 6) candidates: poses that photos have by themselves, less what was said of them.
         city_map: Draws silhouettes.
         params: How many candidates, and judges.
     """

@@ -43,12 +43,7 @@ _LOWEST_RISE = 0.2
 
 
 def apart_deg(place: Floats, centers: Floats) -> float:
-    """Returns the largest angle between directions from a place to cameras, degrees; 0 for fewer than two.
-
-    Args:
-        place: (3,) scene metres.
-        centers: (N, 3) of cameras, scene metres.
-    """
+    """Returns the largest angle at a place, (3,), between cameras, (N, 3), degrees; 0 for fewer than two."""
     if len(centers) < 2:
         return 0.0
     away = centers - place
@@ -66,14 +61,9 @@ def roof_middles(scene: Scene) -> dict[int, Floats]:
 def without_contradicted(
     findings: dict[str, Any], queries: Sequence[Query], vectors: Floats, lens: Floats, city_map: CityMap
 ) -> dict[str, Any]:
-    """Returns a flight's findings without those that the edges of its photos contradict.
+    """Returns a flight's findings, as of ``findings_of``, without those that edges of its photos contradict.
 
-    Args:
-        findings: As of ``findings_of``.
-        queries: The photos; of those without a picture there are no edges.
-        vectors: (P, 6) where they were taken, metres and degrees.
-        lens: What the camera differs by, in the order of ``LensErrors``.
-        city_map: The map.
+    Photos were taken at (P, 6), metres and degrees, with a lens that differs in the order of ``LensErrors``.
     """
     rows = {name: row for row, name in enumerate(city_map.scene.building_ids)}
     doubted = {rows[b["id"]]: float(b["higher_m"]) for b in findings["buildings"] if b["doubt"]}
@@ -96,12 +86,7 @@ def _standing(
 ) -> set[int]:
     """Returns the buildings that stand as mapped by the edges of photos, or are not shown to be gone.
 
-    Args:
-        claims: By row, how much higher than mapped a building is said to be, metres; None for gone.
-        queries: The photos.
-        vectors: Where they were taken.
-        lens: Of ``LensErrors``.
-        city_map: The map.
+    Claims are by row: how much higher than mapped a building is said to be, metres; None for gone.
     """
     if not claims:
         return set()
@@ -209,13 +194,7 @@ class View:
 
 
 def views_of(queries: Sequence[Query], poses: Sequence[Pose], focal: float) -> list[View]:
-    """Returns photos to be compared with the map.
-
-    Args:
-        queries: The photos.
-        poses: Where they were found to be taken.
-        focal: By which share the focal length is longer than told.
-    """
+    """Returns photos at their poses, to be compared with the map, their focal length so much longer."""
     views = []
     for query, pose in zip(queries, poses, strict=True):
         whole = query.camera
@@ -228,10 +207,8 @@ def views_of(queries: Sequence[Query], poses: Sequence[Pose], focal: float) -> l
 def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, Any]]:
     """Returns the map's buildings that photos do not show, the surest first.
 
-    Eq. (F23) of docs/methods/flight.md.
-
-    Each with ``id``, ``probability``, the ``photos`` that should show it and do not, and ``apart_deg``
-    between the directions that they look from: photos from one side err alike.
+    Eq. (F23) of docs/methods/flight.md. Each with ``id``, ``probability``, the ``photos`` that should show it
+    and do not, and ``apart_deg`` between the directions that they look from: photos from one side err alike.
     """
     seen = [shares_held(view, city_map) for view in views]
     rows = [(building, k, pixels, held) for k, one in enumerate(seen) for building, pixels, held in one]

@@ -74,16 +74,10 @@ def edge_terms(
     trust: tuple[float, float],
     threads: Executor | None,
 ) -> list[PhotoTerms | None]:
-    """Returns what photos' edges say at their poses; None for one that shows too few lines.
+    """Returns what photos' edges say at their poses; None for one that shows too few lines or is None.
 
-    Args:
-        photos: None for one that cannot be read.
-        vectors: (P, 6) their poses: metres and degrees.
-        lens: (5,) as of ``State.lens``.
-        roofs: By how much parts of roofs are higher than in the map; parts that are met are added.
-        reach_px: Scale of the masks' robust kernel, with which that of edges narrows; None in the last steps.
-        trust: As of ``flight_terms``.
-        threads: Photos are looked at side by side, None for one after the other.
+    Arguments as of ``flight_terms``; edges narrow with the scale of the masks' robust kernel, None in the
+    last steps.
     """
     spread = map if threads is None else threads.map
     errors = LensErrors(*(float(v) for v in lens[:4]))
@@ -99,15 +93,9 @@ def edge_terms(
         return lines.of(np.arange(len(lines)) % few == 0) if few > 1 else lines
 
     shown = list(spread(look, range(len(photos))))
-    # Where walls end has heights of its own, numbered apart from roofs; in the order of photos.
+    # In the order of photos.
     parts = [
-        None
-        if lines is None
-        else (
-            roofs.numbers_of(lines.buildings, lines.points[:, :2]),
-            roofs.numbers_of(-1 - lines.buildings, lines.points[:, :2]),
-        )
-        for lines in shown
+        None if each is None else roofs.tops_and_feet(each.buildings, each.points[:, :2]) for each in shown
     ]
 
     def terms(k: int) -> PhotoTerms | None:

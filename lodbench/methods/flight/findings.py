@@ -90,15 +90,9 @@ class _Outlines(NamedTuple):
 def building_heights(
     aligned: Aligned, curves: Mapping[int, RoofCurve], scene: Scene, params: FlightParams
 ) -> dict[int, BuildingHeight]:
-    """Returns the heights of buildings whose outlines or pixels tell them, by row of the scene.
+    """Returns the heights of buildings whose outlines or pixels determine them, by row of the scene.
 
-    Eq. (F20) of docs/methods/flight.md.
-
-    Args:
-        aligned: Where the flight ended.
-        curves: What pixels say of heights; see ``sweep_roofs``.
-        scene: The map.
-        params: How far heights may be wrong.
+    Eq. (F20) of docs/methods/flight.md; curves are those of ``sweep_roofs``.
     """
     by_outlines = dict(_by_outlines(aligned, params))
     (_, rises), common = floors_and_rises(scene), _common(curves)
@@ -313,10 +307,7 @@ def _buildings(
 
 
 def _sigmas_of_doubt(heights: Iterable[BuildingHeight]) -> float:
-    """Returns how many of its own deviations off a height is in doubt, given how far others of a flight are.
-
-    Where masks err by more than is known of them, most heights show it.
-    """
+    """Returns from how many of its deviations on a height is in doubt: more where most heights are off."""
     off = [abs(height.higher_m) / height.sigma_m for height in heights]
     usual = _PER_MEDIAN * float(np.median(off)) if off else 0.0
     return _DOUBT_SIGMAS * max(1.0, usual)

@@ -186,10 +186,7 @@ _FREEDOM = 1.0
 def solve(state: State, terms: Sequence[PhotoTerms | None], params: FlightParams) -> Solution:
     """Returns one Gauss-Newton step of the joint problem. Eqs. (F1), (F2) of docs/methods/flight.md.
 
-    Args:
-        state: Where it stands.
-        terms: What each photo says there; None for one that says nothing.
-        params: How far everything may be wrong.
+    The terms are what each photo says where the state has it; None for one that says nothing.
     """
     buildings = np.unique(state.roofs.building[state.roofs.building >= 0])
     shared = 6 * len(terms)

@@ -122,13 +122,9 @@ class FlightMethod:
         city_map: CityMap,
         start: State | None = None,
     ) -> FlightEstimate:
-        """Returns what ``localize_flight`` does, given what was found of each photo by itself.
+        """Returns what ``localize_flight`` does, given what each photo says by itself.
 
-        Args:
-            queries: The photos.
-            alone: What was found of each.
-            city_map: The map.
-            start: Where sensors and ties have photos, if that is known already.
+        The start is where sensors and ties have photos, if that is known already.
         """
         faults = [found for found in alone if isinstance(found, QueryFault)]
         if len(faults) == len(alone):
@@ -343,9 +339,8 @@ class FlightMethod:
     def _misfit(self, state: State) -> float:
         """Returns by how much less all is known where photos agree on what masks and map can hardly be.
 
-        Eq. (F19) of docs/methods/flight.md.
-
-        Masks that are all far too large, or roofs all far too high, stand for an error of another kind.
+        Eq. (F19) of docs/methods/flight.md. Masks that are all far too large, or roofs all far too high,
+        stand for an error of another kind.
         """
         common = slice(6 + LENS - 1, CONSTANTS)
         beyond = (

@@ -133,12 +133,9 @@ class FlightParams:
         return _sigmas(*widths, self.own_tilt_deg, self.own_tilt_deg, self.own_yaw_deg)
 
     def with_scatter(self, gaps: Floats) -> FlightParams:
-        """Returns the parameters with photos' own errors as large as they are found to be, or as declared.
+        """Returns the parameters with photos' own errors as large as they scatter, or as declared.
 
-        Eq. (F13) of docs/methods/flight.md.
-
-        Args:
-            gaps: (P, 6) where a block of photos has each, less what sensors say: metres and degrees.
+        Eq. (F13) of docs/methods/flight.md; (P, 6) where a block of photos has each, less what sensors say.
         """
         if len(gaps) < _FEWEST_TO_SCATTER:
             return self
@@ -192,8 +189,7 @@ class FlightParams:
     def constant_sigmas(self, scales: Floats = _AS_TOLD) -> Floats:
         """Returns (13,) standard deviations beforehand of what photos share, in the order of ``joint``.
 
-        Args:
-            scales: The shares of what is told that roofs and feet of walls err by, and more.
+        Roofs, feet of walls and more err by shares of what is declared.
         """
         map_m = scales[0] * self.roofs_m, scales[2] * self.feet_m
         lens = (self.focal, self.distortion, self.center, self.center, self.mask_px)

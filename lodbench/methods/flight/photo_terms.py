@@ -61,9 +61,7 @@ class RoofParts:
     def numbers_of(self, buildings: NDArray[np.int64], places: Floats) -> NDArray[np.int64]:
         """Returns the numbers of the parts that points lie in, (N,); new parts are as high as their building.
 
-        Args:
-            buildings: (N,) rows of the scene.
-            places: (N, 2) east and north, scene metres.
+        Of (N,) rows of the scene and (N, 2) places east and north, scene metres.
         """
         cells = np.floor(places / self._cell_m).astype(np.int64) + _MOST_CELLS // 2
         # One number for building and cell: of few points in many photos, it is the sorting that takes long.
@@ -80,6 +78,12 @@ class RoofParts:
             self.heights_m = np.concatenate([self.heights_m, heights])
         numbers = np.array([self._numbers[key] for key in found], dtype=np.int64)
         return numbers[inverse]
+
+    def tops_and_feet(
+        self, buildings: NDArray[np.int64], places: Floats
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Returns ``numbers_of`` roofs, and of where walls end: these have heights of their own."""
+        return self.numbers_of(buildings, places), self.numbers_of(-1 - buildings, places)
 
     def building_heights(self) -> Floats:
         """Returns (B,) the mean height of each building's parts against the map, metres; 0 without any."""
@@ -184,11 +188,8 @@ def flight_terms(
     spread = map if threads is None else threads.map
     is_last = reach_px is None
     seen = list(spread(lambda k: _look(aligners[k], vectors[k], lens, is_last), range(len(aligners))))
-    # Where walls end has heights of its own, numbered apart from roofs; in the order of photos.
-    parts = [
-        None if one is None else (roofs.numbers_of(rows, one.places), roofs.numbers_of(-1 - rows, one.places))
-        for one, _, rows in seen
-    ]
+    # In the order of photos.
+    parts = [None if one is None else roofs.tops_and_feet(rows, one.places) for one, _, rows in seen]
 
     def terms(k: int) -> PhotoTerms | None:
         (one, fit, rows), numbers = seen[k], parts[k]
@@ -345,11 +346,9 @@ def _through_lens(aligner: Aligner, points: OutlinePoints, lens: Floats, size: t
 def _outline_noise(seen: Residuals, reach_px: float | None) -> tuple[float, Floats]:
     """Returns the standard deviation of the mask's outline in pixels, and (N,) how far points count.
 
-    Eq. (F4) of docs/methods/flight.md.
-
-    Points are on the outline, or on none: trees and holes cut into a mask, yards and neighbours add to it.
-    How often they do either, and how far the rest is off, is found from the view itself (expectation
-    maximisation of a Gaussian between two uniform densities).
+    Eq. (F4) of docs/methods/flight.md. Points are on the outline, or on none: trees and holes cut into a
+    mask, yards and neighbours add to it. How often they do either, and how far the rest is off, comes from
+    the view itself (expectation maximisation of a Gaussian between two uniform densities).
     """
     distances, near = seen.distances, near_distances(seen.distances, seen.agreement)
     noise_px = outline_noise(near)

@@ -57,12 +57,8 @@ class RelativePose:
     ) -> tuple[Floats, Floats]:
         """Returns (5,) how far two poses are from it, and (5, 13) the change per unit of them and the focal.
 
-        Eq. (F8) of docs/methods/flight.md.
-
-        Args:
-            vectors: (P, 6) poses of all photos, metres and degrees.
-            derivatives: Of each, from ``rotation_derivatives``.
-            focal: By which share the focal length is longer than declared.
+        Eq. (F8) of docs/methods/flight.md. Of (P, 6) poses of all photos, their ``rotation_derivatives``, and
+        the share that the focal length is longer than declared.
         """
         here, there = (pose_from_vector(vectors[k]) for k in (self.first, self.second))
         baseline = here.center - there.center
@@ -171,12 +167,8 @@ class Reconstruction:
     def linearize(self, photo: int, vectors: Floats, derivatives: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Returns (6,) how far a photo's pose is from its own, and (6, 16) the change per unit of both.
 
-        Eq. (F10) of docs/methods/flight.md.
-
-        Args:
-            photo: Its number.
-            vectors: (P, 6) poses of all photos, metres and degrees.
-            derivatives: Of each, from ``rotation_derivatives``.
+        Eq. (F10) of docs/methods/flight.md. Of (P, 6) poses of all photos, and their
+        ``rotation_derivatives``.
         """
         mine, here = self.poses[photo], pose_from_vector(vectors[photo])
         away = mine.center - self.middle

@@ -60,12 +60,9 @@ class SweepPicture:
 
 
 def open_pictures(queries: Sequence[Query], poses: Sequence[Pose], lens: Floats) -> list[SweepPicture]:
-    """Returns the photos that can be read; many are narrower than few.
+    """Returns the photos that can be read, at their poses; many are narrower than few.
 
-    Args:
-        queries: The photos.
-        poses: Where they were found to be taken, scene frame.
-        lens: The focal length's change as a share, and the radial distortion k1.
+    The lens is the focal length's change as a share, and the radial distortion k1.
     """
     if not queries:
         return []

@@ -71,11 +71,7 @@ def _heights_over(triangles: Floats, places: Floats) -> Floats:
 def edge_points(triangles: Floats) -> Floats:
     """Returns points of the edges of a building's upper side, their share of its height, and directions.
 
-    Args:
-        triangles: (T, 3, 3) metres.
-
-    Returns:
-        (N, 7): places, shares, unit vectors along the edge.
+    Triangles are (T, 3, 3) metres; returned are (N, 7): places, shares, unit vectors along the edge.
     """
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -183,11 +179,8 @@ def sweep_place(
 ) -> RoofCurve | None:
     """Returns how well heights of something flat explain the photos; None where too few show it.
 
-    Args:
-        points: (N, 3) of the ground below it, scene metres.
-        heights_m: (H,) ascending, above that.
-        pictures: As ``sweep_roofs`` leaves them.
-        city_map: Its buildings hide places.
+    Points, (N, 3), are of the ground below it, heights, (H,), above that; pictures as ``sweep_roofs`` leaves
+    them.
     """
     rising = np.column_stack([points, np.ones(len(points))])
     seen = [(picture, _sees(picture, points, city_map, heights_m)) for picture in pictures]
@@ -317,14 +310,9 @@ def _take_exposures_away(roofs: Mapping[int, Floats], seen: Mapping[int, Sequenc
 
 
 def _curve(points: Floats, photos: Sequence[_Shown], heights_m: Floats) -> RoofCurve | None:
-    """Returns how well heights of a roof explain its photos; None where too little is seen often enough.
+    """Returns how well heights of a roof explain its photos; None where too little is visible often enough.
 
-    Eq. (F21) of docs/methods/flight.md.
-
-    Args:
-        points: (N, 4) of the roof, and which share of the building's height they have.
-        photos: Those that show it.
-        heights_m: (H,) that are tried.
+    Eq. (F21) of docs/methods/flight.md; (N, 4) points with their share of the building's height.
     """
     colours, counts = _colours(points, photos, heights_m)
     if len(counts) < _FEWEST_POINTS:

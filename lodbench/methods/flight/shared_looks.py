@@ -67,13 +67,8 @@ def with_masks_by_looks(
 ) -> list[Query]:
     """Returns a flight's queries with masks made of their photos, by what all photos show.
 
-    A photo that cannot be read has an empty mask.
-
-    Args:
-        queries: The photos.
-        vectors: (P, 6) about where they were taken, metres and degrees.
-        trusts: (P,) how far each photo's place is believed, 0 to 1.
-        city_map: Says which surfaces are roofs and walls.
+    A photo that cannot be read has an empty mask. Photos were taken at about (P, 6), metres and degrees,
+    believed as far as (P,), 0 to 1.
     """
     looks = [look_of(query, vector, city_map) for query, vector in zip(queries, vectors, strict=True)]
     seen = [k for k, look in enumerate(looks) if look is not None]
@@ -97,12 +92,8 @@ def agreed_places(
 ) -> tuple[Floats, Floats]:
     """Returns (P, 6) about where photos were taken, and (P,) how far each place is believed.
 
-    Photos that found themselves where most say that sensors err are believed; the others are put there.
-
-    Args:
-        priors: (P, 6) what sensors and ties say.
-        found: What was found of each photo by itself, or by earlier steps; at least one estimate.
-        params: How far photos err alike and each.
+    Photos whose answers, at least one, lie where most say that sensors err are believed; the others are put
+    there. Priors, (P, 6), are what sensors and ties say.
     """
     known = np.array([k for k, each in enumerate(found) if isinstance(each, Estimate)])
     estimates = [each for each in found if isinstance(each, Estimate)]

@@ -284,13 +284,8 @@ def _rises(cells: Cells, shares: Floats, ground: tuple[float, Floats], centers: 
     """Returns whether cells are those of something that rises: yards and courts lie flat.
 
     What lies flat is called a building by fewer photos the higher it is looked for: there each camera looks
-    past its far side. Of what rises the same photos say the same at both heights.
-
-    Args:
-        cells: (N, 2).
-        shares: (2, N) of photos that call them a building, at the two lowest heights.
-        ground: Its height, and the corner of the grid.
-        centers: (P, 3) of the cameras that show them.
+    past its far side. Of what rises the same photos say the same at both heights, shares (2, N). The ground
+    is its height, and the corner of the grid; centres, (P, 3), are of the cameras that show the cells.
     """
     higher_m, (height_m, corner) = _HEIGHTS_M[1] - _HEIGHTS_M[0], ground
     lowest = cells[shares[0] >= _SHARE]
