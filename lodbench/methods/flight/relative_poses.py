@@ -296,14 +296,9 @@ def two_view(
 ) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.bool_]] | None:
     """Returns the relative pose of two photos from points visible in both; None if they say none.
 
-    Args:
-        first: (N, 2) points of the first photo at depth 1, x right and y down.
-        second: (N, 2) of the second.
-        focal_px: Pixels of their focal length.
-        guess: (3, 3) about how the second photo is turned against the first.
-
-    Returns:
-        The last four fields of ``RelativePose``, and (N,) which points agree with it.
+    Points, (N, 2), are at depth 1, x right and y down; the guess, (3, 3), is about how the second photo is
+    turned against the first. Returned are the last four fields of ``RelativePose``, and (N,) which points
+    agree.
     """
     if len(first) < _FEWEST:
         return None
