@@ -85,10 +85,7 @@ def basin_steps(
 def protocol_lines(tilt: str, seed: int, is_told: bool) -> list[str]:
     """Returns the protocol in words, as it is printed with every basin.
 
-    Args:
-        tilt: Which pitch and roll the method is given.
-        seed: Of the priors.
-        is_told: Whether the method searches as far as priors are off, not as far as it is set.
+    ``is_told`` is whether the method searches as far as priors are off, not as far as it is set.
     """
     tilts = {
         "truth": "the true pitch and roll (an oracle, as the paper's tables most likely have)",

@@ -50,11 +50,7 @@ class PhotoEdges:
         """Returns (N,) pixels from places on visible roof edges to the nearest parallel image edge.
 
         Places are every 4 px; infinite where no image edge within 15 degrees lies within 6 px. Empty where no
-        roof is in view.
-
-        Args:
-            pose: Of the camera, scene frame.
-            city_map: The map.
+        roof is in view of the pose, scene frame.
         """
         pieces = roof_edges(self.camera, pose, city_map)
         return np.concatenate([np.empty(0), *(self._from(first, last) for first, last in pieces)])

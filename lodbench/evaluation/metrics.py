@@ -75,12 +75,9 @@ class Calibration:
 def calibrate(
     probabilities: Sequence[float] | Floats, hits: Sequence[bool] | Hits, num_bins: int = 10
 ) -> Calibration:
-    """Returns how well probabilities of being found agree with what was found.
+    """Returns how well probabilities, (N,) in [0, 1], agree with which of N queries were localised.
 
-    Args:
-        probabilities: (N,) in [0, 1]; 0 for a query without an answer.
-        hits: (N,) whether each was found.
-        num_bins: Bins of the reliability diagram.
+    The probability of a query without an answer is 0; bins are those of the reliability diagram.
     """
     confidence, found = np.asarray(probabilities, dtype=np.float64), np.asarray(hits, dtype=np.bool_)
     bins = _bins(confidence, found, num_bins)
@@ -256,12 +253,9 @@ class InstanceMatches:
 
 
 def match_instances(found: NDArray[np.integer], true: NDArray[np.integer], least_px: int) -> InstanceMatches:
-    """Returns how labels of a photo go with the true ones.
+    """Returns how labels of a photo, (H, W) and 0 for no building, go with the true ones.
 
-    Args:
-        found: (H, W), 0 for no building.
-        true: (H, W), likewise.
-        least_px: Buildings of fewer pixels do not count, on either side.
+    Buildings of fewer pixels than ``least_px`` do not count, on either side.
     """
     found_ids, a, of_found = np.unique(found, return_inverse=True, return_counts=True)
     true_ids, b, of_true = np.unique(true, return_inverse=True, return_counts=True)

@@ -315,14 +315,10 @@ def match_poses(found: Sequence[FoundPose], entries: Sequence[Entry], format_nam
 def suspect_convention(
     poses: Mapping[str, Pose], reference: Mapping[str, Pose], has_quaternions: bool
 ) -> str | None:
-    """Returns a sentence if poses read in another convention lie much closer to where they should.
+    """Returns a sentence if poses read in another convention lie much closer to true poses or priors, by key.
 
-    Nothing is mended: a benchmark that turns poses around by itself scores its own guess.
-
-    Args:
-        poses: Poses as read, by key.
-        reference: True poses, or priors, by key.
-        has_quaternions: Whether the order of a quaternion's components may be the fault.
+    Nothing is mended: a benchmark that turns poses by itself scores its own guess. With quaternions the order
+    of their components may be the fault.
     """
     shared = [key for key in poses if key in reference]
     if not shared:

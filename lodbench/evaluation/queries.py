@@ -190,11 +190,7 @@ def summarize_queries(
 ) -> tuple[SplitSummary, SplitSummary]:
     """Returns the summaries of the estimates and of the priors of one split, over its truth list.
 
-    Args:
-        queries: The table.
-        split: Name of the split.
-        protocol: Bins and further numbers.
-        thresholds: Where to measure recall instead.
+    Recall is measured at the protocol's bins, or at other thresholds.
     """
     thresholds = protocol.thresholds if thresholds is None else thresholds
     scored = of_split(queries, split)

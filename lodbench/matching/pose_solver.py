@@ -284,14 +284,11 @@ class UprightPose:
 
 
 def poses_of_pairs(points: Floats, rays: Floats) -> tuple[Floats, Floats]:
-    """Returns the poses from which pairs of points are seen along pairs of rays, both depths positive.
+    """Returns the poses from which pairs of points are visible along pairs of rays, both depths positive.
 
-    Args:
-        points: (N, 2, 3) metres.
-        rays: (N, 2, 3) in axes that only a turn about the vertical parts from the world's.
-
-    Returns:
-        (M,) that turn, radians, counter-clockwise from the rays' axes to the world's, and (M, 3) centres.
+    Points are (N, 2, 3) metres, rays (N, 2, 3) in axes that only a turn about the vertical parts from the
+    world's. Returned are (M,) that turn, radians, counter-clockwise from the rays' axes to the world's, and
+    (M, 3) centres.
     """
     apart = points[:, 0] - points[:, 1]
     # Depths a and b with a r0 - b r1 = apart, but for the turn: heights are equal, and lengths on the plan.

@@ -150,13 +150,7 @@ def open_matching(name: str, weights: str | None = None) -> tuple[Matcher, Featu
 def match_images(
     first: Image, second: Image, matcher: Matcher, extractor: FeatureExtractor | None = None
 ) -> Matches:
-    """Returns the matches of two (H, W, 3) uint8 pictures, red first.
-
-    Args:
-        first: A picture.
-        second: Another, of any size.
-        matcher: Finds the matches.
-        extractor: Finds the features, for a matcher that takes features.
+    """Returns the matches of two (H, W, 3) uint8 pictures, red first, of any sizes.
 
     Raises:
         ConfigError: The matcher takes features and there is no extractor.
@@ -241,13 +235,9 @@ class PicturePair:
 
 
 def make_pair(first: Image, second: Image, longest_px: int, cell_px: int) -> PicturePair:
-    """Returns two pictures ready for a network.
+    """Returns two pictures, (H, W, 3) uint8 of any sizes, ready for a network.
 
-    Args:
-        first: (H, W, 3) uint8.
-        second: Likewise, of any size.
-        longest_px: The longest side of both is at most this.
-        cell_px: Sides are multiples of it.
+    The longest side of both is at most ``longest_px``; sides are multiples of ``cell_px``.
 
     Raises:
         RenderingError: A picture is no such array.

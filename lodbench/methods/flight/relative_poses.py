@@ -391,12 +391,8 @@ def _pairs(vectors: Floats) -> list[tuple[int, int]]:
     """Returns the pairs of photos that may show the same, each once, the smaller number first."""
     axes = np.array([pose_from_vector(vector).rotation[2] for vector in vectors])
     apart_m = np.linalg.norm(vectors[:, None, :3] - vectors[None, :, :3], axis=2)
-    is_alike = axes @ axes.T > np.cos(np.radians(_ALIKE_DEG))
-    apart_m[~is_alike] = np.inf
+    apart_m[axes @ axes.T <= np.cos(np.radians(_ALIKE_DEG))] = np.inf
     np.fill_diagonal(apart_m, np.inf)
-    pairs = set()
-    for photo, row in enumerate(apart_m):
-        for other in np.argsort(row, kind="stable")[:_NEIGHBOURS]:
-            if np.isfinite(row[other]):
-                pairs.add((min(photo, int(other)), max(photo, int(other))))
-    return sorted(pairs)
+    nearest = np.argsort(apart_m, axis=1, kind="stable")[:, :_NEIGHBOURS].tolist()
+    near = ((k, other) for k, row in enumerate(nearest) for other in row if np.isfinite(apart_m[k, other]))
+    return sorted({(min(pair), max(pair)) for pair in near})
