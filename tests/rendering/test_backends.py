@@ -13,7 +13,7 @@ from lodbench.citymodel import open_scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler
 from lodbench.rendering import drivers, make_renderer, open_renderer
-from lodbench.rendering.backends import Open3dRenderer, pixel_rays
+from lodbench.rendering.backends import pixel_rays
 from lodbench.rendering.drivers import import_fault
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
@@ -212,13 +212,6 @@ OPEN3D_CAMERA = Camera(160, 120, 115.0, 100.0, 70.3, 66.8)
 TOWN = scene_of(box([-5, -5, 0], [10, 10, 10]), box([12, 0, 0], [4, 9, 20], floor=False))
 
 
-def open3d_open_or_skip(scene):
-    try:
-        return Open3dRenderer(scene, 1)
-    except RenderingError as error:
-        pytest.skip(f"no Open3D here: {error} {error.hint}")
-
-
 @pytest.mark.parametrize(
     ("center", "pitch"),
     [
@@ -231,7 +224,7 @@ def open3d_open_or_skip(scene):
     ],
 )
 def test_agrees_with_the_raster(center, pitch):
-    peer, pose = open3d_open_or_skip(TOWN), Pose.from_euler(EulerAngles(pitch, 2, 15), center)
+    peer, pose = open_or_skip("open3d", TOWN), Pose.from_euler(EulerAngles(pitch, 2, 15), center)
     layers = RasterRenderer(TOWN, 1).draw(OPEN3D_CAMERA, pose)
     mask, depth = peer.render(OPEN3D_CAMERA, pose), peer.depth(OPEN3D_CAMERA, pose)
     assert np.count_nonzero(mask != layers.mask) <= 0.001 * mask.size
@@ -241,7 +234,7 @@ def test_agrees_with_the_raster(center, pitch):
 
 
 def test_scores_like_any_renderer():
-    open3d_open_or_skip(TOWN)
+    open_or_skip("open3d", TOWN)
     scorer = make_renderer("open3d", TOWN, 1)
     pose = straight_down(60.0)
     counts = scorer.counts(
@@ -260,31 +253,32 @@ def test_rays_pass_through_pixel_centres():
     np.testing.assert_allclose(pixels[:, 1], rows.ravel(), atol=1e-3)
 
 
+NO_FILE = "cannot open shared object file: No such file"
+
+
 @pytest.mark.parametrize(
-    ("message", "hint"),
+    ("renderer", "message", "hint"),
     [
-        ("No module named 'open3d'", "lodbench[render]"),
-        ("libusb-1.0.so.0: cannot open shared object file: No such file", "apt-get install libusb-1.0-0 "),
-        ("libgomp.so.1: cannot open shared object file: No such file", "apt-get install libgomp1 "),
-        ("libX11.so.6: cannot open shared object file: No such file", "apt-get install libx11-6 "),
-        ("libGL.so.1: cannot open shared object file: No such file", "apt-get install libgl1 "),
-        (
-            "libodd.so.7: cannot open shared object file: No such file",
-            "libgl1 libgomp1 libusb-1.0-0 libx11-6",
-        ),
+        ("pyrender", "No module named 'pyrender'", "lodbench[render]"),
+        ("open3d", "No module named 'open3d'", "lodbench[render]"),
+        ("open3d", f"libusb-1.0.so.0: {NO_FILE}", "apt-get install libusb-1.0-0 "),
+        ("open3d", f"libgomp.so.1: {NO_FILE}", "apt-get install libgomp1 "),
+        ("open3d", f"libX11.so.6: {NO_FILE}", "apt-get install libx11-6 "),
+        ("open3d", f"libGL.so.1: {NO_FILE}", "apt-get install libgl1 "),
+        ("open3d", f"libodd.so.7: {NO_FILE}", "libgl1 libgomp1 libusb-1.0-0 libx11-6"),
     ],
 )
-def test_what_is_absent_is_named_with_its_package(monkeypatch, message, hint):
+def test_what_is_absent_is_named_with_its_package(monkeypatch, renderer, message, hint):
     real_import = builtins.__import__
 
     def absent(name, *args, **kwargs):
-        if name == "open3d":
+        if name == renderer:
             raise ImportError(message)
         return real_import(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", absent)
-    with pytest.raises(RenderingError, match="open3d") as caught:
-        make_renderer("open3d", TOWN)
+    with pytest.raises(RenderingError, match=renderer) as caught:
+        make_renderer(renderer, TOWN)
     assert hint in caught.value.hint
 
 
@@ -311,15 +305,16 @@ def test_one_that_hangs_is_given_up(untried):
     assert "doctor" in caught.value.hint
 
 
-def test_one_that_crashes_is_named_by_its_signal(untried):
-    untried("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
-    with pytest.raises(RenderingError, match="SIGSEGV"):
-        drivers.require_driver()
-
-
-def test_one_that_fails_says_why(untried):
-    untried("import sys; sys.exit('no EGL here')")
-    with pytest.raises(RenderingError, match="cannot draw: no EGL here"):
+@pytest.mark.parametrize(
+    ("trial", "reason"),
+    [
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "SIGSEGV"),
+        ("import sys; sys.exit('no EGL here')", "cannot draw: no EGL here"),
+    ],
+)
+def test_one_that_crashes_or_fails_says_why(untried, trial, reason):
+    untried(trial)
+    with pytest.raises(RenderingError, match=reason):
         drivers.require_driver()
 
 

@@ -1,5 +1,3 @@
-import builtins
-
 import numpy as np
 import pytest
 from hostile_scenes import box, scene_of
@@ -38,20 +36,6 @@ def test_every_renderer_without_extras_scores_alike():
 def test_iou_of_an_empty_union_is_zero():
     counts = IouCounts(np.array([0, 3, 0]), np.array([0, 4, 7]))
     assert counts.iou().tolist() == [0.0, 0.75, 0.0]
-
-
-def test_without_pyrender_the_error_says_what_to_install(monkeypatch):
-    real_import = builtins.__import__
-
-    def absent(name, *args, **kwargs):
-        if name == "pyrender":
-            raise ImportError("No module named 'pyrender'")
-        return real_import(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", absent)
-    with pytest.raises(RenderingError) as caught:
-        make_renderer("pyrender", SCENE)
-    assert "lodbench[render]" in caught.value.hint
 
 
 def test_every_renderer_draws_silhouettes():
