@@ -352,11 +352,11 @@ def test_why_answers_are_not_to_be_trusted_is_said_photo_by_photo(
 def test_what_was_found_until_it_was_stopped_is_written(caplog, case, flight, tmp_path, monkeypatch):
     once, begun = many.localize_photo, []
 
-    def stopped(request):
+    def stopped(request, **given):
         begun.append(request.photo)
         if len(begun) == 2:
             raise KeyboardInterrupt
-        return once(request)
+        return once(request, **given)
 
     monkeypatch.setattr(many, "localize_photo", stopped)
     out = tmp_path / "out"

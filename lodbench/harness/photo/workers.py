@@ -86,9 +86,10 @@ class PhotoWorkers:
             items: By number in ``photos``.
             photos: All of them; those without an item are done.
         """
-        batches: dict[str, list[tuple[int, Item]]] = {}
+        batches: dict[object, list[tuple[int, Item]]] = {}
         for number, item in items.items():
-            batches.setdefault(photos[number].stem, []).append((number, item))
+            key = number if self._processes.count == 1 else photos[number].stem
+            batches.setdefault(key, []).append((number, item))
         with Progress(label, len(photos), done=len(photos) - len(items)) as progress:
             for results in self._processes.map(partial(_work_here, work), batches.values()):
                 yield from results
