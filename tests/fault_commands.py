@@ -304,7 +304,7 @@ COMMANDS = [
     Command(
         "generate-training-data",
         GENERATE,
-        remembered=("lodbench.synthesis.training_data.generate.make_surroundings",),
+        remembered=("lodbench.synthesis.generate.make_surroundings",),
     ),
     Command("train", TRAIN),
 ]

@@ -20,7 +20,7 @@ from lodbench.harness.results import run_method
 from lodbench.methods.localize import weight_files
 from lodbench.methods.registry import configure_method
 from lodbench.segmentation import notes_of
-from lodbench.segmentation.registry import fingerprint_of, make_segmenter
+from lodbench.segmentation.protocol import fingerprint_of, make_segmenter
 from tests.site_packages import write_package
 from tests.town import write_dataset
 

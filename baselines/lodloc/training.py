@@ -42,7 +42,7 @@ def train_heads(settings: LodLocTraining, tell: Callable[[str], None] = lambda l
         LodbenchError: torch is missing, the data is at fault, or the folder holds another training.
     """
     require("torch", "torch", "lodbench train method=lodloc")
-    from lodbench.segmentation.nets.compact import STRIDE
+    from lodbench.segmentation.nets.unets import STRIDE
     from lodbench.segmentation.nets.weights import write_onnx
 
     from .nets.loop import train

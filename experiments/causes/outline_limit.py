@@ -27,7 +27,7 @@ from lodbench.kernels.edges import measure_distances
 from lodbench.methods.contour_alignment.method import ContourAlignment
 from lodbench.storage import random_stream
 from lodbench.synthesis.mask_degradation import degrade_mask
-from lodbench.synthesis.view_sampling import FINE_SIZE
+from lodbench.synthesis.views import FINE_SIZE
 from lodbench.synthesis.views_dataset import ViewsParams, open_views
 
 Floats = NDArray[np.float64]

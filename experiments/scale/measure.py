@@ -27,7 +27,7 @@ from lodbench.params import flag
 from lodbench.rendering.engine_arrays import arrays_folder
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.reporting.aligned_text import format_columns
-from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
+from lodbench.synthesis.views import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 
 if TYPE_CHECKING:
     import pandas as pd

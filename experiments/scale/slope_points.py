@@ -32,7 +32,7 @@ from lodbench.geometry import Camera
 from lodbench.harness.tiled_city import compile_tiles
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import write_text
-from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
+from lodbench.synthesis.views import FINE_SIZE, RGB_CAMERA
 
 # Hypotheses of an item that workers share; buildings of a tile.
 _ITEM, _TILE = 500, 500

@@ -26,10 +26,11 @@ from lodbench.segmentation.photo_segmenter import photo_probability
 from lodbench.storage import digest_of, file_digest
 from lodbench.storage.disk import writable
 from lodbench.storage.paths import cache_root
+from lodbench.synthesis import generate
+from lodbench.synthesis.camera_paths import GenerateParams
 from lodbench.synthesis.demo import DemoParams, DemoTrainParams, demo_folder
+from lodbench.synthesis.generate import generate_training_data
 from lodbench.synthesis.town.build import FINE_CITY_FILE, PROPS_FILE
-from lodbench.synthesis.training_data import GenerateParams, generate
-from lodbench.synthesis.training_data.generate import generate_training_data
 from lodbench.training.samples import Sample, find_samples
 
 if TYPE_CHECKING:

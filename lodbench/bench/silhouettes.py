@@ -32,7 +32,7 @@ from lodbench.rendering.raster import RasterRenderer
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.figures import SERIES, draw_figure
 from lodbench.storage import random_stream
-from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
+from lodbench.synthesis.views import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 
 if TYPE_CHECKING:
     import pandas as pd

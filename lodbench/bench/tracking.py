@@ -34,8 +34,7 @@ from lodbench.reporting.aligned_text import format_columns
 from lodbench.segmentation import Segmenter
 from lodbench.storage import random_stream, write_bytes
 from lodbench.synthesis.flights import FlightsParams, SensorErrors, moved, open_flights
-from lodbench.synthesis.view_photos import Photographer
-from lodbench.synthesis.view_sampling import RGB_CAMERA, SyntheticQuery, view_of
+from lodbench.synthesis.views import RGB_CAMERA, Photographer, SyntheticQuery, view_of
 
 # Frames per second; metres per second and degrees per second of the flight; what its first pose is off by.
 _RATE, _SPEED_M, _TURN_DEG = 10.0, 4.0, 6.0

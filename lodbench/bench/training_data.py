@@ -21,9 +21,9 @@ from lodbench.params import flag
 from lodbench.photos.pictures import encoded_mask
 from lodbench.rendering import open_renderer
 from lodbench.storage import make_folder
-from lodbench.synthesis.training_data import GenerateParams
-from lodbench.synthesis.training_data.generate import open_cities, world_parts
-from lodbench.synthesis.training_data.plan_views import (
+from lodbench.synthesis.camera_paths import GenerateParams
+from lodbench.synthesis.generate import open_cities, world_parts
+from lodbench.synthesis.plan_views import (
     PictureParts,
     PlannedView,
     ViewWriter,

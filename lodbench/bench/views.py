@@ -20,7 +20,7 @@ from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsPriorWidth
 from lodbench.plugins import blaming
 from lodbench.segmentation.masks import MaskFiles, MasksParams
-from lodbench.synthesis.view_sampling import FINE_SIZE
+from lodbench.synthesis.views import FINE_SIZE
 from lodbench.synthesis.views_dataset import ViewsParams, drawing_facts, open_views
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ from lodbench.methods.registry import configure_method, make_method
 from lodbench.params import flag
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.photo_segmenter import require_photo_segmenter
-from lodbench.segmentation.registry import FOR_PHOTOS
+from lodbench.segmentation.protocol import FOR_PHOTOS
 from lodbench.synthesis.views_dataset import ViewsParams
 
 REAL_EXAMPLES = """\

@@ -25,8 +25,7 @@ from lodbench.params import flag, part
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.flights import FlightsParams
 from lodbench.synthesis.photo import look_ranges
-from lodbench.synthesis.view_photos import PHOTO_SIZE
-from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
+from lodbench.synthesis.views import FINE_SIZE, PHOTO_SIZE, RGB_CAMERA
 from lodbench.synthesis.views_dataset import AREAS, CAMERA_SOURCES, Perturbation, ViewsParams
 
 _WORLD = (

@@ -91,7 +91,7 @@ def main_mask(argv: Sequence[str]) -> int:
     segmenter = None
     if mask is None and options.polygons is None:
         from lodbench.segmentation.photo_segmenter import require_photo_segmenter
-        from lodbench.segmentation.registry import FOR_PHOTOS
+        from lodbench.segmentation.protocol import FOR_PHOTOS
 
         made = segmenter_of(options.segmenter or FOR_PHOTOS, options.segmenter_option)
         segmenter = require_photo_segmenter(made)

@@ -39,7 +39,7 @@ from lodbench.reporting.aligned_text import plain_text
 from lodbench.reporting.table_formats import format_text
 from lodbench.reporting.tables import tables_of
 from lodbench.segmentation import Segmenter
-from lodbench.segmentation.registry import make_segmenter
+from lodbench.segmentation.protocol import make_segmenter
 from lodbench.storage import digest_of, make_folder, remove_leftovers
 from lodbench.storage.paths import path_name
 

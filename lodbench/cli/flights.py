@@ -16,7 +16,7 @@ from lodbench.cli.place_options import HeightFlags, MapOptions, PlaceOptions, ci
 from lodbench.errors import ConfigError, DatasetError, require_within
 from lodbench.params import flag, parsed, part, word
 from lodbench.reporting.aligned_text import plain_text
-from lodbench.segmentation.registry import FOR_PHOTOS
+from lodbench.segmentation.protocol import FOR_PHOTOS
 
 if TYPE_CHECKING:
     from lodbench.harness.georeference import Georeferenced

@@ -18,7 +18,7 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.params import add_options, flag, options_of, part, word
 from lodbench.photos.pose import START_OF_EACH
-from lodbench.segmentation.registry import FOR_PHOTOS
+from lodbench.segmentation.protocol import FOR_PHOTOS
 
 if TYPE_CHECKING:
     from lodbench.harness.photo import LocalizedPhoto, PhotoRequest

@@ -15,7 +15,7 @@ from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.plugins import config_files
 from lodbench.segmentation import Segmenter
-from lodbench.segmentation.registry import AUTO, FOR_PHOTOS, chosen_segmenter, make_segmenter
+from lodbench.segmentation.protocol import AUTO, FOR_PHOTOS, chosen_segmenter, make_segmenter
 
 # Settings of reading a city that have no flag of their own.
 READ_SETTINGS = tuple(each.name for each in fields(ReadOptions) if each.name not in ("crs", "date"))

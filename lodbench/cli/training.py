@@ -19,10 +19,10 @@ from lodbench.harness.render import RenderParams, render_poses
 from lodbench.params import to_params
 from lodbench.plugins import blaming, load_plugin
 from lodbench.reporting.aligned_text import already_there, plain_text
-from lodbench.segmentation.registry import make_segmenter
+from lodbench.segmentation.protocol import make_segmenter
+from lodbench.synthesis.camera_paths import GenerateParams
+from lodbench.synthesis.generate import Generated, generate_training_data
 from lodbench.synthesis.photo import LookRanges
-from lodbench.synthesis.training_data import GenerateParams
-from lodbench.synthesis.training_data.generate import Generated, generate_training_data
 from lodbench.training.samples import LEAST_SHARE, TrainParams
 from lodbench.training.train import Trained, train_network
 

@@ -32,7 +32,7 @@ from lodbench.harness.runs.stored import PLAN_FILE, read_run
 from lodbench.harness.runs.verify import Verdict, verify_run
 from lodbench.params import flag, parsed, part, word
 from lodbench.reporting.aligned_text import count_of, plain_text
-from lodbench.segmentation.registry import make_segmenter
+from lodbench.segmentation.protocol import make_segmenter
 
 _EPILOG = """\
 Exit code: 0 all numbers are consistent, 1 they are not (one line per difference), 2 the run cannot be read.

@@ -24,7 +24,7 @@ from lodbench.datasets.folder import (
 from lodbench.datasets.pose_text import FoundPose, lines_to_text
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.geometry import Camera, CameraSigmas, Pose
-from lodbench.photos.camera import camera_from_photo, camera_given
+from lodbench.photos.camera import camera_from_photo, camera_given, pinhole_of, undistorted
 from lodbench.photos.files import (
     PHOTO_SUFFIXES,
     copies_among,
@@ -39,7 +39,6 @@ from lodbench.photos.measurements import Measurements, measured_of
 from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
 from lodbench.photos.pictures import encoded, read_picture
 from lodbench.photos.pose import HeightOptions, pose_from_photo, require_stated
-from lodbench.photos.undistort import pinhole_of, undistorted
 from lodbench.storage import make_folder, new_folder, write_bytes, write_text
 
 _JPEG_QUALITY = 95

@@ -36,8 +36,8 @@ from lodbench.harness.photo.outputs import ground_below_m
 from lodbench.harness.photo.prepare import pinhole_mask
 from lodbench.methods import Estimate, Method
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
+from lodbench.photos.camera import pinhole_of
 from lodbench.photos.map_frame import MapFrame
-from lodbench.photos.undistort import pinhole_of
 from lodbench.reporting.answers import is_trusted
 from lodbench.segmentation import notes_of, resized
 from lodbench.storage import make_folder, random_stream, write_text

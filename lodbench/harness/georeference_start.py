@@ -17,8 +17,8 @@ from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose
 from lodbench.geometry.similarity import FEWEST_POSES, Similarity, fit_similarity
 from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.measurements import place_notes
 from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
-from lodbench.photos.notes import place_notes
 from lodbench.photos.pose import HeightOptions, pose_from_photo
 
 # What rough places and directions are off by, each photo by itself, metres and degrees.

@@ -22,7 +22,7 @@ from lodbench.reporting.leaderboard_entry import read_entries, slug
 from lodbench.reporting.summaries import with_seconds
 from lodbench.reporting.tables import frame_of, tables_of
 from lodbench.segmentation import Segmenter
-from lodbench.segmentation.registry import chosen_segmenter, make_segmenter
+from lodbench.segmentation.protocol import chosen_segmenter, make_segmenter
 from lodbench.storage import digest_of
 
 if TYPE_CHECKING:

@@ -32,13 +32,18 @@ from lodbench.harness.track_frames import Footage, Mask, MaskMaker, Shot, with_m
 from lodbench.methods.localize import localize_next
 from lodbench.methods.protocol import Follower
 from lodbench.methods.tracking import LOST, Tracking, TrackingParams, state_of
-from lodbench.photos.camera import PhotoCamera, camera_from_photo, camera_given, require_photo_size
+from lodbench.photos.camera import (
+    PhotoCamera,
+    camera_from_photo,
+    camera_given,
+    pinhole_of,
+    require_photo_size,
+)
 from lodbench.photos.files import in_pose_lines
 from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.measurements import place_notes
 from lodbench.photos.metadata import PhotoMetadata, find_subtitles, read_photo_metadata, stated_at_start
-from lodbench.photos.notes import place_notes
 from lodbench.photos.pose import pose_at, pose_from_photo
-from lodbench.photos.undistort import pinhole_of
 from lodbench.segmentation import notes_of
 from lodbench.storage import hide_formula, make_folder, random_stream, write_text
 

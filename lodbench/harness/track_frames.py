@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from lodbench.datasets.own import find_mask
 from lodbench.errors import DatasetError, LodbenchError, QueryFault
 from lodbench.geometry import Camera
+from lodbench.photos.camera import undistorted
 from lodbench.photos.files import PHOTO_SUFFIXES, find_photos, in_pose_lines, natural_key, require_photos
 from lodbench.photos.metadata import read_photo_metadata
 from lodbench.photos.pictures import opencv_silenced, read_picture
-from lodbench.photos.undistort import undistorted
 from lodbench.segmentation import Segmenter, check_mask
 from lodbench.segmentation.masks import read_mask
 from lodbench.storage.paths import require_regular

@@ -105,7 +105,7 @@ class TrackingParams:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Place:
+class _TrackedPose:
     """Where a frame may have been taken: (6,) its pose, the IoU there, the covariance, and how likely."""
 
     vector: Floats
@@ -176,7 +176,7 @@ class Tracker:
             query = replace(query, time_s=float(self._count))
         self._count += 1
         if not (query.mask >= 0.5).any():
-            return self._keep(query, _Place(self._predicted(query), 0.0), LOST)
+            return self._keep(query, _TrackedPose(self._predicted(query), 0.0), LOST)
         if self._time_s is None:
             found = self._searched(query, self._vector, ContourAlignmentParams(), streams)
             return self._keep(query, found, TRACKED if found.iou >= self.params.least_iou else LOST)
@@ -188,7 +188,7 @@ class Tracker:
         found = self._searched(query, predicted, self.params.search(self._lost + 1), streams)
         if found.iou >= self._least():
             return self._keep(query, found, FOUND)
-        return self._keep(query, _Place(predicted, found.iou), LOST)
+        return self._keep(query, _TrackedPose(predicted, found.iou), LOST)
 
     def _predicted(self, query: Query) -> Floats:
         seconds = 0.0 if self._time_s is None else _time_of(query) - self._time_s
@@ -199,7 +199,7 @@ class Tracker:
         usual = float(np.median(self._ious)) if self._ious else 0.0
         return max(self.params.least_iou, self.params.fit * usual)
 
-    def _aligned(self, query: Query, predicted: Floats) -> _Place:
+    def _aligned(self, query: Query, predicted: Floats) -> _TrackedPose:
         """Returns the place that outlines lead to from where the motion leads.
 
         Should they lead nowhere, they start again from the last pose: the motion may have ended.
@@ -214,7 +214,7 @@ class Tracker:
                 return again
         return best
 
-    def _steps(self, aligner: Aligner, start: Floats) -> _Place:
+    def _steps(self, aligner: Aligner, start: Floats) -> _TrackedPose:
         size, params = self.params.fine_size, self.params
         reaches = np.geomspace(params.reach_px, _NEAR_PX, params.steps)
         half = max(8, size[0] // 2), max(8, size[1] // 2)
@@ -222,22 +222,22 @@ class Tracker:
         vector = aligner.align(vector, (_NEAR_PX,) * params.final_steps, size)
         here = aligner.linearize(vector, _NEAR_PX, size)
         if here is None:
-            return _Place(vector[:6], 0.0)
+            return _TrackedPose(vector[:6], 0.0)
         covariance = np.asarray(np.linalg.inv(here.posterior.information))[:6, :6]
-        return _Place(vector[:6], here.iou, covariance, probability_within(covariance, vector[:6]))
+        return _TrackedPose(vector[:6], here.iou, covariance, probability_within(covariance, vector[:6]))
 
     def _searched(
         self, query: Query, around: Floats, params: ContourAlignmentParams, streams: Streams
-    ) -> _Place:
+    ) -> _TrackedPose:
         """Returns the best place within a search; its IoU is 0 where none fits."""
         try:
             found = ContourAlignment(params).localize(_from(query, around), self._map, streams)
         except QueryFault:
-            return _Place(around, 0.0)
+            return _TrackedPose(around, 0.0)
         vector, probability = vector_from_pose(found.pose), found.probability or 0.0
-        return _Place(vector, float(found.score), found.covariance, probability)
+        return _TrackedPose(vector, float(found.score), found.covariance, probability)
 
-    def _keep(self, query: Query, found: _Place, state: str) -> Estimate:
+    def _keep(self, query: Query, found: _TrackedPose, state: str) -> Estimate:
         """Remembers what became of a frame, and returns it."""
         if state == LOST:
             self._lost += 1

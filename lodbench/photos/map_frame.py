@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _WGS84, _WGS84_3D = "EPSG:4326", "EPSG:4979"
 
 
-class Place(NamedTuple):
+class GeoPose(NamedTuple):
     """Where a camera is and how it looks, in the terms people use.
 
     Attributes:
@@ -127,12 +127,12 @@ class MapFrame:
             ) from error
         return height * self._height_to_m
 
-    def place_of(self, pose: Pose) -> Place:
+    def place_of(self, pose: Pose) -> GeoPose:
         """Returns where a pose in the city's coordinates is on Earth, and where it looks."""
         east, north, height = (float(v) for v in pose.center)
         latitude, longitude = self.latitude_longitude(east, north)
         look = look_from_rotation(pose.rotation, self.convergence_deg(east, north))
-        return Place(latitude, longitude, height, *look)
+        return GeoPose(latitude, longitude, height, *look)
 
 
 # Kept for the process: PROJ looks a tenth of a second for the best of the ways between two systems.
@@ -169,7 +169,7 @@ SURVEY_COLUMNS = (*POSE_DECIMALS, *SIGMA_COLUMNS)
 
 
 def survey_row(
-    pose: Pose, place: Place | None, covariance: Sequence[float] | NDArray[np.float64] | None = None
+    pose: Pose, place: GeoPose | None, covariance: Sequence[float] | NDArray[np.float64] | None = None
 ) -> dict[str, float | None]:
     """Returns ``SURVEY_COLUMNS`` of a pose, rounded; None for what is not known.
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lodbench.datasets.inputs import Input, masks_of_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault, require_within
-from lodbench.segmentation.packaged_network import PackagedNetwork, packaged_file
+from lodbench.segmentation.photo_segmenter import PackagedNetwork, packaged_file
 from lodbench.segmentation.probability import check_normalise, probability_of
 from lodbench.segmentation.protocol import BUILDING_THRESHOLD
 from lodbench.storage import digest_of, file_digest
@@ -68,7 +68,7 @@ class Compact(PackagedNetwork):
 
     def new_net(self, is_filled: bool) -> Any:
         """Returns the torch network with random weights."""
-        from lodbench.segmentation.nets.compact import CompactNet
+        from lodbench.segmentation.nets.unets import CompactNet
 
         return CompactNet()
 
@@ -280,7 +280,7 @@ class CompactClasses(PackagedNetwork):
 
     def new_net(self, is_filled: bool) -> Any:
         """Returns the torch network with random weights."""
-        from lodbench.segmentation.nets.compact import CompactNet
+        from lodbench.segmentation.nets.unets import CompactNet
 
         return CompactNet(self.channels)
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError, require_within
 from lodbench.extras import require
-from lodbench.segmentation.packaged_network import PackagedNetwork
+from lodbench.segmentation.photo_segmenter import PackagedNetwork
 from lodbench.segmentation.probability import check_normalise, resized_photo, working_size
 
 Logits = NDArray[np.float32]
@@ -173,7 +173,7 @@ class EfficientUnet(PackagedNetwork):
         Raises:
             ConfigError: They are not there, or no weights of this encoder.
         """
-        from lodbench.segmentation.nets.efficient_unet import EfficientUnetNet
+        from lodbench.segmentation.nets.unets import EfficientUnetNet
 
         return EfficientUnetNet(None if is_filled else encoder_file(self.params.encoder_weights))
 

@@ -12,9 +12,10 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input, masks_of_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault, require_numbers, require_within
-from lodbench.geometry import AxisRange, Pose, PoseGrid, rotations_at_yaws
+from lodbench.geometry import Pose, rotations_at_yaws
 from lodbench.rendering import IouFit
 from lodbench.segmentation.compact import Compact, CompactParams
+from lodbench.segmentation.map_guided import search_grid
 from lodbench.segmentation.masks import read_photo
 from lodbench.segmentation.probability import resized_photo
 from lodbench.segmentation.protocol import BUILDING_THRESHOLD
@@ -100,7 +101,8 @@ class MapInstances:
         mask = self.segment(entry) >= BUILDING_THRESHOLD
         height, width = mask.shape
         camera = entry.camera.scaled(width, height)
-        centers, yaws = self._grid().around(pose)
+        ranges = (self.params.range_m, self.params.range_z_m, self.params.range_yaw_deg)
+        centers, yaws = search_grid(ranges, _STRIDES).around(pose)
         rotations = rotations_at_yaws(pose.euler.pitch_deg, pose.euler.roll_deg, yaws)
         best = int(np.argmax(city_map.fit(camera, rotations, centers, IouFit(mask))))
         (seen,) = city_map.buildings(camera, rotations[best : best + 1], centers[best : best + 1])
@@ -119,13 +121,6 @@ class MapInstances:
         return (
             *self._compact.notes(),
             "instances separated with the map are biased towards it: probabilities are overconfident",
-        )
-
-    def _grid(self) -> PoseGrid:
-        stride, stride_z, stride_yaw = _STRIDES
-        place = _axis(self.params.range_m, stride)
-        return PoseGrid(
-            place, place, _axis(self.params.range_z_m, stride_z), _axis(self.params.range_yaw_deg, stride_yaw)
         )
 
 
@@ -147,7 +142,3 @@ def parted(photo: NDArray[np.uint8], mask: Mask, seen: NDArray[np.int32]) -> NDA
         markers[(core if core.any() else inside) > 0] = number
     basins = cv2.watershed(np.ascontiguousarray(photo[..., ::-1]), markers)
     return filled(np.where(mask & (basins > 1), basins, -1).astype(np.int32), mask)
-
-
-def _axis(width: float, stride: float) -> AxisRange:
-    return AxisRange(width, int(np.ceil(width / stride - 1e-9)) + 1)

@@ -10,15 +10,13 @@ module                 what it makes
                        ``surface_survey``
 ``objects``            what stands in pictures: classes of surfaces, mesh builder, trees, cars
 ``photo``              pictures of all that: looks, surfaces, sun, camera response, render scene
-``view_sampling``      seeded drone views that show enough buildings
-``camera_paths``       where cameras of training pictures and of flights are put
+``views``              seeded drone views that show enough buildings, and drawn photos of them
+``camera_paths``       settings of training pictures; where their cameras and those of flights are put
 ``flights``            ``dataset=flights``: flights over any city, with errors of drone and map
-``mask_degradation``   masks as wrong as a network's; of single buildings: ``instance_degradation``
-``queries``            drawn queries, and the one way they become a folder
+``mask_degradation``   masks as wrong as a network's, of single buildings too
 ``demo``               ``dataset=demo`` and ``demo_train``, with what they have on demand
-``views_dataset``      ``dataset=views``: seeded views of any city, what map and camera are wrong
-                       about; their photos are in ``view_photos``
-``training_data``      ``generate-training-data``: settings, plan of views, files, manifest, sheet
+``views_dataset``      ``dataset=views``: seeded views of any city, what map and camera are wrong about
+``generate``           ``generate-training-data``: files, manifest, sheet of the ``plan_views``
 =====================  ===========================================================================
 
 Where something new goes:
@@ -27,7 +25,7 @@ Where something new goes:
   ``town/fittings.py``, all that stands alone in ``town/houses.py``;
 - a kind of block or landmark: a function in ``town/houses.py``, chosen in ``town/town.py``;
 - a camera path: a function and a line in ``CAMERA_PATHS`` of ``camera_paths.py`` (training pictures) or in
-  ``FLIGHT_PATHS`` beside it (flights); its name and settings in ``training_data/__init__.py`` and
+  ``FLIGHT_PATHS`` beside it (flights); its name and settings in ``GenerateParams`` there and
   ``conf/generate-training-data.yaml``;
 - a look of pictures (sun, air, season, sensor): a file in ``conf/training``; a new kind of change is a
   field of ``LookRanges`` in ``photo/light.py``, used in ``photo/renderer.py`` if the sensor makes

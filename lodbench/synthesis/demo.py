@@ -20,7 +20,7 @@ from lodbench.storage import make_folder, random_stream, write_bytes
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.town.build import CITY_FILE, DEMO_CODE, FINE_CITY_FILE, build_demo, code_digest
 from lodbench.synthesis.town.town import TOWN_VERSION, grow_town
-from lodbench.synthesis.view_sampling import written_once
+from lodbench.synthesis.views import written_once
 
 MAP_FILE = "textured_map.glb"
 # The code that each follows from; that of the town is in the demo's own name.

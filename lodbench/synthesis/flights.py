@@ -24,12 +24,14 @@ from lodbench.storage import digest_of, random_stream, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.mask_degradation import degrade_mask
-from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer, reconstruct
-from lodbench.synthesis.view_sampling import (
+from lodbench.synthesis.views import (
     FINE_SIZE,
+    PHOTO_SIZE,
     RGB_CAMERA,
+    Photographer,
     SyntheticQuery,
     ViewCheck,
+    reconstruct,
     target_near,
     write_queries,
     written_once,

@@ -27,9 +27,8 @@ from lodbench.synthesis.photo import CameraResponse, Look, LookRanges, draw_look
 from lodbench.synthesis.photo.light import draw_sun_map, plain_shading
 from lodbench.synthesis.photo.renderer import ON_GROUND, apply_camera_response, make_render_scene, make_skin
 from lodbench.synthesis.town.buildings import Age
-from lodbench.synthesis.town.ground import add_ground
 from lodbench.synthesis.town.props import add_buildings, add_greenery, building_colours, fine_bodies
-from lodbench.synthesis.town.town import ORIGIN_M, Town
+from lodbench.synthesis.town.town import ORIGIN_M, Town, add_ground
 
 Floats = NDArray[np.float64]
 

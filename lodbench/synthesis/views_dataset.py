@@ -35,12 +35,14 @@ from lodbench.rendering.surfaces import Surfaces
 from lodbench.storage import digest_of, random_stream, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.mask_degradation import degrade_mask, degraded_instances
-from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer, draw_through_lens
-from lodbench.synthesis.view_sampling import (
+from lodbench.synthesis.views import (
     FINE_SIZE,
+    PHOTO_SIZE,
     RGB_CAMERA,
+    Photographer,
     SyntheticQuery,
     ViewSampling,
+    draw_through_lens,
     sample_views,
     write_queries,
     written_once,

@@ -13,7 +13,7 @@ from lodbench.geometry import EulerAngles
 from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.protocol import FlightEstimate
 from lodbench.synthesis.flights import FlightsParams
-from lodbench.synthesis.view_sampling import view_of
+from lodbench.synthesis.views import view_of
 from tests.town import CAMERA, box_obj
 
 

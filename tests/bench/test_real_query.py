@@ -17,7 +17,7 @@ from lodbench.evaluation.pose_errors import Threshold
 from lodbench.evaluation.queries import ERROR
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.protocol import Estimate, FlightEstimate
-from lodbench.segmentation.registry import make_segmenter
+from lodbench.segmentation.protocol import make_segmenter
 from tests.town import write_dataset
 
 

@@ -172,7 +172,7 @@ def test_a_segmenter_s_mask_is_undistorted_as_a_file_s(capsys, tmp_path, shared_
             mask = cv2.imread(str(case.mask), cv2.IMREAD_UNCHANGED).astype(np.float32) / 255
             return 1 - mask if self.params.invert else mask
 
-    import lodbench.segmentation.registry as module
+    import lodbench.segmentation.protocol as module
 
     plain = module.load_plugin
     monkeypatch.setattr(

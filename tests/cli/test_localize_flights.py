@@ -21,7 +21,7 @@ from lodbench.harness.photo.workers import default_workers
 from lodbench.methods.region import Region
 from lodbench.rendering import make_renderer
 from lodbench.reporting.answers import UNTRUSTED
-from lodbench.synthesis.view_sampling import view_of
+from lodbench.synthesis.views import view_of
 from tests.flight import OFF_DEG, OFF_M, stated
 from tests.photos.dji_photo import exif_of, write_photo, xmp_packet
 

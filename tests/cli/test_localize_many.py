@@ -21,7 +21,7 @@ from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.photo import many
 from lodbench.photos.files import find_photos
 from lodbench.photos.map_frame import MapFrame
-from lodbench.segmentation import registry
+from lodbench.segmentation import protocol
 from tests.cli.photo_case import Case, make_case
 
 
@@ -107,9 +107,9 @@ class TestCodeOfOthers:
                     raise IndexError("no such row")
                 return cv2.imread(str(case.mask), cv2.IMREAD_UNCHANGED).astype(np.float32) / 255
 
-        plain = registry.load_plugin
+        plain = protocol.load_plugin
         monkeypatch.setattr(
-            registry,
+            protocol,
             "load_plugin",
             lambda group, name: (
                 Sometimes if (group, name) == ("segmenters", "sometimes") else plain(group, name)

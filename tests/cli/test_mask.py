@@ -309,7 +309,7 @@ class TestCommand:
         assert main([*plain, *traced, "--export", "labelme"]) == 0
 
     def test_it_starts_from_a_plug_in_that_looks_at_photos(self, photo, monkeypatch):
-        monkeypatch.setattr("lodbench.segmentation.registry.load_plugin", lambda group, name: Bright)
+        monkeypatch.setattr("lodbench.segmentation.protocol.load_plugin", lambda group, name: Bright)
         assert main(["mask", str(photo), "--segmenter", "bright", "--no-page"]) == 0
         found = cv2.imread(str(photo.parent / "photo_mask.png"), 0) > 0
         assert np.array_equal(found, cv2.imread(str(photo), 0) >= 100)

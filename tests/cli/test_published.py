@@ -17,7 +17,7 @@ from lodbench.citymodel.mesh.texture_files import open_textured_map
 from lodbench.cli import main
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.registry import open_dataset
-from lodbench.segmentation.registry import chosen_segmenter
+from lodbench.segmentation.protocol import chosen_segmenter
 from tests.data.own_layouts import DRONE, write_ortholoc
 from tests.data.published_layouts import write_lodlocv2, write_swiss
 from tests.town import write_dataset

@@ -23,7 +23,7 @@ from lodbench.geometry.similarity import SWISS_EPFL_FRAME, enu_from_ecef_rotatio
 from lodbench.photos.map_frame import MapFrame
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import random_stream
-from lodbench.synthesis.view_sampling import RGB_CAMERA, ViewSampling, sample_views
+from lodbench.synthesis.views import RGB_CAMERA, ViewSampling, sample_views
 from tests.photos.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
 from tests.town import town_gml
 

@@ -109,7 +109,7 @@ def test_training_data_sends_names_over_dask_and_notices_another_world(serial, t
         prepare(*prepare_with)
         return map(work, items)
 
-    monkeypatch.setattr("lodbench.synthesis.training_data.generate.spread", here)
+    monkeypatch.setattr("lodbench.synthesis.generate.spread", here)
     words = [
         f"city={serial[0] / 'town/city.obj'}",
         "pitch=[40]",

@@ -13,7 +13,7 @@ from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.photo.flight_inputs import masks_of, picture_file, poses_in_model, tied_notes
 from lodbench.methods.flight.relative_poses import width_looked_at
-from lodbench.photos.undistort import pinhole_of
+from lodbench.photos.camera import pinhole_of
 from tests.town import CAMERA
 
 

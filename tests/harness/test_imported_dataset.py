@@ -14,7 +14,7 @@ from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.pose_text import FoundPose, format_camera, lines_to_text, read_cameras, read_poses
 from lodbench.evaluation import pose_error
-from lodbench.photos.undistort import pinhole_of
+from lodbench.photos.camera import pinhole_of
 from tests.cli.photo_case import HEIGHT, PINHOLE, WIDTH, Case
 from tests.harness.own_case import LENS, make_own_case, run
 from tests.photos.dji_photo import write_photo

@@ -15,7 +15,7 @@ from lodbench.datasets.pose_text import FoundPose, read_cameras, read_poses
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Camera, CameraSigmas, EulerAngles, Pose
 from lodbench.harness.photo.own_dataset import without_common_view
-from lodbench.photos.undistort import pinhole_of
+from lodbench.photos.camera import pinhole_of
 from tests.cli.photo_case import Case
 from tests.harness.own_case import LENS, init, make_own_case, run
 from tests.photos.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet

@@ -16,7 +16,7 @@ from lodbench.harness.runs.requirements import needs_segmenter, require_run_inpu
 from lodbench.methods import Estimate
 from lodbench.segmentation.masks import MaskFiles, MasksParams, NoMask, NoMaskParams
 from lodbench.segmentation.oracle import NoisyOracle, NoisyOracleParams, Oracle, OracleParams
-from lodbench.segmentation.registry import masks_digest
+from lodbench.segmentation.protocol import masks_digest
 from tests.town import write_dataset
 
 MASKS, NONE = MaskFiles(MasksParams()), NoMask(NoMaskParams())

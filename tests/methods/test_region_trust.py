@@ -24,7 +24,8 @@ from lodbench.methods.region.trust import ConfidenceFeatures, success_probabilit
 from lodbench.methods.search import query_photo
 from lodbench.rendering.photo_bins import directed_edge_levels
 from lodbench.storage import random_stream
-from tests.methods.test_region import WIDE, shaded_photo
+from tests.methods.test_region import WIDE
+from tests.methods.test_region_lines import shaded_photo
 from tests.methods.test_region_roofs import FAST
 from tests.town import CAMERA, prior_of, true_poses
 

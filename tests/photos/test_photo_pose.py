@@ -17,8 +17,8 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.photos import map_frame
 from lodbench.photos.camera import camera_from_photo
 from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.measurements import datum_note, place_notes
 from lodbench.photos.metadata import PhotoMetadata
-from lodbench.photos.notes import datum_note, place_notes
 from lodbench.photos.pose import HeightOptions, RoughPlace, pose_from_photo
 from lodbench.photos.xmp import Dewarp
 

@@ -8,7 +8,7 @@ import pytest
 
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.harness.photo.many import FlightAnswer
-from lodbench.photos.map_frame import Place, survey_row
+from lodbench.photos.map_frame import GeoPose, survey_row
 from lodbench.reporting.flight_words import MAX_PICTURES, chosen_for_pictures, flight_page, photo_on_page
 from lodbench.reporting.map_figure import Marked, Spot, draw_map
 from lodbench.reporting.page import Picture
@@ -84,7 +84,7 @@ def test_photos_have_coordinates_and_angles_in_the_table():
     assert ">latitude<" not in local
     row = local.split('data-key="p2.jpg" tabindex')[1].split("</tr>")[0]
     assert re.findall(r">(-?[\d.]+)</td>", row)[:6] == "60.00 10.00 100.00 340.00 -60.00 0.00".split()
-    earth = page(place=Place(51.0261598, 5.8765601, 100.0, 12.5, -60.0, 0.25))
+    earth = page(place=GeoPose(51.0261598, 5.8765601, 100.0, 12.5, -60.0, 0.25))
     assert ">latitude<" in earth
     assert ">easting m<" not in earth
     row = earth.split('data-key="p2.jpg" tabindex')[1].split("</tr>")[0]

@@ -158,7 +158,7 @@ class TestAdapter:
         assert "whatever it is" in self.segmenter(weights).notes()[0]
 
     def test_another_network_or_size_is_told(self, weights, tmp_path):
-        from lodbench.segmentation.packaged_network import packaged_file
+        from lodbench.segmentation.photo_segmenter import packaged_file
 
         with pytest.raises(ConfigError, match=r"answers \[\(1, 1, 64, 64\)\], not the rows"):
             self.segmenter(packaged_file("compact.onnx")).probability(self.photo())

@@ -26,7 +26,7 @@ from lodbench.rendering.raster import RasterRenderer
 from lodbench.segmentation.map_instances import MapInstances, MapInstancesParams, parted
 from lodbench.segmentation.masks import InstanceFiles, InstanceFilesParams, mapped_overlap
 from lodbench.segmentation.oracle import NoisyOracle, NoisyOracleParams, Oracle, OracleParams
-from lodbench.segmentation.registry import chosen_segmenter
+from lodbench.segmentation.protocol import chosen_segmenter
 from lodbench.synthesis.mask_degradation import mask_iou
 from tests.town import CAMERA, write_dataset
 

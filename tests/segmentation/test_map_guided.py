@@ -16,12 +16,14 @@ from lodbench.segmentation.map_guided import (
     MapGuided,
     MapGuidedParams,
     aligned,
+    cut,
+    exactness,
     guided_mask,
+    held_out_evidence,
     margin_px,
     moved,
     without_map,
 )
-from lodbench.segmentation.region_cut import cut, exactness, held_out_evidence
 from tests.town import box_obj
 
 SHAPE = (225, 300)

@@ -15,8 +15,8 @@ from lodbench.errors import ConfigError, InputChanged
 from lodbench.segmentation import onnx_file
 from lodbench.segmentation.compact import Compact, CompactParams
 from lodbench.segmentation.onnx_file import onnx_fault, read_onnx
-from lodbench.segmentation.packaged_network import packaged_file
-from lodbench.segmentation.registry import make_segmenter
+from lodbench.segmentation.photo_segmenter import packaged_file
+from lodbench.segmentation.protocol import make_segmenter
 
 pytestmark = pytest.mark.attack
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel.scene import Scene, build_scene
-from lodbench.synthesis.training_data import GenerateParams
-from lodbench.synthesis.training_data.generate import generate_training_data
+from lodbench.synthesis.camera_paths import GenerateParams
+from lodbench.synthesis.generate import generate_training_data
 from tests.town import box_obj
 
 # Corners of a unit box (x, y, z in bits 2, 1, 0) and its twelve triangles.

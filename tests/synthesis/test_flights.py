@@ -33,7 +33,7 @@ from lodbench.synthesis.flights import (
     open_flights,
 )
 from lodbench.synthesis.mask_degradation import mask_iou
-from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
+from lodbench.synthesis.views import FINE_SIZE, RGB_CAMERA
 from tests.town import box_obj
 
 

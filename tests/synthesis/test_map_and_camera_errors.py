@@ -13,8 +13,7 @@ from lodbench.geometry import Camera
 from lodbench.geometry.camera import MAKER
 from lodbench.geometry.lens import distort
 from lodbench.segmentation.masks import read_mask
-from lodbench.synthesis.view_photos import draw_through_lens
-from lodbench.synthesis.view_sampling import RGB_CAMERA
+from lodbench.synthesis.views import RGB_CAMERA, draw_through_lens
 from lodbench.synthesis.views_dataset import Perturbation, ViewsParams, open_views
 from tests.town import box_obj
 

@@ -13,10 +13,10 @@ from lodbench.errors import CityModelError, ConfigError, DatasetError, Rendering
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
+from lodbench.synthesis.camera_paths import GenerateParams
+from lodbench.synthesis.generate import _texture_digests, generate_training_data
 from lodbench.synthesis.objects import SceneProps, read_props, write_props
 from lodbench.synthesis.photo import LookRanges, PhotoRenderer, draw_look, look_ranges
-from lodbench.synthesis.training_data import GenerateParams
-from lodbench.synthesis.training_data.generate import _texture_digests, generate_training_data
 from tests.synthesis.conftest import SMALL, WHOLE
 from tests.town import box_obj
 

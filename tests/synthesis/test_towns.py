@@ -15,11 +15,11 @@ from lodbench.datasets.inputs import Input, inputs_of, with_inputs
 from lodbench.datasets.query import Dataset
 from lodbench.synthesis import demo
 from lodbench.synthesis import textured_survey as baking
+from lodbench.synthesis.camera_paths import GenerateParams
 from lodbench.synthesis.demo import LABEL_CODE, MAP_CODE, DemoParams, open_demo
 from lodbench.synthesis.textured_survey import baked, corner_light, lay_out_faces, lay_out_ground
 from lodbench.synthesis.town import build
 from lodbench.synthesis.town.build import DEMO_CODE, code_digest
-from lodbench.synthesis.training_data import GenerateParams
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@ import pytest
 
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.synthesis.view_sampling import (
+from lodbench.synthesis.views import (
     FINE_SIZE,
     RGB_CAMERA,
     ViewCheck,

@@ -13,7 +13,7 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation.masks import read_mask
 from lodbench.synthesis.mask_degradation import mask_iou
-from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
+from lodbench.synthesis.views import FINE_SIZE, RGB_CAMERA
 from lodbench.synthesis.views_dataset import (
     Perturbation,
     ViewsParams,

@@ -157,7 +157,7 @@ def test_training_goes_on_from_the_packages_weights(views, tmp_path, capsys):
     rates = ["schedule.epochs=1", "schedule.lr=1e-12", "schedule.muon_lr=1e-12", "schedule.lr_end=0"]
     assert train(views, tmp_path / "a", "init=package", *rates) == 0
     kept = json.loads((tmp_path / "a" / "training.json").read_text())
-    from lodbench.segmentation.packaged_network import packaged_file
+    from lodbench.segmentation.photo_segmenter import packaged_file
     from lodbench.storage import file_digest
 
     assert kept["init"] == file_digest(packaged_file("compact.onnx"))
@@ -176,7 +176,7 @@ def test_training_goes_on_from_the_packages_weights(views, tmp_path, capsys):
 @pytest.mark.slow
 def test_the_mean_of_two_trainings_is_stored(views, tmp_path, capsys):
     from lodbench.segmentation.compact import Compact
-    from lodbench.segmentation.nets.compact import CompactNet
+    from lodbench.segmentation.nets.unets import CompactNet
     from lodbench.segmentation.nets.weights import load_own
     from lodbench.training.nets.batches import validation_iou
     from lodbench.training.nets.run import average_into

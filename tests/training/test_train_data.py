@@ -20,7 +20,7 @@ pytest.importorskip("onnx", reason="onnx is not installed (extra [torch])")
 
 @pytest.mark.slow
 def test_interiors_of_labelled_buildings_are_learnt(views, tmp_path, capsys):
-    from lodbench.segmentation.nets.compact import CompactNet
+    from lodbench.segmentation.nets.unets import CompactNet
 
     learnt = "segmenter=compact_instances"
     assert train(views, tmp_path / "a", learnt, "schedule.epochs=1") == 2

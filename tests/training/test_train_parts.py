@@ -1,4 +1,4 @@
-"""Losses by hand, optimizers, schedules and settings of a training."""
+"""Losses by hand, optimizers, schedules, settings, checkpoints and the memory of a training."""
 
 import copy
 import math
@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from lodbench.errors import ConfigError
+from lodbench.segmentation import torch_segmenter
+from lodbench.training.nets.batches import load_checkpoint, save_checkpoint
 from lodbench.training.samples import TrainParams
 
 torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
@@ -111,7 +113,7 @@ def test_a_training_that_torch_s_muon_had_begun_goes_on():
 
 
 def test_given_weights_answer_the_same_while_training():
-    from lodbench.segmentation.nets.compact import CompactNet
+    from lodbench.segmentation.nets.unets import CompactNet
     from lodbench.training.nets.run import adapt_norms
 
     torch.manual_seed(2)
@@ -132,7 +134,7 @@ def test_given_weights_answer_the_same_while_training():
 
 
 def test_a_frozen_encoder_stays_and_a_slow_one_moves_less():
-    from lodbench.segmentation.nets.efficient_unet import EfficientUnetNet
+    from lodbench.segmentation.nets.unets import EfficientUnetNet
     from lodbench.training.nets.loop import make_optimizers, set_rate
 
     net = EfficientUnetNet()
@@ -146,7 +148,7 @@ def test_a_frozen_encoder_stays_and_a_slow_one_moves_less():
 
 
 def test_every_weight_has_one_optimizer_and_the_paper_has_adamw_alone():
-    from lodbench.segmentation.nets.compact import CompactNet
+    from lodbench.segmentation.nets.unets import CompactNet
     from lodbench.training.nets.loop import make_optimizers
 
     net = CompactNet()
@@ -156,3 +158,71 @@ def test_every_weight_has_one_optimizer_and_the_paper_has_adamw_alone():
     counts = [sum(w.numel() for group in o.param_groups for w in group["params"]) for o in (adamw, muon)]
     assert sum(counts) == sum(w.numel() for w in net.parameters())
     assert counts[1] > 0.9 * sum(counts)
+
+
+def test_a_state_that_was_read_back_and_goes_on_gives_the_same_bytes(tmp_path):
+    state = {
+        "identity": "x",
+        "history": [{"loss": 0.5, "epoch": 1.0}],
+        "optimizers": [{"state": torch.arange(3.0)}],
+    }
+    (tmp_path / "again").mkdir()
+    save_checkpoint(state, tmp_path)
+    found = load_checkpoint(tmp_path, "x")
+    assert found is not None
+    assert torch.equal(found["optimizers"][0]["state"], torch.arange(3.0))
+    for each, folder in ((state, tmp_path), (found, tmp_path / "again")):
+        # The names of the new row are those of the first in one state, and equal to them in the other.
+        each["history"].append({"loss": 0.25, "epoch": 2.0})
+        save_checkpoint(each, folder)
+    first, again = (folder / "checkpoint.pt" for folder in (tmp_path, tmp_path / "again"))
+    assert first.read_bytes() == again.read_bytes()
+
+
+def small_net():
+    return torch.nn.Sequential(
+        torch.nn.Conv2d(3, 4, 3, padding=1),
+        torch.nn.BatchNorm2d(4),
+        torch.nn.ReLU(),
+        torch.nn.Conv2d(4, 1, 1),
+    ).train()
+
+
+def test_what_is_kept_is_that_of_a_real_step():
+    from lodbench.training.nets.run import kept_bytes
+
+    net, shape, kept = small_net(), (2, 3, 16, 24), {}
+    before = {key: value.clone() for key, value in net.state_dict().items()}
+    own = {weight.data_ptr() for weight in net.parameters()}
+    told = kept_bytes(net, shape)
+    # Neither weights nor averages nor chance were touched.
+    assert all(torch.equal(value, net.state_dict()[key]) for key, value in before.items())
+    torch.manual_seed(3)
+    wanted = torch.rand(4)
+    torch.manual_seed(3)
+    kept_bytes(net, shape)
+    assert torch.equal(torch.rand(4), wanted)
+
+    def keep(tensor):
+        kept[tensor.data_ptr()] = tensor.untyped_storage().nbytes()
+        return tensor
+
+    with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
+        output = net(torch.rand(shape))
+    real = sum(size for place, size in kept.items() if place not in own)
+    assert output.shape == (2, 1, 16, 24)
+    assert told == pytest.approx(real, rel=0.02)
+    assert kept_bytes(net, (4, 3, 16, 24)) == pytest.approx(2 * told, rel=0.02)
+
+
+def test_a_step_that_does_not_fit_is_refused_before_it_is_made(monkeypatch):
+    from lodbench.training.nets.run import require_room
+
+    net = small_net()
+    require_room(net, (2, 3, 16, 24))
+    monkeypatch.setattr(torch_segmenter, "free_bytes", lambda: 1 << 30)
+    with pytest.raises(
+        ConfigError, match=r"steps over 4096 pictures of 1024 x 1024 need [\d.]+ GiB"
+    ) as fault:
+        require_room(net, (4096, 3, 1024, 1024))
+    assert "schedule.batch" in fault.value.hint

@@ -11,10 +11,10 @@ import torch
 from torch import nn
 
 from lodbench.segmentation.masks import read_photo
-from lodbench.segmentation.nets.compact import STRIDE
+from lodbench.segmentation.nets.unets import STRIDE
 from lodbench.segmentation.probability import padded_photo, resized_photo
 from lodbench.storage import random_stream
-from lodbench.training.nets.checkpoints import load_checkpoint, save_checkpoint
+from lodbench.training.nets.batches import load_checkpoint, save_checkpoint
 
 from ..training_params import LodLocTraining
 from ..training_views import TrainingView

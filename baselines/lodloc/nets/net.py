@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from lodbench.segmentation.compact import packaged_weights
-from lodbench.segmentation.nets.compact import STRIDE, CompactNet
+from lodbench.segmentation.nets.unets import STRIDE, CompactNet
 from lodbench.segmentation.nets.weights import load_onnx, load_own
 
 # Channels of the trunk at a quarter and at half of the photo's size: its encoder's and its decoder's.

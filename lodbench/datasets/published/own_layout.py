@@ -24,8 +24,8 @@ from lodbench.errors import ConfigError, DatasetError, LodbenchError, nearest_na
 from lodbench.findings import Findings
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.geometry.pose import rotation_from_quaternion
+from lodbench.photos.camera import pinhole_of, undistorted
 from lodbench.photos.pictures import encoded, read_picture
-from lodbench.photos.undistort import pinhole_of, undistorted
 from lodbench.storage import digest_of, make_folder, new_folder, write_bytes
 from lodbench.storage.paths import cache_root
 

@@ -18,7 +18,7 @@ from lodbench.errors import DatasetError, require_within
 from lodbench.evaluation import PoseError
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.methods import Method
-from lodbench.photos.map_frame import Place
+from lodbench.photos.map_frame import GeoPose
 from lodbench.photos.measurements import Measurements, measured_of
 from lodbench.photos.metadata import PhotoMetadata
 from lodbench.photos.pose import HeightOptions, RoughPlace
@@ -191,7 +191,7 @@ class LocalizedPhoto:
     alternatives: tuple[Pose, ...]
     alternative_probabilities: tuple[float, ...]
     is_trusted: bool
-    place: Place | None
+    place: GeoPose | None
     camera: Camera
     stored_camera: Camera
     camera_source: str

@@ -20,10 +20,10 @@ from lodbench.geometry import Pose
 from lodbench.harness.photo import RoughPoses
 from lodbench.harness.photo.prepare import PreparedPhoto
 from lodbench.methods.flight.relative_poses import FEWEST_PHOTOS
+from lodbench.photos.camera import undistorted
 from lodbench.photos.files import PHOTO_SUFFIXES, copies_among, mask_name
 from lodbench.photos.metadata import read_photo_metadata
 from lodbench.photos.pictures import encoded, read_picture
-from lodbench.photos.undistort import undistorted
 from lodbench.reporting.aligned_text import count_of
 from lodbench.segmentation import no_wider
 from lodbench.storage import write_bytes

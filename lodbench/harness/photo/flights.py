@@ -48,7 +48,7 @@ from lodbench.methods.localize import localize_flight
 from lodbench.methods.protocol import FlightEstimate, Streams, SupportsFlights, SupportsPhotosAlone
 from lodbench.photos.files import Flight, split_flights
 from lodbench.photos.map_frame import MapFrame
-from lodbench.photos.notes import height_notes, refused_notes
+from lodbench.photos.measurements import height_notes, refused_notes
 from lodbench.photos.pictures import read_picture
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.answers import reasons_for_doubt

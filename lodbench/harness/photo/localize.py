@@ -30,7 +30,7 @@ from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.protocol import SupportsPriorWidth
 from lodbench.methods.search import NothingFits
 from lodbench.photos.map_frame import MapFrame
-from lodbench.photos.notes import place_notes, refused_notes, xmp_note
+from lodbench.photos.measurements import place_notes, refused_notes, xmp_note
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.reporting.answers import TRUSTED_OVERLAP, is_trusted, probability_text
 from lodbench.segmentation import notes_of

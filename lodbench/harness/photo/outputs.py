@@ -18,8 +18,8 @@ from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.photo import LocalizedPhoto, PhotoRequest
 from lodbench.methods import Estimate
+from lodbench.photos.camera import undistorted
 from lodbench.photos.map_frame import MapFrame, survey_row
-from lodbench.photos.undistort import undistorted
 from lodbench.rendering import Renderer
 from lodbench.reporting.answers import percent_text, rounded_down
 from lodbench.reporting.flight_words import place_columns

@@ -32,7 +32,7 @@ from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.harness.city import far_words, open_city
 from lodbench.photos.files import PHOTO_SUFFIXES
 from lodbench.photos.map_frame import MapFrame
-from lodbench.photos.notes import place_notes, refused_notes, xmp_note
+from lodbench.photos.measurements import place_notes, refused_notes, xmp_note
 from lodbench.photos.pictures import picture_size
 from lodbench.photos.pose import HeightOptions
 

@@ -22,7 +22,9 @@ from lodbench.photos.camera import (
     PhotoCamera,
     camera_from_photo,
     camera_given,
+    pinhole_of,
     require_photo_size,
+    undistorted,
 )
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.measurements import Measurements
@@ -36,7 +38,6 @@ from lodbench.photos.pose import (
     pose_from_photo,
     require_stated,
 )
-from lodbench.photos.undistort import pinhole_of, undistorted
 from lodbench.segmentation import MapGuidedSegmenter, check_mask
 from lodbench.segmentation.masks import read_mask
 

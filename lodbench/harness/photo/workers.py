@@ -17,7 +17,7 @@ from lodbench.execution.fan_out import Processes
 from lodbench.execution.guards import single_threaded_blas
 from lodbench.harness.photo import PhotoRequest
 from lodbench.harness.photo.localize import OpenMap, open_map
-from lodbench.segmentation.packaged_network import PackagedNetwork
+from lodbench.segmentation.photo_segmenter import PackagedNetwork
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -62,7 +62,7 @@ from lodbench.methods.protocol import SupportsFlights
 from lodbench.plugins import blaming, load_plugin
 from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
-from lodbench.segmentation.registry import masks_digest
+from lodbench.segmentation.protocol import masks_digest
 from lodbench.storage import can_write, digest_of, make_folder, remove_leftovers, write_text
 from lodbench.storage.digest import known_contents, own_digest, remembered_contents
 from lodbench.storage.disk import disk

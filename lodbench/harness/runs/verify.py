@@ -42,7 +42,7 @@ from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.reporting.summaries import plugin_metrics, without_metrics
 from lodbench.segmentation import Segmenter
-from lodbench.segmentation.registry import fingerprint_of, masks_digest
+from lodbench.segmentation.protocol import fingerprint_of, masks_digest
 from lodbench.storage import digest_of
 
 if TYPE_CHECKING:

@@ -24,8 +24,8 @@ from lodbench.geometry.signed_distance import signed_distance
 from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.protocol import Estimate
 from lodbench.photos.pictures import read_picture
+from lodbench.segmentation.map_guided import cross_fitted, cut
 from lodbench.segmentation.probability import working_size
-from lodbench.segmentation.region_cut import cross_fitted, cut
 
 Floats = NDArray[np.float64]
 Bins = NDArray[np.int64]

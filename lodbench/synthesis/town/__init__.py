@@ -2,14 +2,11 @@
 
 From the ground up:
 
-- the land: ``terrain`` (hills and a valley; who stands where), ``streets`` (blocks and streets), ``shapes``
-  (plane geometry);
-- what is built on a block: ``houses``, ``landmarks`` (also flats and works), ``site`` (whether one more plan
-  fits);
-- a building: ``extrusion`` (a roof's cross-section along a path), ``roofs`` (the shapes), ``fittings``
-  (annexes, dormers, chimneys), ``openings``, ``solid`` (closed bodies), and ``building``, which
-  puts them together at three levels of detail;
-- the whole: ``town``, which says what goes into which district; its two ``looks``;
-- what a photo shows: ``props``, ``ground``, ``trees_and_cars``;
-- the dataset: ``queries`` (views, priors, masks, photos); ``build`` writes it, CityGML by ``templates``.
+- the land: ``streets`` (blocks, streets, terrain; who stands where), ``shapes`` (plane and solid geometry);
+- what is built on a block: ``houses`` (also flats, works and landmarks);
+- a building: ``roofs`` (the shapes), ``fittings`` (annexes, dormers, chimneys, openings), and ``buildings``,
+  which puts them together at three levels of detail;
+- the whole: ``town``, which says what goes into which district, and its ground;
+- what a photo shows: ``props``;
+- the dataset: ``build`` writes it (views, priors, masks, photos), CityGML by ``templates``.
 """

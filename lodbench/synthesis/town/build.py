@@ -33,7 +33,7 @@ from lodbench.synthesis.town.props import demo_props
 from lodbench.synthesis.town.shapes import Points, look_named
 from lodbench.synthesis.town.streets import Terrain
 from lodbench.synthesis.town.town import CRS_NAME, OLD_TOWN_RADIUS_M, ORIGIN_M, TOWN_VERSION, Town, grow_town
-from lodbench.synthesis.view_sampling import (
+from lodbench.synthesis.views import (
     FINE_SIZE,
     RGB_CAMERA,
     SyntheticQuery,
@@ -203,8 +203,11 @@ MANIFEST_FILE = "demo.json"
 # The code that makes the demo.
 DEMO_CODE = (
     *("synthesis/town/*.py", "synthesis/town/*.yaml", "synthesis/town/templates/*"),
-    *("synthesis/objects.py", "synthesis/photo/*.py", "synthesis/view_sampling.py", "synthesis/mask_*.py"),
-    *("citymodel/scene.py", "datasets/priors.py"),
+    *(
+        f"synthesis/{name}.py"
+        for name in ("objects", "photo/*", "views", "surroundings", "land_cover", "mask_*")
+    ),
+    *("citymodel/scene.py", "datasets/prior_sources.py"),
     *(f"kernels/{name}.py" for name in ("looks", "patterns", "shading", "surfaces", "textures")),
 )
 # Of quaternions and of metres.

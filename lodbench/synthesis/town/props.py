@@ -23,7 +23,6 @@ from lodbench.synthesis.objects import (
     pick,
 )
 from lodbench.synthesis.town.buildings import Building
-from lodbench.synthesis.town.ground import add_ground
 from lodbench.synthesis.town.shapes import (
     Points,
     Solid,
@@ -37,7 +36,7 @@ from lodbench.synthesis.town.shapes import (
     length_of,
     offset_line,
 )
-from lodbench.synthesis.town.town import ORIGIN_M, Town
+from lodbench.synthesis.town.town import ORIGIN_M, Town, add_ground
 
 # One tree for so many square metres of open land, by district; parks have more.
 _LAND_PER_TREE_M2 = {"old town": 420.0, "inner town": 190.0, "garden suburb": 170.0}

@@ -2,23 +2,42 @@
 
 Order of work: streets cut the land into blocks, each block gets a district and plans, each plan is
 built on the terrain beside its neighbours at three levels of detail.
+
+Its ground as props: fields, meadows, the river, streets with markings, blocks, bridges, each a plane mesh,
+refined so that it can be draped over the hills.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import mapbox_earcut
 import numpy as np
+import scipy
 
+from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
+from lodbench.synthesis.objects import MeshBuilder, Triangles, grid_triangles, palette
 from lodbench.synthesis.town import houses
 from lodbench.synthesis.town.buildings import Age, Building, Plan, construct_all
 from lodbench.synthesis.town.fittings import chance
 from lodbench.synthesis.town.houses import OLD_LANES, SUBURB, VILLAS, Site, add_closed_block, add_houses
-from lodbench.synthesis.town.shapes import Points, TownLook, area, inset, look_named
-from lodbench.synthesis.town.streets import Block, Occupancy, StreetPlan, Terrain, draw_streets
+from lodbench.synthesis.town.shapes import (
+    Points,
+    TownLook,
+    along_line,
+    area,
+    contains,
+    inset,
+    left_of,
+    length_of,
+    look_named,
+    offset_line,
+    rectangles,
+)
+from lodbench.synthesis.town.streets import Block, Occupancy, Street, StreetPlan, Terrain, draw_streets
 
 # Raise it whenever a seed gives another town, queries included: results of two versions do not compare.
 TOWN_VERSION = "2"
@@ -159,3 +178,178 @@ _BUILD_UP: dict[str, Callable[[Site], None]] = {
     "works": houses.add_works,
     "garden suburb": partial(add_houses, style=SUBURB),
 }
+
+
+# Heights of layers above the bare ground, metres. Two meshes of one surface differ by up to 3 cm.
+_MARKING_M, _PAVEMENT_M, _YARD_M = 0.05, 0.12, 0.17
+# The land reaches this far from the middle of town: farther than a drone at 60 degrees sees detail.
+_LAND_M = 4000.0
+_WATER_HALF_M = 17.0
+# Edges of ground triangles in town and beside the river, and the share of the distance beyond.
+_NEAR_M, _BANK_EDGE_M, _FAR_SHARE = 12.0, 6.0, 0.06
+_PAVEMENT_WIDTH_M = 2.2
+_YARDS = {"old town": SurfaceClass.PAVEMENT, "works": SurfaceClass.GROUND}  # grass elsewhere
+_STONE, _EARTH, _PAINT, _PARAPET = (palette(code) for code in ("9e9890", "968a76", "deded8", "aaa49a"))
+_FIELDS = palette("7a824c 8a8a56 9a9462 6e7c46 827a56 74844e")
+_NUM_FIELDS = 420
+
+
+def add_ground(builder: MeshBuilder, town: Town) -> None:
+    """Adds everything that lies on the ground."""
+    _add_land(builder, town)
+    _add_river(builder, town)
+    for number, (block, district) in enumerate(zip(town.streets.blocks, town.districts, strict=True)):
+        chances = random_stream(town.seed, "demo", "yard", number)
+        shade = float(chances.uniform(0.94, 1.06))
+        _drape(builder, town, SurfaceClass.PAVEMENT, block.ring, _PAVEMENT_M, _STONE * shade)
+        yard = inset(block.ring, _PAVEMENT_WIDTH_M)
+        # The market square, the first block, is paved all over.
+        if yard is not None and number > 0:
+            kind = _YARDS.get(district, SurfaceClass.GRASS)
+            lawn = town.look.grass[int(chances.integers(len(town.look.grass)))]
+            tint = {SurfaceClass.GRASS: lawn, SurfaceClass.GROUND: _EARTH}.get(kind, _STONE)
+            _drape(builder, town, kind, yard, _YARD_M, tint * chances.uniform(0.92, 1.08))
+    for street in town.streets.streets:
+        _add_markings(builder, town, street)
+
+
+def _drape(
+    builder: MeshBuilder, town: Town, surface: SurfaceClass, ring: Points, above_m: float, tint: Points
+) -> None:
+    points, triangles = refined(*filled(ring), lambda middles: np.full(len(middles), _NEAR_M))
+    builder.add(surface, town.terrain.on_ground(points, above_m), triangles, tint)
+
+
+def _add_land(builder: MeshBuilder, town: Town) -> None:
+    """Adds the bare ground: streets under the town, fields, meadows beside the river, its bed."""
+    square = _LAND_M * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+
+    def longest(middles: Points) -> Points:
+        distance = np.linalg.norm(middles, axis=1)
+        far = np.maximum(_NEAR_M, _FAR_SHARE * (distance - 500.0))
+        close = town.terrain.river_distance(middles)
+        bank = np.maximum(_BANK_EDGE_M, np.maximum(0.4 * (close - 22.0), 0.02 * distance - 8.0))
+        return np.asarray(np.minimum(far, bank))
+
+    points, triangles = refined(*filled(square), longest)
+    middles = points[triangles].mean(axis=1)
+    river = town.terrain.river_distance(middles)
+    chances = random_stream(town.seed, "demo", "fields")
+    one_each = (_NUM_FIELDS, 1)
+    parcels = chances.uniform(-_LAND_M, _LAND_M, (_NUM_FIELDS, 2)) * chances.uniform(0.2, 1.0, one_each)
+    colours = _FIELDS[chances.integers(len(_FIELDS), size=_NUM_FIELDS)] * chances.uniform(0.9, 1.1, one_each)
+    tint = colours[scipy.spatial.cKDTree(parcels).query(middles)[1]]
+    surface = np.full(len(middles), SurfaceClass.FIELD, np.uint8)
+    # Streets are what blocks leave free of the land: no triangle sticks out of it.
+    is_town = np.logical_or(*[contains(bank, points) for bank in town.streets.banks])[triangles].all(axis=1)
+    for chosen, kind, colour in (
+        (river < 36.0, SurfaceClass.GRASS, town.look.grass[0]),
+        (river < 18.0, SurfaceClass.GROUND, _EARTH * 0.8),
+        (is_town, SurfaceClass.ROAD, town.look.road),
+    ):
+        surface[chosen], tint[chosen] = kind, colour
+    builder.add(surface, town.terrain.on_ground(points), triangles, tint)
+
+
+def _add_river(builder: MeshBuilder, town: Town) -> None:
+    """Adds the water, level, and two bridges."""
+    line = town.streets.river
+    ribbon = _ribbon(line, _WATER_HALF_M, town.terrain.water_m)
+    builder.add(SurfaceClass.WATER, *ribbon, town.look.water)
+    half = 0.5 * length_of(line)
+    for at in (half - 150.0, half + 170.0):
+        (middle,), (along,) = along_line(line, np.array([at]))
+        across = left_of(along)
+        ends = middle + np.outer([-1.0, -0.5, 0.0, 0.5, 1.0], 33.0 * across)
+        heights = town.terrain.water_m + np.array([2.75, 3.3, 3.5, 3.3, 2.75])
+        number = builder.new_objects(1)[0]
+        builder.add(SurfaceClass.ROAD, *_ribbon(ends, 5.0, heights), town.look.road, number)
+        for side in (-5.0, 5.0):
+            foot = offset_line(ends, side)
+            wall = _strip(np.column_stack([foot, heights - 1.0]), np.column_stack([foot, heights + 1.0]))
+            builder.add(SurfaceClass.PAVEMENT, *wall, _PARAPET, number)
+
+
+def _ribbon(line: Points, half_m: float, height: float | Points) -> tuple[Points, Triangles]:
+    """Returns a level strip along a polyline, points and triangles."""
+    z = np.broadcast_to(height, len(line))
+    right, left = (np.column_stack([offset_line(line, side), z]) for side in (-half_m, half_m))
+    return _strip(right, left)
+
+
+def _strip(front: Points, back: Points) -> tuple[Points, Triangles]:
+    """Returns the points of two lines, (2K, 3), and the triangles between them."""
+    return np.concatenate([front, back]), grid_triangles(2, len(front))
+
+
+def _add_markings(builder: MeshBuilder, town: Town, street: Street) -> None:
+    """Adds the middle line of a street, and on wide ones edge lines and crossings on foot at its ends."""
+    length, width = length_of(street.line), street.width_m
+    if width < 9.5 or length < 25.0:
+        return
+    bars = [_bars(street.line, np.arange(9.0, length - 11.0, 8.0) + 1.5, 3.0, 0.16)]
+    if width > 13.0:
+        for side in (-1.0, 1.0):
+            lane = offset_line(street.line, side * (0.5 * width - 2.3))
+            bars.append(_bars(lane, np.arange(10.0, length_of(lane) - 12.0, 5.0) + 2.5, 5.0, 0.13))
+        stripes = np.arange(-0.5 * width + 0.8, 0.5 * width - 0.8, 1.1).tolist()
+        for end in (4.5, length - 4.5):
+            bars += [_bars(offset_line(street.line, off), np.array([end]), 3.0, 0.5) for off in stripes]
+    quads = np.concatenate(bars)
+    points = town.terrain.on_ground(quads.reshape(-1, 2), _MARKING_M)
+    first = 4 * np.arange(len(quads))[:, None]
+    triangles = np.concatenate([first + np.array(fan) for fan in ((0, 1, 2), (0, 2, 3))])
+    builder.add(SurfaceClass.MARKING, points, triangles, _PAINT)
+
+
+def _bars(line: Points, at: Points, length: float, width: float) -> Points:
+    """Returns painted rectangles, (N, 4, 2), along a polyline, their middles at distances along it."""
+    return rectangles(*along_line(line, at), length, width)
+
+
+def filled(ring: Points) -> tuple[Points, Triangles]:
+    """Returns a ring's corners, (N, 2), and the triangles that fill it, counter-clockwise."""
+    corners = np.ascontiguousarray(ring, dtype=np.float64)
+    indices = mapbox_earcut.triangulate_float64(corners, np.array([len(corners)], np.uint32))
+    triangles = np.asarray(indices, dtype=np.int64).reshape(-1, 3)
+    a, b, c = (corners[triangles[:, k]] for k in range(3))
+    turn = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    return corners, np.where((turn < 0)[:, None], triangles[:, ::-1], triangles)
+
+
+def refined(
+    points: Points, triangles: Triangles, longest: Callable[[Points], Points]
+) -> tuple[Points, Triangles]:
+    """Returns a plane mesh, (P, 2) and (T, 3), whose edges are nowhere longer than wanted, without cracks.
+
+    Edges are halved, both triangles beside them alike, until all are short enough; ``longest`` returns the
+    length wanted, (N,), of those with middles (N, 2).
+    """
+    while True:
+        edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        keys, inverse = np.unique(edges[:, 0] * len(points) + edges[:, 1], return_inverse=True)
+        first, second = np.divmod(keys, len(points))
+        middles = 0.5 * (points[first] + points[second])
+        is_long = np.linalg.norm(points[second] - points[first], axis=1) > longest(middles)
+        if not is_long.any():
+            return points, triangles
+        numbers = np.where(is_long, len(points) + np.cumsum(is_long) - 1, -1)
+        triangles = _split(triangles, numbers[inverse].reshape(-1, 3))
+        points = np.concatenate([points, middles[is_long]])
+
+
+def _split(triangles: Triangles, middles: Triangles) -> Triangles:
+    """Returns triangles split at the middles of their edges 01, 12 and 20, (T, 3), -1 for whole edges."""
+    parts = [triangles[(middles < 0).all(axis=1)]]
+
+    def add(chosen: Any, *fans: tuple[Triangles, Triangles, Triangles]) -> None:
+        parts.extend(np.stack(fan, axis=1)[chosen] for fan in fans)
+
+    for k in range(3):
+        # Turned so that the pattern of split edges is one of three.
+        (a, b, c), (ab, bc, ca) = np.roll(triangles, -k, axis=1).T, np.roll(middles, -k, axis=1).T
+        add((ab >= 0) & (bc < 0) & (ca < 0), (a, ab, c), (ab, b, c))
+        add((ab >= 0) & (bc >= 0) & (ca < 0), (ab, b, bc), (a, ab, bc), (a, bc, c))
+    (a, b, c), (ab, bc, ca) = triangles.T, middles.T
+    add((middles >= 0).all(axis=1), (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+    return np.concatenate(parts)

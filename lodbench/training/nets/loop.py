@@ -16,8 +16,14 @@ from torch import Tensor, nn
 from lodbench.errors import ConfigError
 from lodbench.execution import Progress
 from lodbench.segmentation.nets.weights import Padding
-from lodbench.training.nets.batches import against_rest, batches, steps_per_epoch, validation_iou
-from lodbench.training.nets.checkpoints import TrainingProcess, save_checkpoint
+from lodbench.training.nets.batches import (
+    TrainingProcess,
+    against_rest,
+    batches,
+    save_checkpoint,
+    steps_per_epoch,
+    validation_iou,
+)
 from lodbench.training.samples import Sample, TrainParams
 
 # Side of the window that says how near an outline is, pixels.

@@ -14,8 +14,7 @@ from lodbench.extras import require
 from lodbench.segmentation.nets.weights import Padding, fill, read_weights, save_weights
 from lodbench.segmentation.protocol import TrainableSegmenter
 from lodbench.segmentation.torch_segmenter import require_memory
-from lodbench.training.nets.batches import batch_shape, batches, validation_iou
-from lodbench.training.nets.checkpoints import joined, load_checkpoint
+from lodbench.training.nets.batches import batch_shape, batches, joined, load_checkpoint, validation_iou
 from lodbench.training.nets.loop import fit, make_state
 from lodbench.training.samples import Sample, TrainParams
 

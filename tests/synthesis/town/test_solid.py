@@ -15,11 +15,10 @@ from lodbench.kernels.looks import SurfaceClass
 from lodbench.synthesis.town import shapes
 from lodbench.synthesis.town.build import ascii_grid_text, relief_text
 from lodbench.synthesis.town.fittings import Annex, RoofBox
-from lodbench.synthesis.town.ground import filled, refined
 from lodbench.synthesis.town.props import demo_props
 from lodbench.synthesis.town.roofs import Body, Roof, Strip, flat, gabled, hipped, mansard, serrated
 from lodbench.synthesis.town.shapes import prism
-from lodbench.synthesis.town.town import ORIGIN_M
+from lodbench.synthesis.town.town import ORIGIN_M, filled, refined
 
 SQUARE = np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 30.0], [0.0, 30.0]])
 

@@ -24,13 +24,12 @@ from lodbench.rendering.backends import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import digest_of, random_stream, write_bytes
-from lodbench.synthesis.camera_paths import CAMERA_PATHS, SurveyArea
+from lodbench.synthesis.camera_paths import CAMERA_PATHS, MOST_VIEWS, GenerateParams, SurveyArea
 from lodbench.synthesis.land_cover import Ground
 from lodbench.synthesis.objects import SceneProps
 from lodbench.synthesis.photo import LandCover, PhotoRenderer, draw_look
 from lodbench.synthesis.photo.light import linear
 from lodbench.synthesis.photo.renderer import apply_camera_response, photo_file
-from lodbench.synthesis.training_data import MOST_VIEWS, GenerateParams
 
 SPLITS = ("train", "val", "test")
 # Views are checked on pictures this wide: a building of three pixels there has some 40 in full size.

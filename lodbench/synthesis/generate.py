@@ -40,11 +40,10 @@ from lodbench.storage import (
 )
 from lodbench.storage.digest import digest_of_code, own_digest
 from lodbench.storage.json_text import parse_json
+from lodbench.synthesis.camera_paths import GenerateParams
 from lodbench.synthesis.land_cover import Land
 from lodbench.synthesis.objects import read_props
-from lodbench.synthesis.surroundings import make_surroundings
-from lodbench.synthesis.training_data import GenerateParams
-from lodbench.synthesis.training_data.plan_views import (
+from lodbench.synthesis.plan_views import (
     MOST_LABELS,
     SPLITS,
     PictureParts,
@@ -55,6 +54,7 @@ from lodbench.synthesis.training_data.plan_views import (
     is_written,
     plan_views,
 )
+from lodbench.synthesis.surroundings import make_surroundings
 
 MANIFEST_FILE, SHEET_FILE = "manifest.json", "overview.png"
 SCHEMA = 1
@@ -175,7 +175,7 @@ def _difference(found: dict[str, Any], wanted: dict[str, Any]) -> str:
 @cache
 def _code_digest() -> str:
     """Returns a digest of what plans and draws views: poses of one version suit no pictures of another."""
-    package = Path(__file__).parents[2]
+    package = Path(__file__).parents[1]
     files = [file for layer in _LAYERS for file in sorted((package / layer).rglob("*.py"))]
     return digest_of_code(files, _LIBRARIES)
 

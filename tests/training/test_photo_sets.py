@@ -1,4 +1,4 @@
-"""Posed photos over a map as a training set: labels are silhouettes, the rest is as for any set."""
+"""Photos as training views: labelled by a network or empty, with traced masks, posed over a map."""
 
 import json
 import math
@@ -14,10 +14,118 @@ from lodbench.cli.training import report_trained
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.errors import DatasetError
 from lodbench.rendering.raster import RasterRenderer
+from lodbench.segmentation.compact import Compact, CompactParams
 from lodbench.segmentation.masks import read_mask
-from lodbench.training.photo_sets import is_posed, posed_samples
+from lodbench.training.nets.batches import batches
+from lodbench.training.photo_sets import (
+    ground_samples,
+    is_posed,
+    posed_samples,
+    pseudo_samples,
+    repeated,
+    traced_samples,
+)
+from lodbench.training.samples import TrainParams
 from lodbench.training.train import Trained
 from tests.town import write_dataset
+
+
+@pytest.fixture
+def photos(tmp_path):
+    folder = tmp_path / "place"
+    (folder / "deeper").mkdir(parents=True)
+    picture = np.random.default_rng(0).integers(0, 256, (60, 90, 3), dtype=np.uint8)
+    for name in ("a.jpg", "deeper/b.png"):
+        cv2.imwrite(str(folder / name), picture)
+    return folder
+
+
+def test_labels_of_the_shipped_network_are_written_as_grey_masks(photos, tmp_path):
+    teacher = Compact(CompactParams(size=64))
+    samples = pseudo_samples(teacher, [photos], tmp_path / "out")
+    assert [sample.key for sample in samples] == ["out/place/a.jpg_0", "out/place/deeper/b.png_0"]
+    photo, mask = samples[1].read(0, square=False)
+    assert photo.shape == (43, 64, 3)
+    full = cv2.imread(str(photos / "deeper" / "b.png"))[..., ::-1]
+    np.testing.assert_allclose(mask, teacher.probability(full), atol=0.003)
+    assert 0 < mask.std()
+
+
+def test_ground_has_no_building_at_either_size(photos, tmp_path):
+    samples = ground_samples(64, [photos], tmp_path / "out")
+    assert len(samples) == 4
+    assert all(sample.is_ground and read_mask(sample.mask).max() == 0 for sample in samples)
+    assert [sample.read(0, square=False)[0].shape for sample in samples[:2]] == [(43, 64, 3), (64, 96, 3)]
+
+
+def test_photos_of_one_name_in_folders_of_one_name_stay_apart(photos, tmp_path):
+    other = tmp_path / "elsewhere" / "place"
+    other.mkdir(parents=True)
+    for name in ("a.jpg", "a.png"):
+        cv2.imwrite(str(other / name), np.zeros((40, 60, 3), np.uint8))
+    samples = ground_samples(64, [photos, other], tmp_path / "out")
+    assert len({sample.photo for sample in samples}) == len({sample.key for sample in samples}) == 8
+    assert [sample.read(0, square=False)[0].any() for sample in samples] == [True] * 4 + [False] * 4
+
+
+def test_photos_stored_as_tiff_are_learnt_as_well(photos, tmp_path):
+    cv2.imwrite(str(photos / "c.tif"), np.zeros((40, 60, 3), np.uint8))
+    assert len(ground_samples(64, [photos], tmp_path / "out")) == 6
+
+
+def test_a_folder_without_photos_is_named(tmp_path):
+    with pytest.raises(DatasetError, match="holds no photos to learn from"):
+        ground_samples(64, [tmp_path], tmp_path / "out")
+
+
+@pytest.fixture
+def traced(tmp_path):
+    """A photo whose left half is a building, 400 x 300, and whose last rows nobody could tell."""
+    for kind in ("photos", "masks"):
+        (tmp_path / "town" / kind).mkdir(parents=True)
+    photo, mask = np.zeros((300, 400, 3), np.uint8), np.zeros((300, 400), np.uint8)
+    photo[::2] = 200
+    mask[:, :200] = 255
+    mask[280:] = 128
+    cv2.imwrite(str(tmp_path / "town" / "photos" / "one.png"), photo)
+    cv2.imwrite(str(tmp_path / "town" / "masks" / "one.png"), mask)
+    return tmp_path
+
+
+def test_crops_are_cut_from_all_pixels_at_the_networks_size(traced):
+    (sample,) = traced_samples(200, [traced])
+    assert sample.working_scale == 0.5
+    params = TrainParams(data="", crop=64, scale=(2.0, 2.0), batch=1)
+    ((images, truth),) = batches([sample], params, 0, 0, 0, 1)
+    assert images.shape == (1, 3, 64, 64)
+    # At twice half the size every second row of the photo is still told from the next.
+    assert np.abs(np.diff(images.numpy()[0, 0], axis=0)).max() > 0.5
+    assert set(np.unique(np.round(truth.numpy(), 1))) <= {0.0, 0.5, 1.0}
+
+
+def test_few_photos_are_a_share_of_an_epoch_each_time_another_crop(traced):
+    samples = traced_samples(200, [traced])
+    views = repeated(samples, 0.25, 30)
+    assert len(views) == 10
+    assert len({view.key for view in views}) == 10
+    assert len(repeated(samples, 0.0, 30)) == 1
+    assert repeated([], 0.5, 30) == []
+
+
+def test_a_photo_without_a_mask_is_named(traced):
+    (traced / "town" / "masks" / "one.png").unlink()
+    with pytest.raises(DatasetError, match=r"one\.png has no mask"):
+        traced_samples(200, [traced])
+
+
+def test_a_mask_of_another_size_and_two_photos_of_one_name_are_refused(traced):
+    folder = traced / "town"
+    cv2.imwrite(str(folder / "masks" / "one.png"), np.zeros((400, 300), np.uint8))
+    with pytest.raises(DatasetError, match=r"masks/one\.png is not of its photo's size"):
+        traced_samples(200, [traced])
+    cv2.imwrite(str(folder / "photos" / "one.jpg"), np.zeros((300, 400, 3), np.uint8))
+    with pytest.raises(DatasetError, match="share a name"):
+        traced_samples(200, [traced])
 
 
 @pytest.fixture(scope="module")
