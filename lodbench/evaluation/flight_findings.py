@@ -81,7 +81,8 @@ def score_map(
     errors = [abs(b["higher_m"] + truth.get(name, 0.0)) for name, b in seen.items()]
     doubted = [name for name, b in reported.items() if b["doubt"]]
     reported_demolished = [c["id"] for c in findings["changes"] if c["kind"] == "demolished"]
-    places = [_polygon(c["outline"]) for c in findings["changes"] if c["kind"] == "unmapped"]
+    outlines = [c["outline"] for c in findings["changes"] if c["kind"] == "unmapped"]
+    places = [unary_union([Polygon(ring) for ring in rings]) for rings in outlines]
     lacking = {name: box(*boxes[name]).buffer(_NEAR_M) for name in changed["missing"] if name in boxes}
     others = [place for place in places if not any(place.intersects(there) for there in lacking.values())]
     standing = unary_union([box(*each) for each in clutter])
@@ -104,7 +105,3 @@ def score_map(
         rightly_unmapped=len(places) - len(others),
         clutter=sum(bool(place.intersects(standing)) for place in others),
     )
-
-
-def _polygon(rings: Sequence[Sequence[Sequence[float]]]) -> Any:
-    return unary_union([Polygon(ring) for ring in rings])

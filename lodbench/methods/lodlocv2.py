@@ -219,7 +219,7 @@ def refine(
         per_beam = len(children.scores) // params.beams
         for b, kept in enumerate(beams):
             mine = _take(children, np.arange(b * per_beam, (b + 1) * per_beam))
-            beams[b] = _best(_joined(kept, mine), params.kept)
+            beams[b] = _best(kept, mine, params.kept)
             traces[b].append(float(beams[b].scores[0]))
     winner = int(np.argmax([beam.scores[0] for beam in beams]))
     named = {f"fine beam {b}": tuple(scores) for b, scores in enumerate(traces, start=1)}
@@ -242,14 +242,11 @@ def _moved(
     return centers + moves, yaws + turns
 
 
-def _joined(a: Particles, b: Particles) -> Particles:
-    return Particles(*(np.concatenate(pair) for pair in zip(a, b, strict=True)))
-
-
 def _take(particles: Particles, indices: NDArray[np.int64]) -> Particles:
     return Particles(*(values[indices] for values in particles))
 
 
-def _best(particles: Particles, count: int) -> Particles:
+def _best(kept: Particles, moved: Particles, count: int) -> Particles:
+    particles = Particles(*(np.concatenate(pair) for pair in zip(kept, moved, strict=True)))
     # A stable sort: of equal scores the earlier pose stays ahead, kept ones before their copies.
     return _take(particles, np.argsort(-particles.scores, kind="stable")[:count])

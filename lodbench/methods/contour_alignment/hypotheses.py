@@ -8,7 +8,7 @@ mixture says where the camera is, how surely, and where else it may be.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -155,12 +155,9 @@ def _weigh(aligner: Aligner, track: _Track, params: ContourAlignmentParams, step
     if step == params.final_steps:
         return True
     is_free = step < _FREE_STEPS
-    each = _likeliest(
-        track.hypotheses,
-        needs_tilt=is_free and not track.is_lens_free,
-        needs_lens=is_free or track.is_lens_free,
-    )
-    move = shortened(each.step[:CAMERAS])
+    needs_tilt, needs_lens = is_free and not track.is_lens_free, is_free or track.is_lens_free
+    allowed = (m for m in track.hypotheses if m.is_tilt_free >= needs_tilt and m.is_lens_free >= needs_lens)
+    move = shortened(max(allowed, key=lambda each: each.evidence).step[:CAMERAS])
     track.shared = {
         world: track.shared[world] + _shared_step(world, track.shared[world], likelihood, move)
         for world, likelihood in likelihoods.items()
@@ -172,11 +169,6 @@ def _weigh(aligner: Aligner, track: _Track, params: ContourAlignmentParams, step
             w: shared for w, shared in track.shared.items() if best[w] > track.evidence - _PRUNE_WORLD
         }
     return True
-
-
-def _likeliest(hypotheses: Iterable[Hypothesis], *, needs_tilt: bool, needs_lens: bool) -> Hypothesis:
-    allowed = (m for m in hypotheses if m.is_tilt_free >= needs_tilt and m.is_lens_free >= needs_lens)
-    return max(allowed, key=lambda each: each.evidence)
 
 
 def _hypotheses(

@@ -108,7 +108,9 @@ def building_heights(
         elif outlines is not None:
             told = told + _nats_of_outlines(outlines, _ASTRAY_ALONE if curve is None else _ASTRAY)
         if curve is not None:
-            told = told + _nats_of_pixels(curve, common or 0.0)
+            # Heights that pixels were not compared at are as good as most of them.
+            usual, heights_m = float(np.median(curve.nats)), HEIGHTS_M - (common or 0.0)
+            told = told + np.interp(_HEIGHTS_M, heights_m, curve.nats, left=usual, right=usual)
         height = _height(told, 0 if curve is None else curve.photos, float(rises[row]))
         if outlines is not None or height.sigma_m < _WORST_M:
             found[row] = height
@@ -138,12 +140,6 @@ def _log_normal(mean_m: float, sigma_m: float) -> Floats:
     )
 
 
-def _nats_of_pixels(curve: RoofCurve, common_m: float) -> Floats:
-    """Returns how well heights explain pixels, beyond those looked at as well as most of them."""
-    usual = float(np.median(curve.nats))
-    return np.interp(_HEIGHTS_M, HEIGHTS_M - common_m, curve.nats, left=usual, right=usual)
-
-
 def _height(told: Floats, photos: int, rise_m: float) -> BuildingHeight:
     """Returns the best height, given how well heights explain everything, nats."""
     shares = np.exp(told - told.max())
@@ -157,12 +153,9 @@ def _height(told: Floats, photos: int, rise_m: float) -> BuildingHeight:
 
 def _common(curves: Mapping[int, RoofCurve]) -> float | None:
     """Returns by how much all roofs are higher than the map as poses have it, metres; None if few tell."""
-    sharp = [HEIGHTS_M[np.argmax(curve.nats)] for curve in curves.values() if _is_sharp(curve)]
+    nats = [curve.nats for curve in curves.values()]
+    sharp = [HEIGHTS_M[np.argmax(each)] for each in nats if each.max() - np.median(each) > _SHARP]
     return float(np.median(sharp)) if len(sharp) >= _FEWEST_SHARP else None
-
-
-def _is_sharp(curve: RoofCurve) -> bool:
-    return bool(curve.nats.max() - np.median(curve.nats) > _SHARP)
 
 
 def _by_outlines(aligned: Aligned, params: FlightParams) -> Iterator[tuple[int, _Outlines]]:

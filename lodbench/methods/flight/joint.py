@@ -199,7 +199,8 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: FlightParams
     of_roofs, of_parts, of_feet, of_centres, of_turns, of_ties = groups = [
         ErrorGroup(equations, scale) for scale in state.scales
     ]
-    _add_map(equations, state, shared, params)
+    precision = params.constant_sigmas(state.scales) ** -2.0
+    equations.add(shared + np.arange(CONSTANTS), np.diag(precision), precision * state.constants)
     _add_roofs(of_roofs, of_parts, state, shared, buildings, params)
     _add_feet(of_feet, state, shared, parts, params)
     if len(pressed) > 1:
@@ -274,12 +275,6 @@ def _add_barometer(equations: NormalEquations, state: State, photos: Rows, takeo
     sigmas_m = np.array([each.takeoff_sigma_m for each in known])
     precisions = (_FREEDOM + 1.0) / (_FREEDOM + (gaps / sigmas_m) ** 2) / sigmas_m**2
     equations.add_differences(6 * photos + 2, np.full(len(photos), takeoff), gaps, precisions)
-
-
-def _add_map(equations: NormalEquations, state: State, shared: int, params: FlightParams) -> None:
-    """Adds what is known beforehand of the constants, whose first column is ``shared``."""
-    precision = params.constant_sigmas(state.scales) ** -2.0
-    equations.add(shared + np.arange(CONSTANTS), np.diag(precision), precision * state.constants)
 
 
 def _add_roofs(

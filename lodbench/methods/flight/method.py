@@ -316,9 +316,13 @@ class FlightMethod:
         if kind in ("auto", "tracks"):
             state.ties, shared = relative_poses(queries, priors)
         if state.ties or state.reconstruction is not None:
-            self._settle(state)
+            # Photos move to their places among each other.
+            for _ in range(_TIE_STEPS):
+                state.step(solve(state, [None] * len(state.vectors), self.params))
         if kind in ("auto", "tracks") and state.reconstruction is None:
-            block = block_of(shared, state.vectors, self._loose_sigmas(), queries[0].camera.fx)
+            # How far a photo may be from where sensors have it, whatever they share.
+            sigmas = np.hypot(self.params.own_sigmas(), self.params.shared_sigmas())
+            block = block_of(shared, state.vectors, sigmas, queries[0].camera.fx)
             places = _places(state.vectors, alone)
             state.reconstruction = placed(block, places, information)
             if state.reconstruction is not None:
@@ -326,15 +330,6 @@ class FlightMethod:
                 # Its photos are tied by all that they share at once.
                 state.ties = [t for t in state.ties if not {t.first, t.second} <= block.keys()]
         return state
-
-    def _settle(self, state: State) -> None:
-        """Moves photos to their places among each other."""
-        for _ in range(_TIE_STEPS):
-            state.step(solve(state, [None] * len(state.vectors), self.params))
-
-    def _loose_sigmas(self) -> Floats:
-        """Returns (6,) how far a photo may be from where sensors have it, whatever they share."""
-        return np.asarray(np.hypot(self.params.own_sigmas(), self.params.shared_sigmas()))
 
     def _misfit(self, state: State) -> float:
         """Returns by how much less all is known where photos agree on what masks and map can hardly be.
