@@ -2,8 +2,8 @@
 
 Errors may be declared too large by one unknown factor, which a flight itself shows (variance components). A
 flight says how far roofs of the map differ from each other, and how far photos lie from where a
-reconstruction has them. Where that is less than was told beforehand, expectation maximisation lowers what
-was told: squares of the residuals, and what is left open of them, are what their variance should be
+reconstruction has them. Where that is less than was declared beforehand, expectation maximisation lowers what
+was declared: squares of the residuals, and what is left open of them, are what their variance should be
 (Dempster, Laird and Rubin 1977, section 4.4).
 """
 
@@ -115,9 +115,9 @@ class NormalEquations:
 
 # Random signs of which so many tell the trace of what is left open (Hutchinson 1990).
 _PROBES = 24
-# Errors are never so small a share of what was told, and never larger than told.
+# Errors are never so small a share of what was declared, and never larger.
 _LEAST = 0.1
-# What was told counts as so many errors.
+# What was declared counts as so many errors.
 _AS_TOLD = 5.0
 # Steps are lengthened by no more than this.
 _LONGEST = 4.0
@@ -127,7 +127,7 @@ _SINGULAR, _NOTHING = 1e-12, 1e-30
 
 @dataclass(slots=True, eq=False)
 class ErrorGroup:
-    """Residuals of the normal equations that all err by a share of what is told.
+    """Residuals of the normal equations that all err by a share of what is declared.
 
     Attributes:
         equations: To which they are added.

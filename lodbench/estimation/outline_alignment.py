@@ -86,7 +86,7 @@ class Level:
     scale: float
 
 
-# The query at the sizes asked for so far.
+# The query at the sizes used so far.
 Levels = dict[tuple[int, int], Level]
 
 

@@ -9,7 +9,7 @@ How much a photo's nats count follows from the photo (docs/adr/0013, point 2). H
 place to a decimetre, but err together; a few say no more than they know.
 
 How far a map's own errors may have led an answer astray: its covariance. The curvature of a likelihood says
-how well a photo tells poses apart if the map is right. Houses stand half a metre beside where the map has
+how well a photo separates poses if the map is right. Houses stand half a metre beside where the map has
 them, and roofs are higher or lower, each building's outline as a whole: few buildings leave much open that
 thousands of pixels seem to say (docs/adr/0013, point 1).
 """
@@ -147,7 +147,7 @@ _WIDTH, _KEPT = 1.1, 0.3
 # The share of the nats that counts in the first draw, the least, and how exactly its logarithm is found.
 _FIRST_SHARE, _LEAST_SHARE, _SHARE_STEP = 0.25, 0.05, 0.01
 _PLACE = slice(0, 3)
-# What places are told apart by, as a share of them.
+# The least difference of places, as a share of them.
 _EPSILON = 8.881784197001252e-16
 # The least variance: what is known exactly, as the tilt of priors of the true one.
 _LEAST_SQUARE = 1e-18

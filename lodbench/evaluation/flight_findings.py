@@ -67,7 +67,7 @@ def score_map(
     """Returns how a flight's findings compare with what was done to the map.
 
     Args:
-        findings: ``buildings`` and ``changes``, as ``method=flight`` tells them.
+        findings: ``buildings`` and ``changes``, as ``method=flight`` reports them.
         changed: ``heights`` (metres that a building is higher in the map than in truth, by id), ``missing``
             and ``extra`` (ids).
         shown: Ids of the buildings of either that at least three photos show.

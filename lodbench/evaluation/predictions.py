@@ -48,10 +48,10 @@ class Prediction:
         score: The method's own measure of fit, or None.
         hypotheses: Poses rendered and compared; None where that is not known.
         seconds: Wall time by stage.
-        trace: Best score after each step, by stage; empty where the method tells none.
+        trace: Best score after each step, by stage; empty where the method states none.
         probability: What the method said of its being within 2 m and 2 degrees, or None.
         covariance: Upper triangle, row by row (21 numbers), of its error's covariance in x, y, z (metres),
-            pitch, roll and yaw (degrees); empty where the method tells none.
+            pitch, roll and yaw (degrees); empty where the method states none.
         mask_png: The query mask at 602 pixels' width or less, as a PNG of one bit per pixel in base64; ""
             where there is none.
         alternatives: Other poses that fit nearly as well, best first, in the dataset's frame.
@@ -334,7 +334,7 @@ def suspect_convention(
         distance_m, angle_deg = np.median(
             [pose_error(read(poses[key]), reference[key]) for key in shared], axis=0
         )
-        # Turning a pose around puts the centre in one place whatever its rotation: then the angle tells.
+        # Turning a pose around puts the centre in one place whatever its rotation: then the angle decides.
         return round(float(distance_m), 3), float(angle_deg)
 
     given, _ = medians(lambda pose: pose)

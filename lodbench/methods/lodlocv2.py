@@ -28,7 +28,7 @@ VARIANTS = ("full", "no_refine", "no_select")
 
 @dataclass(frozen=True, slots=True)
 class LodLocV2Params:
-    """Everything LoD-Loc v2 can be told.
+    """The settings of ``method=lodlocv2``.
 
     Attributes:
         name: Name to report.

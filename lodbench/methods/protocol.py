@@ -37,7 +37,7 @@ class Estimate:
         pose: The camera's pose, scene frame.
         score: The method's own measure of fit, higher is better.
         hypotheses: Poses drawn; counted by the map, whatever the method says.
-        seconds: Wall time by stage, for a method that tells stages; the whole is measured.
+        seconds: Wall time by stage, for a method that states stages; the whole is measured.
         trace: Best score after each step of each stage. Of other numbers the name ends with their unit in
             brackets; ``[nats]`` is what is known of the answers found, best first.
         covariance: (6, 6) of the error in x, y, z (metres), pitch, roll and yaw (degrees), where the
@@ -150,7 +150,7 @@ class FlightEstimate:
 
 @runtime_checkable
 class SupportsFlights(Protocol):
-    """A method that answers all photos of a flight together; it is always asked for whole flights."""
+    """A method that answers all photos of a flight together; it always answers whole flights."""
 
     def localize_flight(
         self, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
@@ -256,7 +256,7 @@ class SupportsTrial(Protocol):
     The trial has a few blocks of plain colours: nothing that a picture of another kind could be matched with.
 
     Attributes:
-        params: Its parameters, a dataclass; what the trial changes of them is told.
+        params: Its parameters, a dataclass; what the trial changes of them is reported.
     """
 
     params: Any
@@ -340,7 +340,7 @@ def _stored_check(path: Path) -> str | None:
 
 
 def _check(path: Path) -> str:
-    """Returns what tells that a file, or any file of a folder, is damaged."""
+    """Returns a digest by which damage of a file, or of any file of a folder, shows."""
     if path.is_file():
         return file_check(path)
     files = sorted(file for file in path.rglob("*") if file.is_file())

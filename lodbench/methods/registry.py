@@ -41,7 +41,7 @@ class ConfiguredMethod:
         return method
 
     def for_prior(self, prior: UniformPrior) -> ConfiguredMethod:
-        """Returns the same, told how far off priors may be, if it is a method that can be."""
+        """Returns the same for how far off priors may be, if its method can be set to that."""
         method = self.make()
         if not isinstance(method, SupportsPriorWidth):
             return self

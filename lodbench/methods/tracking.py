@@ -247,7 +247,7 @@ class Tracker:
             self._ious.append(found.iou)
             self._vector = found.vector
             self._time_s = _time_of(query)
-        # One frame tells how sure it is by itself: nothing of it is calibrated.
+        # One frame says how sure it is by itself: nothing of it is calibrated.
         known = (None, 0.0) if state == LOST else (found.covariance, found.probability)
         return Estimate(
             pose_from_vector(found.vector),

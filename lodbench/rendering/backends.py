@@ -85,7 +85,7 @@ class PyrenderRenderer:
     def depth(self, camera: Camera, pose: Pose) -> NDArray[np.float32]:
         """Returns (H, W) float32 depth along the optical axis, metres; 0 where there is nothing.
 
-        It is asked of pixel centres, so of one sample per pixel, whatever silhouettes take.
+        It is of pixel centres, so of one sample per pixel, whatever silhouettes take.
         """
         near, far = self._depth_range(camera, pose)
         if far < _SLICE * near:

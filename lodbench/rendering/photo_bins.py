@@ -67,7 +67,7 @@ def appearance_bins(photo: NDArray[Any], size: tuple[int, int], has_texture: boo
     Args:
         photo: (H, W) or (H, W, 3) BGR, 8 bits.
         size: Width and height to work at, pixels.
-        has_texture: Whether texture counts: it tells roofs from grass, and blurs where one ends.
+        has_texture: Whether texture counts: it separates roofs from grass, and blurs where one ends.
 
     Raises:
         RenderingError: The photo has another shape.

@@ -191,7 +191,7 @@ class RenderAndCompare:
         self._renderer = renderer
 
     def __getattr__(self, name: str) -> Any:
-        # Private names are asked for before __init__ has run, by copying for one.
+        # Private names are looked up before __init__ has run, by copying for one.
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(self._renderer, name)

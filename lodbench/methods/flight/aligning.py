@@ -1,6 +1,6 @@
 """The steps of a flight's joint problem: what photos say where they are thought to be, solved, and again.
 
-What footprints of the map are wrong about, which no photo tells: cameras go aside with a building. Walls of
+What footprints of the map are wrong about, which no photo shows: cameras go aside with a building. Walls of
 a block stand where the lowest level of detail draws them, metres beside those of the hall that is there.
 More photos say nothing of that, more buildings do: their errors have little to do with each other.
 """
@@ -39,14 +39,14 @@ class Aligned:
         state: Poses, and what photos share.
         terms: What each photo says there.
         solution: The last normal equations.
-        as_told: The same with the map as wrong as was told beforehand: one building that errs is seen whether
+        as_declared: The same with the map as wrong as declared: one building that errs is noticed whether
             or not the others do.
     """
 
     state: State
     terms: Sequence[PhotoTerms | None]
     solution: Solution
-    as_told: Solution
+    as_declared: Solution
 
 
 def align(
@@ -75,11 +75,11 @@ def align(
                 _leave_out_lost(state, terms, params)
             solution = solve(state, terms, params)
             if number == len(reaches) - 1:
-                as_told = solve(replace(state, scales=np.ones_like(state.scales)), terms, params)
+                as_declared = solve(replace(state, scales=np.ones_like(state.scales)), terms, params)
             state.step(solution)
             if params.narrows and steps <= number < len(reaches) - 1:
                 state.scales = solution.scales()
-    return Aligned(state, terms, solution, as_told)
+    return Aligned(state, terms, solution, as_declared)
 
 
 @dataclass(frozen=True, slots=True)

@@ -164,7 +164,7 @@ def _lines(seen: Observations, vectors: Floats) -> tuple[Floats, Floats]:
 
 
 def _is_wide(seen: Observations, vectors: Floats, points: Floats) -> NDArray[np.bool_]:
-    """Returns (T,) whether a point's rays meet at an angle that tells how far it is."""
+    """Returns (T,) whether a point's rays meet at an angle that shows how far it is."""
     _, rays = _lines(seen, vectors)
     count = len(points)
     mean = np.zeros((count, 3))

@@ -165,10 +165,10 @@ Mask = NDArray[np.bool_]
 _LEAST_PX, _MISSED = 25, 0.3
 # How often a mask shows nothing of a building that is gone: not where neighbours or false patches grow over.
 _MISSED_IF_GONE = 0.93
-# Share of buildings that are gone beforehand, how many photos of a flight are worth one, and what is told.
+# Share of buildings that are gone beforehand, how many photos of a flight are worth one, what is reported.
 _GONE, _HEAT, _SURE = 0.03, 2.0, 0.9
 _FEWEST_PHOTOS = 3
-# Buildings are as large as each other within a factor of two, told apart by steps of this, octaves of pixels.
+# Buildings are as large as each other within a factor of two, in steps of this, octaves of pixels.
 _SIZE_STEP = 0.25
 
 

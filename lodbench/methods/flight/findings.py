@@ -41,8 +41,8 @@ Floats = NDArray[np.float64]
 
 # Heights that a building may be off by, metres.
 _HEIGHTS_M: Floats = np.arange(-60.0, 60.01, 0.25)
-# The map's errors are of a Cauchy density, half as wide as this share of what is told of them: most heights
-# are right to a little, some wrong by much.
+# The map's errors are of a Cauchy density, half as wide as this share of what is declared of them: most
+# heights are right to a little, some wrong by much.
 _USUAL = 0.175
 # Outlines err by this share of what they say themselves; they are wrong altogether (a tree, a neighbour) this
 # often where pixels speak too, more rarely of buildings that stand free, and then by so many metres.
@@ -50,12 +50,12 @@ _OUTLINES, _ASTRAY, _ASTRAY_ALONE, _ASTRAY_M = 0.7, 0.05, 0.01, 4.0
 # A height is in doubt that is off by more than so many metres, with more than this probability, and known to
 # better than that many.
 _DOUBT_M, _DOUBT, _OPEN_M = 1.0, 0.4, 2.5
-# What is told of less than this, in m^-2, is told of nothing.
+# Less information than this, m^-2, is none.
 _LEAST_INFORMATION = 1e-3
 # Of a building that would be lower than this, metres, masks show nothing: whether it is gone is looked at
 # elsewhere. However low a building is, its roof is looked for so far below the map's.
 _LOWEST_M, _LOWER_M = 2.0, 1.0
-# Around the best height a peak is so wide, metres; heights are told no better than this, and by pixels alone
+# Around the best height a peak is so wide, metres; heights are known no better than this, and by pixels alone
 # no worse than that.
 _PEAK_M, _BEST_M, _WORST_M = 1.0, 0.2, 1.0
 # Roofs are sharp whose best height is so many nats better than most heights; what all are wrong about alike
@@ -69,7 +69,7 @@ class BuildingHeight(NamedTuple):
     Attributes:
         higher_m: Metres.
         sigma_m: Its standard deviation.
-        photos: Photos whose pixels told, 0 for outlines alone.
+        photos: Photos whose pixels count, 0 for outlines alone.
         is_in_doubt: Whether the map's height is contradicted.
     """
 
@@ -99,19 +99,19 @@ def building_heights(
     by_pixels = {} if common is None else curves
     found = {}
     for row in sorted({*by_outlines, *by_pixels}):
-        told = _beforehand(params.roof_m, float(rises[row]))
+        nats = _beforehand(params.roof_m, float(rises[row]))
         outlines, curve = by_outlines.get(row), by_pixels.get(row)
         if outlines is not None and abs(outlines.higher_m) > HEIGHTS_M[-1]:
             # Pixels have not looked there.
             alone = _log_normal(outlines.higher_m, outlines.sigma_m)
-            told, curve = np.where(np.isfinite(told), alone, -np.inf), None
+            nats, curve = np.where(np.isfinite(nats), alone, -np.inf), None
         elif outlines is not None:
-            told = told + _nats_of_outlines(outlines, _ASTRAY_ALONE if curve is None else _ASTRAY)
+            nats = nats + _nats_of_outlines(outlines, _ASTRAY_ALONE if curve is None else _ASTRAY)
         if curve is not None:
             # Heights that pixels were not compared at are as good as most of them.
             usual, heights_m = float(np.median(curve.nats)), HEIGHTS_M - (common or 0.0)
-            told = told + np.interp(_HEIGHTS_M, heights_m, curve.nats, left=usual, right=usual)
-        height = _height(told, 0 if curve is None else curve.photos, float(rises[row]))
+            nats = nats + np.interp(_HEIGHTS_M, heights_m, curve.nats, left=usual, right=usual)
+        height = _height(nats, 0 if curve is None else curve.photos, float(rises[row]))
         if outlines is not None or height.sigma_m < _WORST_M:
             found[row] = height
     return found
@@ -140,11 +140,11 @@ def _log_normal(mean_m: float, sigma_m: float) -> Floats:
     )
 
 
-def _height(told: Floats, photos: int, rise_m: float) -> BuildingHeight:
+def _height(nats: Floats, photos: int, rise_m: float) -> BuildingHeight:
     """Returns the best height, given how well heights explain everything, nats."""
-    shares = np.exp(told - told.max())
+    shares = np.exp(nats - nats.max())
     shares /= shares.sum()
-    peak = np.abs(_HEIGHTS_M - _HEIGHTS_M[np.argmax(told)]) <= _PEAK_M
+    peak = np.abs(_HEIGHTS_M - _HEIGHTS_M[np.argmax(nats)]) <= _PEAK_M
     best = float(shares[peak] @ _HEIGHTS_M[peak] / shares[peak].sum())
     sigma = max(float(np.sqrt(shares @ (_HEIGHTS_M - best) ** 2)), _BEST_M)
     is_off = abs(best) > _DOUBT_M and float(shares[np.abs(_HEIGHTS_M) > _DOUBT_M].sum()) > _DOUBT
@@ -160,7 +160,7 @@ def _common(curves: Mapping[int, RoofCurve]) -> float | None:
 
 def _by_outlines(aligned: Aligned, params: FlightParams) -> Iterator[tuple[int, _Outlines]]:
     """Yields each building's row, and how much higher its parts are than all roofs."""
-    state, solution = aligned.state, aligned.as_told
+    state, solution = aligned.state, aligned.as_declared
     first = CONSTANTS + len(solution.buildings)
     sums = np.zeros((len(solution.buildings), first + len(state.roofs)))
     sums[:, ROOFS] = -1.0
@@ -201,7 +201,8 @@ _NAMES = (
 _DOUBT_SIGMAS, _PER_MEDIAN = 3.0, 1.4826
 # Where photos narrow a number by less than this, they do not tell it.
 _TOLD = 0.7
-# A focal length that is not told, and whose error goes with the height's by more than this, is left alone.
+# A focal length that photos leave open, and whose error goes with the height's by more than this, is not
+# estimated.
 _HEIGHT, _ALIKE = 2, 0.5
 
 
@@ -251,7 +252,7 @@ def lost_of(state: State, queries: Sequence[Query]) -> dict[str, Any]:
 
 
 def constants_of(aligned: Aligned, params: FlightParams, of_ends: Floats) -> dict[str, dict[str, Any]]:
-    """Returns what photos share, by name: value, sigma, unit, whether photos told it; none that is held."""
+    """Returns what photos share, by name: value, sigma, unit, whether photos say it; none that is held."""
     state = aligned.state
     spread = np.sqrt(np.diag(shared_covariance(aligned.solution, np.arange(CONSTANTS)) + of_ends))
     beforehand = params.constant_sigmas(state.scales)
@@ -270,7 +271,7 @@ def constants_of(aligned: Aligned, params: FlightParams, of_ends: Floats) -> dic
 def _buildings(
     heights: Mapping[int, BuildingHeight], aligned: Aligned, scene: Scene, centers: Floats
 ) -> list[dict[str, Any]]:
-    """Returns the heights of buildings with their ids, and which photos' outlines or pixels told them."""
+    """Returns the heights of buildings with their ids, and which photos' outlines or pixels say so."""
     photos: dict[int, list[int]] = defaultdict(list)
     for k, term in enumerate(aligned.terms):
         if term is not None:

@@ -88,8 +88,8 @@ class State:
         ties: What pairs of photos say of their relative poses.
         reconstruction: Poses of photos up to a similarity, or None.
         measured: (P,) what was measured beside each photo, None for nothing.
-        scales: (6,) shares of what is told that buildings, parts of roofs, feet of walls, places and turns
-            of photos in the reconstruction, and ties err by.
+        scales: (6,) shares of what is declared that buildings, parts of roofs, feet of walls, places and
+            turns of photos in the reconstruction, and ties err by.
     """
 
     vectors: Floats

@@ -88,10 +88,10 @@ class FlightMethod:
         """Returns the poses of a flight's photos, in their order, and what it says of drone and map.
 
         A photo that shows nothing of the map, or whose outline fits nowhere near where the others say it
-        was, is placed by the others alone; its covariance tells.
+        was, is placed by the others alone; its covariance says so.
 
         Raises:
-            ConfigError: A reconstruction is asked for, and there is none of these photos.
+            ConfigError: A reconstruction is required, and there is none of these photos.
         """
         self._require_reconstruction(queries)
         return self.solve(queries, self.localize_alone(queries, city_map, streams), city_map)
@@ -102,9 +102,9 @@ class FlightMethod:
         """Returns what is found of each photo by itself, in their order."""
         by_looks = self.params.single == "region"
         single = Region(self.params.region()) if by_looks else ContourAlignment(self.params.photo())
-        # With the lens as told: how far it is from that is the flight's to find, which all photos share.
-        told = [replace(query, lens_percent=None) for query in queries]
-        return [_alone(single, query, city_map, own) for query, own in zip(told, streams, strict=True)]
+        # With the lens as declared: how far it is from that is the flight's to find, which all photos share.
+        declared = [replace(query, lens_percent=None) for query in queries]
+        return [_alone(single, query, city_map, own) for query, own in zip(declared, streams, strict=True)]
 
     def solve(
         self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
@@ -263,7 +263,7 @@ class FlightMethod:
     def _footprint_covariances(self, aligned: Aligned, constants: int) -> list[Floats]:
         """Returns what footprints of the map are wrong about: (6, 6) of each photo, and of constants last.
 
-        No photo tells it: cameras go aside with a building. Outlines of masks lie on all buildings alike;
+        No photo shows it: cameras go aside with a building. Outlines of masks lie on all buildings alike;
         of edges a few may outweigh all others: each building's error is followed through the solution.
         """
         photos, footprint_m = len(aligned.terms), self.params.footprint_m

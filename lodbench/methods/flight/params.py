@@ -31,7 +31,7 @@ _MAD, _FEWEST_TO_SCATTER = 1.4826, 5
 
 @dataclass(frozen=True, slots=True)
 class FlightParams:
-    """Everything the method can be told.
+    """The settings of ``method=flight``.
 
     Errors are half widths of what is uniform, or standard deviations where that is said. An error of 0
     is switched off: that number is held at the prior's.
@@ -71,7 +71,7 @@ class FlightParams:
         votes: Most photos whose own answers are tried as the flight's error, and that judge them.
         restarts: Other starts around the answer, at most 4: how far apart they end is part of what poses
             err by.
-        narrows: Whether the flight tells by how much less map and relative poses err than is told here
+        narrows: Whether the flight says by how much less map and relative poses err than is declared here
             (variance components); never where masks are made with the map, for these agree with it.
         lost_sigmas: A photo this far from what the flight says of it is lost.
     """

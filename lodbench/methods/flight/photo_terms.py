@@ -204,7 +204,7 @@ def _look(
     aligner: Aligner, vector: Floats, lens: Floats, is_last: bool
 ) -> tuple[Residuals | None, Fit, NDArray[np.int64]]:
     """Returns a photo's outline points, how well it fits, and the scene's buildings they are of."""
-    # The lens bends points afterwards: what is rendered has the focal length as told.
+    # The lens bends points afterwards: what is rendered has the focal length as declared.
     points, iou = aligner.outline(np.append(vector, 0.0), aligner.model.size)
     # Only what is answered is compared with mapped buildings alone.
     fit = Fit(iou, aligner.overlap(np.append(vector, 0.0)) if is_last else iou)
@@ -289,9 +289,9 @@ def summed_up(
             jacobian[lines, numbers_of_column] += slope
         jacobian[:, -1] = seen.distances[chosen]
         whiten(_covariance(seen, chosen, noise, lengths_px, trust[0], view_place_m), jacobian)
-        told = np.zeros((len(where), len(where)))
-        add_products(jacobian, 1.0 / (used * trust[1]), told)
-        products[np.ix_(where, where)] += told
+        sums = np.zeros((len(where), len(where)))
+        add_products(jacobian, 1.0 / (used * trust[1]), sums)
+        products[np.ix_(where, where)] += sums
     products += np.triu(products, 1).T
     return PhotoTerms(products[:-1, :-1], products[:-1, -1], parts, buildings, *fit, noise[0], count)
 

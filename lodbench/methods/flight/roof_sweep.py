@@ -2,7 +2,7 @@
 
 A sweep through space (Collins, "A space-sweep approach to true multi-image matching", CVPR 1996) with the
 map's own roofs for planes: each is moved up and down, and photos are compared where it would be seen. A roof
-among others, which draws no outline in any mask, has a height this way too. Where it ends tells more
+among others, which draws no outline in any mask, has a height this way too. Where it ends says more
 (``roof_edges``).
 """
 
@@ -127,7 +127,7 @@ _WEIGHTS, _MOST_APART, _OFF_MASK = np.array([1.0, 2.0, 2.0], np.float32), 60.0, 
 # Pixels of one roof err together: N say as much as _ALONE * sqrt(N) of them, and no more than so many do.
 # What photos are compared with, their median, takes so many of them away.
 _ALONE, _MOST_PIXELS, _OF_MEDIAN = 0.7, 2000, 2.0
-# A photo's exposure is told by no fewer points.
+# A photo's exposure is estimated from no fewer points.
 _FEWEST_OF_PHOTO = 100
 
 

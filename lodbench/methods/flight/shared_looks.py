@@ -43,7 +43,7 @@ _BLACK = 8.0
 _FEWEST_PX, _SURE_PX = 60, 3.0
 # How far places are believed that a photo does not say itself.
 _LEAST_TRUST = 0.1
-# Rounds in which gains and looks are told apart.
+# Rounds in which gains and looks are separated.
 _ROUNDS = 12
 
 
@@ -175,7 +175,7 @@ def _binned(looks: Sequence[Look], gains: Floats) -> list[Bins]:
     bins = [np.zeros(look.kinds.shape, np.int64) for look in looks]
     for number, count in enumerate(_LEVELS):
         values = [each[number] for each in channels]
-        # Every fifth pixel tells the levels well enough.
+        # Every fifth pixel is enough for the levels.
         some = np.concatenate([value.ravel()[::5] for value in values])
         edges = np.quantile(some, np.arange(1, count) / count)
         bins = [b * count + np.searchsorted(edges, v) for b, v in zip(bins, values, strict=True)]

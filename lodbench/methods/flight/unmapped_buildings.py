@@ -35,8 +35,8 @@ _NEIGHBOURS = 3
 _SQUARE = 256
 # What lies this near to a building's silhouette is its own, badly drawn; what lies further is seen too small.
 _MARGIN_PX, _FURTHEST_M = 3, 400.0
-# Heights that pixels are asked for; what they say is known no better than this, and not stated if known worse
-# than that, metres. What is most probably lower than this lies on the ground.
+# Heights that pixels are compared at; what they say is known no better than this, and not stated if known
+# worse than that, metres. What is most probably lower than this lies on the ground.
 _TRIED_M, _BEST_M, _OPEN_M, _FLAT_M = np.arange(0.0, 30.01, 0.5), 1.0, 2.0, 1.0
 # Looked for 2 m higher, a place moves by 1 m in a photo 27 deg off the nadir, a tenth of what is as large as
 # this: of smaller ones masks do not show whether they rise, square metres.
