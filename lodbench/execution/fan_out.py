@@ -168,7 +168,7 @@ class Processes:
                         break
                     # In `again` until it is handed out: a pool that is broken takes nothing.
                     # It starts workers; one that is half started would meet a parent that is gone.
-                    with ctrl_c_for_this_thread():
+                    with ctrl_c_for_this_thread(), _explaining_what_cannot_be_sent():
                         future = pool.submit(_do, work, again[-1])
                     at_work[future] = again.pop()
                 if not at_work:
@@ -198,6 +198,16 @@ class Processes:
             context = multiprocessing.get_context(_START)
             self._pool = ProcessPoolExecutor(self.count, context, _begin, begin_with)
         return self._pool
+
+
+@contextmanager
+def _explaining_what_cannot_be_sent() -> Iterator[None]:
+    """Says in a line that a plug-in holds what is of one process, as a lock or an open network."""
+    try:
+        yield
+    except (TypeError, AttributeError) as error:
+        reason = f"What workers are given cannot go to another process: {error}."
+        raise WorkersGone(reason, "`executor=serial` works in one.") from error
 
 
 def begin(prepare: Callable[..., None], prepare_with: tuple[Any, ...]) -> None:

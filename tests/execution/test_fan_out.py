@@ -4,9 +4,11 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 
+from lodbench.errors import WorkersGone
 from lodbench.execution import fan_out
 from lodbench.execution import fan_out as ctrl_c
 from lodbench.execution.fan_out import ctrl_c_for_this_thread, start_tracker
@@ -40,6 +42,13 @@ def test_ctrl_c_while_the_server_imports_is_this_process_to_answer(tmp_path):
         env=os.environ | {"PYTHONPATH": path},
     )
     assert "blocked: True" in run.stderr
+
+
+def test_what_cannot_go_to_another_process_is_said_in_a_line():
+    held = threading.Lock()
+    with pytest.raises(WorkersGone, match="cannot go to another process: cannot pickle") as fault:
+        list(fan_out.fan_out(str, [1, 2], 2, print, (held,)))
+    assert "executor=serial" in fault.value.hint
 
 
 def test_where_no_signal_can_be_blocked_workers_start_all_the_same(monkeypatch):

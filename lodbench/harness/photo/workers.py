@@ -112,7 +112,7 @@ def photo_workers(request: PhotoRequest, opened: OpenMap | None = None) -> Itera
         with closing(Processes(request.workers, _begin_here, (request, own))) as processes:
             yield PhotoWorkers(processes)
     except WorkersGone as fault:
-        raise WorkersGone(fault.message, "Fewer need less memory: `--workers 1` starts none.") from fault
+        raise WorkersGone(fault.message, "`--workers 1` works in one process, with less memory.") from fault
     finally:
         _here.clear()
 
