@@ -382,11 +382,7 @@ def _sealed_of(stated: str) -> list[str]:
 def _require_one(
     named: Mapping[Path, str], what: str, hint: str, is_same: Callable[[str, str], bool] = str.__eq__
 ) -> None:
-    """Refuses splits that say different things of one kind.
-
-    Raises:
-        DatasetError: They do.
-    """
+    """Refuses splits that say different things of one kind."""
     folders = list(named)
     for other in folders[1:]:
         if not is_same(named[folders[0]], named[other]):

@@ -160,11 +160,7 @@ def brought(found: Sequence[FoundPose], crs: str | None) -> tuple[list[FoundPose
 
 
 def _projected(image: FoundPose, crs: str | None) -> Pose:
-    """Returns a pose by longitude, latitude and true north in a city's coordinates.
-
-    Raises:
-        DatasetError: Nobody knows these, or the place has none.
-    """
+    """Returns a pose by longitude, latitude and true north in a city's coordinates."""
     if crs is None:
         raise DatasetError(
             f"{image.where}: latitude and longitude are nowhere in a city without a reference system.",

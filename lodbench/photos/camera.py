@@ -144,11 +144,7 @@ def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
 
 
 def _size_when_taken(photo: PhotoMetadata) -> tuple[int, int]:
-    """Returns the size that numbers in pixels belong to: another than the file's if it was scaled since.
-
-    Raises:
-        DatasetError: It was cropped since: nobody knows where in the lens's picture it lies.
-    """
+    """Returns the size that numbers in pixels belong to: another than the file's if it was scaled since."""
     if photo.size_when_taken is None or not all(photo.size_when_taken):
         return photo.width, photo.height
     width, height = photo.size_when_taken
@@ -199,11 +195,7 @@ def _calibrated(photo: PhotoMetadata, width: int, height: int) -> PhotoCamera | 
 
 
 def _dewarped(photo: PhotoMetadata, dewarp: Dewarp, scale: float, camera: Camera) -> Camera:
-    """Returns a camera with the optical centre and, unless the drone has undone it, the distortion of DJI.
-
-    Raises:
-        DatasetError: The optical centre is outside the picture.
-    """
+    """Returns a camera with the optical centre and, unless the drone has undone it, the distortion of DJI."""
     cx, cy = camera.width / 2 + dewarp.cx / scale, camera.height / 2 + dewarp.cy / scale
     if not (0 < cx < camera.width and 0 < cy < camera.height):
         raise DatasetError(

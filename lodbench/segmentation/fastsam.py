@@ -271,11 +271,7 @@ class FastSam(PhotoSegmenter):
 
 
 def _require_sound(scores: Floats, outputs: list[Floats], path: Path) -> None:
-    """Makes sure that a network's answers are numbers, and its scores probabilities.
-
-    Raises:
-        ConfigError: They are not: no instance, or any, would be found.
-    """
+    """Makes sure that a network's answers are numbers, and its scores probabilities."""
     hint = "Export it anew, as published: yolo export ... format=onnx."
     if any(not np.abs(output).max() < _MOST_ANSWER for output in outputs):
         raise ConfigError(f"{path} answers NaN, or values beyond {_MOST_ANSWER:g}: it is damaged.", hint)

@@ -58,11 +58,7 @@ def read_mask(path: str | Path) -> NDArray[np.float32]:
 
 
 def _grey(image: NDArray[Any], name: str) -> NDArray[Any]:
-    """Returns the one channel of a decoded image.
-
-    Raises:
-        QueryFault: Its colour channels differ, or its alpha is not the same everywhere.
-    """
+    """Returns the one channel of a decoded image."""
     if image.ndim == 2:
         return image
     colours, alpha = image[:, :, :3], image[:, :, 3:]

@@ -77,12 +77,7 @@ def onnx_fault(content: bytes) -> str:
 
 
 def _check_all(content: bytes) -> None:
-    """Walks every message that can hold a tensor, a shape or a name of another file.
-
-    Raises:
-        ValueError: One is not as it must be.
-        IndexError: The file ends within a number.
-    """
+    """Walks every message that can hold a tensor, a shape or a name of another file."""
     waiting = [("model", 0, len(content), 0)]
     met, graphs = 0, 0
     while waiting:
@@ -160,11 +155,7 @@ def _count(content: bytes, field: Field) -> int:
 
 
 def _numbers(content: bytes, fields: list[Field], wanted: int, most: int = 64) -> list[int]:
-    """Returns the whole numbers of a repeated field, packed or one by one.
-
-    Raises:
-        ValueError: There are too many.
-    """
+    """Returns the whole numbers of a repeated field, packed or one by one."""
     found: list[int] = []
     for number, wire, value, end in fields:
         if number == wanted and wire == _BYTES:

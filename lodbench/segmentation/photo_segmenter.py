@@ -262,11 +262,7 @@ class PackagedNetwork(PhotoSegmenter):
 
     @cached_property
     def _net(self) -> Any:
-        """Returns OpenCV's network; read on first use.
-
-        Raises:
-            ConfigError: It cannot be read, has several outputs, or has learnt something else.
-        """
+        """Returns OpenCV's network; read on first use."""
         hint = f"lodbench train segmenter={self.name} writes one."
         net = read_onnx(self._path, hint, is_ours=self.params.weights is None, digest=self.weights_digest)
         outputs = net.getUnconnectedOutLayersNames()
@@ -364,12 +360,7 @@ class PackagedNetwork(PhotoSegmenter):
 
 
 def _require_logits(found: NDArray[np.float32], path: Path, hint: str) -> None:
-    """Makes sure that a network answers logits: of anything else the whole photo would be building.
-
-    Raises:
-        ConfigError: Its answers are no numbers, too large for any that has learnt something, or without one
-            below 0, as of probabilities, of classes and of masks.
-    """
+    """Makes sure that a network answers logits: of anything else the whole photo would be building."""
     # OpenCV makes the largest of all numbers of NaN.
     if not np.abs(found).max() < _MOST_LOGIT:
         raise ConfigError(f"{path} answers NaN, or values beyond {_MOST_LOGIT:g}: it is damaged.", hint)

@@ -181,11 +181,7 @@ def _from_coco(stored: dict[str, Any], path: Path, photo: str, height: int, widt
 
 
 def _image_of(images: list[dict[str, Any]], path: Path, photo: str) -> dict[str, Any]:
-    """Returns the image of a photo's name; the only one where its name differs in the ending alone.
-
-    Raises:
-        DatasetError: None is, or several are.
-    """
+    """Returns the image of a photo's name; the only one where its name differs in the ending alone."""
     found = [image for image in images if _name_of(str(image["file_name"])) == _name_of(photo)]
     if len(found) > 1:
         names = " and ".join(str(image["file_name"]) for image in found[:2])
@@ -281,11 +277,7 @@ def _is_one_of(label: str, names: Collection[str] = _BUILDING_LABELS) -> bool:
 
 
 def _check_labels(known: Collection[str], used: Collection[str], path: Path) -> None:
-    """Warns of shapes whose labels are no building's.
-
-    Raises:
-        DatasetError: No known label is.
-    """
+    """Warns of shapes whose labels are no building's."""
     if known and not any(map(_is_one_of, known)):
         raise DatasetError(
             f"{path.name} shows no building: its labels are {', '.join(sorted(set(known)))}.",

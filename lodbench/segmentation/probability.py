@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import cv2
 import numpy as np
@@ -75,6 +75,7 @@ def without_unsure_parts(probability: NDArray[np.float32], sure: float) -> NDArr
 
 Photo = NDArray[np.uint8]
 Floats = NDArray[np.float32]
+Number = TypeVar("Number", bound=np.integer[Any] | np.floating[Any])
 # Tiles reach so far into each other, pixels: what a network sees beyond its own border.
 _OVERLAP = 64
 _MOST_PARTS = 8
@@ -163,15 +164,13 @@ def working_size(width: int, height: int, longest: int) -> tuple[int, int]:
     return max(1, round(width * factor)), max(1, round(height * factor))
 
 
-def resized_photo(photo: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
-    """Returns a (H, W, 3) photo at another size: averaged where it shrinks, interpolated where it grows."""
+def resized_photo(photo: NDArray[Number], width: int, height: int) -> NDArray[Number]:
+    """Returns (H, W, ...) at another size: averaged where it shrinks, interpolated where it grows."""
     if photo.shape[:2] == (height, width):
         return photo
     shrinks = width * height < photo.shape[0] * photo.shape[1]
-    return np.asarray(
-        cv2.resize(photo, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR),
-        np.uint8,
-    )
+    how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(photo, (width, height), interpolation=how), photo.dtype)
 
 
 def padded_photo(

@@ -58,11 +58,7 @@ def _named(config: Path) -> list[str]:
 
 
 def _parts(index: Path) -> list[str]:
-    """Returns the files that an index names; none where there is no index.
-
-    Raises:
-        ConfigError: It is none.
-    """
+    """Returns the files that an index names; none where there is no index."""
     if not index.is_file():
         return []
     try:
@@ -171,12 +167,7 @@ class Semantic(TorchSegmenter):
         return OneAgainstRest(model, classes, *_normalisation(self._folder))
 
     def _model(self) -> Any:
-        """Returns the checkpoint's network, every weight of it from the checkpoint.
-
-        Raises:
-            ConfigError: There is no such checkpoint, it asks for code of its own or for files elsewhere, or
-                weights are missing, of another shape or no numbers.
-        """
+        """Returns the checkpoint's network, every weight of it from the checkpoint."""
         from transformers import AutoModelForSemanticSegmentation
         from transformers.utils import logging
 
@@ -234,9 +225,6 @@ def _normalisation(folder: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Returns mean and deviation, red first, of the photos in [0, 1] that a checkpoint learnt from.
 
     They are ImageNet's where it does not say.
-
-    Raises:
-        ConfigError: What it says cannot be read, or is more than that.
     """
     from lodbench.segmentation.nets.sam2_unet import DEVIATION, MEAN
 

@@ -117,11 +117,7 @@ class TorchSegmenter(PhotoSegmenter):
 
     @cached_property
     def _device(self) -> Any:
-        """Returns torch's device.
-
-        Raises:
-            ConfigError: It is not there.
-        """
+        """Returns torch's device."""
         import torch
 
         wanted = self.params.device

@@ -119,11 +119,7 @@ class GenerateParams:
             raise ConfigError("texture_up means nothing without texture_model.", "Add `texture_model=FILE`.")
 
     def _require_sound(self, entry: Field[Any], value: Any) -> None:
-        """Makes sure that a setting is what it may be, and that the pictures follow it.
-
-        Raises:
-            ConfigError: It is not, or they do not.
-        """
+        """Makes sure that a setting is what it may be, and that the pictures follow it."""
         name, stated = entry.name, entry.metadata
         if stated["among"]:
             require_choice(name, value, stated["among"])
@@ -185,11 +181,7 @@ def _on_grid(params: GenerateParams, area: SurveyArea) -> Iterator[Pose]:
 
 
 def _require_laid_out(low: Floats, high: Floats, spacings: Sequence[float], views_per_place: int) -> None:
-    """Makes sure that the views of a grid at each height can be held, before any are laid out.
-
-    Raises:
-        ConfigError: They are too many; the hint has a spacing that makes fewer.
-    """
+    """Makes sure that the views of a grid at each height can be held, before any are laid out."""
 
     def views(spacings: Iterable[float]) -> int:
         sides = ([_number(low[k], high[k], spacing) for k in (0, 1)] for spacing in spacings)
@@ -269,11 +261,7 @@ def _along_trajectory(params: GenerateParams, area: SurveyArea) -> Iterator[Pose
 
 
 def _given(params: GenerateParams, area: SurveyArea) -> list[Pose]:
-    """Returns the poses of ``params.poses``, in the scene's frame.
-
-    Raises:
-        DatasetError: The file cannot be read or is empty.
-    """
+    """Returns the poses of ``params.poses``, in the scene's frame."""
     given = [pose.shifted(-area.origin) for pose in read_poses(params.poses or "").values()]
     if not given:
         raise DatasetError(f"{params.poses} has no poses.", "Each line reads: name qw qx qy qz tx ty tz")

@@ -20,6 +20,7 @@ from lodbench.photos.files import PHOTO_SUFFIXES
 from lodbench.photos.pictures import picture_size, read_picture
 from lodbench.segmentation.compact import interiors
 from lodbench.segmentation.masks import read_mask, read_photo
+from lodbench.segmentation.probability import resized_photo
 from lodbench.storage import digest_of
 from lodbench.storage.digest import file_check
 
@@ -80,22 +81,13 @@ class Sample:
             factor = size / max(height, width)
             height, width = max(1, round(height * factor)), max(1, round(width * factor))
             height, width = (size, size) if square else (height, width)
-        photo = _brought(photo, width, height)
+        photo = resized_photo(photo, width, height)
         if self.learns == INTERIORS:
             labels = cv2.resize(mask, (width, height), interpolation=cv2.INTER_NEAREST)
             return photo, interiors(labels).astype(np.float32)
         if self.learns == CLASSES:
             mask = np.stack([mask == ROOF, mask == WALL], axis=2).astype(np.float32)
-        return photo, _brought(mask, width, height)
-
-
-def _brought(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
-    if image.shape[:2] == (height, width):
-        return image
-    shrinks = width * height < image.shape[0] * image.shape[1]
-    return np.asarray(
-        cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-    )
+        return photo, resized_photo(mask, width, height)
 
 
 def find_samples(folder: Path, split: str, learns: str = MASKS) -> list[Sample]:
@@ -134,11 +126,7 @@ def find_samples(folder: Path, split: str, learns: str = MASKS) -> list[Sample]:
 
 
 def _require_fitting(samples: list[Sample]) -> None:
-    """Makes sure, by the headers of files, that each picture has a mask of its own and of its aspect.
-
-    Raises:
-        DatasetError: One has not.
-    """
+    """Makes sure, by the headers of files, that each picture has a mask of its own and of its aspect."""
     photos: dict[Path, Path] = {}
     for sample in samples:
         other = photos.setdefault(sample.mask, sample.photo)

@@ -180,11 +180,7 @@ def _folders(names: Sequence[str]) -> list[Path]:
 
 
 def _require_labels(segmenter: TrainableSegmenter, params: TrainParams, data: Path, learns: str) -> None:
-    """Makes sure that all a network learns from says which building, or what surface, is where.
-
-    Raises:
-        ConfigError: Something of it has masks only.
-    """
+    """Makes sure that all a network learns from says which building, or what surface, is where."""
     masked = {"unlabelled": params.unlabelled, "negatives": params.negatives, "traced": params.traced}
     named = next((name for name, folders in masked.items() if folders), "data" if is_posed(data) else None)
     if named:
@@ -195,11 +191,7 @@ def _require_labels(segmenter: TrainableSegmenter, params: TrainParams, data: Pa
 
 
 def _pseudo_labelled(segmenter: TrainableSegmenter, params: TrainParams, out: Path) -> list[Sample]:
-    """Returns the photos of ``unlabelled`` as views, labelled by the weights of ``init``.
-
-    Raises:
-        LodbenchError: This segmenter is no teacher, or its weights or the photos are missing.
-    """
+    """Returns the photos of ``unlabelled`` as views, labelled by the weights of ``init``."""
     settings = segmenter.params
     if not isinstance(segmenter, PhotoSegmenter) or not str(params.init).endswith(".onnx"):
         raise ConfigError("Only networks in ONNX files label photos.", "`init=FILE.onnx`, or `init=package`.")
@@ -213,11 +205,7 @@ def _epoch_line(row: dict[str, float], epochs: int) -> str:
 
 
 def _start(segmenter: TrainableSegmenter, init: str | None) -> str | None:
-    """Returns the file of the weights to start from.
-
-    Raises:
-        ConfigError: There is no such file, or no weights of this segmenter in the package.
-    """
+    """Returns the file of the weights to start from."""
     if init != PACKAGE:
         if init is not None and not Path(init).expanduser().is_file():
             raise ConfigError(f"There are no weights {init}.", f"`init=FILE`, or `init={PACKAGE}`.")

@@ -231,11 +231,7 @@ def _pose(world_from_photo: NDArray[np.float64], center: Sequence[float]) -> Pos
 
 
 def _odm_crs(where: str, head: str) -> str:
-    """Returns the reference system that ODM's first line names.
-
-    Raises:
-        DatasetError: The line names none, or one in degrees.
-    """
+    """Returns the reference system that ODM's first line names."""
     zone = re.fullmatch(r"WGS84 UTM (\d{1,2})([NS])", head, re.IGNORECASE)
     name = head if zone is None else f"EPSG:{326 if zone[2] in 'Nn' else 327}{int(zone[1]):02d}"
     known = resolve_crs(name)

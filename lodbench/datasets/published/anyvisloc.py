@@ -195,11 +195,7 @@ def _camera(sample: _Sample, image: Path) -> Camera:
 
 
 def _poses(reading: str, samples: Sequence[_Sample], findings: Findings) -> list[Pose]:
-    """Returns true poses, from the matrices where these agree with place and angles.
-
-    Raises:
-        DatasetError: They do not, for more than a tenth of the samples.
-    """
+    """Returns true poses, from the matrices where these agree with place and angles."""
     matrices = [_of_matrix(sample) for sample in samples]
     agree = [
         pose is not None and _agrees(sample, pose) for sample, pose in zip(samples, matrices, strict=True)
@@ -279,11 +275,7 @@ def _reference(scene: Path) -> tuple[Path, dict[str, Any]]:
 def _map(
     scene: Path, reference: tuple[Path, dict[str, Any]], name: str, stride: int
 ) -> tuple[Path, Path, str]:
-    """Returns city, textured map and note of a map, see ``kept_maps``.
-
-    Raises:
-        DatasetError: The reference does not say where they lie, or one cannot be read.
-    """
+    """Returns city, textured map and note of a map, see ``kept_maps``."""
     file, modes = reference
     stated = modes.get(name)
     if not isinstance(stated, dict):

@@ -299,11 +299,7 @@ def _true_poses(params: SemCityParams) -> dict[str, Pose]:
 
 
 def _up_axis(city: Path, params: SemCityParams, findings: Findings) -> Literal["y", "z"]:
-    """Returns the axis along which a city is least extended; what the files say of it is not documented.
-
-    Raises:
-        DatasetError: It is not clearly less extended along either.
-    """
+    """Returns the axis along which a city is least extended; what the files say of it is not documented."""
     from lodbench.citymodel.cache import open_cached_scene
 
     given = params.up_axis

@@ -155,11 +155,7 @@ def _by_stem(poses: dict[str, Pose]) -> dict[str, Pose]:
 
 
 def _camera(stated: str | None, path: Path) -> tuple[Camera, CameraSigmas | None]:
-    """Returns the camera of all photos: as set, or of the one line of a file that reads as COLMAP's.
-
-    Raises:
-        DatasetError: There is no such line: what else the file may hold is not documented.
-    """
+    """Returns the camera of all photos: as set, or of the one line of a file that reads as COLMAP's."""
     if stated is not None:
         return stated_camera("dataset.camera", stated)
     for _, line in content(path) if path.is_file() else ():

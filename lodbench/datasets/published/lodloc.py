@@ -160,11 +160,7 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
 
 
 def _require_prior_file(params: PublishedParams, found: Survey) -> None:
-    """Makes sure that a file of priors that was named is in a split.
-
-    Raises:
-        ConfigError: It is in none: every query would fail.
-    """
+    """Makes sure that a file of priors that was named is in a split."""
     if params.prior_file is None or any(files.priors is not None for files in found.splits):
         return
     there = {path.name for files in found.splits for path in files.folder.iterdir() if path != files.truth}

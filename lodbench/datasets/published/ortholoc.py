@@ -201,9 +201,6 @@ def _half_pixel(reading: str, samples: Sequence[_Sample], findings: Findings) ->
     """Returns what to add to principal points: half a pixel if pixels count from their centres.
 
     A pixel's point, projected, lies on its number in the one case, half a pixel beyond in the other.
-
-    Raises:
-        DatasetError: It lies at neither.
     """
     if reading != AUTO:
         return _ORIGINS[reading]

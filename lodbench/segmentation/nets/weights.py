@@ -150,11 +150,7 @@ def _layers(net: nn.Module, stride: int) -> Iterator[nn.Module]:
 
 
 def _stored(path: Path) -> Iterator[tuple[str, list[Tensor]]]:
-    """Yields kind and weights of a file's convolutions and normalisations, in order.
-
-    Raises:
-        ConfigError: It is no ONNX file.
-    """
+    """Yields kind and weights of a file's convolutions and normalisations, in order."""
     import onnx
     from onnx import numpy_helper
 

@@ -253,11 +253,7 @@ def code_digest(*patterns: str) -> str:
 
 
 def _is_same_demo(root: Path, wanted: dict[str, Any]) -> bool:
-    """Returns whether a finished demo with these parameters stands at a path.
-
-    Raises:
-        DatasetError: Something else does.
-    """
+    """Returns whether a finished demo with these parameters stands at a path."""
     try:
         manifest = parse_json((root / MANIFEST_FILE).read_text(encoding="utf-8"))
         found = {key: manifest[key] for key in wanted}

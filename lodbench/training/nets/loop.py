@@ -272,11 +272,7 @@ def _epoch(
     place: TrainingProcess,
     progress: Progress,
 ) -> float:
-    """Trains one epoch and returns the mean loss of this process.
-
-    Raises:
-        ConfigError: The loss is no number any more.
-    """
+    """Trains one epoch and returns the mean loss of this process."""
     model.train()
     total = 0.0
     for step, (images, truth) in enumerate(batches(train, params, epoch, 0, place.rank, place.ranks)):
@@ -299,11 +295,7 @@ def _epoch(
 
 
 def _finite(loss: float, epoch: int, step: int) -> float:
-    """Returns a loss that is a number: what is learnt from another one spoils all weights for good.
-
-    Raises:
-        ConfigError: It is none.
-    """
+    """Returns a loss that is a number: what is learnt from another one spoils all weights for good."""
     if not math.isfinite(loss):
         raise ConfigError(
             f"The loss is {loss} in step {step + 1} of epoch {epoch + 1}: the training has diverged.",

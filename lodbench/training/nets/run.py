@@ -215,11 +215,7 @@ def _make_deterministic(params: TrainParams) -> None:
 
 
 def _board(out: Path) -> Callable[[str, float, int], None]:
-    """Returns what logs a number for TensorBoard.
-
-    Raises:
-        ConfigError: TensorBoard is not installed.
-    """
+    """Returns what logs a number for TensorBoard."""
     require("tensorboard", "tensorboard", "tensorboard=true")
     from torch.utils.tensorboard import SummaryWriter
 
