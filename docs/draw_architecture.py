@@ -43,7 +43,7 @@ ROWS = (
     Row(("citymodel",), "from any file to a scene", "3", "3"),
     Row(("geometry",), "poses, cameras, lenses, angles"),
     Row(("storage",), "files, digests, random streams"),
-    Row(("findings", "plugins", "params", "checks", "extras", "lazy_names", "errors"), "what all others use"),
+    Row(("findings", "plugins", "params", "extras", "lazy_names", "errors"), "what all others use"),
     Row(("kernels",), "all code that numba compiles"),
 )
 

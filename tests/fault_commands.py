@@ -11,7 +11,8 @@ import numpy as np
 
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.pose_text import FoundPose, lines_to_text
-from lodbench.harness.tracing import Traced, write_tracing
+from lodbench.harness.tracing.outputs import write_tracing
+from lodbench.harness.tracing.roofs import Traced
 from tests.flight import stated
 from tests.photos.dji_photo import exif_of, write_photo, xmp_packet
 from tests.town import BOXES, CAMERA, true_poses, write_dataset

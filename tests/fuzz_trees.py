@@ -29,7 +29,7 @@ from lodbench.datasets.pose_files import read_pose_file
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Pose
 from lodbench.harness.remote import RemoteMethod, RunnerParams
-from lodbench.harness.remote.wire import packed, unpacked
+from lodbench.harness.remote.process import packed, unpacked
 from lodbench.methods.protocol import Estimate
 from lodbench.segmentation.polygon_files import FORMATS, read_polygons
 from tests import fuzz_readers

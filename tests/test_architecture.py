@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = """
-    kernels errors lazy_names extras checks params plugins findings storage geometry citymodel photos
+    kernels errors lazy_names extras params plugins findings storage geometry citymodel photos
     rendering datasets execution synthesis citymap segmentation training matching estimation methods
     evaluation reporting harness bench cli
 """.split()
@@ -106,7 +106,7 @@ def test_no_modules_import_each_other_in_a_circle():
 
 
 # Who may import numba besides `kernels`: to try the compiler itself, and methods that bring all their code.
-COMPILERS = ("lodbench/harness/doctor_probes.py", "baselines/")
+COMPILERS = ("lodbench/harness/doctor.py", "baselines/")
 
 
 def test_only_kernels_know_numba_and_they_know_nothing_else():

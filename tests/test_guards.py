@@ -14,9 +14,10 @@ from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, Pose
+from lodbench.harness.conformance.methods import right_name
+from lodbench.harness.conformance.trial import Violation
 from lodbench.harness.remote.method import About
-from lodbench.harness.remote.wire import MalformedMessage
-from lodbench.methods.conformance.rules import Violation, right_name
+from lodbench.harness.remote.process import MalformedMessage
 from lodbench.methods.registry import ConfiguredMethod
 from lodbench.photos.camera import camera_from_photo
 from lodbench.photos.metadata import PhotoMetadata

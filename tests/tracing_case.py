@@ -10,7 +10,8 @@ from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.pose_text import FoundPose, format_pose, lines_to_text
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.similarity import Similarity
-from lodbench.harness.tracing import Traced, write_tracing
+from lodbench.harness.tracing.outputs import write_tracing
+from lodbench.harness.tracing.roofs import Traced
 from tests.town import BOXES, box_obj
 
 CAMERA = Camera(960, 720, 800.0, 800.0, 480.0, 360.0)

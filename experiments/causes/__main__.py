@@ -25,7 +25,7 @@ from lodbench.errors import ConfigError
 from lodbench.methods import Method
 from lodbench.params import flag, part
 from lodbench.reporting.aligned_text import format_columns
-from lodbench.reporting.table_columns import finite_text
+from lodbench.reporting.table_heads import finite_text
 from lodbench.synthesis.views_dataset import ViewsParams
 
 if TYPE_CHECKING:

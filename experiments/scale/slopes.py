@@ -20,7 +20,7 @@ from lodbench.bench.report import SEED, Figure, Progress, Report, no_progress
 from lodbench.errors import ConfigError
 from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
-from lodbench.reporting.table_columns import finite_text
+from lodbench.reporting.table_heads import finite_text
 
 if TYPE_CHECKING:
     import pandas as pd

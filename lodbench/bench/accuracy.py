@@ -28,7 +28,7 @@ from lodbench.evaluation.queries import ERROR, summarize_queries
 from lodbench.methods import Method
 from lodbench.reporting.aligned_text import count_of, format_columns
 from lodbench.reporting.figures import draw_calibration
-from lodbench.reporting.table_columns import finite_text
+from lodbench.reporting.table_heads import finite_text
 from lodbench.synthesis.views_dataset import SPLIT, ViewsParams, open_views
 
 if TYPE_CHECKING:

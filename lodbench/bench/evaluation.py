@@ -16,16 +16,15 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.evaluation.predictions import Prediction, evaluate
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.harness.runs import Result, queries_digest
-from lodbench.harness.runs.artefacts import summary_of, write_artefacts
+from lodbench.harness.runs.artefacts import Result, summary_of, write_artefacts
+from lodbench.harness.runs.inputs import queries_digest
 from lodbench.harness.runs.places import scene_of
 from lodbench.harness.runs.report import run_report
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import verify_run
 from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
-from lodbench.reporting.table_formats import format_csv
-from lodbench.reporting.tables import tables_of
+from lodbench.reporting.tables import format_csv, tables_of
 from lodbench.storage import random_stream
 
 _CAMERA = Camera(640, 480, 500.0, 500.0, 320.0, 240.0)

@@ -28,7 +28,7 @@ from lodbench.evaluation.pose_errors import FAILED
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.camera import pixel_rays
-from lodbench.harness.runs.prepare import Preparation
+from lodbench.harness.runs.queries import Preparation
 from lodbench.harness.runs.requirements import segmented_inputs
 from lodbench.methods import Method
 from lodbench.methods.localize import localize_flight, localize_query

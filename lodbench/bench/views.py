@@ -15,7 +15,8 @@ from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError
 from lodbench.evaluation.pose_errors import PROBABILITY_THRESHOLD, hits_of, pose_error
-from lodbench.harness.runs.run import Run, RunSettings, run_method
+from lodbench.harness.runs.artefacts import Run
+from lodbench.harness.runs.run import RunSettings, run_method
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsPriorWidth
 from lodbench.plugins import blaming

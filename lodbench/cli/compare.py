@@ -31,9 +31,8 @@ from lodbench.reporting.answers import format_answers
 from lodbench.reporting.figures import draw_budget
 from lodbench.reporting.run_figures import agreement_text, format_apart, format_comparison
 from lodbench.reporting.summaries import with_settings
-from lodbench.reporting.table_columns import COLUMNS
-from lodbench.reporting.table_formats import FORMATS, format_csv
-from lodbench.reporting.tables import FREE, names_of, tables_of
+from lodbench.reporting.table_heads import COLUMNS, FREE, names_of
+from lodbench.reporting.tables import FORMATS, format_csv, tables_of
 from lodbench.storage import make_folder, write_bytes, write_text
 
 _MOST_PANELS = 4

@@ -11,10 +11,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from lodbench.checks import FAULT, OK, Check
 from lodbench.cli.parser import Parser, check_lines, plain_check, traceback_lines
 from lodbench.cli.settings import read_config
 from lodbench.errors import STOPPED, ConfigError, LodbenchError, nearest_names
+from lodbench.findings import FAULT, OK, Check
 from lodbench.params import flag, parsed, to_params, word
 from lodbench.plugins import KINDS, PlugIn, config_files, find_plugin
 from lodbench.reporting.aligned_text import count_of
@@ -247,7 +247,7 @@ def main_method(argv: Sequence[str]) -> int:
 
 
 def _method_checks(plug_in: PlugIn, settings: Sequence[str]) -> Iterator[Check]:
-    from lodbench.methods.conformance import check_answers, check_class
+    from lodbench.harness.conformance.methods import check_answers, check_class
 
     try:
         kind = plug_in.load()

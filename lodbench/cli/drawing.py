@@ -68,13 +68,7 @@ def main_mask(argv: Sequence[str]) -> int:
     )
     options = parsed(parser, argv, MaskOptions)
     from lodbench.cli.parts import require_one_mask_source, segmenter_of
-    from lodbench.harness.mask import (
-        Untouched,
-        opened_session,
-        require_untouched,
-        require_unturned,
-        saved,
-    )
+    from lodbench.harness.mask import Untouched, opened_session, require_untouched, require_unturned, saved
     from lodbench.photos.files import mask_name
 
     if options.photo.is_dir():
@@ -241,8 +235,7 @@ def main_trace(argv: Sequence[str]) -> int:
     options = parsed(parser, argv, TraceOptions)
     from lodbench.citymodel.convert import check_target, convert_city
     from lodbench.datasets.own import require_new_folder
-    from lodbench.harness.tracing import read_tracing
-    from lodbench.harness.tracing.outputs import compared, map_of, to_json, write_benchmark
+    from lodbench.harness.tracing.outputs import compared, map_of, read_tracing, to_json, write_benchmark
     from lodbench.harness.tracing.solve import Model
 
     _require_given(options)
@@ -302,8 +295,7 @@ def _comparison(rows: Sequence[dict[str, Any]], path: Path) -> list[str]:
 
 def _others(path: Path, model: Model) -> list[Footprint]:
     """Returns the buildings to compare with: those of another tracing, or of a city model."""
-    from lodbench.harness.tracing import is_tracing, read_tracing
-    from lodbench.harness.tracing.outputs import Footprint, footprints_of
+    from lodbench.harness.tracing.outputs import Footprint, footprints_of, is_tracing, read_tracing
 
     if not is_tracing(path):
         return footprints_of(path)
@@ -312,7 +304,7 @@ def _others(path: Path, model: Model) -> list[Footprint]:
 
 
 def _request(options: TraceOptions) -> Any:
-    from lodbench.harness.tracing import TraceRequest
+    from lodbench.harness.tracing.solve import TraceRequest
 
     return TraceRequest(
         model=options.model,
@@ -355,8 +347,7 @@ def _require_given(options: TraceOptions) -> None:
 
 def _serve_tracing(model: Model, file: Path, port: int) -> None:
     """Serves the page until it is closed, or Ctrl+C."""
-    from lodbench.harness.tracing import read_tracing
-    from lodbench.harness.tracing.outputs import TraceServer
+    from lodbench.harness.tracing.outputs import TraceServer, read_tracing
 
     if file.exists():
         read_tracing(file, model.views)

@@ -29,15 +29,15 @@ from lodbench.evaluation.predictions import (
 from lodbench.evaluation.queries import protocol_named
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
-from lodbench.harness.runs import Result, chosen_entries, queries_digest
-from lodbench.harness.runs.artefacts import summary_of, write_artefacts
+from lodbench.harness.runs.artefacts import Result, summary_of, write_artefacts
 from lodbench.harness.runs.gallery import write_overlays
-from lodbench.harness.runs.prepare import Preparation, prior_of, require_choices
+from lodbench.harness.runs.inputs import chosen_entries, queries_digest
+from lodbench.harness.runs.queries import Preparation, prior_of
+from lodbench.harness.runs.requirements import require_choices
 from lodbench.params import to_params
 from lodbench.rendering import make_renderer
 from lodbench.reporting.aligned_text import plain_text
-from lodbench.reporting.table_formats import format_text
-from lodbench.reporting.tables import tables_of
+from lodbench.reporting.tables import format_text, tables_of
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.protocol import make_segmenter
 from lodbench.storage import digest_of, make_folder, remove_leftovers

@@ -13,7 +13,7 @@ from lodbench.cli.verify import DataOptions, describe, read_config, run_folders,
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.errors import DatasetError
 from lodbench.evaluation.queries import has_truth
-from lodbench.harness.runs import split_digest
+from lodbench.harness.runs.inputs import split_digest
 from lodbench.harness.runs.verify import Verdict
 from lodbench.methods.registry import changed_settings
 from lodbench.params import add_options, flag, options_of, part, word

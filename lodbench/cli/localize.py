@@ -21,8 +21,9 @@ from lodbench.photos.pose import START_OF_EACH
 from lodbench.segmentation.protocol import FOR_PHOTOS
 
 if TYPE_CHECKING:
-    from lodbench.harness.photo import LocalizedPhoto, PhotoRequest
+    from lodbench.harness.photo.localize import LocalizedPhoto
     from lodbench.harness.photo.many import Answers
+    from lodbench.harness.photo.prepare import PhotoRequest
     from lodbench.methods import Method
 
 _LOGGER = logging.getLogger(__name__)
@@ -163,7 +164,7 @@ OPTIONS = {"localize": LocalizeOptions}
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    from lodbench.harness.photo import LocalizedPhoto
+    from lodbench.harness.photo.localize import LocalizedPhoto
 
     options = options_of(parser().parse_args(argv), LocalizeOptions)
     found = localized(options)
@@ -204,7 +205,7 @@ def localized(options: LocalizeOptions) -> LocalizedPhoto | Answers:
 def _one(request: PhotoRequest, options: LocalizeOptions) -> LocalizedPhoto:
     """Returns the answer to one photo, and writes it."""
     from lodbench.harness.photo.localize import STEPS, localize_photo
-    from lodbench.harness.photo.outputs import write_view
+    from lodbench.harness.photo.many import write_view
 
     with Progress(request.photo.name, STEPS, unit="steps") as progress:
         found = localize_photo(request, progress.advance)
@@ -220,8 +221,7 @@ def _several(
     from lodbench.citymodel.imagery import open_imagery
     from lodbench.harness.photo.flights import localize_flights
     from lodbench.harness.photo.localize import open_map
-    from lodbench.harness.photo.many import localize_photos
-    from lodbench.harness.photo.outputs import write_view
+    from lodbench.harness.photo.many import localize_photos, write_view
     from lodbench.harness.photo.workers import default_workers
     from lodbench.methods.protocol import SupportsFlights
 
@@ -284,7 +284,7 @@ def _method(options: LocalizeOptions, masks: Path | None) -> Method:
 
 
 def _request(options: LocalizeOptions, photo: Path, method: Method, masks: Path | None) -> PhotoRequest:
-    from lodbench.harness.photo import PhotoRequest
+    from lodbench.harness.photo.prepare import PhotoRequest
 
     segmenter = None
     if options.mask is None and masks is None and {"mask", "mask_on_demand"} & set(method.requires):

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from lodbench.cli.localize import LocalizeOptions, localized, parser
 from lodbench.errors import ConfigError, LodbenchError, Option, Words, nearest_names
-from lodbench.harness.photo import LocalizedPhoto
+from lodbench.harness.photo.localize import LocalizedPhoto
 from lodbench.harness.photo.many import Answers
 from lodbench.params import options_of
 

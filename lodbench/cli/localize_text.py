@@ -10,10 +10,10 @@ from lodbench.photos.map_frame import survey_sigmas
 from lodbench.reporting.aligned_text import count_of, format_columns, plain_text
 from lodbench.reporting.answers import percent_text, probability_text, trust_counts, trust_word
 from lodbench.reporting.flight_words import place_columns
-from lodbench.reporting.table_columns import finite_text
+from lodbench.reporting.table_heads import finite_text
 
 if TYPE_CHECKING:
-    from lodbench.harness.photo import LocalizedPhoto
+    from lodbench.harness.photo.localize import LocalizedPhoto
     from lodbench.harness.photo.many import Answers, PhotoAnswer
 
 # Lines about single answers that are not to be trusted: more stand in the table.

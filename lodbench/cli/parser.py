@@ -17,7 +17,7 @@ from lodbench.errors import ConfigError, LodbenchError, nearest_names
 from lodbench.reporting.aligned_text import plain_lines, plain_text
 
 if TYPE_CHECKING:
-    from lodbench.checks import Check
+    from lodbench.findings import Check
 
 
 _NEGATIVE = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$", re.IGNORECASE)

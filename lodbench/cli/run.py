@@ -32,8 +32,7 @@ from lodbench.harness.remote.method import INPROCESS, RunnerParams
 from lodbench.harness.runs.artefacts import queries_text, summary_of, write_artefacts
 from lodbench.harness.runs.basin import Basin, CostGrid, write_basin
 from lodbench.harness.runs.gallery import chosen_queries, overlay_name, write_overlays
-from lodbench.harness.runs.prepare import require_choices
-from lodbench.harness.runs.requirements import SEGMENTED, segmented_inputs
+from lodbench.harness.runs.requirements import SEGMENTED, require_choices, segmented_inputs
 from lodbench.harness.runs.run import required_queries
 from lodbench.harness.tracebacks import traceback_file
 from lodbench.methods.protocol import SupportsPriorWidth
@@ -43,8 +42,7 @@ from lodbench.plugins import load_plugin
 from lodbench.reporting.aligned_text import already_there, plain_lines, plain_text
 from lodbench.reporting.answers import format_answers, untrusted_note
 from lodbench.reporting.summaries import with_settings
-from lodbench.reporting.table_formats import format_text
-from lodbench.reporting.tables import RecallTable, tables_of
+from lodbench.reporting.tables import RecallTable, format_text, tables_of
 from lodbench.segmentation import notes_of
 
 _SECTIONS = {"method", "dataset", "segmenter", "source", "prior", "executor", "runner", "paths"}

@@ -7,7 +7,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from lodbench.checks import FAULT, OK, Check
 from lodbench.citymodel.lifespans import date_in
 from lodbench.citymodel.options import PATH_OPTIONS
 from lodbench.cli.parts import option_pairs, profile_of
@@ -17,6 +16,7 @@ from lodbench.datasets.prior_sources import FilePrior, prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import draw_priors, make_priors
 from lodbench.errors import LodbenchError
+from lodbench.findings import FAULT, OK, Check
 from lodbench.harness.city import open_city
 from lodbench.harness.remote.method import INPROCESS, SUBPROCESS, RemoteMethod, RunnerParams
 from lodbench.harness.remote.process import RunnerFault
@@ -154,8 +154,7 @@ def remote_checks(name: str, words: Sequence[str]) -> Iterator[Check]:
     Raises:
         ConfigError: That Python cannot be started or has no lodbench, or a setting is wrong.
     """
-    from lodbench.methods.conformance import check_answers, trial_settings
-    from lodbench.methods.conformance.rules import known_inputs
+    from lodbench.harness.conformance.methods import check_answers, known_inputs, trial_settings
 
     reported = {key: value for key, value in option_pairs(words).items() if key.startswith(_PREFIX)}
     runner = to_params(

@@ -28,8 +28,8 @@ from lodbench.harness.export.formats import (
     wanted_by,
 )
 from lodbench.harness.export.localized import is_localized, read_localized_folder
-from lodbench.harness.runs.answer import FLIGHTS_FOLDER
 from lodbench.harness.runs.places import flight_findings, pages_of_run, scene_of, view_of_run
+from lodbench.harness.runs.queries import FLIGHTS_FOLDER
 from lodbench.harness.runs.report import run_report, title_of
 from lodbench.harness.runs.stored import (
     RunStatus,

@@ -5,7 +5,6 @@ use                 what
 ==================  ================================================================================
 ``runs``            ``lodbench run`` and all that reads a run: report, compare, verify, status
 ``photo``           ``lodbench localize``: photos and flights of one's own, and their pages
-``map_findings``    what flights say of the map
 ``georeference``    a reconstruction placed on the map
 ``track``           a video
 ``mask``            ``lodbench mask``: masks by strokes
@@ -26,10 +25,10 @@ from typing import TYPE_CHECKING
 from lodbench.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from lodbench.harness.runs.run import Run as Run
+    from lodbench.harness.runs.artefacts import Run as Run
     from lodbench.harness.runs.run import RunSettings as RunSettings
     from lodbench.harness.runs.run import run_method as run_method
 
 __all__, __getattr__, __dir__ = lazy_names(
-    __name__, dict.fromkeys(("Run", "RunSettings", "run_method"), "runs.run")
+    __name__, {"Run": "runs.artefacts", "RunSettings": "runs.run", "run_method": "runs.run"}
 )

@@ -28,13 +28,7 @@ HEIGHT_HINT = (
 
 
 def open_city(path: Path, lod: str | None, options: ReadOptions, roof_height: str | None) -> OpenCity:
-    """Returns one level of detail of a city, drawing progress on a terminal while it is read.
-
-    Args:
-        path: A file, an archive, a folder of tiles, or a scene.
-        lod: Level of detail; None for the lowest with walls.
-        options: How to read.
-        roof_height: Rule by which an absent level 1 is derived, or None.
+    """Returns one level of detail of a city, drawing progress on a terminal; see ``open_cached_city``.
 
     Raises:
         CityModelError: The city cannot be read, or has no building at that level.
@@ -55,34 +49,19 @@ def city_digests(scene: Scene) -> dict[str, str]:
 
 
 def distance_outside_m(pose: Pose, scene: Scene) -> float:
-    """Returns how far outside the city's bounding rectangle a camera is, metres; 0 above the city.
-
-    Args:
-        pose: In the city's own coordinates.
-        scene: The city.
-    """
+    """Returns how far outside a city's rectangle a camera (its coordinates) is, metres; 0 above it."""
     low, high = (corner + scene.origin for corner in scene.extent_m)
     beside = np.maximum(np.maximum(low - pose.center, pose.center - high), 0.0)[:2]
     return float(np.hypot(beside[0], beside[1]))
 
 
 def height_above_m(pose: Pose, scene: Scene) -> float:
-    """Returns how far above the city's lowest point a camera is, metres; negative below.
-
-    Args:
-        pose: In the city's own coordinates.
-        scene: The city.
-    """
+    """Returns how far above a city's lowest point a camera (its coordinates) is, metres; else negative."""
     return float(pose.center[2] - scene.extent_m[0][2] - scene.origin[2])
 
 
 def far_words(poses: Sequence[Pose], scene: Scene) -> tuple[str, str] | None:
-    """Returns how far from a city cameras are that see none of it, and what to do; None for others.
-
-    Args:
-        poses: In the city's own coordinates; their median counts.
-        scene: The city.
-    """
+    """Returns how far off cameras (their median) are that see none of a city, and what to do; else None."""
     away = float(np.median([distance_outside_m(pose, scene) for pose in poses]))
     if away > FURTHEST_M:
         return f"{_km(away)} outside the city model", _TILE_HINT

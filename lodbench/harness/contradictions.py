@@ -103,13 +103,7 @@ class View:
 
 
 class Views:
-    """The queries of a dataset whose true view shows both buildings and something else.
-
-    Args:
-        dataset: The dataset.
-        entries: The queries to look at.
-        scene: Its city.
-    """
+    """The queries of a dataset whose true view shows both buildings and something else."""
 
     def __init__(self, dataset: Dataset, entries: Sequence[Entry], scene: Scene) -> None:
         self._dataset, self._entries, self._scene = dataset, entries, scene
@@ -155,7 +149,6 @@ class Views:
                 yield view, Reading(MASK_UNLIKE_CITY, "", view.iou)
 
     def _readings(self, view: View, doubtful: Sequence[View]) -> Iterator[Reading]:
-        """Yields other meanings of a view's mask."""
         mask, seen = view.mask, view.silhouette
         assert mask is not None  # noqa: S101 - the caller has looked
         for words, turn in _TURNS.items():
@@ -197,12 +190,7 @@ class Views:
     def _photo_readings(
         self, pairs: Sequence[tuple[View, Photo]], scores: NDArray[np.float64]
     ) -> Iterator[tuple[FindingCode, str, str]]:
-        """Yields what photos are whose outlines are elsewhere: copies, others', of another camera.
-
-        Args:
-            pairs: Views and their photos.
-            scores: (N, N) of each photo on each view's outlines.
-        """
+        """Yields what photos are whose outlines are elsewhere: copies, others', of another camera."""
         own = np.diag(scores)
         others = np.where(np.eye(len(own), dtype=bool), np.nan, scores)
         least = np.maximum(_OUTLINES, own + _MORE)
@@ -250,7 +238,7 @@ def check_views(dataset: Dataset, scene: Scene | None, with_pixels: bool, findin
         return
     views = Views(dataset, dataset.entries, scene)
     for view, reading in views.wrong_masks():
-        findings.add(reading.code, view.entry.key, words_of(view, reading))
+        findings.add(reading.code, view.entry.key, meaning_of(view, reading))
     known = {item.object_id for item in findings.items if item.code in _SAID}
     for code, key, words in views.wrong_photos():
         if key not in known:
@@ -274,7 +262,7 @@ def same_photos(dataset: Dataset, entries: Iterable[Entry]) -> list[tuple[Entry,
     return pairs
 
 
-def words_of(view: View, reading: Reading) -> str:
+def meaning_of(view: View, reading: Reading) -> str:
     """Returns in words how a mask is meant."""
     if not reading.words:
         return f"IoU {view.iou:.2f}"
@@ -293,7 +281,6 @@ def _is_same_place(dataset: Dataset, first: Entry, second: Entry) -> bool:
 
 
 def _mask_of(entry: Entry, camera: Camera) -> Mask | None:
-    """Returns a query's mask at a camera's size; None where there is none, or none that can be read."""
     if entry.mask is None:
         return None
     try:
@@ -323,7 +310,6 @@ def _iou(first: Mask, second: Mask) -> float:
 
 
 def _outline(silhouette: Mask) -> Mask:
-    """Returns the pixels on both sides of a silhouette's edge."""
     edge = cv2.morphologyEx(silhouette.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
     return np.asarray(edge > 0)
 

@@ -45,7 +45,7 @@ from lodbench.geometry import Pose
 from lodbench.geometry.angles import off_nadir_deg
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.harness.contradictions import check_views
-from lodbench.harness.photo.check import check_photos
+from lodbench.harness.runs.requirements import check_photos
 from lodbench.photos.camera import camera_from_photo
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
@@ -62,13 +62,7 @@ _GPS_M = 15.0
 
 
 def check_parts(dataset: Dataset, scene: Scene | None, findings: Findings) -> None:
-    """Adds to findings where cameras, photos and poses contradict each other.
-
-    Args:
-        dataset: As opened.
-        scene: Its city, for its reference system; None without one.
-        findings: Receives them, under the queries' names.
-    """
+    """Adds to findings where cameras, photos and poses contradict each other."""
     stated = {entry.key: _stated(entry) for entry in dataset.entries}
     for entry in dataset.entries:
         _check_camera(entry, stated[entry.key], findings)
@@ -126,7 +120,6 @@ def _check_camera(entry: Entry, photo: PhotoMetadata | None, findings: Findings)
 
 
 def _off_gps(pairs: Sequence[tuple[PhotoMetadata | None, Pose]], crs: str) -> str:
-    """Returns in words how far true poses are from their photos' GPS; "" if near, or not known."""
     away = []
     try:
         frame = MapFrame(crs)

@@ -28,12 +28,10 @@ from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.similarity import FEWEST_POSES, FittedSimilarity, Similarity, fit_similarity
 from lodbench.harness.city import open_city, require_near_city
-from lodbench.harness.georeference_start import ROUGH_DEG, ROUGH_M, rough_start
-from lodbench.harness.map_findings import contradiction_features
-from lodbench.harness.photo import CityRequest, PhotoRequest
+from lodbench.harness.photo.flight_inputs import ROUGH_DEG, ROUGH_M, rough_start
 from lodbench.harness.photo.flights import solved_flight
-from lodbench.harness.photo.outputs import ground_below_m
-from lodbench.harness.photo.prepare import pinhole_mask
+from lodbench.harness.photo.outputs import contradiction_features, ground_below_m
+from lodbench.harness.photo.prepare import CityRequest, PhotoRequest, pinhole_mask
 from lodbench.methods import Estimate, Method
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
 from lodbench.photos.camera import pinhole_of
@@ -137,10 +135,6 @@ _NAMES = {
 def require_no_other(out: Path, model: Path) -> None:
     """Refuses a folder that holds the result of another model, or files of somebody else's under its names.
 
-    Args:
-        out: The folder, which need not be there.
-        model: What is to be placed.
-
     Raises:
         DatasetError: It does.
     """
@@ -162,14 +156,7 @@ def _model_of(file: Path) -> object:
 def write_georeferenced(
     placed: Georeferenced, request: GeoreferenceRequest, scene: Scene, frame: MapFrame | None
 ) -> Georeferenced:
-    """Writes a placed reconstruction; returns it with what was written, and what was not and why.
-
-    Args:
-        placed: What to write.
-        request: Names the model and the folder.
-        scene: The map.
-        frame: Its coordinates on Earth, where they are known.
-    """
+    """Writes a placed reconstruction; returns it with what was written, and what was not and why."""
     out, cameras, crs = request.out, list(placed.cameras), placed.crs
     make_folder(out)
     model, similarity_file = {"model": str(request.model.resolve())}, out / SIMILARITY_FILE
@@ -202,7 +189,6 @@ def write_georeferenced(
 
 
 def _features(placed: Georeferenced, scene: Scene, frame: MapFrame) -> list[dict[str, object]]:
-    """Returns each camera, what it looks at and what it shows, as features of GeoJSON."""
     features = []
     for camera in placed.cameras:
         stated: dict[str, object] = {"name": camera.name, "kind": "estimate"}
@@ -293,7 +279,6 @@ def _require_enough(usable: int, count: int, left_out: Sequence[tuple[str, str]]
 def _queries(
     request: GeoreferenceRequest, images: Sequence[FoundPose], rough: Similarity, scene: Scene
 ) -> tuple[dict[str, Query], list[tuple[str, str]]]:
-    """Returns the photos to solve, by name, and those left out, with the reason."""
     queries: dict[str, Query] = {}
     shared = shared_files(_file(request, image.name) for image in images)
     left_out: list[tuple[str, str]] = []

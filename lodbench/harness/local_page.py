@@ -148,14 +148,7 @@ _PAGE = "templates/mask.html.jinja"
 
 
 class MaskServer(LocalServer):
-    """Serves one session.
-
-    Args:
-        session: What is corrected.
-        name: Of the photo, for the page's title.
-        save: Called to keep the mask; returns the message for the reader.
-        port: To listen at; 0 for any that is free.
-    """
+    """Serves one session; ``save`` keeps the mask and returns the message for the reader."""
 
     def __init__(self, session: MaskSession, name: str, save: Callable[[], str], port: int = 0) -> None:
         super().__init__(port)
@@ -229,7 +222,6 @@ class MaskServer(LocalServer):
         }
 
     def _saved(self) -> dict[str, Any]:
-        """Returns what was saved, or why nothing was: the page stays, and what was drawn with it."""
         answer = saved_or_why(self.save)
         if answer["saved"]:
             self.session.is_changed = False
@@ -239,7 +231,7 @@ class MaskServer(LocalServer):
 def _page(name: str, session: MaskSession) -> bytes:
     from jinja2 import Environment
 
-    template = files("lodbench.harness.mask").joinpath(_PAGE).read_text(encoding="utf-8")
+    template = files("lodbench.harness").joinpath(_PAGE).read_text(encoding="utf-8")
     height, width = session.mask.shape
     facts = {"width": width, "height": height, "tile_px": _TILE_PX, "most_points": _MOST_POINTS}
     steps = {"can_undo": session.can_undo, "can_redo": session.can_redo}

@@ -239,7 +239,6 @@ def _common_level(job: TileJob, reported: dict[int, dict[str, Any]]) -> str:
 
 
 def _join(parts: list[dict[str, Any]], target: Path, made: dict[str, Any]) -> dict[str, Any]:
-    """Writes all parts as one scene, and returns what is stated of it."""
     findings = Findings()
     folders = [Path(part["folder"]) for part in parts if part["extra"]["skipped"] is None]
     ids = unique_ids([name for folder in folders for name in read_about(folder)["building_ids"]], findings)

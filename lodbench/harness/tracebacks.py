@@ -1,14 +1,18 @@
-"""Faults of others' code in one line, with their tracebacks kept; writes on the way out of a fault."""
+"""Faults of others' code in one line, with tracebacks kept; flights answered; writes on the way out."""
 
 from __future__ import annotations
 
 import logging
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from lodbench.errors import STOPPED, LodbenchError, QueryFault
+from lodbench.citymap import CityMap
+from lodbench.datasets.query import Query
+from lodbench.errors import STOPPED, ConfigError, InputChanged, LodbenchError, QueryFault, WorkersGone
+from lodbench.methods.localize import localize_flight
+from lodbench.methods.protocol import Estimate, FlightEstimate, Streams, SupportsFlights
 from lodbench.storage import make_folder, write_text
 from lodbench.storage.disk import final_name, writable
 
@@ -33,13 +37,8 @@ def words_of(error: BaseException) -> str:
 
 
 @contextmanager
-def told_as_fault(part: str, folder: Path, name: str) -> Iterator[None]:
-    """Makes whatever a plug-in's code raises the fault of one photo, and keeps where it raised.
-
-    Args:
-        part: The plug-in, as in "method shake".
-        folder: Of the results.
-        name: What the traceback's file is called.
+def reported_as_fault(part: str, folder: Path, name: str) -> Iterator[None]:
+    """Makes whatever the code of a plug-in, ``part``, raises the fault of one photo; keeps where it raised.
 
     Raises:
         QueryFault: The code raised anything but a fault of lodbench's own.
@@ -50,7 +49,32 @@ def told_as_fault(part: str, folder: Path, name: str) -> Iterator[None]:
         raise
     except BaseException as error:
         file = keep_traceback(folder, name, error)
-        raise QueryFault(f"{part} raised {words_of(error)}", f"See {file}.") from error
+        words = f"{part} raised {words_of(error)}" if part else words_of(error)
+        raise QueryFault(words, f"See {file}.") from error
+
+
+def answered_flight(
+    method: SupportsFlights,
+    queries: Sequence[Query],
+    city_map: CityMap,
+    streams: Sequence[Streams],
+    folder: Path,
+    name: str,
+    part: str = "",
+    alone: Sequence[Estimate | QueryFault] | None = None,
+) -> FlightEstimate:
+    """Returns a method's answers to the photos of a flight; what it raises is the fault of each of them.
+
+    Raises:
+        LodbenchError: What ends a command, and is no fault of a photo.
+    """
+    try:
+        with reported_as_fault(part, folder, name):
+            return localize_flight(method, queries, city_map, streams, alone)
+    except (ConfigError, InputChanged, WorkersGone):
+        raise
+    except LodbenchError as fault:
+        return FlightEstimate([QueryFault(fault.message, fault.hint)] * len(queries))
 
 
 _LOG = logging.getLogger(__name__)

@@ -26,24 +26,17 @@ from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city, require_near_city
-from lodbench.harness.photo import RoughRequest
+from lodbench.harness.photo.prepare import RoughRequest, rough_camera, rough_pose
 from lodbench.harness.tracebacks import last_write
 from lodbench.harness.track_frames import Footage, Mask, MaskMaker, Shot, with_masks
 from lodbench.methods.localize import localize_next
 from lodbench.methods.protocol import Follower
 from lodbench.methods.tracking import LOST, Tracking, TrackingParams, state_of
-from lodbench.photos.camera import (
-    PhotoCamera,
-    camera_from_photo,
-    camera_given,
-    pinhole_of,
-    require_photo_size,
-)
+from lodbench.photos.camera import PhotoCamera, pinhole_of
 from lodbench.photos.files import in_pose_lines
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.measurements import place_notes
 from lodbench.photos.metadata import PhotoMetadata, find_subtitles, read_photo_metadata, stated_at_start
-from lodbench.photos.pose import pose_at, pose_from_photo
 from lodbench.segmentation import notes_of
 from lodbench.storage import hide_formula, make_folder, random_stream, write_text
 
@@ -237,7 +230,6 @@ def _follow(
 def _tracked(
     follower: Follower, first: Query, city_map: CityMap, shot: Shot, mask: Mask | str
 ) -> TrackedFrame:
-    """Returns what becomes of a frame, given its mask, or why there is none."""
     if isinstance(mask, str):
         return TrackedFrame(shot.name, shot.time_s, LOST, None, 0.0, mask)
     query = replace(first, name=shot.name, time_s=shot.time_s, building_probability=mask)
@@ -274,27 +266,17 @@ def _start(
             request.footage.notes.append(f"what {subtitles.name} states of the start was used")
     else:
         stated = read_photo_metadata(first)
-    if request.camera is not None:
-        size = stated.width, stated.height
-        require_photo_size(request.camera, stated.name, *size, is_video=first is None)
-    given = request.camera
-    camera = camera_given(given, request.camera_sigmas) if given else camera_from_photo(stated)
-    if request.center is not None:
-        east, north, _ = request.center
-        convergence = 0.0 if frame is None else frame.convergence_deg(east, north)
-        return camera, pose_at(request.center, convergence, stated, request.given), ()
-    if frame is None:
-        raise DatasetError(
-            f"{request.city.name} names no reference system, so GPS means nothing in it.",
-            "Name it with `--crs`, or give `--center EAST NORTH UP` in the city's coordinates.",
-        )
+    camera = rough_camera(request, stated, is_video=first is None)
     try:
-        pose = pose_from_photo(stated, frame, request.heights, request.given)
+        pose = rough_pose(request, stated, frame)
     except DatasetError as fault:
+        if request.center is not None:
+            raise
         # What it names are options of track, too.
         hint = fault.hint.marked.replace("lodbench localize takes", "Give")
         raise DatasetError(fault.message, hint) from fault
-    return camera, pose, () if request.given.height_m is not None else (stated,)
+    has_height = request.center is not None or request.given.height_m is not None
+    return camera, pose, () if has_height else (stated,)
 
 
 def _write(frames: Sequence[TrackedFrame], request: TrackRequest, frame: MapFrame | None) -> None:

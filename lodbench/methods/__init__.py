@@ -1,8 +1,8 @@
 """Methods: from a query and a map to a pose. The paper's and lodbench's own; others' are in ``baselines``.
 
 ``protocol`` says what a method is and where it keeps what it prepares, ``registry`` finds it by name,
-``localize`` calls it, ``assessment`` says how far to trust its answers, ``conformance`` checks it; ``search``
-is what methods share that search about a prior.
+``localize`` calls it, ``assessment`` says how far to trust its answers; ``search`` is what
+methods share that search about a prior.
 """
 
 from typing import TYPE_CHECKING

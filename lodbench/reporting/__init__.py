@@ -3,10 +3,10 @@
 ==================  ============================================================================
 what                where
 ==================  ============================================================================
-tables of recalls   ``tables`` (lines), ``table_columns`` (what is shown), ``table_formats``
-text of a terminal  ``aligned_text``, ``answers``, ``flight_words``, ``safe_text``
-figures             ``figures``, ``run_figures``, ``basin_figures``, ``calibration_figures``, ``map_figure``
-pages               ``page`` over ``templates``; ``comparison``, ``flight_page``, ``leaderboard``, ``view3d``
+tables of recalls   ``tables``; ``table_heads`` (what is shown, what rows are called)
+text of a terminal  ``aligned_text``, ``answers``, ``flight_words``
+figures             ``figures``, ``run_figures``, ``maps``
+pages               ``page`` over ``templates``; ``photo_pairs``, ``flight_words``, ``leaderboard``, ``maps``
 overlays of photos  ``overlays``
 ==================  ============================================================================
 

@@ -16,7 +16,7 @@ from lodbench.geometry import Pose
 from lodbench.geometry.angles import look_from_rotation
 from lodbench.methods.region.trust import SIGNS_STAGE, ConfidenceFeatures, contradictions
 from lodbench.reporting.aligned_text import format_columns, plain_text
-from lodbench.reporting.table_columns import finite_text
+from lodbench.reporting.table_heads import finite_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -227,7 +227,6 @@ def reasons_for_doubt(
 def _second_best(
     pose: Pose, others: Sequence[Pose], probabilities: Sequence[float], trace: Mapping[str, Sequence[float]]
 ) -> Iterator[str]:
-    """Yields where the next candidate is and how probable, unless it is improbable."""
     if not others:
         return
     away = others[0].center - pose.center

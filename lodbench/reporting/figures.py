@@ -173,11 +173,7 @@ class RecallCurve(NamedTuple):
 
 
 def draw_recall_curves(panels: Sequence[tuple[str, Sequence[RecallCurve]]]) -> dict[str, bytes]:
-    """Returns the figure of recalls, one panel per kind of error, whiskers being 95 % intervals.
-
-    Args:
-        panels: Axis label and the curves of its splits.
-    """
+    """Returns the figure of recalls, one panel per kind of error, whiskers being 95 % intervals."""
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]

@@ -13,7 +13,7 @@ from lodbench.evaluation.pose_errors import pose_error
 from lodbench.geometry import Pose
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.answers import UNTRUSTED, columns_legend, rounded_down, trust_counts
-from lodbench.reporting.map_figure import Marked, Spot, Underlay, draw_map
+from lodbench.reporting.maps import Marked, Spot, Underlay, draw_map
 from lodbench.reporting.page import Picture, markup, rendered
 
 # Where rough poses are from: the photos' own metadata, or a file, as of a dataset.
@@ -43,16 +43,16 @@ def constants_in_words(
     """Returns sentences on the constants that the photos determine, and one that names those they do not.
 
     Args:
-        constants: By name ``value`` (to be added to what sensors or map say), ``sigma``, ``unit``, ``told``.
+        constants: By name ``value`` (to be added to what sensors say), ``sigma``, ``unit``, ``determined``.
         source: What the rough poses are from.
     """
     height, rows = constants.get("height"), constant_rows(constants)
-    lines = [heights_in_words(height, source)] if height is not None and height["told"] else []
+    lines = [heights_in_words(height, source)] if height is not None and height["determined"] else []
     known = [row for row in rows if row[2]]
     drone = [f"{row[0]} {row[1]}" for row in known if row[0] not in _OF_MASKS_AND_MAP]
     others = [f"{row[0]} {row[1]}" for row in known if row[0] in _OF_MASKS_AND_MAP]
-    silent = ["heights"] if height is not None and not height["told"] else []
-    silent += [called for called, _, is_told, _ in rows if not is_told]
+    silent = ["heights"] if height is not None and not height["determined"] else []
+    silent += [called for called, _, is_known, _ in rows if not is_known]
     lines += [f"corrections to {_CORRECTED[source]}: {'; '.join(drone)}"] if drone else []
     lines += [f"masks and map: {'; '.join(others)}"] if others else []
     lines += [f"not determined by these photos: {'; '.join(silent)}"] if silent else []
@@ -69,17 +69,16 @@ def constant_rows(constants: Mapping[str, Mapping[str, Any]]) -> list[tuple[str,
     rows = []
     for name in order:
         constant = constants[name]
-        if name == _MASKS and not constant["told"] and constant["value"] == 0.0:
+        if name == _MASKS and not constant["determined"] and constant["value"] == 0.0:
             continue
-        is_told = constant["told"]
-        amount = _change(name, constant) if is_told else "-"
-        rows.append((_CALLED.get(name, name), amount, is_told, _estimated(constant)))
+        is_known = constant["determined"]
+        amount = _change(name, constant) if is_known else "-"
+        rows.append((_CALLED.get(name, name), amount, is_known, _estimated(constant)))
     return rows
 
 
 def _estimated(constant: Mapping[str, Any]) -> str:
-    """Returns whether a constant is estimated, and what that is worth."""
-    if not constant["told"]:
+    if not constant["determined"]:
         return f"no: these photos leave {_open_amount(constant)} open"
     is_small = abs(constant["value"]) < _SIGNIFICANT * constant["sigma"]
     return "yes: not significant" if is_small else "yes"
@@ -115,13 +114,8 @@ def _scaled(constant: Mapping[str, Any]) -> tuple[float, float, str, int]:
 
 
 def heights_in_words(constant: Mapping[str, Any], source: PriorSource = "metadata") -> str:
-    """Returns by how much given heights are too high or too low, and the likely cause.
-
-    Args:
-        constant: ``height`` of the constants.
-        source: What the rough poses are from.
-    """
-    if not constant["told"]:
+    """Returns by how much given heights are too high or too low, and the likely cause."""
+    if not constant["determined"]:
         return "heights are not determined by these photos"
     value, sigma = constant["value"], constant["sigma"]
     word = "high" if value < 0 else "low"
@@ -150,7 +144,6 @@ def map_in_words(findings: Mapping[str, Any], most: int = 5) -> list[str]:
 
 
 def _listed(head: str, rows: Sequence[tuple[str, str, str]], most: int) -> list[str]:
-    """Returns a head and its rows as lines, nothing for no rows."""
     lines = [f"- {name}: {said}, from {photos}" for name, said, photos in rows[:most]]
     more = [f"- and {len(rows) - most} more"] if len(rows) > most else []
     return [head, *lines, *more] if rows else []
@@ -231,11 +224,7 @@ class PhotoOnPage(NamedTuple):
     why: str = ""
 
     def numbers(self, has_earth: bool) -> list[tuple[float | None, str]]:
-        """Returns the numbers of its row, and their texts.
-
-        Args:
-            has_earth: Whether its place is given as latitude and longitude, or in the city's coordinates.
-        """
+        """Returns the numbers of its row, and their texts."""
         sure = None if self.probability is None else rounded_down(self.probability, 2)
         named = [(self.surveyed[name], spec) for _, name, spec in place_columns(has_earth)]
         named += [
@@ -246,11 +235,7 @@ class PhotoOnPage(NamedTuple):
 
 
 def place_columns(has_earth: bool) -> list[tuple[str, str, str]]:
-    """Returns heads of where photos are and look, in a table, with name and format in ``survey_row``.
-
-    Args:
-        has_earth: As latitude and longitude; else in the city's coordinates.
-    """
+    """Returns heads of where photos are and look, in a table, with name and format in ``survey_row``."""
     first = [("easting m", "easting_m", ".2f"), ("northing m", "northing_m", ".2f")]
     if has_earth:
         first = [("latitude", "latitude_deg", ".7f"), ("longitude", "longitude_deg", ".7f")]

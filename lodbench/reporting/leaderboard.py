@@ -23,16 +23,18 @@ from lodbench.reporting.aligned_text import csv_cell, plain_text
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
 from lodbench.reporting.page import facts, markup, rendered
 from lodbench.reporting.summaries import common_photos, numbers_of, plugin_metrics
-from lodbench.reporting.table_columns import (
+from lodbench.reporting.table_heads import (
+    PRIOR_METHOD,
     Column,
+    Line,
     finite_text,
     interval_columns,
     metric_columns,
     paper_columns,
     segmenter_columns,
+    settings_apart,
 )
-from lodbench.reporting.table_formats import format_html, format_latex, format_markdown
-from lodbench.reporting.tables import PRIOR_METHOD, Line, RecallTable, settings_apart
+from lodbench.reporting.tables import RecallTable, format_html, format_latex, format_markdown
 from lodbench.storage import digest_of
 
 if TYPE_CHECKING:
@@ -306,18 +308,10 @@ def _columns(block: Block) -> tuple[Column, ...]:
 
 
 def _metrics(block: Block) -> tuple[Column, ...]:
-    """Returns the columns of plug-ins' metrics that any entry has."""
     return metric_columns(set().union(*map(plugin_metrics, block.entries)))
 
 
 def _line(entry: Entry, rank: int | None, settings: str = "") -> Line:
-    """Returns an entry's line; reported ones stand in groups of one method and map, as in the paper.
-
-    Args:
-        entry: The entry.
-        rank: Its rank in its block, None for none.
-        settings: What sets it apart from others of its method there.
-    """
     splits = {name: numbers_of(split) for name, split in entry["splits"].items()}
     method, condition = entry["method"], entry["protocol"]["condition"]
     variant = method["variant"].replace("_", " ")

@@ -20,7 +20,7 @@ Mask = NDArray[np.bool_]
 
 # Pictures are drawn at this width, pixels: a screen's half. In pages they are JPEGs of this quality.
 _WIDTH, _JPEG_QUALITY = 900, 82
-# BGR: told apart with any colour vision, on dark and on light; bright ones of the hues that maps and
+# BGR: distinguished with any colour vision, on dark and on light; bright ones of the hues that maps and
 # views in three dimensions have: orange, blue, magenta.
 PRIOR_COLOUR, ESTIMATE_COLOUR, TRUTH_COLOUR = (64, 112, 255), (255, 208, 64), (214, 80, 255)
 # Of the answer that an estimate is compared with.

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from lodbench.evaluation.pose_errors import Apart, PoseError
 from lodbench.reporting.answers import percent_text, probability_text
-from lodbench.reporting.map_figure import Spot
+from lodbench.reporting.maps import Spot
 from lodbench.reporting.page import Picture, markup, rendered
 
 # What lies over a photo, from below, and whether it is shown at first.

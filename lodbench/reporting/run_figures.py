@@ -14,7 +14,7 @@ from lodbench.evaluation.pose_errors import Apart
 from lodbench.evaluation.statistics import Agreement, Comparison
 from lodbench.reporting.aligned_text import count_of, format_columns, plain_text
 from lodbench.reporting.figures import LINE_STYLES, SERIES, draw_figure
-from lodbench.reporting.table_columns import finite_text
+from lodbench.reporting.table_heads import finite_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -198,11 +198,7 @@ def agreement_text(found: Agreement | None) -> str:
 
 
 def format_apart(found: Mapping[str, Apart]) -> str:
-    """Returns how far answers to the same photos lie apart, a line each, those furthest apart first.
-
-    Args:
-        found: By the key of the photo.
-    """
+    """Returns how far answers to the same photos lie apart, a line each, those furthest apart first."""
     ranked = sorted(found.items(), key=lambda item: (-item[1].error.translation_m, item[0]))
     rows = [["", "apart m", "apart deg", "in plan m", "in height m"]]
     for key, ((metres, degrees), parts) in ranked[:_MOST_LINES]:

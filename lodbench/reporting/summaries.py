@@ -118,13 +118,8 @@ def with_seconds(summary: dict[str, Any], seconds: dict[str, float | None]) -> d
 def with_settings(summary: dict[str, Any], config: dict[str, Any], city: str | Path | None) -> dict[str, Any]:
     """Returns a summary with the ``settings`` of its data and its segmenter: no part of the summary's file.
 
-    Tables and runs that are called alike are told apart by them. And ``method.settings`` are those of the
+    Tables and runs that are called alike are distinguished by them. And ``method.settings`` are those of the
     method that are not its defaults.
-
-    Args:
-        summary: Of a run.
-        config: The run's configuration.
-        city: The city model's path, where it is known.
     """
     reported = {**config["dataset"], "limit": config.get("limit"), "city": Path(city).name if city else None}
     segmenter = config.get("segmenter")

@@ -1,15 +1,18 @@
-"""Recall tables: methods by splits, from summaries of runs, and what rows are called; no formats."""
+"""Recall tables: methods by splits, from summaries of runs; as text, Markdown, CSV, LaTeX and HTML."""
 
 from __future__ import annotations
 
+import html
+import math
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from lodbench.citymodel.lods import lod_in_words
-from lodbench.reporting.aligned_text import count_of, plain_text
+import numpy as np
+
+from lodbench.reporting.aligned_text import count_of, csv_cell, plain_text
+from lodbench.reporting.page import rendered
 from lodbench.reporting.summaries import (
     common_photos,
     mean_numbers,
@@ -17,198 +20,28 @@ from lodbench.reporting.summaries import (
     require_one_run_a_seed,
     require_seeds_alone,
 )
-from lodbench.reporting.table_columns import Column, columns_named, paper_columns, protocol_columns
+from lodbench.reporting.table_heads import (
+    PRIOR_METHOD,
+    Column,
+    Line,
+    columns_named,
+    labels_of,
+    method_name,
+    natural,
+    paper_columns,
+    protocol_columns,
+    title_of,
+    titles_of,
+)
 from lodbench.storage import digest_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-# Parts of the protocol that may be freed to differ within a table.
-FREE = ("lod", "segmenter", "renderer", "tilt", "prior", "seed")
-# How names of a segmenter's settings begin.
-_OF_SEGMENTER = "segmenter."
-
-
-def title_of(summary: dict[str, Any], free: Collection[str] = ()) -> str:
-    """Returns what a run's table is headed with: everything that must agree to compare rows."""
-    dataset, protocol = summary["dataset"], summary["protocol"]
-    version = f" ({dataset['version']})" if dataset.get("version") else ""
-    lod = f" · {lod_in_words(str(protocol['lod']))}" if protocol.get("lod") and "lod" not in free else ""
-    words = [f"{name}={protocol[name]}" for name in ("tilt", "segmenter", "seed") if name not in free]
-    drawn = protocol.get("prior", "file")
-    if drawn != "file" and "prior" not in free:
-        words.append(f"priors {drawn}")
-    return " · ".join([f"{dataset['name']}{version}{lod}", *words])
-
-
-def titles_of(heads: Sequence[str], summaries: Sequence[dict[str, Any]]) -> list[str]:
-    """Returns the titles of tables, given a run of each; those of one dataset say how its data were set."""
-    titles = []
-    for head, summary in zip(heads, summaries, strict=True):
-        peers = [other for other in summaries if _dataset_of(other) == _dataset_of(summary)]
-        # The level of detail is in the head, where it is known.
-        words = [word for word in _set_apart(summary, peers) if not word.startswith("lod=")]
-        titles.append(" · ".join([head, *words]))
-    return titles
-
-
-def _dataset_of(summary: dict[str, Any]) -> tuple[str, str]:
-    return summary["dataset"]["name"], summary["dataset"]["version"]
-
-
-def _set_apart(summary: dict[str, Any], peers: Sequence[dict[str, Any]]) -> list[str]:
-    """Returns the settings of a run's data that are not those of its peers, where they are known.
-
-    And those of its segmenter that peers of the same segmenter set otherwise.
-    """
-    alike = [peer for peer in peers if _segmenter(peer) == _segmenter(summary)]
-    known = {key: value for key, value in summary.get("settings", {}).items() if value is not None}
-    words = []
-    for key, value in known.items():
-        others = alike if key.startswith(_OF_SEGMENTER) else peers
-        if any(other.get("settings", {}).get(key) != value for other in others):
-            words.append(f"{key}={value}")
-    return words
-
-
-def _segmenter(summary: dict[str, Any]) -> str:
-    return str(summary["protocol"].get("segmenter"))
-
-
-def names_of(summaries: Sequence[dict[str, Any]], free: Collection[str] = ()) -> list[str]:
-    """Returns a name for each run: its method, and whatever sets it apart from the others; unique.
-
-    Where tilts differ all say theirs: one of them is an oracle.
-    """
-    labels = labels_of(summaries, free)
-    names = []
-    for label, summary in zip(labels, summaries, strict=True):
-        peers = [other for other, theirs in zip(summaries, labels, strict=True) if theirs == label]
-        differing = [*_differing(("tilt",), summaries), *_differing(FREE, peers)]
-        words = [
-            f"{key}={summary['protocol'].get(key)}" for key in dict.fromkeys(differing) if key not in free
-        ]
-        names.append(" ".join(dict.fromkeys([label, *words, *_set_apart(summary, peers)])))
-    seen: dict[str, int] = {}
-    unique = []
-    for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        unique.append(f"{name} #{seen[name]}" if names.count(name) > 1 else name)
-    return unique
-
-
-def _differing(keys: Sequence[str], summaries: Sequence[dict[str, Any]]) -> list[str]:
-    """Returns the parts of the protocol that some summaries do not agree on."""
-    return [key for key in keys if len({str(each["protocol"].get(key)) for each in summaries}) > 1]
-
-
-def natural(text: str) -> list[tuple[float, str]]:
-    """Returns what sorts steps=5 before steps=10."""
-    words = re.split(r"(\d+(?:\.\d+)?)", text)
-    return [(float(word), "") if number % 2 else (0.0, word) for number, word in enumerate(words)]
-
-
-def method_name(member: dict[str, Any]) -> str:
-    """Returns the method of a run's summary with its variant."""
-    method = member["method"]
-    return " ".join(filter(None, [method["name"], method.get("variant", "").replace("_", " ")]))
-
-
-def settings_apart(members: Sequence[dict[str, Any]]) -> list[str]:
-    """Returns for each run the settings of its method that other runs of that method have otherwise.
-
-    And those that are not the method's defaults, where these are known (``method.settings``).
-    """
-    texts = []
-    for member, words in zip(members, _words_apart(members, (), ()), strict=True):
-        named = {word.partition("=")[0] for word in words}
-        changed = member["method"].get("settings", {})
-        texts.append(
-            " ".join([*words, *(f"{key}={_short(changed[key])}" for key in changed if key not in named)])
-        )
-    return texts
-
-
-def labels_of(
-    members: Sequence[dict[str, Any]], free: Collection[str], others: Sequence[dict[str, Any]] = ()
-) -> list[str]:
-    """Returns a name for each run: method, variant, and whatever else differs between runs of that method.
-
-    Args:
-        members: Summaries of the runs of a table.
-        free: Parts of the protocol that may differ within it.
-        others: Summaries of all runs shown: a setting that is not its method's default is named where a run
-            of that method in another table has it otherwise.
-    """
-    words = _words_apart(members, free, others)
-    return [" ".join([method_name(member), *mine]) for member, mine in zip(members, words, strict=True)]
-
-
-def _words_apart(
-    members: Sequence[dict[str, Any]], free: Collection[str], others: Sequence[dict[str, Any]]
-) -> list[list[str]]:
-    """Returns for each run the words of ``labels_of`` beside its method's name."""
-    names = [method_name(member) for member in members]
-    found = []
-    for member, name in zip(members, names, strict=True):
-        peers = [other for other, theirs in zip(members, names, strict=True) if theirs == name]
-        params = member["method"].get("params", {})
-        shown = [_params(other) for other in others if method_name(other) == name]
-        changed = member["method"].get("settings", {})
-        differing = [
-            key
-            for key in params
-            if any(_params(peer).get(key) != params[key] for peer in peers)
-            or (key in changed and any(theirs.get(key) != params[key] for theirs in shown))
-        ]
-        words = [f"{key}={params[key]}" for key in differing]
-        words += [f"{key}={member['protocol'].get(key)}" for key in sorted(free)]
-        words += [word for word in _set_apart(member, peers) if word.startswith(_OF_SEGMENTER)]
-        found.append(words)
-    return found
-
-
-def _params(member: dict[str, Any]) -> dict[str, Any]:
-    params: dict[str, Any] = member["method"].get("params", {})
-    return params
-
-
-def _short(value: Any) -> str:
-    """Returns a setting as a word; of a path its last name."""
-    return Path(value).name if isinstance(value, str) and "/" in value else str(value)
-
-
 _LABEL = re.compile(r"[\d.e+-]+m-[\d.e+-]+deg")
 # What is no number in the rows of a table.
 _WORDS = ("group", "method", "split", "is_printed")
-
-
-# The method that answers with the prior.
-PRIOR_METHOD = "prior_only"
-
-
-class Line(NamedTuple):
-    """A method in a table.
-
-    Attributes:
-        label: The method, or its variant where ``group`` names the method.
-        splits: Numbers by split, in the format of ``numbers_of``.
-        group: What lines next to each other have in common: ``method | map``, or "".
-        link: Where a page's label leads, or "".
-        is_prior: Whether it is what methods start from: never the best of them.
-    """
-
-    label: str
-    splits: dict[str, dict[str, Any]]
-    group: str = ""
-    link: str = ""
-    is_prior: bool = False
-
-    def group_text(self) -> str:
-        """Returns ``name (map)`` of a group ``name | map``."""
-        name, _, map_name = plain_text(self.group).partition(" | ")
-        return f"{name} ({map_name})" if map_name else name
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -382,3 +215,168 @@ def _table(
         # One method under several settings: in their order, whatever the order of the folders.
         found.sort(key=lambda row: natural(row.label))
     return RecallTable(title, tuple([*rows, *found]))
+
+
+def format_text(table: RecallTable) -> str:
+    """Returns the table for a terminal."""
+    width = len(table.shown())
+    head = [["", ""], ["", "method"]]
+    for split in table.splits:
+        count = table.denominators(split)
+        head[0] += [
+            plain_text(split) + (f" ({count_of(count, 'queries')})" if count else ""),
+            *[""] * (width - 1),
+        ]
+        head[1] += [column.head for column in table.shown()]
+    body = [[group, plain_text(line.label), *table.texts(line)] for group, line in _grouped(table)]
+    if not any(row[0] for row in body):
+        head, body = [row[1:] for row in head], [row[1:] for row in body]
+    firsts = 2 if len(head[0]) > 1 + width * len(table.splits) else 1
+    return f"{plain_text(table.title)}\n\n{_align(head, body, width, firsts)}\n"
+
+
+def format_markdown(table: RecallTable) -> str:
+    """Returns the table in Markdown."""
+    is_grouped = any(line.group for line in table.lines)
+    names = [f"{split} {column.head}" for split in table.splits for column in table.shown()]
+    first = ["Method", "Variant"] if is_grouped else ["Method"]
+    counts = [f"{split} {table.denominators(split)}" for split in table.splits if table.denominators(split)]
+    queries = f" (queries: {_md(', '.join(counts))})" if counts else ""
+    lines = [f"**{_md(table.title)}**{queries}", ""]
+    lines += [_pipes([*first, *names]), _pipes([*["---"] * len(first), *["--:"] * len(names)])]
+    for group, line in _grouped(table):
+        lines.append(_pipes([*([group] if is_grouped else []), line.label, *table.texts(line)]))
+    return "\n".join(lines) + "\n"
+
+
+def format_csv(*tables: RecallTable) -> str:
+    """Returns tables as one CSV, a line per method and split, every number to ten digits, under one head."""
+    frame = frame_of(tables)
+    frame.insert(0, "protocol", frame.pop("protocol"))
+    words = ["protocol", "group", "method", "split"]
+    frame[words] = frame[words].map(csv_cell)
+    frame = frame.replace([math.inf, -math.inf], math.nan)
+    return str(frame.to_csv(index=False, float_format="%.10g", lineterminator="\n"))
+
+
+def format_latex(table: RecallTable) -> str:
+    """Returns the table as a LaTeX tabular in the paper's layout (needs booktabs, multirow, makecell)."""
+    columns = tuple(column for column in table.shown() if column.head != "failed")
+    shown = RecallTable(table.title, table.lines, columns)
+    is_grouped = any(line.group for line in table.lines)
+    firsts, width = (2 if is_grouped else 1), len(columns)
+    best = _best(shown)
+    rows = []
+    for number, (line, follows) in enumerate(zip(table.lines, (None, *table.lines), strict=False)):
+        starts = follows is None or follows.group != line.group or not line.group
+        cells = [
+            rf"\textbf{{{tex(text)}}}" if (number, i) in best and text != "-" else tex(text)
+            for i, text in enumerate(shown.texts(line))
+        ]
+        first = (
+            [_tex_group(table, number) if starts else "", tex(line.label)]
+            if is_grouped
+            else [tex(line.label)]
+        )
+        if is_grouped and not line.group:
+            first = [rf"\multicolumn{{2}}{{l}}{{{tex(line.label)}}}"]
+        text = " & ".join([*first, *cells])
+        # The end of the row above would take these for its own.
+        text = "{}" + text if text.startswith(("[", "*")) else text
+        rows.append((text, bool(number) and is_grouped and starts))
+    return rendered(
+        "table.tex.jinja",
+        title=plain_text(table.title),
+        layout="l" * firsts + "c" * (width * len(table.splits)),
+        spans=[rf"\multicolumn{{{width}}}{{c}}{{\textit{{{tex(split)}}}}}" for split in table.splits],
+        ends=[(firsts + 1 + i * width, firsts + (i + 1) * width) for i in range(len(table.splits))],
+        heads=[tex(column.head).replace("deg", r"$^\circ$") for column in columns] * len(table.splits),
+        blank="& " * (firsts - 1),
+        rows=rows,
+    )
+
+
+def format_html(table: RecallTable) -> str:
+    """Returns the table as an HTML table whose columns a script may sort by ``data-value``."""
+    return rendered("table.html.jinja", table=table, isfinite=math.isfinite)
+
+
+FORMATS: dict[str, Callable[[RecallTable], str]] = {
+    "text": format_text,
+    "markdown": format_markdown,
+    "csv": format_csv,
+    "latex": format_latex,
+    "html": format_html,
+}
+
+
+def tex(text: str) -> str:
+    """Returns plain text with every character that LaTeX gives a meaning made harmless."""
+    plain = plain_text(text).replace("\\", "/").replace("~", "-").replace("^", "")
+    return re.sub(r"[&%$#_{}]", r"\\\g<0>", plain).replace("±", r"$\pm$").replace("·", r"$\cdot$")
+
+
+def _best(table: RecallTable) -> set[tuple[int, int]]:
+    """Returns the line and place of the best cells of each column, where there is anything to compare.
+
+    The prior is no method; a recall of 0 is nobody's best; a cell of two numbers is best if both are.
+    """
+    places = [(n, list(table.cells(line))) for n, line in enumerate(table.lines) if not line.is_prior]
+    found: set[tuple[int, int]] = set()
+    for i in range(len(places[0][1]) if places else 0):
+        column: Column = places[0][1][i][0]
+        rows = {n: cells[i][1] for n, cells in places}
+        values = {n: np.multiply(column.better, column.values(row)) for n, row in rows.items() if row}
+        known = {n: value for n, value in values.items() if np.isfinite(value).all()}
+        if column.better and len(known) > 1:
+            most = np.max(list(known.values()), axis=0)
+            is_any = column.better < 0 or most[0] > 0
+            found |= {(n, i) for n, value in known.items() if is_any and np.array_equal(value, most)}
+    return found
+
+
+def _tex_group(table: RecallTable, start: int) -> str:
+    """Returns the cell that names a group and spans its lines; ``name | map`` on two lines."""
+    group, count = table.lines[start].group, 0
+    while start + count < len(table.lines) and table.lines[start + count].group == group:
+        count += 1
+    name, _, map_name = group.partition(" | ")
+    cell = rf"\makecell[c]{{{tex(name)}\\\textit{{{tex(map_name)}}}}}" if map_name else tex(name)
+    return rf"\multirow{{{count}}}{{*}}{{{cell}}}" if count > 1 else cell
+
+
+def _grouped(table: RecallTable) -> list[tuple[str, Line]]:
+    befores = (None, *table.lines)
+    return [
+        ("" if before is not None and before.group == line.group else line.group_text(), line)
+        for before, line in zip(befores, table.lines, strict=False)
+    ]
+
+
+def _md(text: str) -> str:
+    return html.escape(plain_text(text), quote=False).replace("|", r"\|")
+
+
+def _pipes(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(map(_md, cells)) + " |"
+
+
+def _align(head: list[list[str]], body: list[list[str]], group: int, firsts: int) -> str:
+    """Returns rows in columns: ``firsts`` flush left, others right; the first head row spans ``group``."""
+    widths = [max(map(len, column)) for column in zip(head[1], *body, strict=True)]
+    for start in range(firsts, len(widths), group):
+        missing = len(head[0][start]) - (sum(widths[start : start + group]) + 2 * (group - 1))
+        widths[start + group - 1] += max(0, missing)
+
+    def line(row: list[str]) -> str:
+        cells = [
+            cell.ljust(width) if i < firsts else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        return "  ".join(cells).rstrip()
+
+    spans = [" " * (sum(widths[:firsts]) + 2 * (firsts - 1))]
+    for start in range(firsts, len(widths), group):
+        spans.append(head[0][start].center(sum(widths[start : start + group]) + 2 * (group - 1)))
+    ruler = "-" * (sum(widths) + 2 * (len(widths) - 1))
+    return "\n".join(["  ".join(spans).rstrip(), line(head[1]), ruler, *map(line, body)])

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from lodbench.checks import Check
+from lodbench.findings import Check
 from lodbench.harness import doctor
 
 

@@ -21,7 +21,7 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.geometry.similarity import Similarity
 from lodbench.harness.georeference import GeoreferenceRequest
-from lodbench.harness.georeference_start import rough_start
+from lodbench.harness.photo.flight_inputs import rough_start
 from lodbench.methods.registry import make_method
 from lodbench.photos.map_frame import MapFrame
 from lodbench.synthesis.flights import FlightsParams, open_flights

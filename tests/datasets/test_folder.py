@@ -14,8 +14,8 @@ from lodbench.datasets.pose_text import FoundPose, format_camera, format_pose, l
 from lodbench.datasets.prior_sources import UniformPrior, prior_digest, with_uniform_priors
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, CameraSigmas, EulerAngles, Pose
-from lodbench.harness.runs import queries_digest
-from lodbench.harness.runs.prepare import Preparation
+from lodbench.harness.runs.inputs import queries_digest
+from lodbench.harness.runs.queries import Preparation
 from tests.town import write_dataset
 
 POSE = "1 0 0 0 1 2 3"

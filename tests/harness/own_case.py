@@ -25,8 +25,8 @@ def make_own_case(folder: Path, shared_data: Path) -> Case:
 
 def run(capsys, command: str, *words) -> tuple[int, str, str]:
     code = main([*command.split(), *map(str, words)])
-    told = capsys.readouterr()
-    return code, told.out, told.err
+    reported = capsys.readouterr()
+    return code, reported.out, reported.err
 
 
 def init(capsys, case: Case, root: Path, *words) -> str:

@@ -1,4 +1,4 @@
-"""Methods that answer as they are told, and runs of them."""
+"""Methods that answer as a test sets them, and runs of them."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +16,7 @@ NAMES = ["view_00.png", "view_01.png", "view_02.png"]
 
 @dataclass
 class Scripted:
-    """Answers the prior, unless told to raise; notes what it was asked."""
+    """Answers the prior, unless set to raise; notes its queries."""
 
     name = "scripted"
     requires = frozenset()

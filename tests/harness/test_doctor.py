@@ -9,9 +9,9 @@ from importlib.resources import files
 import cv2
 import pytest
 
-from lodbench.checks import OK, Check
 from lodbench.errors import LodbenchError
-from lodbench.harness import doctor, doctor_probes
+from lodbench.findings import OK, Check
+from lodbench.harness import doctor
 from lodbench.harness.doctor import ABSENT, BROKEN, is_base_broken, run_probe
 from lodbench.plugins import plugin_names
 from tests.site_packages import write_package
@@ -52,10 +52,10 @@ def test_every_network_of_the_package_is_tried():
         assert check.status == OK, check
 
 
-def test_a_network_that_opencv_cannot_read_is_told(monkeypatch):
+def test_a_network_that_opencv_cannot_read_is_reported(monkeypatch):
     monkeypatch.setattr("cv2.dnn.readNetFromONNX", lambda *_: (_ for _ in ()).throw(cv2.error("no Reshape")))
     with pytest.raises(LodbenchError, match="not an ONNX network that OpenCV can read"):
-        doctor_probes.try_network("compact")
+        doctor.try_network("compact")
 
 
 def test_a_crash_is_reported(probe):
@@ -116,19 +116,19 @@ def test_packages_missing_and_old(monkeypatch):
     assert "open3d is not installed" in checks["render"].detail
 
 
-def test_plug_ins_of_one_name_are_told_with_their_packages(monkeypatch, tmp_path, capsys):
+def test_plug_ins_of_one_name_are_reported_with_their_packages(monkeypatch, tmp_path, capsys):
     for package in ("first", "second"):
         write_package(tmp_path, package, {"fits": {"same": f"{package}:Fit", package: "math:sqrt"}})
     monkeypatch.syspath_prepend(tmp_path)
     names = [name for name, _ in doctor._plugins_of_others() if name.startswith("fit ")]
     assert sorted(names) == ["fit first", "fit same of first 1.0", "fit same of second 1.0", "fit second"]
     for name in names:
-        doctor_probes.main(name)
-        told = json.loads(capsys.readouterr().out)
-        assert told["ok"] == ("same" not in name)
+        doctor.main(name)
+        reported = json.loads(capsys.readouterr().out)
+        assert reported["ok"] == ("same" not in name)
         if " of " in name:
             package = name.partition(" of ")[2]
-            assert f"of the package {package} is broken" in told["detail"]
+            assert f"of the package {package} is broken" in reported["detail"]
 
 
 def test_a_folder_that_cannot_be_written_to(monkeypatch, tmp_path):
@@ -154,7 +154,7 @@ def test_torchvision_that_does_not_fit_torch_is_explained(tmp_path):
         "Name: torchvision\nVersion: 0.28.0\n"
     )
     code = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
-    code += "from lodbench.harness.doctor_probes import main\n"
+    code += "from lodbench.harness.doctor import main\n"
     done = subprocess.run(
         [sys.executable, "-c", code + "main('torchvision')"], capture_output=True, text=True, timeout=120
     )

@@ -229,7 +229,7 @@ def test_what_a_hung_worker_was_at_is_done_again(tmp_path: Path, name: str) -> N
 
 @pytest.mark.nightly
 def test_a_worker_that_dask_gives_up_is_replaced(tmp_path: Path, monkeypatch) -> None:
-    """On a busy machine one that had died started too slowly; then nobody was left, and nobody told."""
+    """On a busy machine one that had died started too slowly; then nobody was left, and nobody said so."""
     pytest.importorskip("distributed")
     monkeypatch.setattr("lodbench.execution.executor._LOST_S", 0.01)
     monkeypatch.setattr("lodbench.execution.executor._REPLACE_S", 1)
@@ -316,7 +316,7 @@ def test_ctrl_c_is_answered_by_the_parent_alone(tmp_path: Path) -> None:
     assert work.stdout is not None
     assert any("at work" in line for line in work.stdout)
     os.killpg(work.pid, signal.SIGINT)
-    told, complaints = work.communicate(timeout=60)
-    assert "stopped" in told
+    reported, complaints = work.communicate(timeout=60)
+    assert "stopped" in reported
     assert "Process Dask Worker" not in complaints
     assert "KeyboardInterrupt" not in complaints

@@ -41,7 +41,7 @@ class TestFromPhotos:
         assert entry.image.is_file()
         assert any("no truth" in note for note in dataset.notes)
         # The dataset runs: without a truth there is a pose, and nothing is scored.
-        code, told, err = run(
+        code, reported, err = run(
             capsys,
             "run",
             "dataset=folder",
@@ -50,17 +50,17 @@ class TestFromPhotos:
             f"paths.runs={tmp_path / 'runs'}",
         )
         assert code == 0, err
-        assert "no true pose to compare with" not in told
+        assert "no true pose to compare with" not in reported
         (folder,) = (tmp_path / "runs/folder/lodlocv2").iterdir()
         found = read_poses(folder / "poses.txt")["DJI_0001.JPG"]
         assert pose_error(found, case.truth).translation_m < 2.0
         summary = json.loads((folder / "summary.json").read_text())
         assert summary["splits"]["town"]["num_queries"] == 0
         assert len(list((folder / "overlays").glob("*.png"))) == 1
-        code, told, err = run(capsys, "verify", folder)
-        assert code == 0, told + err
+        code, reported, err = run(capsys, "verify", folder)
+        assert code == 0, reported + err
         # And its poses go to a map.
-        code, told, err = run(
+        code, reported, err = run(
             capsys, "export", folder, "--format", "geojson", "--out", tmp_path / "a.geojson"
         )
         assert code == 0, err
@@ -171,7 +171,7 @@ class TestFromPhotos:
         out = init(capsys, case, tmp_path / "town", "--lod", "2", "--crs", "EPSG:25832+7837")
         assert " dataset.crs=EPSG:25832+7837 dataset.lod=2" in out.splitlines()[-1]
 
-    def test_flights_are_told_apart(self, capsys, tmp_path, case):
+    def test_flights_are_reported_apart(self, capsys, tmp_path, case):
         """A run of a method for flights took both for one."""
         photo = case.photo.read_bytes()
         for folder, clock in (("a", b"2023:10:18 11"), ("b", b"2023:10:18 15")):
@@ -365,12 +365,14 @@ class TestNoCommonView:
                 str(tmp_path / "photos" / name), np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
             )
         words = ["--images", tmp_path / "photos", "--city", city, "--colmap", tmp_path / "model"]
-        code, told, err = run(capsys, "dataset", "init", tmp_path / "all", *words)
-        assert (code, told.splitlines()[0].split(": ")[1][:8]) == (0, "3 images"), err
-        code, told, err = run(capsys, "dataset", "init", tmp_path / "apart", *words, "--no-common-view")
+        code, reported, err = run(capsys, "dataset", "init", tmp_path / "all", *words)
+        assert (code, reported.splitlines()[0].split(": ")[1][:8]) == (0, "3 images"), err
+        code, reported, err = run(capsys, "dataset", "init", tmp_path / "apart", *words, "--no-common-view")
         assert code == 0, err
-        assert "1 image," in told
-        assert told.count("its view meets that of view_00.png") == 2
-        code, told, err = run(capsys, "dataset", "init", tmp_path / "none", *words, "--no-common-view", "-3")
+        assert "1 image," in reported
+        assert reported.count("its view meets that of view_00.png") == 2
+        code, reported, err = run(
+            capsys, "dataset", "init", tmp_path / "none", *words, "--no-common-view", "-3"
+        )
         assert code == 2
         assert "--no-common-view" in err

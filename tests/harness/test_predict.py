@@ -1,5 +1,7 @@
-"""A method's life in a run: prepared once, asked, alone or in batches; faults are told and can be retried."""
+"""A method's life in a run: prepared once, alone or in batches; faults retried; finished runs kept."""
 
+import os
+import re
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +16,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, LodbenchError, QueryFault
 from lodbench.execution.executor import ExecutorParams
 from lodbench.harness import RunSettings, run_method
+from lodbench.harness.runs import gallery, predict
 from lodbench.harness.runs.gallery import write_overlays
 from lodbench.harness.runs.predict import _open_here
 from lodbench.methods import Estimate
@@ -39,10 +42,10 @@ def test_a_fault_of_the_code_is_its_query_s(dataset, tmp_path):
     assert NAMES[1] in kept.name
     assert "in localize" in kept.read_text()
     # It is on the screen too, once for each reason.
-    told = "\n".join(_failure_lines(done))
-    assert f"1 x ZeroDivisionError: no pixels: {done.queries.index[1]}" in told
-    assert told.count("Traceback (most recent call last)") == 1
-    assert "in localize" in told
+    reported = "\n".join(_failure_lines(done))
+    assert f"1 x ZeroDivisionError: no pixels: {done.queries.index[1]}" in reported
+    assert reported.count("Traceback (most recent call last)") == 1
+    assert "in localize" in reported
 
 
 @pytest.mark.parametrize(
@@ -109,7 +112,7 @@ class TestPreparation:
         assert len(folders) == 2
         assert made == [1, 1, 0]
 
-    def test_missing_weights_are_told_before_any_work(self, dataset, tmp_path):
+    def test_missing_weights_are_reported_before_any_work(self, dataset, tmp_path):
         with pytest.raises(ConfigError, match=r"no weights .*gone\.onnx"):
             run(Preparing(weights=tmp_path / "gone.onnx"), dataset, tmp_path)
         assert not (tmp_path / "runs").exists()
@@ -192,17 +195,17 @@ class TestSegmenters:
         assert [row.score for row in done.predictions.values()] == [2.0, 2.0, 2.0]
 
     def test_an_oracle_has_one_renderer(self, dataset, tmp_path, monkeypatch):
-        from lodbench.harness.runs import prepare
+        from lodbench.harness.runs import queries
         from lodbench.segmentation.oracle import NoisyOracle, NoisyOracleParams
 
         made = []
 
-        class Noted(prepare.SilhouetteRenderer):
+        class Noted(queries.SilhouetteRenderer):
             def __init__(self, *args, **settings):
                 made.append(1)
                 super().__init__(*args, **settings)
 
-        monkeypatch.setattr(prepare, "SilhouetteRenderer", Noted)
+        monkeypatch.setattr(queries, "SilhouetteRenderer", Noted)
         oracle, settings = NoisyOracle(NoisyOracleParams()), self.settings(Looking(), tmp_path)
         Once = type("Once", (Scripted,), {"requires": frozenset({"mask"})})
         Once.localize = lambda self, query, city_map, streams: Estimate(query.prior, query.mask.mean())
@@ -252,8 +255,8 @@ def test_flights_are_asked_whole_and_what_they_say_is_kept(dataset, tmp_path):
     done = run(method, flown, tmp_path)
     assert method.flights == [[NAMES[0]], NAMES[1:]]
     assert [found.pose is not None for found in done.predictions.values()] == [True] * 3
-    told = sorted(path.name for path in (done.folder / "flights").iterdir())
-    assert told == [f"{entries[0].split}-..%2Fwest.json", f"{entries[0].split}-east.json"]
+    reported = sorted(path.name for path in (done.folder / "flights").iterdir())
+    assert reported == [f"{entries[0].split}-..%2Fwest.json", f"{entries[0].split}-east.json"]
     # One photo's line is lost: its whole flight is asked again, the other is not.
     ledger = done.folder / "predictions.jsonl"
     lines = ledger.read_text().splitlines(keepends=True)
@@ -272,10 +275,10 @@ def test_a_flight_that_breaks_is_each_photo_s_failure(dataset, tmp_path):
 
     done = run(Breaking(), dataset, tmp_path)
     assert all("FlightEstimate of 3 photos" in reason for reason in failures(done))
-    # Where code raised is told once.
-    told = "\n".join(_failure_lines(done))
-    assert told.count("Traceback") == 1
-    assert "FlightEstimate of 3 photos" in told.splitlines()[-1]
+    # Where code raised is stated once.
+    reported = "\n".join(_failure_lines(done))
+    assert reported.count("Traceback") == 1
+    assert "FlightEstimate of 3 photos" in reported.splitlines()[-1]
 
 
 @pytest.mark.attack
@@ -293,3 +296,74 @@ def test_a_worker_of_other_code_cannot_begin(dataset, tmp_path, monkeypatch):
     assert failures(run(Scripted(), dataset, tmp_path, executor=ExecutorParams("dask"))) == ["", "", ""]
     with pytest.raises(LodbenchError, match="is not the command's"):
         _open_here(replace(sent[0], code=sent[0].code[::-1]))
+
+
+@pytest.fixture
+def words(tmp_path):
+    root, city = write_dataset(tmp_path / "data", count=2)
+    place = [f"dataset.root={root}", f"dataset.city_model={city}", f"paths.runs={tmp_path / 'runs'}"]
+    return ["run", "dataset=folder", *place, "method=prior_only"]
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """The pictures that are drawn, by name, and how often renderers were warmed up."""
+    names, real, warm = [], gallery.write_picture, predict._warm_up
+
+    def write_picture(path, picture):
+        names.append(path.name)
+        real(path, picture)
+
+    def warm_up(city_map):
+        names.append("warm-up")
+        warm(city_map)
+
+    monkeypatch.setattr(gallery, "write_picture", write_picture)
+    monkeypatch.setattr(predict, "_warm_up", warm_up)
+    return names
+
+
+def files_of(folder):
+    # Times and provenance are of each command.
+    apart = ("provenance.json", "timings.csv")
+    kept = [path for path in folder.rglob("*") if path.is_file() and path.name not in apart]
+    return {path.relative_to(folder): path.read_bytes() for path in kept}
+
+
+def test_a_second_time_draws_nothing_and_leaves_the_same_files(words, drawn, tmp_path, capsys):
+    assert main(words) == 0
+    assert drawn.count("warm-up") == 1
+    pictures = sorted(set(drawn) - {"warm-up"})
+    assert len(pictures) == 2
+    before = files_of(tmp_path / "runs")
+    drawn.clear()
+    first = capsys.readouterr().out
+    assert main(words) == 0
+    assert drawn == []
+    assert files_of(tmp_path / "runs") == before
+    second = re.sub(r" \(\d queries were there already\)", "", capsys.readouterr().out)
+    assert second == first
+
+
+def test_a_picture_that_is_gone_or_older_than_its_photo_or_answers_is_drawn_again(words, drawn, tmp_path):
+    assert main(words) == 0
+    first, second = sorted((tmp_path / "runs").rglob("overlays/*.png"))
+    before = files_of(tmp_path / "runs")
+    drawn.clear()
+    first.unlink()
+    assert main(words) == 0
+    assert drawn == [first.name]
+    drawn.clear()
+    os.utime(second, ns=(1, 1))
+    assert main(words) == 0
+    assert drawn == [second.name]
+    assert files_of(tmp_path / "runs") == before
+
+
+def test_pictures_are_drawn_again_where_the_rows_differ(words, drawn, tmp_path):
+    assert main(words) == 0
+    (rows,) = (tmp_path / "runs").rglob("queries.csv")
+    rows.write_text(rows.read_text().replace("prior_only", "x").replace("0", "1", 1))
+    drawn.clear()
+    assert main(words) == 0
+    assert len(drawn) == 2

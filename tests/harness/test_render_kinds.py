@@ -3,7 +3,7 @@ import pytest
 
 from lodbench.citymodel.scene import build_scene
 from lodbench.errors import ConfigError, RenderingError
-from lodbench.harness.render_kinds import KINDS, choose_renderer, column_runs, depth_in_centimetres
+from lodbench.harness.render import KINDS, choose_renderer, column_runs, depth_in_centimetres
 
 
 def test_depth_is_rounded_and_bounded():

@@ -1,4 +1,4 @@
-"""Runs from Python, as a notebook makes and shows them."""
+"""Runs from Python, as a notebook makes and shows them; scores of a grid shared out over workers."""
 
 import importlib.metadata
 import linecache
@@ -16,15 +16,20 @@ import lodbench
 from lodbench.cli import main
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.errors import ConfigError
+from lodbench.geometry import Camera, Pose, rotations_at_yaws
 from lodbench.harness import RunSettings, run_method
-from lodbench.harness import runs as module
-from lodbench.harness.runs import code_digest
+from lodbench.harness.runs import inputs as module
+from lodbench.harness.runs.inputs import code_digest
+from lodbench.harness.runs.predict import SharedScorer, score
 from lodbench.methods.registry import make_method
 from lodbench.plugins import PlugIn
+from lodbench.rendering import BoundaryFit, IouFit
+from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation.masks import MaskFiles, MasksParams
 from tests.harness.scripted import Flying, Scripted, run
+from tests.rendering.hostile_scenes import box, scene_of
 from tests.site_packages import write_package
-from tests.town import write_dataset
+from tests.town import BOXES, write_dataset
 
 
 def test_a_run_from_python_is_one_that_verifies_and_shows_itself(tmp_path, capsys):
@@ -33,7 +38,7 @@ def test_a_run_from_python_is_one_that_verifies_and_shows_itself(tmp_path, capsy
     assert repr(run).startswith("StoredRun(contour_alignment on folder, 2 queries")
     assert run.queries["translation_error_m"].max() < 2.0
     assert "<table" in run._repr_html_()
-    # The libraries that name its folder are told.
+    # The libraries that name its folder are stated.
     assert run.provenance["scipy"] == importlib.metadata.version("scipy")
     assert "opencv-python-headless" in run.provenance
     (name, picture), *_ = run.overlays.items()
@@ -65,7 +70,7 @@ def test_a_run_whose_queries_have_spaces_in_their_names_is_read_back(tmp_path):
     assert run.queries["translation_error_m"].notna().all()
 
 
-def test_a_method_named_is_told_of_the_true_tilt_as_by_the_command(tmp_path):
+def test_a_method_named_is_reported_of_the_true_tilt_as_by_the_command(tmp_path):
     """`lodbench run tilt=truth` leaves pitch and roll as they are: so must the same from Python."""
     root, city = write_dataset(tmp_path / "town", count=1)
     run = lodbench.run_method("contour_alignment", root, city=city, tilt="truth", runs=tmp_path / "runs")
@@ -141,8 +146,8 @@ class TestTheCodeThatNamesARun:
         source = tmp_path / "source"
         source.mkdir()
         (source / "more.py").write_text("MORE = 1\n")
-        told = f'{{"url":"{source.as_uri()}","dir_info":{{"editable":true}}}}'
-        (infos["deeper"] / "direct_url.json").write_text(told)
+        reported = f'{{"url":"{source.as_uri()}","dir_info":{{"editable":true}}}}'
+        (infos["deeper"] / "direct_url.json").write_text(reported)
         others = code_digest(method)
         (source / "more.py").write_text("MORE = 2\n")
         assert len({before, edited, again, others, code_digest(method)}) == 5
@@ -230,13 +235,13 @@ def test_what_takes_the_truth_is_not_asked_of_them_and_counts_as_no_answer(half_
     assert run.summary["splits"]["hidden"]["num_failed"] == 3
 
 
-def test_the_answers_of_a_split_without_a_truth_are_told(half_known, tmp_path, capsys):
+def test_the_answers_of_a_split_without_a_truth_are_reported(half_known, tmp_path, capsys):
     root, city = half_known
     words = ["dataset=folder", f"dataset.root={root}", f"city={city}", "method=prior_only"]
     assert main(["run", *words, f"paths.runs={tmp_path / 'runs'}"]) == 0
-    told = capsys.readouterr().out
-    assert "3 of 3 queries have an answer" in told
-    assert "hidden/view_00.png" in told
+    reported = capsys.readouterr().out
+    assert "3 of 3 queries have an answer" in reported
+    assert "hidden/view_00.png" in reported
 
 
 def test_rows_of_other_queries_have_another_protocol(tmp_path):
@@ -272,7 +277,7 @@ def test_what_ties_photos_together_names_the_folder_of_a_method_for_flights(data
 
 
 @pytest.mark.slow
-def test_flights_that_changed_since_are_told_by_verify(tmp_path, capsys):
+def test_flights_that_changed_since_are_reported_by_verify(tmp_path, capsys):
     root, city = write_dataset(tmp_path / "town", count=2)
     names = [entry.name for entry in open_folder(FolderParams(str(root), str(city))).entries]
     flights = root / "sequences.txt"
@@ -302,3 +307,45 @@ def test_masks_of_a_flight_are_held_no_larger_than_methods_need(dataset, tmp_pat
     settings = RunSettings(tmp_path / "runs", {"method": {"name": method.name}}, threads=1)
     run_method(method, dataset, Wide(MasksParams()), settings)
     assert shapes == [(903, 1204)] * 3
+
+
+CAMERA = Camera(96, 72, 90.0, 90.0, 48.0, 36.0)
+
+
+class Backwards:
+    """Workers in this process, the last of whom is done first."""
+
+    count = 3
+
+    def __init__(self) -> None:
+        self.items = 0
+
+    def map(self, work, items):
+        items = list(items)
+        self.items += len(items)
+        return map(work, reversed(items))
+
+
+def test_large_calls_are_shared_and_small_ones_are_not() -> None:
+    blocks = [box((w, s, b), (e - w, n - s, t - b)) for w, s, e, n, b, t in BOXES]
+    own, workers = SilhouetteRenderer(scene_of(*blocks), 1), Backwards()
+    shared = SharedScorer(own, workers, lambda part: score(own, part), part=16)
+    rng = np.random.default_rng(0)
+    centers = rng.uniform((-30, -30, 40), (30, 30, 90), (101, 3))
+    rotations = rotations_at_yaws(30.0, 0.0, rng.uniform(-180, 180, 101))
+    mask = own.render(CAMERA, Pose.from_center(rotations[3], centers[3]))
+    assert mask.any()
+    found, expected = (each.counts(CAMERA, rotations, centers, mask) for each in (shared, own))
+    assert np.array_equal(found.intersection, expected.intersection)
+    assert np.array_equal(found.union, expected.union)
+    assert len(set(expected.intersection)) > 10
+    assert workers.items == 7
+    for fit in (IouFit(mask), BoundaryFit(mask)):
+        assert np.array_equal(
+            shared.fit(CAMERA, rotations, centers, fit), own.fit(CAMERA, rotations, centers, fit)
+        )
+    assert workers.items == 21
+    shared.fit(CAMERA, rotations[:31], centers[:31], fit)
+    shared.counts(CAMERA, rotations[:31], centers[:31], mask)
+    assert workers.items == 21
+    assert shared.threads == own.threads

@@ -63,10 +63,10 @@ def test_as_read_at_once(tiles: Path, tmp_path: Path, executor: ExecutorParams) 
     assert_is(tmp_path / "a.scene", tiles)
     assert steps[-1] == (13, 13)
     assert not (tmp_path / "a.scene.parts").exists()
-    told = scene_info(tmp_path / "a.scene")
-    assert (told["buildings"], told["tiles"], told["triangles"]) == (24, 13, 24 * 12)
-    assert told["extent_m"] == [1130.0, 10.0, 6.0]
-    assert told["findings"]["LB211 FILE_SKIPPED"] == 1
+    reported = scene_info(tmp_path / "a.scene")
+    assert (reported["buildings"], reported["tiles"], reported["triangles"]) == (24, 13, 24 * 12)
+    assert reported["extent_m"] == [1130.0, 10.0, 6.0]
+    assert reported["findings"]["LB211 FILE_SKIPPED"] == 1
 
 
 def test_an_archive(tiles: Path, tmp_path: Path) -> None:

@@ -19,9 +19,9 @@ from lodbench.datasets.exchange.colmap import read_colmap_points
 from lodbench.datasets.pose_text import read_poses
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera
-from lodbench.harness.tracing import TraceRequest, View, parse_tracing, read_tracing
-from lodbench.harness.tracing.outputs import TraceServer, footprints_of
-from lodbench.harness.tracing.solve import Model, ground_height
+from lodbench.harness.tracing.outputs import TraceServer, footprints_of, parse_tracing, read_tracing
+from lodbench.harness.tracing.roofs import View
+from lodbench.harness.tracing.solve import Model, TraceRequest, ground_height
 from tests.tracing_case import CAMERA, poses, roofs, sparse_points, traced_by_hand, write_case
 
 

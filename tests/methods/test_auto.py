@@ -10,11 +10,11 @@ from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.harness.conformance.trial import make_trial
 from lodbench.methods import Estimate
 from lodbench.methods import auto as module
 from lodbench.methods.assessment import assessed
 from lodbench.methods.auto import Auto, AutoParams
-from lodbench.methods.conformance.trial import make_trial
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.region import Region
 from lodbench.storage import random_stream

@@ -12,7 +12,7 @@ import lodbench
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, LodbenchError, QueryFault
 from lodbench.evaluation import pose_error
-from lodbench.methods.conformance import check_answers, check_class
+from lodbench.harness.conformance.methods import check_answers, check_class
 from lodbench.methods.lodlocv2 import LodLocV2, LodLocV2Params
 from lodbench.methods.registry import changed_settings, configure_method, make_method
 from lodbench.photos.pictures import encoded

@@ -8,8 +8,8 @@ import pytest
 
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.reporting.summaries import read_summary, with_seconds, with_settings
-from lodbench.reporting.table_formats import FORMATS, format_csv, format_text
-from lodbench.reporting.tables import names_of, tables_of
+from lodbench.reporting.table_heads import names_of
+from lodbench.reporting.tables import FORMATS, format_csv, format_text, tables_of
 
 
 def summary(variant: str, recall: float, tilt: str = "truth", queries: str = "q", masks: str = "m") -> dict:
@@ -116,7 +116,7 @@ def test_a_summary_of_another_form_is_one_line(tmp_path, place, value):
     assert len(fault.value.message) < 600
 
 
-def test_runs_of_one_method_are_told_apart_by_what_differs():
+def test_runs_of_one_method_are_reported_apart_by_what_differs():
     runs = [summary("full", 90.0), summary("full", 95.0)]
     for run, steps in zip(runs, (40, 5), strict=True):
         run["method"]["params"] = {"steps": steps, "beams": 2}

@@ -19,7 +19,7 @@ from lodbench.datasets.inputs import (
     with_inputs,
 )
 from lodbench.errors import ConfigError, QueryFault
-from lodbench.harness.runs.prepare import Preparation
+from lodbench.harness.runs.queries import Preparation
 from lodbench.harness.runs.requirements import required_inputs
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.rendering.raster import RasterRenderer

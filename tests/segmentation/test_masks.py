@@ -23,7 +23,7 @@ from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, DatasetError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.harness import RunSettings, run_method
-from lodbench.harness.runs.prepare import Preparation
+from lodbench.harness.runs.queries import Preparation
 from lodbench.harness.runs.requirements import require_surfaces
 from lodbench.methods.lodlocv2 import LodLocV2, LodLocV2Params
 from lodbench.rendering.raster import RasterRenderer

@@ -1,5 +1,1 @@
-"""Does a plug-in keep to the protocol of its kind? Looked at rule by rule, on a scene of a few blocks."""
-
-from lodbench.harness.conformance.checks import CHECKED, check_plugin
-
-__all__ = ["CHECKED", "check_plugin"]
+"""Does a plug-in conform to the protocol of its kind? Assessed rule by rule, on a scene of a few blocks."""

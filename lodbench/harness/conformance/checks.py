@@ -1,4 +1,4 @@
-"""The checks of every kind of plug-in but methods, which have their own: ``lodbench.methods.conformance``."""
+"""The checks of every kind of plug-in, by kind; those of methods are in ``methods``."""
 
 from __future__ import annotations
 
@@ -8,15 +8,18 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from lodbench.checks import FAULT, OK, Check
 from lodbench.errors import STOPPED, ConfigError, LodbenchError
+from lodbench.findings import FAULT, OK, Check
 from lodbench.harness.conformance.data import (
     command_rules,
     dataset_rules,
     export_rules,
+    fit_rules,
     metric_rules,
     pose_format_rules,
     prior_rules,
+    reader_rules,
+    renderer_rules,
 )
 from lodbench.harness.conformance.pictures import (
     extractor_rules,
@@ -25,15 +28,7 @@ from lodbench.harness.conformance.pictures import (
     segmenter_rules,
     solver_rules,
 )
-from lodbench.harness.conformance.trial import (
-    Rules,
-    Tried,
-    check_rules,
-    fit_rules,
-    reader_rules,
-    renderer_rules,
-    trial_dataset,
-)
+from lodbench.harness.conformance.trial import Rules, Tried, check_in_order, trial_dataset
 from lodbench.params import to_params
 from lodbench.plugins import PlugIn
 
@@ -95,7 +90,7 @@ def check_plugin(
             return params if plug_in.group == "priors" else part(params)
 
         tried = Tried(part, plug_in.name, config, make, Path(folder), scene, dataset, sample)
-        yield from check_rules(CHECKED[plug_in.group](tried))
+        yield from check_in_order(CHECKED[plug_in.group](tried))
 
 
 def require_settings(plug_in: PlugIn, config: Mapping[str, Any]) -> None:
@@ -126,7 +121,6 @@ def _params_type_of(group: str, part: Any) -> Any:
 
 
 def _params_of(params_type: Any, config: Mapping[str, Any], section: str) -> Any:
-    """Returns parameters filled from a configuration."""
     return to_params(
         {key: value for key, value in config.items() if _has(params_type, key)}, params_type, section
     )
@@ -138,7 +132,6 @@ def _has(params_type: Any, key: str) -> bool:
 
 
 def _parameters(kind: Any) -> Check:
-    """Returns whether parameters are a frozen dataclass."""
     if not (isinstance(kind, type) and is_dataclass(kind)):
         return Check("plug-in", "parameters", FAULT, f"{kind!r} is no dataclass", "Use a frozen dataclass.")
     if not kind.__dataclass_params__.frozen:  # type: ignore[attr-defined]

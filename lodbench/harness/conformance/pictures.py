@@ -314,7 +314,6 @@ def _masks(tried: Tried, provides: Sequence[Input]) -> str:
 
 
 def _answer(tried: Tried, segmenter: Any, kind: Input, entry: Entry) -> NDArray[Any] | str:
-    """Returns the masks of a photo, or why there are none."""
     masks: NDArray[Any]
     try:
         if kind == Input.INSTANCES and isinstance(segmenter, MapGuidedInstanceSegmenter):
@@ -360,7 +359,6 @@ def _fingerprint(tried: Tried, provides: Sequence[Input]) -> str:
 
 
 def _repainted(tried: Tried) -> tuple[Entry, ...]:
-    """Returns the queries with other photos of the same names."""
     folder = tried.folder / "repainted"
     folder.mkdir(exist_ok=True)
     changed = []

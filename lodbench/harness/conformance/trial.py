@@ -1,32 +1,39 @@
-"""What plug-ins are tried on, seven blocks and three photos of them; rules of what works on the city."""
+"""What parts and methods are tried on: a few blocks, photos of them, queries; and how rules are looked at."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from lodbench.checks import FAULT, OK, Check, fault_of
+from lodbench.citymap import CityMap
 from lodbench.citymodel.extrude import scene_of_blocks
-from lodbench.citymodel.meshing import mesh_model
-from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.polygons import finish_model
-from lodbench.citymodel.raw import RawCity
+from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.source import Source, open_sources
-from lodbench.datasets.inputs import Input
-from lodbench.datasets.query import Dataset, Entry
-from lodbench.errors import STOPPED, LodbenchError
+from lodbench.datasets.inputs import Input, declared_inputs, masks_of_labels
+from lodbench.datasets.query import Dataset, Entry, Query, Reference
+from lodbench.errors import STOPPED, LodbenchError, QueryFault
+from lodbench.findings import FAULT, OK, Check, fault_of
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.methods.conformance.rules import Violation
-from lodbench.methods.conformance.trial import BLOCKS, TRUTHS
-from lodbench.rendering import DEPTH, LayerRenderer, open_renderer
-from lodbench.rendering.masks import pack_mask
+from lodbench.methods.localize import localize_query
+from lodbench.methods.protocol import Estimate, Method, Streams, SupportsPrepare, Workspace
+from lodbench.rendering import LayerRenderer, open_renderer
+from lodbench.storage import random_stream
+
+
+class Violation(Exception):
+    """A rule is not kept."""
+
+    def __init__(self, detail: str, hint: str = "") -> None:
+        super().__init__(detail)
+        self.hint = hint
+
 
 # No multiple of 64 wide: packed rows end within a word.
 CAMERA = Camera(310, 230, 231.0, 229.0, 156.5, 113.0)
@@ -67,22 +74,51 @@ class Tried:
         return [self.dataset.truth[entry.key] for entry in self.entries]
 
 
+class Rule(NamedTuple):
+    """A rule of a protocol.
+
+    Attributes:
+        title: What it is called.
+        check: Returns how it is kept, or raises a violation.
+        needs: Title of a rule without which it says nothing.
+        on_purpose: What to do where something else was raised on purpose.
+        ends: Whether nothing is to be said of the others where it is violated.
+    """
+
+    title: str
+    check: Callable[[], str]
+    needs: str = ""
+    on_purpose: str = ""
+    ends: bool = False
+
+
 Rules = Sequence[tuple[str, Callable[[], str]]]
 
 
-def check_rules(rules: Rules) -> Iterator[Check]:
-    """Yields how each rule is kept, up to the first that is not: the others build on it."""
-    for title, rule in rules:
-        try:
-            yield Check("answers", title, OK, rule())
+def check_rules(rules: Iterable[Rule], section: str = "answers") -> Iterator[Check]:
+    """Yields how each rule is kept, but for those that need one that is not."""
+    broken = set()
+    for rule in rules:
+        if rule.needs in broken:
             continue
+        try:
+            check = Check(section, rule.title, OK, rule.check())
         except Violation as violation:
-            yield Check("answers", title, FAULT, str(violation), violation.hint)
+            check = Check(section, rule.title, FAULT, str(violation), violation.hint)
         except STOPPED:
             raise
         except BaseException as error:  # a plug-in may raise anything: that is the finding
-            yield fault_of(error, "answers", title)
-        return
+            check = fault_of(error, section, rule.title, rule.on_purpose)
+        yield check
+        if check.status != OK:
+            if rule.ends:
+                return
+            broken.add(rule.title)
+
+
+def check_in_order(rules: Rules) -> Iterator[Check]:
+    """Yields how each rule is kept, up to the first that is not: the others build on it."""
+    return check_rules(Rule(*rule, ends=True) for rule in rules)
 
 
 def require(is_kept: bool | np.bool_, detail: str, hint: str = "") -> None:
@@ -112,12 +148,10 @@ def refuses(call: Callable[[], object], what: str) -> str:
 
 def trial_dataset(folder: Path) -> tuple[Scene, Dataset]:
     """Returns the blocks, and a dataset of three views; photos and masks are written to a folder."""
-    scene = scene_of_blocks(BLOCKS)
+    scene = scene_of_blocks(_BLOCKS)
     painter = cast("LayerRenderer", open_renderer("raster", scene, 1))
     entries, truth = [], {}
-    for k, (pitch, roll, yaw, *center) in enumerate(TRUTHS):
-        pose = Pose.from_euler(EulerAngles(pitch, roll, yaw), center)
-        prior = Pose.from_euler(EulerAngles(pitch, roll, yaw + 3.0), pose.center + np.array([5.0, -4.0, 6.0]))
+    for k, (pose, prior) in enumerate(_truths_and_priors()):
         photo, mask = folder / f"view_{k}.png", folder / f"mask_{k}.png"
         cv2.imwrite(str(photo), painter.draw(CAMERA, pose).colour[:, :, ::-1])
         cv2.imwrite(str(mask), painter.render(CAMERA, pose).astype(np.uint8) * 255)
@@ -126,144 +160,198 @@ def trial_dataset(folder: Path) -> tuple[Scene, Dataset]:
     return scene, Dataset("trial", "", folder, None, None, ("trial",), tuple(entries), truth)
 
 
-# Pixels on the outline may be drawn or not: no more of all than this.
-_MOST_DIFFERENT = 0.01
+# West, south, east, north, base, top, metres: nothing repeats, so that every pose is unique.
+_BLOCKS = (
+    (-72.0, -48.0, -40.0, -12.0, 0.0, 16.0),
+    (-14.0, -60.0, 10.0, -44.0, 1.0, 33.0),
+    (34.0, -38.0, 66.0, -2.0, 0.0, 11.0),
+    (-50.0, 8.0, -31.0, 56.0, 0.0, 22.0),
+    (-4.0, 2.0, 20.0, 27.0, 2.0, 38.0),
+    (38.0, 24.0, 60.0, 70.0, 0.0, 14.0),
+    (-76.0, 66.0, -12.0, 82.0, 1.0, 8.0),
+)
+# Far from zero, as map coordinates are: an answer in another frame than the query's shows at once.
+_ORIGIN = np.array([281_000.0, 5_657_000.0, 60.0])
+_QUERY_CAMERA = Camera(320, 240, 231.0, 229.0, 161.5, 118.0)
+# Pitch, roll, yaw (degrees) and x, y, z (metres) of the cameras; the priors are off by a fixed step.
+_TRUTHS = (
+    (22.0, 0.4, -70.0, 4.0, 9.0, 121.0),
+    (31.0, -0.3, 25.0, -11.0, 3.0, 128.0),
+    (26.0, 0.2, 140.0, 8.0, -10.0, 133.0),
+)
+_REFERENCES = (
+    (24.0, 0.0, -60.0, 9.0, 5.0, 124.0),
+    (28.0, 0.0, 30.0, -6.0, -2.0, 126.0),
+    (25.0, 0.0, 150.0, 3.0, -4.0, 130.0),
+)
+_PRIOR_OFF_M, _PRIOR_OFF_YAW_DEG = np.array([5.0, -4.0, 6.0]), 3.0
+# Of the textured map: side of a speckled square, metres, and how far the ground reaches.
+_SPECKLES_M, _GROUND_M = 25.0, 160.0
 
 
-def reader_rules(tried: Tried) -> Rules:
-    """Returns the rules of a reader of city models, and of a format."""
-    reads = getattr(tried.part, "read", tried.part)
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """A map, and queries with exact masks.
 
-    def garbage() -> str:
-        def read(data: bytes) -> object:
-            return reads(Source("garbage", lambda: io.BytesIO(data), Path("garbage")), ReadOptions())
+    Attributes:
+        city_map: The map, on one thread.
+        queries: Each with a photo.
+        truths: Their true poses, scene frame; no method sees them.
+        references: Pictures of the place.
+        folder: For what methods prepare.
+    """
 
-        refuses(lambda: read(b"\x00\xff" * 3000), "a file of bytes")
-        return refuses(lambda: read(b"neither here nor there\n"), "a file of words")
+    city_map: CityMap
+    queries: tuple[Query, ...]
+    truths: tuple[Pose, ...]
+    references: tuple[Reference, ...]
+    folder: Path
 
-    def scene() -> str:
-        if tried.sample is None:
-            return "not tried: name a file with --sample FILE"
-        digests = []
-        for _ in range(2):
-            raw = reads(open_sources(tried.sample)[0], ReadOptions())
-            require(isinstance(raw, RawCity), f"it returned {type(raw).__name__}", "Return RawCity.")
-            digests.append((mesh := mesh_model(finish_model(raw, ReadOptions()), None)).scene.digest())
-        require(digests[0] == digests[1], "another city of the same file")
-        low, high = mesh.scene.extent_m
-        size = " x ".join(f"{side:.0f}" for side in high - low)
-        return f"{mesh.scene.num_buildings} buildings, {size} m, the same again"
-
-    return [("no city", garbage), ("sample", scene)]
+    def prepared(self, method: Method) -> Method:
+        """Returns a method that has prepared, if it does."""
+        if isinstance(method, SupportsPrepare):
+            method.prepare(self.city_map, self.references, Workspace(self.folder / "workspace"))
+        return method
 
 
-def renderer_rules(tried: Tried) -> Rules:
-    """Returns the rules of a renderer."""
-    renderer = _Once(lambda: tried.part(tried.scene, 1))
+@dataclass(frozen=True, slots=True, eq=False)
+class TrialAnswers:
+    """What a method answered in the trial."""
 
-    def same_again() -> str:
-        before = tried.scene.vertices.copy(), tried.scene.triangles.copy()
-        fresh = tried.part(tried.scene, 2)
-        for pose in tried.truths:
-            same = np.array_equal(fresh.render(CAMERA, pose), renderer().render(CAMERA, pose))
-            require(same, "another silhouette from two threads, or in another order")
-        unchanged = np.array_equal(before[0], tried.scene.vertices) & np.array_equal(
-            before[1], tried.scene.triangles
-        )
-        require(unchanged, "the scene was written to", "Work on a copy.")
-        return "made anew and with two threads, the same to the bit; the scene is only read"
+    trial: Trial
+    by_name: dict[str, Estimate | QueryFault] = field(default_factory=dict)
+    seconds: float = 0.0
 
-    def away() -> str:
-        far = Pose.from_center(tried.truths[0].rotation, np.array([9e4, 9e4, 120.0]))
-        require(not renderer().render(CAMERA, far).any(), "a silhouette where no building is in view")
-        return "nothing is drawn where no building is in view"
-
-    def not_finite() -> str:
-        broken = Pose(tried.truths[0].rotation, np.array([0.0, np.nan, 0.0]))
-        return refuses(lambda: renderer().render(CAMERA, broken), "a pose that is not finite")
-
-    return [
-        ("silhouettes", lambda: _silhouettes(tried, renderer())),
-        ("same again", same_again),
-        ("nothing in view", away),
-        ("depth", lambda: _depth(tried, renderer()) if hasattr(tried.part, DEPTH) else "not offered"),
-        ("no pose", not_finite),
-    ]
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """Returns the answers that are one."""
+        return {name: found for name, found in self.by_name.items() if isinstance(found, Estimate)}
 
 
-def _silhouettes(tried: Tried, renderer: Any) -> str:
-    reference, worst = open_renderer("reference", tried.scene, 1), 0.0
-    for pose in tried.truths:
-        drawn = renderer.render(CAMERA, pose)
-        size = (CAMERA.height, CAMERA.width)
-        require(
-            drawn.shape == size and drawn.dtype == np.bool_, f"{drawn.shape} {drawn.dtype}", "(H, W) bool"
-        )
-        worst = max(worst, float(np.mean(drawn != reference.render(CAMERA, pose))))
-    require(worst <= _MOST_DIFFERENT, f"{100 * worst:.2f} % of the pixels are not the reference's")
-    return f"(H, W) bool; {100 * worst:.2f} % of the pixels at most are not the reference's"
+def make_trial(folder: Path, method: object) -> Trial:
+    """Returns the trial of a method; its pictures are written to a folder.
+
+    A query has a mask only for a method that requires one; so has the map its textures, which photos then
+    show in another light.
+    """
+    scene = scene_of_blocks(_BLOCKS, _ORIGIN)
+    requires = declared_inputs(method, "requires", {Input.MASK})
+    is_textured = Input.TEXTURED_MAP in requires
+    city_map = CityMap(scene, threads=1, textured=_speckled(scene) if is_textured else None)
+    painter = cast("LayerRenderer", open_renderer("raster", scene, 1))
+    has_mask = Input.MASK in requires
+
+    def picture(name: str, pose: Pose) -> Path:
+        if is_textured:
+            colour = city_map.colour(_QUERY_CAMERA, pose.rotation[None], pose.center[None])[0]
+            colour = (0.7 * colour + 12).astype(np.uint8)
+        else:
+            colour = painter.draw(_QUERY_CAMERA, pose).colour
+        cv2.imwrite(str(folder / name), colour[:, :, ::-1])
+        return folder / name
+
+    queries, truths = [], []
+    for k, (truth, prior) in enumerate(_truths_and_priors()):
+        photo = picture(f"view_{k}.png", truth)
+        mask = _silhouette(city_map, truth) if has_mask else None
+        instances = _instances(city_map, truth) if Input.INSTANCES in requires else None
+        query = Query(photo.name, "trial", _QUERY_CAMERA, prior, mask, photo, (prior,), instances=instances)
+        if Input.CLASSES in requires:
+            (classes,) = city_map.classes(_QUERY_CAMERA, truth.rotation[None], truth.center[None])
+            query = replace(query, classes=classes)
+        if Input.MASK_ON_DEMAND in requires:
+            query = replace(query, segment=partial(_silhouette, city_map, truth))
+        if Input.TRUE_PIXELS in requires:
+            query = replace(query, true_pixels=partial(_pixels, truth))
+        queries.append(query)
+        truths.append(truth)
+    references = []
+    for k, (pitch, roll, yaw, *center) in enumerate(_REFERENCES):
+        pose = Pose.from_euler(EulerAngles(pitch, roll, yaw), center)
+        name = f"reference_{k}.png"
+        references.append(Reference(name, picture(name, pose), _QUERY_CAMERA, pose))
+    return Trial(city_map, tuple(queries), tuple(truths), tuple(references), folder)
 
 
-def _depth(tried: Tried, renderer: Any) -> str:
-    pose = tried.truths[0]
-    found, mask = renderer.depth(CAMERA, pose), renderer.render(CAMERA, pose)
-    require(found.shape == mask.shape and found.dtype == np.float32, f"{found.shape} {found.dtype}")
-    differing = float(np.mean((found > 0) != mask))
-    require(
-        differing <= _MOST_DIFFERENT, f"{100 * differing:.1f} % of the pixels: depth here, silhouette not"
-    )
-    return f"{found[found > 0].min():.1f} to {found.max():.1f} m, 0 beside the buildings"
+def _truths_and_priors() -> Iterator[tuple[Pose, Pose]]:
+    for pitch, roll, yaw, *center in _TRUTHS:
+        truth = Pose.from_euler(EulerAngles(pitch, roll, yaw), center)
+        angles = EulerAngles(pitch, roll, yaw + _PRIOR_OFF_YAW_DEG)
+        yield truth, Pose.from_euler(angles, truth.center + _PRIOR_OFF_M)
 
 
-class _Once:
-    """Makes something when it is first requested, and keeps it."""
-
-    def __init__(self, make: Any) -> None:
-        self._make, self._made = make, None
-
-    def __call__(self) -> Any:
-        if self._made is None:
-            self._made = self._make()
-        return self._made
+def _silhouette(city_map: CityMap, pose: Pose, _guide: Pose | None = None) -> NDArray[np.float32]:
+    return np.asarray(city_map.render(_QUERY_CAMERA, pose), dtype=np.float32)
 
 
-def fit_rules(tried: Tried) -> Rules:
-    """Returns the rules of a fit."""
-    engine = open_renderer("silhouette", tried.scene, 1)
-    mask = engine.render(CAMERA, tried.truths[0])
-    moved = [tried.truths[0].shifted([step, -step, 0.0]) for step in (0.0, 3.0, 15.0, 60.0, 9e4)]
-    words = np.stack([pack_mask(engine.render(CAMERA, pose)) for pose in moved])
-    probability = mask.astype(np.float32)
-    size = (CAMERA.width, CAMERA.height)
-    # A fit of photos gets one in which buildings are lighter than the ground.
-    photo = np.random.default_rng(0).integers(40, 120, (*mask.shape, 3)).astype(np.uint8)
-    photo[mask] += 100
-    given = (photo, size) if getattr(tried.part, "input", Input.MASK) == Input.IMAGE else (probability,)
-    before_given = given[0].copy()
+def _instances(city_map: CityMap, pose: Pose) -> NDArray[np.bool_]:
+    (visible,) = city_map.buildings(_QUERY_CAMERA, pose.rotation[None], pose.center[None])
+    return masks_of_labels(visible + 1)
 
-    def values() -> str:
-        fit = tried.part(*given)
-        require(tuple(fit.size) == size, f"size is {fit.size}: width, then height")
-        found = np.asarray(fit(words))
-        require(
-            found.shape == (5,) and found.dtype == np.float64, f"{found.shape} {found.dtype}", "(N,) float64"
-        )
-        require(np.isfinite(found).all() and found.min() >= 0 and found.max() <= 1, f"{found}: not in [0, 1]")
-        require(found[0] >= found.max(), f"the mask itself fits {found[0]:.3f}, another {found.max():.3f}")
-        require(found[-1] == 0, f"nothing fits {found[-1]:.3f}", "Nothing in common is 0.")
-        return (
-            f"{found[0]:.3f} at the truth, "
-            + ", ".join(f"{value:.3f}" for value in found[1:])
-            + " further off"
-        )
 
-    def alone() -> str:
-        fit, before = tried.part(*given), words.copy()
-        batch, single = fit(words), [fit(words[k : k + 1])[0] for k in range(5)]
-        require(np.array_equal(batch, single), "other values one by one than together", "Count in integers.")
-        require(np.array_equal(batch, tried.part(*given)(words)), "other values when made anew")
-        require(np.array_equal(before, words), "the words were written to", "Work on a copy.")
-        require(np.array_equal(given[0], before_given), "its query was written to", "Work on a copy.")
-        return "one by one, together and made anew, the same to the bit; what it is given is only read"
+def _pixels(pose: Pose, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return _QUERY_CAMERA.project((points - pose.center) @ pose.rotation.T)
 
-    return [("values", values), ("same again", alone)]
+
+def _speckled(scene: Scene) -> TexturedMesh:
+    """Returns the blocks and level ground with a picture of speckles on all of them."""
+    far = _GROUND_M
+    a, b, c, d = (-far, -far, 0.0), (far, -far, 0.0), (far, far, 0.0), (-far, far, 0.0)
+    ground = np.array([(a, b, c), (a, c, d)])
+    corners = np.concatenate([scene.vertices[scene.triangles].astype(np.float64), ground])
+    noise = random_stream(0, "trial", "speckles").normal(size=(256, 256, 3))
+    speckles = cv2.GaussianBlur(noise, (0, 0), 2.2)
+    picture = np.clip(128 + 450 * speckles, 0, 255).astype(np.uint8)
+    uv = np.stack([corners @ (1.0, 0.2, 0.3), corners @ (0.1, 1.0, -0.9)], axis=-1) / _SPECKLES_M
+    count = len(corners)
+    blank = np.zeros((count, 3, 3), np.uint8)
+    return TexturedMesh(corners, uv, np.zeros(count, np.int32), blank, (picture,))
+
+
+def streams_of(query: Query, seed: int = 0) -> Streams:
+    """Returns the random streams of a query, made anew."""
+    return partial(random_stream, seed, "trial", query.name)
+
+
+def ask(method: Method, trial: Trial, query: Query, seed: int = 0) -> Estimate | QueryFault:
+    """Returns a method's answer to a query, from streams and a mask made anew.
+
+    Raises:
+        Exception: Whatever the method raises that is no ``QueryFault``.
+    """
+    mask = None if query.building_probability is None else query.building_probability.copy()
+    query = replace(query, building_probability=mask)
+    try:
+        return localize_query(method, query, trial.city_map, streams_of(query, seed))
+    except QueryFault as fault:
+        return fault
+
+
+class Killed(Exception):
+    """Stands for the end of a process in the middle of a part."""
+
+
+class WatchedWorkspace(Workspace):
+    """A workspace that notes which parts were requested, and which were made.
+
+    Its process ends within the part of number ``ends_at``, counted from 0, if that is given.
+    """
+
+    def __init__(self, folder: Path, ends_at: int | None = None) -> None:
+        super().__init__(folder)
+        self._ends_at = ends_at
+        self.requested: list[str] = []
+        self.made: list[str] = []
+
+    def part(self, name: str, make: Callable[[Path], None]) -> Path:
+        """Returns a part, and notes it; does not come back from the last one."""
+
+        def half(path: Path) -> None:
+            make(path)
+            raise Killed
+
+        is_last = self._ends_at is not None and len(self.requested) >= self._ends_at
+        self.requested.append(name)
+        if not (self.folder / name).exists():
+            self.made.append(name)
+        return super().part(name, half if is_last else make)

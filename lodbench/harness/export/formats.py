@@ -201,6 +201,7 @@ _OMEGA_PHI_KAPPA = (
 class _Poses:
     """A format of poses alone, written by a function of poses, path and, where it is required, CRS."""
 
+    file_name: str
     requires: tuple[str, ...] = ()
     writer: ClassVar[Any]
 
@@ -209,59 +210,41 @@ class _Poses:
         type(self).writer(export.poses(), path, *([export.crs] if CRS in self.requires else []))
 
 
-class Colmap(_Poses):
-    """COLMAP's text model: a folder of cameras and images."""
-
-    file_name, requires, writer = "colmap", (DATASET,), write_colmap
-    require_room = staticmethod(require_no_binary)
-
-
-class Kapture(_Poses):
-    """kapture's folder of sensors and trajectories."""
-
-    file_name, requires, writer = "kapture", (DATASET,), write_kapture
-
-
-class Nerfstudio(_Poses):
-    """nerfstudio's ``transforms.json``: cameras and camera-to-world matrices."""
-
-    file_name, requires, writer = "transforms.json", (DATASET,), write_nerfstudio
-
-
-class Tum(_Poses):
-    """The trajectories of the TUM benchmark: a line per pose, camera to world."""
-
-    file_name, writer = "poses.tum", write_tum
-
-
-class VisualLocalization(_Poses):
-    """The lines that visuallocalization.net takes: a pose each, world to camera."""
-
-    file_name, writer = "visuallocalization.txt", write_lines
-
-
-class Pix4D(_Poses):
-    """Pix4D's calibrated external camera parameters: centre, omega, phi, kappa."""
-
-    file_name, writer = "calibrated_external_camera_parameters.txt", write_pix4d
-    convention = _OMEGA_PHI_KAPPA
-
-
-class Metashape(_Poses):
-    """The reference text that Metashape imports: centre, yaw, pitch, roll."""
-
-    file_name, requires, writer = "metashape_reference.txt", (CRS,), write_metashape
-    convention = (
-        "yaw from grid north, pitch 0 straight down and 90 level, roll about the picture's vertical axis; "
-        f"{_OF_CSV}"
+def _poses(of: str, file_name: str, writer: Any, *requires: str, **more: Any) -> type[_Poses]:
+    """Returns the format of a program, ``of``."""
+    return type(
+        "Poses",
+        (_Poses,),
+        {"__doc__": of, "file_name": file_name, "requires": requires, "writer": writer, **more},
     )
 
 
-class Odm(_Poses):
-    """OpenDroneMap's ``geo.txt``: centre, omega, phi, kappa."""
-
-    file_name, requires, writer = "geo.txt", (CRS,), write_odm
-    convention = _OMEGA_PHI_KAPPA
+Colmap = _poses(
+    "COLMAP's text model: a folder of cameras and images.", "colmap", write_colmap, DATASET,
+    require_room=staticmethod(require_no_binary),
+)  # fmt: skip
+Kapture = _poses("kapture's folder of sensors and trajectories.", "kapture", write_kapture, DATASET)
+Nerfstudio = _poses(
+    "nerfstudio's cameras and camera-to-world matrices.", "transforms.json", write_nerfstudio, DATASET
+)
+Tum = _poses("Trajectories of the TUM benchmark: a line per pose, camera to world.", "poses.tum", write_tum)
+VisualLocalization = _poses(
+    "Lines of visuallocalization.net: a pose each, world to camera.", "visuallocalization.txt", write_lines
+)
+Pix4D = _poses(
+    "Pix4D's calibrated external camera parameters: centre, omega, phi, kappa.",
+    "calibrated_external_camera_parameters.txt", write_pix4d, convention=_OMEGA_PHI_KAPPA,
+)  # fmt: skip
+Metashape = _poses(
+    "The reference text that Metashape imports: centre, yaw, pitch, roll.",
+    "metashape_reference.txt", write_metashape, CRS,
+    convention="yaw from grid north, pitch 0 straight down and 90 level, roll about the picture's vertical "
+    f"axis; {_OF_CSV}",
+)  # fmt: skip
+Odm = _poses(
+    "OpenDroneMap's geo.txt: centre, omega, phi, kappa.", "geo.txt", write_odm, CRS,
+    convention=_OMEGA_PHI_KAPPA,
+)  # fmt: skip
 
 
 class GeoJson:

@@ -38,8 +38,6 @@ _KEYS = {"sha256", "photo", "pose", "camera", "crs", "trusted"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Answer:
-    """What a file says of one photo."""
-
     digest: str
     photo: str
     camera: Camera
@@ -73,7 +71,7 @@ def read_localized_folder(folder: Path) -> Export:
 
     Raises:
         DatasetError: There is no pose, an answer cannot be read or is of an earlier version, photos cannot be
-            told apart, or they are of cities in several reference systems.
+            distinguished, or they are of cities in several reference systems.
     """
     rows = list(_table_rows(folder))
     posed = [photo for photo, failure in rows if not failure]
@@ -106,7 +104,6 @@ def read_localized_folder(folder: Path) -> Export:
 
 
 def _values_in(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Yields the files of answers, and what they hold."""
     for file in sorted(folder.glob("*.json")):
         try:
             values = parse_json(file.read_text(encoding="utf-8"))
@@ -117,7 +114,6 @@ def _values_in(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
 
 
 def _answers_in(folder: Path) -> list[_Answer]:
-    """Returns the answers in a folder."""
     answers = []
     for file, values in _values_in(folder):
         try:

@@ -14,7 +14,7 @@ from lodbench.evaluation.queries import ERROR, PRIOR_ERROR
 from lodbench.extras import require
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.export.formats import CITY, DATASET, Export
-from lodbench.harness.runs.prepare import prior_of
+from lodbench.harness.runs.queries import prior_of
 from lodbench.photos.pictures import read_picture
 from lodbench.reporting.overlays import ESTIMATE_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR
 from lodbench.storage import write_bytes
@@ -140,7 +140,6 @@ def _mesh(scene: Scene) -> Any:
 
 
 def _about(row: pd.Series[Any]) -> str:
-    """Returns what is known of a query's answer, in Markdown."""
     found = f"score {row['score']}, {row['hypotheses']:.0f} hypotheses"
     lines = [f"### {row.name}", row["failure"] or found]
     for what, (metres, degrees) in (("estimate", ERROR), ("prior", PRIOR_ERROR)):

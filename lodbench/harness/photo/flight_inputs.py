@@ -5,25 +5,29 @@ from __future__ import annotations
 import shlex
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath, PurePosixPath
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.exchange.colmap import read_colmap
-from lodbench.datasets.own import find_mask
+from lodbench.datasets.own import find_mask, find_photo, shared_files
 from lodbench.datasets.pose_files import brought, read_pose_file
-from lodbench.datasets.pose_text import FoundPose
-from lodbench.errors import DatasetError
+from lodbench.datasets.pose_text import FoundPose, LayoutGuard, read_json
+from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose
-from lodbench.harness.photo import RoughPoses
-from lodbench.harness.photo.prepare import PreparedPhoto
+from lodbench.geometry.similarity import FEWEST_POSES, Similarity, fit_similarity
+from lodbench.harness.photo.prepare import PreparedPhoto, RoughPoses
 from lodbench.methods.flight.relative_poses import FEWEST_PHOTOS
 from lodbench.photos.camera import undistorted
 from lodbench.photos.files import PHOTO_SUFFIXES, copies_among, mask_name
-from lodbench.photos.metadata import read_photo_metadata
+from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.measurements import place_notes
+from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
 from lodbench.photos.pictures import encoded, read_picture
+from lodbench.photos.pose import HeightOptions, pose_from_photo
 from lodbench.reporting.aligned_text import count_of
 from lodbench.segmentation import no_wider
 from lodbench.storage import write_bytes
@@ -203,3 +207,146 @@ def heading_note(photos: Sequence[Path], heading_deg: float | None) -> str | Non
     if not stated:
         return None
     return f"--heading {heading_deg:g} overrides the heading in the metadata of {count_of(stated, 'photos')}."
+
+
+# What rough places and directions are off by, each photo by itself, metres and degrees.
+ROUGH_M, ROUGH_DEG = np.array([3.0, 3.0, 5.0]), 5.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoughStart:
+    """Where a reconstruction is, roughly.
+
+    Attributes:
+        similarity: From the model to the city's coordinates.
+        source: Where it came from, in words.
+        notes: What the reader should know of it.
+    """
+
+    similarity: Similarity
+    source: str
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _StatedPoses:
+    """What photos say: rough poses by name, what else those state, and why others give none."""
+
+    poses: dict[str, Pose]
+    photos: list[PhotoMetadata]
+    faults: list[LodbenchError]
+
+
+class Rough(Protocol):
+    """What is known of where a reconstruction is: see ``GeoreferenceRequest``."""
+
+    @property
+    def start(self) -> Path | None: ...  # noqa: D102
+    @property
+    def images(self) -> Path | None: ...  # noqa: D102
+    @property
+    def heights(self) -> HeightOptions: ...  # noqa: D102
+
+
+def rough_start(request: Rough, images: Sequence[FoundPose], frame: MapFrame | None) -> RoughStart:
+    """Returns the similarity to start from; ``frame`` is None where nobody knows the city's place on Earth.
+
+    Raises:
+        LodbenchError: Too few images have a rough pose, or a file cannot be read.
+    """
+    if request.start is not None and request.start.suffix == ".json":
+        values = read_json(request.start)
+        if "similarity" in values:
+            found = _stated_similarity(values["similarity"], request.start)
+            return RoughStart(found, f"the similarity in {request.start}")
+    if request.start is not None:
+        listed, notes = brought(
+            read_pose_file(request.start, "auto")[1], None if frame is None else frame.crs
+        )
+        known, source = _by_name(images, listed), str(request.start)
+        _require_enough_rough(len(known), len(images), source, [])
+    else:
+        stated = _stated_by_photos(request, images, frame)
+        known, source = stated.poses, "what the photos state"
+        _require_enough_rough(len(known), len(images), source, stated.faults)
+        notes = place_notes(frame, stated.photos, request.heights)
+    mine = {image.name: image.pose for image in images}
+    sigmas = np.broadcast_to(ROUGH_M, (len(known), 3)), np.full(len(known), ROUGH_DEG)
+    fitted = fit_similarity([mine[name] for name in known], list(known.values()), *sigmas)
+    away = float(np.median(fitted.distances_m))
+    words = f"{source}: {len(known)} cameras, {away:.1f} m apart in the median"
+    return RoughStart(fitted.similarity, words, notes)
+
+
+def _require_enough_rough(usable: int, count: int, source: str, faults: Sequence[LodbenchError]) -> None:
+    if usable >= FEWEST_POSES:
+        return
+    first = f"; the first without one: {faults[0].message.rstrip('.')}" if faults else ""
+    hint = "Give `--images DIR` with the drone's photos, or `--start FILE` with rough poses."
+    if faults:
+        # What a photo lacks can be given to localize alone; how heights are meant, here too.
+        own = faults[0].hint if "lodbench localize takes" not in faults[0].hint else ""
+        hint = own or "Give `--start FILE` with rough poses."
+    raise DatasetError(
+        f"{usable} of the model's {count} cameras have a rough place ({source}), and {FEWEST_POSES} are "
+        f"needed{first}.",
+        hint,
+    )
+
+
+def _by_name(images: Sequence[FoundPose], listed: Sequence[FoundPose]) -> dict[str, Pose]:
+    """Returns the rough poses of images, by name: the same, or that without folders where one has it."""
+    whole = {pose.name: pose.pose for pose in listed}
+    named = Counter(Path(image.name).name for image in images)
+    bare: dict[str, list[Pose]] = defaultdict(list)
+    for pose in listed:
+        bare[Path(pose.name).name].append(pose.pose)
+    known = {}
+    for image in images:
+        same = bare[Path(image.name).name]
+        if image.name in whole:
+            known[image.name] = whole[image.name]
+        elif len(same) == named[Path(image.name).name] == 1:
+            known[image.name] = same[0]
+    return known
+
+
+def _stated_similarity(values: object, path: Path) -> Similarity:
+    with LayoutGuard(str(path), "a similarity: scale, rotation, translation"):
+        if not isinstance(values, Mapping):
+            raise ValueError("it is no object")
+        scale, turn = float(values["scale"]), np.array(values["rotation"], dtype=np.float64)
+        shift = np.array(values["translation"], dtype=np.float64)
+        if scale <= 0 or turn.shape != (3, 3) or shift.shape != (3,):
+            raise ValueError("its scale is no positive number, or a shape is wrong")
+        return Similarity(scale, Pose.from_matrix(np.column_stack([turn, shift])).rotation, shift)
+
+
+def _stated_by_photos(request: Rough, images: Sequence[FoundPose], frame: MapFrame | None) -> _StatedPoses:
+    if request.images is None:
+        raise DatasetError(
+            "Nobody says where the model is, roughly.",
+            "Give `--images DIR` with the drone's photos, or `--start FILE` with rough poses.",
+        )
+    if frame is None:
+        raise DatasetError(
+            "The city names no reference system, so GPS means nothing in it.",
+            "Name it with `--crs`, or give `--start FILE` with rough poses.",
+        )
+    stated = _StatedPoses({}, [], [])
+    paths = [find_photo(request.images, image.name) for image in images]
+    shared = shared_files(paths)
+    for image, path in zip(images, paths, strict=True):
+        if path is not None:
+            try:
+                if path in shared:
+                    raise DatasetError(
+                        f"{path} may be of several of the model's images.",
+                        "Keep the folders that their names have below `--images`.",
+                    )
+                photo = read_photo_metadata(path)
+                stated.poses[image.name] = pose_from_photo(photo, frame, request.heights)
+                stated.photos.append(photo)
+            except LodbenchError as fault:
+                stated.faults.append(fault)
+    return stated

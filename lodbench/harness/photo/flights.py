@@ -1,4 +1,4 @@
-"""Photos of flights over one city: told apart, localised jointly, what was left out and why; their pages."""
+"""Photos of flights over one city: which belong together, solved jointly, what was left out; their pages."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ from lodbench.datasets.query import Query
 from lodbench.errors import LodbenchError, QueryFault
 from lodbench.evaluation import PoseError
 from lodbench.geometry import Pose
-from lodbench.harness.map_findings import city_and_marks, contradiction_features
-from lodbench.harness.photo import LocalizedPhoto, PhotoRequest
 from lodbench.harness.photo.flight_inputs import (
     masks_of,
     names_of,
@@ -29,7 +27,7 @@ from lodbench.harness.photo.flight_inputs import (
     tied_notes,
     with_small_mask,
 )
-from lodbench.harness.photo.localize import inputs_of, open_map, write_answer
+from lodbench.harness.photo.localize import LocalizedPhoto, inputs_of, open_map, write_answer
 from lodbench.harness.photo.many import (
     FINDINGS_FILE,
     FLIGHTS_FILE,
@@ -40,11 +38,11 @@ from lodbench.harness.photo.many import (
     numbered,
     write_answers,
 )
-from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo
+from lodbench.harness.photo.outputs import city_and_marks, contradiction_features
+from lodbench.harness.photo.prepare import PhotoRequest, PreparedPhoto, prepare_photo
 from lodbench.harness.photo.workers import PhotoWorker, PhotoWorkers, photo_workers
-from lodbench.harness.tracebacks import told_as_fault
+from lodbench.harness.tracebacks import answered_flight, reported_as_fault
 from lodbench.methods import Estimate
-from lodbench.methods.localize import localize_flight
 from lodbench.methods.protocol import FlightEstimate, Streams, SupportsFlights, SupportsPhotosAlone
 from lodbench.photos.files import Flight, split_flights
 from lodbench.photos.map_frame import MapFrame
@@ -53,7 +51,7 @@ from lodbench.photos.pictures import read_picture
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.answers import reasons_for_doubt
 from lodbench.reporting.flight_words import PriorSource, chosen_for_pictures, flight_page, photo_on_page
-from lodbench.reporting.map_figure import Underlay
+from lodbench.reporting.maps import Underlay
 from lodbench.reporting.overlays import jpeg_bytes
 from lodbench.reporting.page import Picture
 from lodbench.storage import random_stream, write_text
@@ -243,7 +241,7 @@ def _alone(worker: PhotoWorker, item: tuple[Query, Streams]) -> Estimate | Query
     assert isinstance(method, SupportsPhotosAlone)  # noqa: S101 - the caller has looked
     query, streams = item
     try:
-        with told_as_fault(f"method {getattr(method, 'name', '')}", worker.request.out, query.name):
+        with reported_as_fault(f"method {getattr(method, 'name', '')}", worker.request.out, query.name):
             (found,) = method.localize_alone([query], worker.city_map, [streams])
     except QueryFault as fault:
         return fault
@@ -270,12 +268,8 @@ def solved_flight(
     What a plug-in's code raises is the fault of each of them; where it raised is kept in the folder ``out``.
     ``alone`` is what each photo says by itself, where that is known.
     """
-    origin = city_map.scene.origin
-    try:
-        with told_as_fault(f"method {getattr(method, 'name', '')}", out, "flight"):
-            found = localize_flight(method, queries, city_map, streams, alone)
-    except QueryFault as fault:
-        return FlightEstimate([fault] * len(queries))
+    origin, part = city_map.scene.origin, f"method {getattr(method, 'name', '')}"
+    found = answered_flight(method, queries, city_map, streams, out, "flight", part, alone)
 
     def placed(each: Estimate) -> Estimate:
         others = tuple(pose.shifted(origin) for pose in each.alternatives)
@@ -327,16 +321,7 @@ def page_of_photos(
     view: str = "",
     imagery: Underlay | None = None,
 ) -> str:
-    """Returns the page of a flight whose photos `lodbench localize` found.
-
-    Args:
-        flight: The flight.
-        names: Of all photos, by file.
-        answers: Of all photos.
-        scene: The map.
-        view: Address of all photos in three dimensions from this page; "" for none.
-        imagery: What lies under the map.
-    """
+    """Returns the page of a flight whose photos `lodbench localize` found."""
     mine = [answer for answer in answers if answer.flight == flight.name]
     placed = {names[answer.photo]: (answer, answer.found) for answer in mine if answer.found is not None}
     photos = [

@@ -6,36 +6,164 @@ import itertools
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymodel.cache import OpenCity
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.datasets.inputs import Input, declared_inputs, require_inputs
-from lodbench.evaluation import pose_error
-from lodbench.geometry import Pose
+from lodbench.datasets.pose_text import format_camera
+from lodbench.evaluation import PoseError, pose_error
+from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.harness.city import HEIGHT_HINT, height_above_m, open_city
-from lodbench.harness.photo import LocalizedPhoto, PhotoRequest
 from lodbench.harness.photo.outputs import PhotoView, photo_features, write_photo_overlay
-from lodbench.harness.photo.prepare import PreparedPhoto, pinhole_mask, prepare_photo, undistorted_photo
-from lodbench.harness.tracebacks import told_as_fault
+from lodbench.harness.photo.prepare import (
+    PhotoRequest,
+    PreparedPhoto,
+    pinhole_mask,
+    prepare_photo,
+    undistorted_photo,
+)
+from lodbench.harness.tracebacks import reported_as_fault
 from lodbench.methods import Estimate, Method
 from lodbench.methods.localize import localize
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.protocol import SupportsPriorWidth
 from lodbench.methods.search import NothingFits
-from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.map_frame import GeoPose, MapFrame
 from lodbench.photos.measurements import place_notes, refused_notes, xmp_note
 from lodbench.rendering import Renderer, make_renderer
-from lodbench.reporting.answers import TRUSTED_OVERLAP, is_trusted, probability_text
+from lodbench.reporting.answers import TRUSTED_OVERLAP, UNTRUSTED, is_trusted, probability_text, trust_word
 from lodbench.segmentation import notes_of
 from lodbench.storage import file_digest, make_folder, write_text
-from lodbench.storage.json_text import parse_json
+from lodbench.storage.json_text import finite, parse_json
+
+_SIGMA_NAMES = ("x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalizedPhoto:
+    """The answer.
+
+    Attributes:
+        photo: File name.
+        crs: Reference system of ``pose``, or None for a local frame.
+        lod: Level of detail localised against.
+        pose: In the city's coordinates.
+        prior: Likewise.
+        moved: How far the estimate lies from the prior.
+        score: Of the method: the overlap (IoU) of mask and model for LoD-Loc v2; NaN where it has none.
+        probability: That the pose is within 2 m and 2 degrees, where the method knows it.
+        covariance: (6, 6) of the error in x, y, z (metres), pitch, roll and yaw (degrees), where it knows it.
+        sigmas: Standard deviations of x, y, z (metres), pitch, roll and yaw (degrees), where it knows them.
+        alternatives: Other poses that fit nearly as well, in the city's coordinates, best first.
+        alternative_probabilities: Of each, where the method knows them; else empty.
+        is_trusted: Whether the pose is more likely right than wrong, as far as can be known.
+        place: Where on Earth, or None without a reference system.
+        camera: Pinhole that was localised.
+        stored_camera: Of the photo as stored, lens included.
+        camera_source: Where its numbers came from.
+        lens_percent: Standard deviation of its focal length, percent; None for one that was calibrated.
+        camera_sigmas: Standard deviations of all of the camera's numbers.
+        overlay: Picture written.
+        geojson: Map written, or None without a reference system.
+        notes: What the reader should know.
+        is_laser_used: Whether pose and covariance include a laser's range.
+        method_notes: Those of them that the method gives to this very answer.
+        features: Of the map.
+        thumbnail: A small JPEG of the photo as the pinhole sees it; None where it cannot be decoded.
+    """
+
+    photo: str
+    crs: str | None
+    lod: str
+    pose: Pose
+    prior: Pose
+    moved: PoseError
+    score: float
+    probability: float | None
+    covariance: NDArray[np.float64] | None
+    sigmas: tuple[float, ...] | None
+    alternatives: tuple[Pose, ...]
+    alternative_probabilities: tuple[float, ...]
+    is_trusted: bool
+    place: GeoPose | None
+    camera: Camera
+    stored_camera: Camera
+    camera_source: str
+    lens_percent: float | None
+    camera_sigmas: CameraSigmas
+    overlay: Path
+    geojson: Path | None
+    notes: tuple[str, ...]
+    is_laser_used: bool = False
+    method_notes: tuple[str, ...] = ()
+    features: tuple[dict[str, Any], ...] = ()
+    thumbnail: bytes | None = None
+
+    @property
+    def trust(self) -> str:
+        """Returns how far it may be trusted, in a word; "-" where nothing tells."""
+        if not self.is_trusted:
+            return UNTRUSTED
+        return "-" if self.probability is None else trust_word(self.probability)
+
+    @property
+    def view(self) -> Path:
+        """Returns the file that shows it over the city in three dimensions, where that was written."""
+        return self.overlay.with_name(f"{self.overlay.stem.removesuffix('_overlay')}_3d.html")
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns plain values for JSON, units in the names; None for a number that is none."""
+        values = {
+            "photo": self.photo,
+            "place": None if self.place is None else self.place._asdict(),
+            "crs": self.crs,
+            "lod": self.lod,
+            "pose": _pose_values(self.pose),
+            "prior": _pose_values(self.prior),
+            "moved_m": self.moved.translation_m,
+            "turned_deg": self.moved.rotation_deg,
+            "score": self.score,
+            "probability": self.probability,
+            "covariance": None if self.covariance is None else self.covariance.tolist(),
+            "sigmas": None if self.sigmas is None else dict(zip(_SIGMA_NAMES, self.sigmas, strict=True)),
+            "alternatives": [
+                _pose_values(pose) | {"probability": probability}
+                for pose, probability in zip_longest(self.alternatives, self.alternative_probabilities)
+            ],
+            "trusted": self.is_trusted,
+            "trust": self.trust,
+            "camera": {
+                "colmap": [*self.camera.to_colmap()],
+                "as_stored": format_camera("", self.stored_camera).strip(),
+                "source": self.camera_source,
+                "lens_percent": self.lens_percent,
+                "sigmas": asdict(self.camera_sigmas),
+            },
+            "overlay": str(self.overlay),
+            "geojson": None if self.geojson is None else str(self.geojson),
+            "notes": list(self.notes),
+            **({"laser_used": True} if self.is_laser_used else {}),
+        }
+        plain: dict[str, Any] = finite(values)
+        return plain
+
+
+def _pose_values(pose: Pose) -> dict[str, Any]:
+    return {
+        "center_m": [float(v) for v in pose.center],
+        **pose.euler._asdict(),
+        "quat_wxyz": list(pose.quat_wxyz),
+        "translation_m": [float(v) for v in pose.translation],
+    }
 
 
 @contextmanager
@@ -89,7 +217,7 @@ def localize_photo(
     advance()
     with TemporaryDirectory() as folder:
         image = undistorted_photo(view, Path(folder)) if Input.IMAGE in requires else None
-        reported = told_as_fault(f"method {method.name}", request.out, request.photo.name)
+        reported = reported_as_fault(f"method {method.name}", request.out, request.photo.name)
         with telling_of_depth(prior, place.scene), reported:
             estimate = localize(
                 place.scene,
@@ -157,12 +285,7 @@ def write_answer(
 ) -> LocalizedPhoto:
     """Writes a photo's overlay, map and numbers, never over those of another photo; returns the answer.
 
-    Args:
-        photo: The photo.
-        view: Its pixels.
-        place: The map.
-        prior: In the city's coordinates.
-        estimate: Likewise.
+    Prior and estimate are in the city's coordinates.
     """
     request, name, features = photo.request, photo.request.photo.name, []
     scene, frame = place.scene, place.frame
@@ -202,17 +325,13 @@ def write_answer(
         features=tuple(features),
         thumbnail=view.thumbnail(),
     )
-    values = {"sha256": digest, **found.to_json()}
+    text = json.dumps({"sha256": digest, **found.to_json()}, indent=2, ensure_ascii=False, allow_nan=False)
     # First what says whose files these are: a command that is given again after a kill writes over its own.
-    write_text(request.out / f"{label}.json", _json(values))
+    write_text(request.out / f"{label}.json", text + "\n")
     write_photo_overlay(overlay, view, place.renderer, prior, estimate)
     if geojson is not None:
         write_geojson(features, geojson)
     return found
-
-
-def _json(values: dict[str, Any]) -> str:
-    return json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _label(out: Path, stem: str, digest: str) -> str:

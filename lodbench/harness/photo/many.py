@@ -14,15 +14,18 @@ from typing import Any
 from lodbench.datasets.exchange.geojson import nowhere_feature, write_geojson
 from lodbench.datasets.own import find_mask
 from lodbench.errors import DatasetError, LodbenchError
-from lodbench.harness.photo import LocalizedPhoto, PhotoRequest
-from lodbench.harness.photo.localize import localize_photo
+from lodbench.harness.city import open_city
+from lodbench.harness.photo.localize import LocalizedPhoto, localize_photo
+from lodbench.harness.photo.prepare import PhotoRequest
 from lodbench.harness.photo.workers import PhotoWorker, photo_workers
 from lodbench.harness.tracebacks import last_write
 from lodbench.photos.files import find_photos, require_photos
 from lodbench.photos.map_frame import SURVEY_COLUMNS, survey_row
 from lodbench.photos.pose import PoseNotStated
-from lodbench.reporting.answers import rounded_down
-from lodbench.reporting.flight_words import PriorSource, constants_in_words, map_in_words
+from lodbench.reporting.answers import percent_text, rounded_down
+from lodbench.reporting.flight_words import PriorSource, constants_in_words, map_in_words, place_columns
+from lodbench.reporting.maps import MAX_PHOTOS, ViewedCamera, draw_view3d
+from lodbench.reporting.table_heads import finite_text
 from lodbench.storage import hide_formula, make_folder, write_text
 from lodbench.storage.disk import writable
 
@@ -296,3 +299,40 @@ def _stated(answer: PhotoAnswer, feature: dict[str, Any]) -> dict[str, Any]:
     if feature["properties"].get("kind") == "estimate":
         extra["trust"] = answer.trust
     return {**feature["properties"], **extra}
+
+
+def write_view(
+    path: Path,
+    request: PhotoRequest,
+    found: Sequence[LocalizedPhoto],
+    pages: Mapping[str, str] | None = None,
+) -> None:
+    """Writes a page of city, photos, rough poses and answers; it leads to ``pages``, addresses by name."""
+    city = open_city(request.city, request.lod, request.options, request.roof_height)
+    origin = city.scene.origin
+    cameras = [
+        ViewedCamera(
+            key=each.photo,
+            facts=_facts(each),
+            camera=each.camera,
+            prior=each.prior.shifted(-origin),
+            estimate=each.pose.shifted(-origin),
+            truth=None,
+            photo=each.thumbnail if number < MAX_PHOTOS else None,
+        )
+        for number, each in enumerate(found)
+    ]
+    title = f"{len(found)} photo{'s' if len(found) > 1 else ''} over {request.city.name}"
+    write_text(path, draw_view3d(title, city.scene, cameras, pages))
+
+
+def _facts(found: LocalizedPhoto) -> dict[str, str]:
+    row = survey_row(found.pose, found.place)
+    columns = place_columns(found.place is not None)
+    x, y, *others = [format(row[name], spec) for _, name, spec in columns]
+    place = {", ".join(head for head, _, _ in columns[:2]): f"{x}, {y}", "height m": others[0]}
+    facts = {"trust": found.trust} | place | {"heading, pitch, roll deg": ", ".join(others[1:])}
+    if found.probability is not None:
+        facts["sure"] = percent_text(found.probability)
+    moved = f"{found.moved.translation_m:.2f} m, {found.moved.rotation_deg:.2f} deg"
+    return {**facts, "from the prior": moved, "score": finite_text(found.score, ".3f")}

@@ -1,33 +1,33 @@
-"""What localising photos leaves: overlays, a map of the cameras, a 3D page, XMP sidecars."""
+"""What localising photos leaves: overlays, maps of cameras and of errors in the city, a 3D page, sidecars."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from shapely import Polygon, polygons, union_all
+from shapely.geometry.polygon import orient
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.geojson import camera_feature, footprint_feature, view_feature
 from lodbench.datasets.exchange.photogrammetry import write_sidecar
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.city import open_city
-from lodbench.harness.photo import LocalizedPhoto, PhotoRequest
 from lodbench.methods import Estimate
 from lodbench.photos.camera import undistorted
-from lodbench.photos.map_frame import MapFrame, survey_row
+from lodbench.photos.map_frame import MapFrame
 from lodbench.rendering import Renderer
-from lodbench.reporting.answers import percent_text, rounded_down
-from lodbench.reporting.flight_words import place_columns
+from lodbench.reporting.answers import rounded_down
+from lodbench.reporting.flight_words import doubted_buildings, map_rows
+from lodbench.reporting.maps import Marked, photo_jpeg
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
-from lodbench.reporting.table_columns import finite_text
-from lodbench.reporting.view3d import MAX_PHOTOS, ViewedCamera, draw_view3d, photo_jpeg
+from lodbench.reporting.table_heads import finite_text
 from lodbench.segmentation import binary_mask
-from lodbench.storage import can_write, write_text
+from lodbench.storage import can_write
 from lodbench.storage.json_text import finite
 
 # The ground is where the lowest corners of the city are, this near a camera; a few may be cellars.
@@ -110,51 +110,6 @@ def ground_below_m(scene: Scene, pose: Pose) -> float:
     return float(np.percentile(heights, _LOWEST_PERCENT)) + float(scene.origin[2])
 
 
-def write_view(
-    path: Path,
-    request: PhotoRequest,
-    found: Sequence[LocalizedPhoto],
-    pages: Mapping[str, str] | None = None,
-) -> None:
-    """Writes a page of city, photos, rough and found poses.
-
-    Args:
-        path: The page.
-        request: Its city is drawn.
-        found: The answers, one at least.
-        pages: Addresses of the pages that it leads to, by what they are called.
-    """
-    city = open_city(request.city, request.lod, request.options, request.roof_height)
-    origin = city.scene.origin
-    cameras = [
-        ViewedCamera(
-            key=each.photo,
-            facts=_facts(each),
-            camera=each.camera,
-            prior=each.prior.shifted(-origin),
-            estimate=each.pose.shifted(-origin),
-            truth=None,
-            photo=each.thumbnail if number < MAX_PHOTOS else None,
-        )
-        for number, each in enumerate(found)
-    ]
-    title = f"{len(found)} photo{'s' if len(found) > 1 else ''} over {request.city.name}"
-    write_text(path, draw_view3d(title, city.scene, cameras, pages))
-
-
-def _facts(found: LocalizedPhoto) -> dict[str, str]:
-    """Returns what is stated of a photo, by name."""
-    row = survey_row(found.pose, found.place)
-    columns = place_columns(found.place is not None)
-    x, y, *others = [format(row[name], spec) for _, name, spec in columns]
-    place = {", ".join(head for head, _, _ in columns[:2]): f"{x}, {y}", "height m": others[0]}
-    facts = {"trust": found.trust} | place | {"heading, pitch, roll deg": ", ".join(others[1:])}
-    if found.probability is not None:
-        facts["sure"] = percent_text(found.probability)
-    moved = f"{found.moved.translation_m:.2f} m, {found.moved.rotation_deg:.2f} deg"
-    return {**facts, "from the prior": moved, "score": finite_text(found.score, ".3f")}
-
-
 def frame_on_earth(crs: str | None) -> MapFrame:
     """Returns the frame that sidecars are written in.
 
@@ -185,10 +140,6 @@ def write_sidecars(placed: Iterable[tuple[Path, Pose]], crs: str | None) -> str:
 
     Of photos that differ in their ending alone, which would share one file, none gets any.
 
-    Args:
-        placed: Photos and their poses in the city's coordinates.
-        crs: Of these.
-
     Raises:
         DatasetError: Nobody knows where on Earth the city is.
     """
@@ -212,3 +163,82 @@ def write_sidecars(placed: Iterable[tuple[Path, Pose]], crs: str | None) -> str:
 def _listed(what: str, files: list[Path]) -> str:
     names = ", ".join(file.name for file in files[:3]) + (", ..." if len(files) > 3 else "")
     return f"; {len(files)} {what}: {names}" if files else ""
+
+
+# Polygons, each its rings, (N, 2) east and north.
+Outline = list[list[NDArray[np.float64]]]
+# Digits of a degree, a millimetre or so; triangles smaller than this from above are walls, square metres; and
+# points nearer than this are one, metres.
+_DIGITS, _LEAST_M2, _SAME_M = 8, 1e-3, 0.01
+
+
+def building_outline(scene: Scene, building: int) -> Outline:
+    """Returns the polygons of a building seen from above, each its rings, the outer one first.
+
+    Rings are (N, 2) east and north in the city's coordinates; the outer one runs counter-clockwise.
+    """
+    rows = slice(scene.triangle_starts[building], scene.triangle_starts[building + 1])
+    corners = scene.vertices[scene.triangles[rows]].astype(np.float64)[:, :, :2] + scene.origin[:2]
+    sides = corners[:, 1:] - corners[:, :1]
+    doubled = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
+    whole = union_all(polygons(corners[np.abs(doubled) > _LEAST_M2]), grid_size=_SAME_M)
+    parts = [orient(part) for part in getattr(whole, "geoms", [whole]) if isinstance(part, Polygon)]
+    return [
+        [np.array(ring.coords) for ring in (part.exterior, *part.interiors)]
+        for part in parts
+        if not part.is_empty
+    ]
+
+
+def contradictions(scene: Scene, findings: Mapping[str, Any]) -> list[tuple[dict[str, Any], Outline]]:
+    """Returns what a flight contradicts in the map, the surest of each kind first: what, and where.
+
+    ``kind`` is ``height``, ``demolished`` or ``unmapped``; the rest is as in the flight's findings. Outlines
+    are polygons, each its rings, in the city's coordinates; of buildings that this map has not there is none.
+    """
+    rows = {name: row for row, name in enumerate(scene.building_ids)}
+
+    def outline(name: str) -> Outline:
+        return building_outline(scene, rows[name]) if name in rows else []
+
+    found: list[tuple[dict[str, Any], Outline]] = [
+        ({"kind": "height", **each}, outline(each["id"]))
+        for each in doubted_buildings(findings.get("buildings", []))
+    ]
+    for change in findings.get("changes", []):
+        said = {key: value for key, value in change.items() if key != "outline"}
+        if change["kind"] == "demolished":
+            found.append((said, outline(change["id"])))
+        else:
+            found.append((said, [[np.array(ring, dtype=np.float64)] for ring in change["outline"]]))
+    return found
+
+
+def contradiction_features(
+    scene: Scene, frame: MapFrame, findings: Mapping[str, Any], flight: str
+) -> list[dict[str, Any]]:
+    """Returns what a flight contradicts in the map, as features of GeoJSON."""
+    features = []
+    for said, outline in contradictions(scene, findings):
+        rings = [[on_earth(ring, frame) for ring in polygon] for polygon in outline]
+        geometry = {"type": "MultiPolygon", "coordinates": rings}
+        features.append({"type": "Feature", "geometry": geometry, "properties": {"flight": flight, **said}})
+    return features
+
+
+def city_and_marks(
+    scene: Scene, findings: Mapping[str, Any]
+) -> tuple[tuple[NDArray[np.float64], NDArray[np.int32]], list[Marked]]:
+    """Returns the city in its coordinates for a page, and what a flight contradicts in it."""
+    outlines = [outline for _, outline in contradictions(scene, findings)]
+    marks = [
+        Marked(f"{name}: {said}", [ring for polygon in outline for ring in polygon])
+        for (name, said, _), outline in zip(map_rows(findings), outlines, strict=True)
+    ]
+    return (scene.vertices + scene.origin, scene.triangles), marks
+
+
+def on_earth(points: NDArray[np.float64], frame: MapFrame) -> list[list[float]]:
+    """Returns (N, 2) points, east and north, as longitudes and latitudes of GeoJSON."""
+    places = [frame.latitude_longitude(float(east), float(north)) for east, north in points]
+    return [[round(longitude, _DIGITS), round(latitude, _DIGITS)] for latitude, longitude in places]

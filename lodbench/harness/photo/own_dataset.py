@@ -225,7 +225,6 @@ def _images(
 
 
 def _as_asked(image: FoundPose, request: OwnRequest) -> FoundPose:
-    """Returns an image with the camera and the offset that were given."""
     if image.crs == DEGREES_CRS and any(request.offset_m):
         raise DatasetError(f"{image.where}: no offset belongs to latitude and longitude.", "Leave it out.")
     return image._replace(camera=request.camera or image.camera, pose=image.pose.shifted(request.offset_m))
@@ -276,7 +275,6 @@ def _view_in_plan(camera: Camera, pose: Pose, ground_m: float, reach_m: float) -
 
 
 def _near(images: Sequence[OwnImage], scene: Scene) -> tuple[list[OwnImage], LeftOut]:
-    """Returns the images near the city, and the others with how far off they are."""
     kept, left_out, hint = [], [], ""
     for image in images:
         pose = image.truth or image.prior

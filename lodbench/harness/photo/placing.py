@@ -23,6 +23,7 @@ from lodbench.errors import DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city
+from lodbench.harness.photo.outputs import on_earth
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.metadata import read_photo_metadata
 from lodbench.rendering.surfaces import MAP_SIGMA_M, Surfaces
@@ -39,7 +40,7 @@ _SIDE, _STRAIGHT_M = 0.02, 0.02
 # A mask's pixels are halved, so that outlines through their middles pass nearer to the true ones.
 _FINER = 2
 # Of a feature: what it is called, by which an earlier file is known.
-_KIND, _DIGITS = "located", 8
+_KIND = "located"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,20 +167,15 @@ def _feature(each: PlacedFeature, frame: MapFrame, localized: Localized) -> dict
     shapes = [part for part in parts if isinstance(part, shapely.Polygon) and part.area > 0]
     if shapes:
         rings = [
-            [_on_earth(np.array(ring.coords), frame) for ring in (shape.exterior, *shape.interiors)]
+            [on_earth(np.array(ring.coords), frame) for ring in (shape.exterior, *shape.interiors)]
             for shape in map(orient, shapes)
         ]
         geometry: dict[str, Any] = {"type": "MultiPolygon", "coordinates": rings}
         if len(rings) == 1:
             geometry = {"type": "Polygon", "coordinates": rings[0]}
     else:
-        geometry = {"type": "Point", "coordinates": _on_earth(each.found.place[None, :2], frame)[0]}
+        geometry = {"type": "Point", "coordinates": on_earth(each.found.place[None, :2], frame)[0]}
     return {"type": "Feature", "geometry": geometry, "properties": _properties(each, frame, localized)}
-
-
-def _on_earth(points: Floats, frame: MapFrame) -> list[list[float]]:
-    places = [frame.latitude_longitude(float(east), float(north)) for east, north in points]
-    return [[round(longitude, _DIGITS), round(latitude, _DIGITS)] for latitude, longitude in places]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

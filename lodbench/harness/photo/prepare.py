@@ -1,23 +1,25 @@
-"""A photo made ready for a method: its camera, its pinhole, its mask, and where it was, roughly."""
+"""A photo to be localised, made ready for a method: its camera, its pinhole, its mask, and its rough pose."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Entry
-from lodbench.errors import DatasetError
+from lodbench.errors import DatasetError, require_within
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.harness.city import require_near_city, require_same_region
-from lodbench.harness.photo import PhotoRequest
 from lodbench.harness.photo.outputs import PhotoView
-from lodbench.harness.tracebacks import told_as_fault
+from lodbench.harness.tracebacks import reported_as_fault
+from lodbench.methods import Method
 from lodbench.photos.camera import (
     PhotoCamera,
     camera_from_photo,
@@ -27,19 +29,137 @@ from lodbench.photos.camera import (
     undistorted,
 )
 from lodbench.photos.map_frame import MapFrame
-from lodbench.photos.measurements import Measurements
+from lodbench.photos.measurements import Measurements, measured_of
 from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
 from lodbench.photos.pictures import read_picture
 from lodbench.photos.pose import (
     START_OF_EACH,
+    HeightOptions,
     PoseNotStated,
+    RoughPlace,
     latitude_longitude_of,
     pose_at,
     pose_from_photo,
     require_stated,
 )
-from lodbench.segmentation import MapGuidedSegmenter, check_mask
+from lodbench.segmentation import MapGuidedSegmenter, Segmenter, check_mask
 from lodbench.segmentation.masks import read_mask
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CityRequest:
+    """A city model, how it is read, and how photos are laid on it.
+
+    Attributes:
+        city: City model.
+        out: Folder to write.
+        segmenter: Makes masks where there are none.
+        heights: How the drone's heights become the city's.
+        lod: Level of detail, or None for the lowest.
+        options: How to read the city.
+        roof_height: Rule by which an absent level 1 is derived, or None.
+    """
+
+    city: Path
+    out: Path
+    segmenter: Segmenter | None = None
+    heights: HeightOptions = field(default_factory=HeightOptions)
+    lod: str | None = None
+    options: ReadOptions = field(default_factory=ReadOptions)
+    roof_height: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoughRequest(CityRequest):
+    """Besides, what is known of a photo before what it states.
+
+    Attributes:
+        camera: Intrinsics of the photo as stored, lens distortion included.
+        camera_sigmas: How well these are known, None for exactly.
+        given: Rough place and angles.
+        center: Rough place in the city's coordinates (east, north, up, metres); goes before all others.
+
+    Raises:
+        ConfigError: A coordinate of ``center`` is not finite.
+    """
+
+    camera: Camera | None = None
+    camera_sigmas: CameraSigmas | None = None
+    given: RoughPlace = field(default_factory=RoughPlace)
+    center: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        require_within("--center", self.center, -math.inf)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoughPoses:
+    """What a file says of photos.
+
+    Attributes:
+        source: The file.
+        poses: By the photo's file, in the city's coordinates.
+        notes: What the reader should know of them.
+    """
+
+    source: Path
+    poses: Mapping[Path, Pose]
+    notes: tuple[str, ...] = ()
+
+    def of(self, photo: Path) -> Pose:
+        """Returns the rough pose of a photo.
+
+        Raises:
+            DatasetError: The file has none.
+        """
+        if photo not in self.poses:
+            raise DatasetError(
+                f"{self.source} has no pose of {photo.name}.", "`--start` needs one of each photo."
+            )
+        return self.poses[photo]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotoRequest(RoughRequest):
+    """What to localise, and how.
+
+    Attributes:
+        photo: The photo.
+        mask: Building mask of the photo as it is stored, white = building; goes before the segmenter.
+        method: How to localise; LoD-Loc v2 by default.
+        seed: Seed of the search.
+        start: Rough poses of photos, which go before all else that is known of these; None without any.
+        has_prior_range: Whether a person said how far off rough poses may be: photos are not asked then.
+        workers: Processes that several photos are shared out to; 1 for this one.
+    """
+
+    photo: Path
+    mask: Path | None = None
+    method: Method | None = None
+    seed: int = 0
+    start: RoughPoses | None = None
+    has_prior_range: bool = False
+    workers: int = 1
+
+    def measured_of(self, stated: PhotoMetadata) -> Measurements | None:
+        """Returns what was measured beside a photo, deviations of those numbers that are its own among it."""
+        if self.start is not None or self.has_prior_range:
+            return measured_of(stated, self.heights, range(6))
+        given = self.given
+        place = given.latitude_deg if self.center is None else self.center
+        height = given.height_m if self.center is None else self.center
+        others = (place, place, height, given.pitch_deg, given.roll_deg, given.heading_deg)
+        return measured_of(stated, self.heights, [k for k, v in enumerate(others) if v is not None])
+
+    @property
+    def threads(self) -> int | None:
+        """Returns the renderer's threads: one beside other workers, else one per core."""
+        return None if self.workers == 1 else 1
+
+    @property
+    def has_height(self) -> bool:
+        """Returns whether the rough pose's height is in the city's heights, and not what a drone states."""
+        return self.start is not None or self.center is not None or self.given.height_m is not None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +203,10 @@ class PreparedPhoto:
         if frame is not None and self.request.center is None and self.request.start is None:
             place = latitude_longitude_of(self.stated, self.request.given)
             require_same_region(what, *place, scene)
-        prior = _prior(self.request, self.stated, frame)
+        if self.request.start is None:
+            prior = rough_pose(self.request, self.stated, frame)
+        else:
+            prior = self.request.start.of(self.request.photo)
         require_near_city(what, [prior], scene)
         return prior
 
@@ -104,7 +227,7 @@ def prepare_photo(request: PhotoRequest, requires: Collection[str]) -> PreparedP
         knows_look=rough is not None,
         knows_camera=request.camera is not None,
     )
-    found = _camera(request, stated)
+    found = rough_camera(request, stated)
     pinhole = pinhole_of(found.camera)
     mask = pinhole_mask(request, found.camera, pinhole) if Input.MASK in requires else None
     known = found.source, found.lens_percent, found.camera_sigmas, request.measured_of(stated)
@@ -130,10 +253,15 @@ def undistorted_photo(view: PhotoView, folder: Path) -> Path:
     return path
 
 
-def _camera(request: PhotoRequest, photo: PhotoMetadata) -> PhotoCamera:
+def rough_camera(request: RoughRequest, photo: PhotoMetadata, is_video: bool = False) -> PhotoCamera:
+    """Returns the camera that is given, or else what the photo states.
+
+    Raises:
+        DatasetError: It is of another size than the photo, or the photo states none.
+    """
     if request.camera is None:
         return camera_from_photo(photo)
-    require_photo_size(request.camera, photo.name, photo.width, photo.height)
+    require_photo_size(request.camera, photo.name, photo.width, photo.height, is_video=is_video)
     return camera_given(request.camera, request.camera_sigmas)
 
 
@@ -163,16 +291,19 @@ def pinhole_mask(
     elif request.segmenter is not None:
         entry = Entry(name or request.photo.name, "", camera, None, request.photo, None)
         part = f"segmenter {request.segmenter.name}"
-        with told_as_fault(part, request.out, request.photo.name):
+        with reported_as_fault(part, request.out, request.photo.name):
             probability = request.segmenter.segment(entry)
     else:
         raise DatasetError("There is no mask of the buildings.", "Give `--mask FILE`: white is building.")
     return np.asarray(undistorted(check_mask(probability, camera), camera, pinhole))
 
 
-def _prior(request: PhotoRequest, photo: PhotoMetadata, frame: MapFrame | None) -> Pose:
-    if request.start is not None:
-        return request.start.of(request.photo)
+def rough_pose(request: RoughRequest, photo: PhotoMetadata, frame: MapFrame | None) -> Pose:
+    """Returns where a photo was, by what is given and what it states, in the city's coordinates.
+
+    Raises:
+        DatasetError: Nobody says it, or GPS means nothing in the city.
+    """
     if request.center is not None:
         east, north, _ = request.center
         convergence = 0.0 if frame is None else frame.convergence_deg(east, north)

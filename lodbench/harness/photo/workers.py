@@ -15,8 +15,8 @@ from lodbench.errors import WorkersGone
 from lodbench.execution import Progress
 from lodbench.execution.fan_out import Processes
 from lodbench.execution.guards import single_threaded_blas
-from lodbench.harness.photo import PhotoRequest
 from lodbench.harness.photo.localize import OpenMap, open_map
+from lodbench.harness.photo.prepare import PhotoRequest
 from lodbench.segmentation.photo_segmenter import PackagedNetwork
 
 Item = TypeVar("Item")

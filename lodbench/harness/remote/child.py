@@ -25,16 +25,16 @@ from lodbench.datasets.query import Query, Reference
 from lodbench.errors import LodbenchError
 from lodbench.execution.guards import single_threaded_blas
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.remote.wire import (
+from lodbench.harness.remote.process import (
     MalformedMessage,
     drawn_bytes,
+    fault_message,
     fault_of,
-    fault_told,
     numbered,
     packed,
     unpacked,
 )
-from lodbench.harness.runs import code_digest, words_in
+from lodbench.harness.runs.inputs import code_digest, words_in
 from lodbench.methods.localize import weight_files
 from lodbench.methods.protocol import (
     Estimate,
@@ -231,7 +231,7 @@ def main() -> None:
         try:
             pipe.send({"done": offered[name](*values)})
         except LodbenchError as fault:
-            pipe.send(fault_told(fault))
+            pipe.send(fault_message(fault))
 
 
 if __name__ == "__main__":

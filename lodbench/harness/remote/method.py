@@ -23,8 +23,15 @@ from lodbench.errors import (
     require_numbers,
 )
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.remote.process import Child, ProcessFault, RunnerFault
-from lodbench.harness.remote.wire import KINDS, MalformedMessage, drawn_bytes, fault_of
+from lodbench.harness.remote.process import (
+    KINDS,
+    Child,
+    MalformedMessage,
+    ProcessFault,
+    RunnerFault,
+    drawn_bytes,
+    fault_of,
+)
 from lodbench.methods.protocol import Estimate, Streams, Workspace
 from lodbench.storage.paths import path_name
 
@@ -118,7 +125,7 @@ class RemoteMethod:
     def __init__(self, settings: Mapping[str, Any], runner: RunnerParams, tilt: str = "prior") -> None:
         self._settings, self._runner, self._tilt = dict(settings), runner, tilt
         self._child: Child | None = None
-        self._told: CityMap | None = None
+        self._known_map: CityMap | None = None
         self._prepared_in: tuple[Sequence[Reference], Path] | None = None
         about = self._start()
         self.name = path_name("method", about.name)
@@ -133,7 +140,7 @@ class RemoteMethod:
 
     def __getstate__(self) -> dict[str, Any]:
         """Returns all but the process: a worker starts its own."""
-        return {**self.__dict__, "_child": None, "_told": None}
+        return {**self.__dict__, "_child": None, "_known_map": None}
 
     def weight_files(self) -> list[Path]:
         """Returns the files that the method says it reads."""
@@ -146,9 +153,9 @@ class RemoteMethod:
             LodbenchError: It cannot.
         """
         self._prepared_in = (references, workspace.folder)
-        self._told = None
+        self._known_map = None
         try:
-            self._tell_of(city_map)
+            self._send_map(city_map)
         except ProcessFault as fault:
             raise ConfigError(f"method={self.name} cannot prepare: {fault}.") from fault
 
@@ -159,7 +166,7 @@ class RemoteMethod:
             QueryFault: The method says there is none.
             ProcessFault: Its process died, hung or wrote nonsense.
         """
-        self._tell_of(city_map)
+        self._send_map(city_map)
         offers = {"segment": query.segment is not None, "true_pixels": query.true_pixels is not None}
 
         def answer(words: list[Any]) -> Any:
@@ -183,7 +190,7 @@ class RemoteMethod:
         # -P: nothing is imported from the folder that this was started in; plug-ins are installed there.
         child = self._child = Child([cast("str", self._runner.python), "-P", "-m", _MODULE], kept)
         weakref.finalize(self, child.close)
-        self._told = None
+        self._known_map = None
         try:
             made = self._call(
                 ["make", self._settings, self._tilt], _nothing, max(_START_S, self._runner.timeout_s)
@@ -196,11 +203,11 @@ class RemoteMethod:
                 "lodbench must be installed there, and the method's package.",
             ) from fault
 
-    def _tell_of(self, city_map: CityMap) -> None:
+    def _send_map(self, city_map: CityMap) -> None:
         """Makes sure that there is a process, prepared, that knows the map."""
         if self._child is None:
             self._start()
-        if self._told is city_map:
+        if self._known_map is city_map:
             return
         about = {"name": city_map.name, "threads": city_map.threads, "is_textured": city_map.is_textured}
         self._call(["open_map", about], _nothing, self._runner.timeout_s)
@@ -211,7 +218,7 @@ class RemoteMethod:
                 self._runner.prepare_timeout_s,
             )
         # Not before: a process that could not prepare is asked to again.
-        self._told = city_map
+        self._known_map = city_map
 
     def _call(self, words: list[Any], answer: Callable[[list[Any]], Any], timeout_s: float) -> Any:
         assert self._child is not None  # noqa: S101

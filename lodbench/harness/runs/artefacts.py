@@ -1,4 +1,4 @@
-"""What a finished run leaves in its folder; everything printed can be recomputed from it."""
+"""A run in memory, and what it leaves in its folder; everything printed can be recomputed from it."""
 
 from __future__ import annotations
 
@@ -6,24 +6,83 @@ import json
 import math
 import platform
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path, PurePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lodbench import __version__
 from lodbench.citymodel.options import PATH_OPTIONS
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.prior_sources import prior_text
+from lodbench.datasets.query import Dataset
+from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.queries import LODLOC, protocol_named, queries_csv, summarize_queries
-from lodbench.harness.runs import Result, words_in
-from lodbench.harness.runs.run import Run
+from lodbench.harness.runs.inputs import words_in
+from lodbench.harness.runs.queries import Preparation
 from lodbench.plugins import blaming, installed, load_plugin, of_kind
+from lodbench.rendering import Scorer
 from lodbench.reporting.leaderboard_entry import has_random_weights
 from lodbench.reporting.summaries import SUMMARY_SCHEMA
 from lodbench.storage import hide_formula, write_text
 from lodbench.storage.digest import LIBRARIES, versions_of
 from lodbench.storage.paths import is_sealed, seal_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Result:
+    """Rows and all that the tables and artefacts say about where they came from.
+
+    Attributes:
+        folder: The run folder.
+        config: The resolved configuration.
+        dataset: The dataset.
+        splits: Splits scored, in order.
+        predictions: What was answered, by ``Entry.key``.
+        queries: One row per query (``lodbench.evaluation.queries``).
+        inputs: Digests of what went in.
+        lod: Level of detail localised against; None where no city was opened or it has no name.
+    """
+
+    folder: Path
+    config: dict[str, Any]
+    dataset: Dataset
+    splits: tuple[str, ...]
+    predictions: Mapping[str, Prediction]
+    queries: pd.DataFrame
+    inputs: dict[str, str]
+    lod: str | None
+
+    def __repr__(self) -> str:
+        name = self.config["method"]["name"]
+        kind = type(self).__name__
+        return f"{kind}({name} on {self.dataset.name}, {len(self.queries)} queries, {self.folder})"
+
+    def seconds_per_query(self, split: str) -> float:
+        """Returns the mean wall time of a split's answered queries, NaN if there is none."""
+        mine = [self.predictions[key] for key in self.queries.index[self.queries["split"] == split]]
+        times = [sum(prediction.seconds.values()) for prediction in mine if prediction.pose is not None]
+        return sum(times) / len(times) if times else math.nan
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Run(Result):
+    """A finished run, in memory.
+
+    Attributes:
+        preparation: How queries were made from entries.
+        scorer: The renderer, for pictures.
+        resumed: How many rows were taken from an earlier, interrupted run.
+    """
+
+    preparation: Preparation
+    scorer: Scorer
+    resumed: int
+
 
 # Settings of a configuration's sections that hold a path, and are not the dataset's root and city.
 _NAMED = {

@@ -17,16 +17,15 @@ from lodbench.evaluation.pose_errors import SplitSummary
 from lodbench.evaluation.queries import summarize_queries
 from lodbench.execution import Ledger, Progress
 from lodbench.geometry import rotations_at_yaws
-from lodbench.harness.runs import chosen_entries
-from lodbench.harness.runs.artefacts import summary_of
-from lodbench.harness.runs.prepare import Preparation
-from lodbench.harness.runs.run import Run
+from lodbench.harness.runs.artefacts import Run, summary_of
+from lodbench.harness.runs.inputs import chosen_entries
+from lodbench.harness.runs.queries import Preparation
 from lodbench.rendering import Scorer
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.figures import RecallCurve, draw_cost_maps, draw_recall_curves
 from lodbench.reporting.summaries import numbers_of
-from lodbench.reporting.table_formats import format_latex, format_markdown
-from lodbench.reporting.tables import Line, RecallTable, title_of
+from lodbench.reporting.table_heads import Line, title_of
+from lodbench.reporting.tables import RecallTable, format_latex, format_markdown
 from lodbench.segmentation import binary_mask
 from lodbench.storage import digest_of, make_folder, write_bytes, write_text
 
@@ -65,12 +64,7 @@ class Basin:
 
 
 def write_basin(basin: Basin, grid: CostGrid | None) -> Path:
-    """Writes the tables, the pictures and the protocol of a basin; returns their folder.
-
-    Args:
-        basin: The finished runs.
-        grid: Where to measure the cost around the truth; None for no maps.
-    """
+    """Writes the tables, the pictures and the protocol of a basin; returns their folder. No grid, no maps."""
     first = basin.steps[0][1]
     name = digest_of([run.folder.name for _, run in basin.steps])
     folder = first.folder.parent.with_name(f"{first.folder.parent.name}-{name}")
@@ -138,7 +132,6 @@ def _curves(basin: Basin, kind: str) -> list[RecallCurve]:
 
 
 def _timings_csv(basin: Basin) -> str:
-    """Returns what may differ from run to run, apart from the tables that may not."""
     import pandas as pd
 
     rows = [

@@ -37,8 +37,7 @@ from lodbench.reporting.run_figures import (
     comparison_cells,
     draw_comparison,
 )
-from lodbench.reporting.table_formats import format_html
-from lodbench.reporting.tables import RecallTable
+from lodbench.reporting.tables import RecallTable, format_html
 
 # A pose read back from text is off by rounding: 1e-9 m at coordinates of 5,000 km. A number that
 # matters to anybody is 1000 times coarser than this.
@@ -112,13 +111,7 @@ def require_same_queries(first: StoredRun, second: StoredRun) -> str:
 def paired_comparison(
     first: StoredRun, second: StoredRun, thresholds: Sequence[Threshold]
 ) -> list[Comparison]:
-    """Returns the tests of each split: recall at each threshold, and the median errors.
-
-    Args:
-        first: A run.
-        second: Another over the same queries (see ``require_same_queries``).
-        thresholds: Where to compare recall.
-    """
+    """Returns the tests of each split: recall at each threshold, and the median errors."""
     found = []
     for split in first.summary["splits"]:
         scored = of_split(first.queries, split)
@@ -259,17 +252,7 @@ def comparison_page(
     photos: str,
     no_photos: str,
 ) -> str:
-    """Returns the page.
-
-    Args:
-        runs: The runs.
-        names: Of each.
-        tables: Of those that have a truth.
-        thresholds: Where to test recall.
-        beside: Folder of the page: links to the runs' pages start there.
-        photos: The part that shows two runs photo by photo (``photo_pairs_of``); "" for none.
-        no_photos: Why there is none; "" for nothing to say.
-    """
+    """Returns the page, whose links start in ``beside``; ``photos`` is its part by ``photo_pairs_of``."""
     scored = [(run, name) for run, name in zip(runs, names, strict=True) if has_truth(run.queries).any()]
     pictures = [
         Picture(draw_comparison(_curves(found, split))["svg"], "svg+xml", _caption(split, of), "chart")

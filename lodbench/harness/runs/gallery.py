@@ -19,9 +19,9 @@ from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, is_answer
 from lodbench.execution import Progress
 from lodbench.execution.guards import staying_here
 from lodbench.geometry import Pose
-from lodbench.harness.runs import Result
+from lodbench.harness.runs.artefacts import Result
 from lodbench.harness.runs.predict import PREDICTIONS_FILE
-from lodbench.harness.runs.prepare import Preparation, prior_of
+from lodbench.harness.runs.queries import Preparation, prior_of
 from lodbench.harness.runs.verify import Verdict
 from lodbench.plugins import blaming
 from lodbench.rendering import Renderer, make_renderer

@@ -24,11 +24,11 @@ from lodbench.geometry import Camera, Pose
 from lodbench.harness.runs.compare import answers_apart
 from lodbench.harness.runs.gallery import MAX_PICTURES
 from lodbench.harness.runs.places import city_of
-from lodbench.harness.runs.prepare import prior_of
+from lodbench.harness.runs.queries import prior_of
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.reporting.answers import trust_of
-from lodbench.reporting.map_figure import Spot, draw_map
+from lodbench.reporting.maps import Spot, draw_map
 from lodbench.reporting.overlays import (
     ESTIMATE_COLOUR,
     PRIOR_COLOUR,
@@ -259,7 +259,6 @@ def _pictures(
 
 
 def _masks(drawn: tuple[DrawnRun, DrawnRun], key: str) -> dict[str, bytes]:
-    """Returns the query masks of both runs, one where they are the same."""
     said = [run.stored.predictions.get(key) for run in drawn]
     stored = [None if each is None or not each.mask_png else each for each in said]
     if stored[0] and stored[1] and stored[0].mask_png == stored[1].mask_png:

@@ -17,10 +17,9 @@ from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, own_failure
 from lodbench.geometry import Pose
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
-from lodbench.harness.map_findings import city_and_marks
-from lodbench.harness.runs.answer import FLIGHTS_FOLDER, flight_name
+from lodbench.harness.photo.outputs import city_and_marks
 from lodbench.harness.runs.gallery import picture_of
-from lodbench.harness.runs.prepare import prior_of
+from lodbench.harness.runs.queries import FLIGHTS_FOLDER, flight_name, prior_of
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.harness.runs.verify import Verdict
 from lodbench.photos.map_frame import SURVEY_COLUMNS, MapFrame, survey_row
@@ -36,8 +35,15 @@ from lodbench.reporting.flight_words import (
     map_in_words,
     photo_on_page,
 )
-from lodbench.reporting.map_figure import Spot, Underlay, draw_map
-from lodbench.reporting.view3d import MAX_PHOTOS, ViewedCamera, draw_view3d, photo_jpeg
+from lodbench.reporting.maps import (
+    MAX_PHOTOS,
+    Spot,
+    Underlay,
+    ViewedCamera,
+    draw_map,
+    draw_view3d,
+    photo_jpeg,
+)
 from lodbench.storage import hide_formula
 
 if TYPE_CHECKING:
@@ -62,15 +68,7 @@ def city_of(dataset: Dataset) -> Scene | None:
 def draw_places(
     verdict: Verdict, scene: Scene | None, tilt: str, view: str, imagery: Underlay | None = None
 ) -> str:
-    """Returns the map of a run's page as HTML; "" where the dataset is not there.
-
-    Args:
-        verdict: The run.
-        scene: Its city, or None.
-        tilt: Which prior it had.
-        view: File of the view in three dimensions that the map leads to; "" for none.
-        imagery: What lies under the map.
-    """
+    """Returns the map of a run's page as HTML; "" where the dataset is not there."""
     dataset = verdict.dataset
     if dataset is None:
         return ""
@@ -91,15 +89,7 @@ def draw_places(
 def view_of_run(
     verdict: Verdict, scene: Scene, tilt: str, title: str, pages: Mapping[str, str] | None = None
 ) -> str:
-    """Returns a run in three dimensions: one HTML file of city, cameras and photos; "" without a camera.
-
-    Args:
-        verdict: The run.
-        scene: Its city.
-        tilt: Which prior it had.
-        title: Of the page.
-        pages: Addresses of the pages that it leads to, by what they are called.
-    """
+    """Returns a run in three dimensions: one HTML file of city, cameras and photos; "" without a camera."""
     cameras = []
     for number, entry in enumerate(verdict.entries):
         prior, estimate, truth = (
@@ -129,7 +119,6 @@ def _poses(
 
 
 def _facts(verdict: Verdict, key: str) -> dict[str, str]:
-    """Returns what is stated of a query, by name."""
     found = verdict.stored.predictions.get(key)
     if key not in verdict.stored.queries.index:
         return {}
@@ -194,15 +183,7 @@ Floats = NDArray[np.float64]
 def pages_of_run(
     verdict: Verdict, scene: Scene, tilt: str, view: str = "", imagery: Underlay | None = None
 ) -> dict[str, str]:
-    """Returns the pages of a run's flights, by the name of the file of what each says.
-
-    Args:
-        verdict: The run.
-        scene: Its city.
-        tilt: Which prior it had.
-        view: Address of the run in three dimensions from these pages; "" for none.
-        imagery: What lies under the maps.
-    """
+    """Returns the pages of a run's flights, by the name of the file of what each says."""
     found = flight_findings(verdict)
     return {
         name: _page_of_sequence(verdict, scene, tilt, name, said, view, imagery)
@@ -210,7 +191,7 @@ def pages_of_run(
     }
 
 
-# What runs of version 0.1 call changes of the map.
+# What runs of version 0.1 call changes of the map; whether photos determine a constant they call told.
 _KINDS_OF_0_1 = {"gone": "demolished", "missing": "unmapped"}
 
 
@@ -226,6 +207,9 @@ def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
         try:
             for change in said.get("changes", []):
                 change["kind"] = _KINDS_OF_0_1.get(change["kind"], change["kind"])
+            for constant in said.get("constants", {}).values():
+                if "told" in constant:
+                    constant["determined"] = constant.pop("told")
             constants_in_words(said.get("constants", {})), map_in_words(said)
             len(said.get("lost", [])), dict(said.get("reasons", {})), list(said.get("notes", []))
         except (AttributeError, LookupError, TypeError, ValueError) as error:

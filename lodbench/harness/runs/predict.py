@@ -28,8 +28,8 @@ from lodbench.execution.executor import (
 )
 from lodbench.geometry import Camera
 from lodbench.harness.city import city_digests, open_city
-from lodbench.harness.runs.answer import Asked, answer
-from lodbench.harness.runs.prepare import Preparation, prepare_method
+from lodbench.harness.runs.inputs import prepare_method
+from lodbench.harness.runs.queries import PendingQuery, Preparation, answer
 from lodbench.methods import Method
 from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
 from lodbench.plugins import blaming
@@ -73,14 +73,7 @@ def score(scorer: Scorer, part: Part) -> tuple[NDArray[np.int64], tuple[NDArray[
 
 
 class SharedScorer:
-    """A renderer that shares large calls of ``counts`` and ``fit`` out over workers; the rest it does here.
-
-    Args:
-        own: This process's renderer.
-        workers: Each has the same city open.
-        work: Module-level function that scores a part in a worker, as ``score`` does.
-        part: Hypotheses in a part; a call of less than two is done here.
-    """
+    """A renderer that shares large calls of ``counts`` and ``fit`` out over workers, no others."""
 
     def __init__(self, own: Scorer, workers: Workers, work: Any, part: int = PART) -> None:
         self._own, self._workers, self._work, self._part = own, workers, work, part
@@ -172,7 +165,7 @@ class Work:
         self, preparation: Preparation, city_map: CityMap, entries: Sequence[Entry]
     ) -> list[tuple[str, dict[str, Any]]]:
         """Returns the keys of queries and the predictions of their poses as JSON values."""
-        given = [Asked(entry, self.streams_of(entry)) for entry in entries]
+        given = [PendingQuery(entry, self.streams_of(entry)) for entry in entries]
         answer(self.method, preparation, city_map, given, self.folder)
         return [(each.entry.key, each.prediction(preparation, self.folder).to_json()) for each in given]
 
@@ -226,7 +219,6 @@ def _answers(
     batches: Sequence[Sequence[Entry]],
     executor: ExecutorParams,
 ) -> Iterator[list[tuple[str, dict[str, Any]]]]:
-    """Yields the answers to batches of queries, in the order they come."""
     if executor.name == SERIAL:
         if batches:
             _warm_up(city_map)

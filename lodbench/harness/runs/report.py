@@ -19,7 +19,7 @@ from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, has_truth, of
 from lodbench.harness.runs.gallery import chosen_queries, query_pictures
 from lodbench.harness.runs.places import draw_places, flight_findings, survey_table
 from lodbench.harness.runs.predict import open_predictions
-from lodbench.harness.runs.prepare import prior_of
+from lodbench.harness.runs.queries import prior_of
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.answers import (
@@ -33,13 +33,12 @@ from lodbench.reporting.answers import (
 )
 from lodbench.reporting.figures import draw_calibration
 from lodbench.reporting.flight_words import constants_in_words, map_in_words
-from lodbench.reporting.map_figure import Underlay
+from lodbench.reporting.maps import Underlay
 from lodbench.reporting.page import Picture, facts, markup, rendered
 from lodbench.reporting.run_figures import ErrorSample, Trace, draw_error_curves, draw_evidence, draw_traces
 from lodbench.reporting.summaries import plugin_metrics, with_plugin_metrics, with_seconds
-from lodbench.reporting.table_columns import metric_columns
-from lodbench.reporting.table_formats import format_html
-from lodbench.reporting.tables import tables_of
+from lodbench.reporting.table_heads import metric_columns
+from lodbench.reporting.tables import format_html, tables_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -79,7 +78,6 @@ def evidence_pictures(predictions: Mapping[str, Prediction]) -> list[Picture]:
 def _stages(
     folder: Path, queries: pd.DataFrame, splits: Sequence[str]
 ) -> list[tuple[str, dict[str, tuple[float, ...]]]]:
-    """Returns title and stages of each query of the gallery."""
     stored = open_predictions(folder, read_only=True)
     found = []
     for split in splits:
@@ -133,15 +131,7 @@ _LAST_COLUMNS = (
 def run_report(
     verdict: Verdict, tilt: str, scene: Scene | None, view: str = "", imagery: Underlay | None = None
 ) -> str:
-    """Returns the page of a run that has been verified.
-
-    Args:
-        verdict: The run, what verifying it found, and its dataset where that is there.
-        tilt: The run's ``tilt``: which prior it had.
-        scene: Its city (``scene_of``), or None: the page can do without.
-        view: Name of the file beside the page that shows the same in three dimensions; "" for none.
-        imagery: What lies under the map.
-    """
+    """Returns the page of a run that has been verified; ``view`` names its page in three dimensions."""
     stored = verdict.stored
     summary = with_plugin_metrics(stored.summary, verdict.computed)
     summary = with_seconds(summary, stored.provenance.get("seconds_per_query", {}))

@@ -8,25 +8,45 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from lodbench.citymodel.crs import is_same_plane
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.faults import camera_fault, mask_fault, photo_fault
-from lodbench.datasets.inputs import Input, declared_inputs, inputs_of, require_inputs
+from lodbench.datasets.faults import (
+    GPS_IN_IMAGE,
+    IMAGE_SIZE,
+    IMAGE_UNREADABLE,
+    MASK_UNFIT,
+    camera_fault,
+    is_decodable,
+    mask_fault,
+    photo_fault,
+)
+from lodbench.datasets.inputs import (
+    Input,
+    declared_inputs,
+    inputs_of,
+    read_classes,
+    read_labels,
+    require_inputs,
+)
 from lodbench.datasets.query import Dataset, Entry
-from lodbench.errors import DatasetError, QueryFault
+from lodbench.errors import ConfigError, DatasetError, QueryFault, nearest_names
+from lodbench.execution import Progress
+from lodbench.findings import Findings
 from lodbench.geometry import Pose
 from lodbench.harness.city import FURTHEST_M, distance_outside_m
-from lodbench.harness.contradictions import Views, same_photos, words_of
+from lodbench.harness.contradictions import Views, meaning_of, same_photos
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsFlights, SupportsSequences
+from lodbench.photos.metadata import read_photo_metadata
 from lodbench.photos.pictures import picture_size
 from lodbench.reporting.aligned_text import count_of
 from lodbench.segmentation import Segmenter
-from lodbench.segmentation.masks import MaskFiles
+from lodbench.segmentation.masks import MaskFiles, read_mask
 from lodbench.segmentation.oracle import Oracle
 
 # What segmenters make, from whatever they themselves need.
@@ -211,10 +231,10 @@ def doubts_of(
             view, reading = wrong[0]
             raise DatasetError(
                 f"The masks contradict the city, the cameras or the true poses; {view.entry.key}: "
-                f"{words_of(view, reading)}.",
+                f"{meaning_of(view, reading)}.",
                 "lodbench dataset check lists all.",
             )
-        notes += [f"the mask of {view.entry.key}: {words_of(view, reading)}" for view, reading in wrong]
+        notes += [f"the mask of {view.entry.key}: {meaning_of(view, reading)}" for view, reading in wrong]
     for note in notes:
         _LOG.warning("%s", note)
     return tuple(notes)
@@ -280,3 +300,86 @@ def _tell_scaled(entries: Sequence[Entry]) -> None:
             "its %s %d x %d",
             len(other), len(entries), whose, entry.key, *size, whose, entry.camera.width, entry.camera.height,
         )  # fmt: skip
+
+
+def check_photos(dataset: Dataset, with_pixels: bool, findings: Findings) -> None:
+    """Adds what is wrong with a dataset's photos and masks to findings.
+
+    Args:
+        dataset: As opened.
+        with_pixels: Whether to decode every photo and mask; their headers are read in any case.
+        findings: Receives them, under the queries' names.
+    """
+    for entry in dataset.entries:
+        for fault in _mask_files_faults(entry, with_pixels):
+            findings.add(MASK_UNFIT, entry.key, fault)
+    entries = [entry for entry in dataset.entries if entry.image is not None]
+    with Progress("photos", len(entries)) as progress:
+        for entry in entries:
+            _check_photo(entry, with_pixels, findings)
+            progress.advance()
+
+
+def _mask_files_faults(entry: Entry, with_pixels: bool) -> Iterator[str]:
+    """Yields what is wrong with a query's mask, and with its labels of single buildings and of surfaces."""
+    readers: tuple[tuple[Path | None, Callable[[Path], object]], ...] = (
+        (entry.mask, read_mask),
+        (entry.instances, read_labels),
+        (entry.classes, read_classes),
+    )
+    for file, read in readers:
+        if file is None:
+            continue
+        size = None if entry.camera is None else (entry.camera.width, entry.camera.height)
+        fault = "" if size is None else mask_fault(file, size)
+        if not fault and with_pixels:
+            try:
+                read(file)
+            except QueryFault as error:
+                fault = error.message
+        if fault:
+            yield fault
+
+
+def _check_photo(entry: Entry, with_pixels: bool, findings: Findings) -> None:
+    """Looks at one photo, its header first: pixels are decoded only if their number is sane."""
+    assert entry.image is not None  # noqa: S101 - the caller has looked
+    try:
+        header = read_photo_metadata(entry.image)
+    except DatasetError as error:
+        findings.add(IMAGE_UNREADABLE, entry.key, error.message)
+        return
+    if header.has_position:
+        findings.add(GPS_IN_IMAGE, entry.key)
+    camera = entry.camera
+    if camera is not None and (header.width, header.height) != (camera.width, camera.height):
+        detail = f"{header.width} x {header.height}, intrinsics {camera.width} x {camera.height}"
+        findings.add(IMAGE_SIZE, entry.key, detail)
+    if with_pixels and not is_decodable(entry.image):
+        findings.add(IMAGE_UNREADABLE, entry.key, f"{entry.image} is damaged or cut off")
+
+
+TILTS = ("prior", "truth")
+
+
+def require_choices(tilt: str, limit: int | None = None) -> None:
+    """Makes sure of what can be checked of a run's settings before any dataset is opened, or built.
+
+    Raises:
+        ConfigError: A tilt is none of ``TILTS``, or no query is requested.
+    """
+    if tilt not in TILTS:
+        raise ConfigError(f"tilt={tilt} is not known.", nearest_names(tilt, TILTS))
+    if limit is not None and limit < 1:
+        raise ConfigError(f"limit={limit} is not a number of queries.")
+
+
+def require_tilt(tilt: str, dataset: Dataset) -> None:
+    """Makes sure that a tilt is one of ``TILTS``, and that a dataset has it.
+
+    Raises:
+        ConfigError: It is not, or the true one is requested and there is no truth.
+    """
+    require_choices(tilt)
+    if tilt == "truth" and not dataset.truth:
+        raise ConfigError("tilt=truth needs a truth, and the dataset has none.", "Leave it out.")

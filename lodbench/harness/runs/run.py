@@ -26,33 +26,31 @@ from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams
 from lodbench.execution.fan_out import expect_workers
 from lodbench.execution.guards import only_one_in
 from lodbench.harness.city import city_digests, open_city
-from lodbench.harness.runs import (
-    Result,
+from lodbench.harness.runs.artefacts import Run
+from lodbench.harness.runs.inputs import (
     chosen_entries,
     code_digest,
     flights_digest,
+    method_inputs,
+    prepare_method,
     queries_digest,
     truth_digest,
     words_in,
 )
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
-from lodbench.harness.runs.prepare import (
-    Preparation,
-    method_inputs,
-    prepare_method,
-    require_choices,
-    require_tilt,
-)
+from lodbench.harness.runs.queries import Preparation
 from lodbench.harness.runs.requirements import (
     doubts_of,
     is_oracle,
     looks_at_photos,
     made_inputs,
     require_cameras,
+    require_choices,
     require_pictures,
     require_run_inputs,
     require_same_place,
     require_surfaces,
+    require_tilt,
     required_inputs,
     tell_flights,
 )
@@ -60,7 +58,6 @@ from lodbench.harness.runs.stored import PLAN_FILE
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsFlights
 from lodbench.plugins import blaming, load_plugin
-from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.protocol import masks_digest
 from lodbench.storage import can_write, digest_of, make_folder, remove_leftovers, write_text
@@ -103,21 +100,6 @@ class RunSettings:
     def names(self) -> frozenset[str]:
         """Returns all words among the settings, of which some may name plug-ins."""
         return frozenset(words_in(self.config)) | {self.renderer}
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Run(Result):
-    """A finished run, in memory.
-
-    Attributes:
-        preparation: How queries were made from entries.
-        scorer: The renderer, for pictures.
-        resumed: How many rows were taken from an earlier, interrupted run.
-    """
-
-    preparation: Preparation
-    scorer: Scorer
-    resumed: int
 
 
 @remembered_contents()
@@ -273,7 +255,6 @@ def _fixed_inputs(
 def _read_inputs(
     method: Method, segmenter: Segmenter, dataset: Dataset, entries: tuple[Entry, ...]
 ) -> dict[str, str]:
-    """Returns digests of the files that are read again for single queries, which are remembered."""
     return {"masks": masks_digest(segmenter, entries), **method_inputs(method, dataset, entries)}
 
 

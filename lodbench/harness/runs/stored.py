@@ -31,8 +31,7 @@ from lodbench.geometry import Pose
 from lodbench.harness.runs.predict import open_predictions
 from lodbench.reporting.answers import format_answers
 from lodbench.reporting.summaries import read_summary
-from lodbench.reporting.table_formats import format_html
-from lodbench.reporting.tables import tables_of
+from lodbench.reporting.tables import format_html, tables_of
 from lodbench.storage import show_formula
 from lodbench.storage.json_text import parse_json
 

@@ -33,11 +33,11 @@ from lodbench.evaluation.queries import (
 )
 from lodbench.geometry import wrap_deg
 from lodbench.harness.city import city_digests, open_city
-from lodbench.harness.runs import Result, chosen_entries, flights_digest, queries_digest
-from lodbench.harness.runs.artefacts import summary_of
+from lodbench.harness.runs.artefacts import Result, summary_of
 from lodbench.harness.runs.compare import TOLERANCE_DEG, TOLERANCE_M, changed_answers, is_without_ledger
+from lodbench.harness.runs.inputs import chosen_entries, flights_digest, queries_digest
 from lodbench.harness.runs.predict import PREDICTIONS_FILE
-from lodbench.harness.runs.prepare import prior_of
+from lodbench.harness.runs.queries import prior_of
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.reporting.summaries import plugin_metrics, without_metrics
@@ -200,7 +200,6 @@ def changed_files(stored: StoredRun) -> list[str]:
 
 
 def _changed_rows(stored: StoredRun, config: dict[str, Any]) -> list[str]:
-    """Returns contradictions between the rows, the poses and the configuration."""
     queries = stored.queries
     lines = [f"poses.txt: {name} is not a query of queries.csv" for name in stored.strays]
     for key, failure, error_m in zip(queries.index, queries["failure"], queries[ERROR[0]], strict=True):

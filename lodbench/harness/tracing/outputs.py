@@ -1,9 +1,9 @@
-"""The page on which roofs are traced, and what they become: a city model, a benchmark of other photos."""
+"""What was traced: its file, the page to trace on, and what it becomes: a city model, a benchmark."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,12 +23,95 @@ from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import RawCity, starts_of
 from lodbench.citymodel.read import read_city_model
 from lodbench.datasets.own import OwnImage, Written, find_photo, named_apart, write_dataset
+from lodbench.datasets.pose_text import LayoutGuard, read_json
 from lodbench.datasets.prior_sources import UniformPrior
+from lodbench.errors import DatasetError
 from lodbench.harness.local_page import LocalServer, saved_or_why
-from lodbench.harness.tracing import parse_tracing, write_tracing
+from lodbench.harness.tracing.roofs import Traced
 from lodbench.harness.tracing.solve import Building, Model, TracedMap
 from lodbench.segmentation.masks import read_photo
-from lodbench.storage import random_stream
+from lodbench.storage import random_stream, write_text
+
+# Kind -> the fewest points of one.
+KINDS = {"roof": 3, "ground": 1, "length": 2}
+_LAYOUT = (
+    '{"traced": [{"kind": "roof", "name": "A1", "photos": {"a.jpg": [[u, v], ...], "b.jpg": [[u, v], ...]}}]}'
+)
+
+
+def read_tracing(path: Path, photos: Collection[str]) -> tuple[Traced, ...]:
+    """Returns what a file holds, as the page saves it.
+
+    Raises:
+        DatasetError: It cannot be read, names a photo that the model lacks, or something in it is malformed.
+    """
+    return parse_tracing(read_json(path), str(path), photos)
+
+
+def is_tracing(path: Path) -> bool:
+    """Tells whether a file is a tracing, not a city model that is JSON too."""
+    return path.suffix == ".json" and "traced" in read_json(path)
+
+
+def parse_tracing(values: Mapping[str, Any], where: str, photos: Collection[str]) -> tuple[Traced, ...]:
+    """Returns what JSON values hold, see ``read_tracing``.
+
+    Raises:
+        DatasetError: Something is malformed; the message names the item.
+    """
+    with LayoutGuard(where, _LAYOUT):
+        listed = values["traced"]
+        if not isinstance(listed, list):
+            raise ValueError("traced is not a list")
+    found = []
+    for number, item in enumerate(listed, start=1):
+        with LayoutGuard(f"{where}, item {number}", _LAYOUT):
+            found.append(_parsed(item, photos))
+    names = [item.name for item in found if item.kind == "roof"]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise DatasetError(f"{where}: two roofs are called {twice}.", "Give each building a name of its own.")
+    return tuple(found)
+
+
+def _parsed(item: Any, photos: Collection[str]) -> Traced:
+    if not isinstance(item, dict) or not isinstance(item["photos"], dict):
+        raise ValueError("it is no object with photos")
+    kind, name = str(item["kind"]), str(item["name"]).strip()
+    if kind not in KINDS:
+        raise ValueError(f"the kind {kind!r} is none of {', '.join(KINDS)}")
+    if not name:
+        raise ValueError("it has no name")
+    unknown = [photo for photo in item["photos"] if photo not in photos]
+    if unknown:
+        raise ValueError(f"{name}: the model has no image {unknown[0]!r}")
+    pixels = {photo: np.array(points, np.float64) for photo, points in item["photos"].items()}
+    shapes = {points.shape for points in pixels.values()}
+    if len(pixels) < 2 or len(shapes) != 1 or (shape := shapes.pop())[1:] != (2,):
+        counts = " and ".join(str(len(points)) for points in pixels.values())
+        raise ValueError(f"{name}: the same corners in two photos are needed, not {counts or 'none'}")
+    if shape[0] < KINDS[kind] or (kind == "length" and shape[0] != 2):
+        raise ValueError(f"{name}: {shape[0]} points are no {kind}")
+    metres = float(item["metres"]) if kind == "length" else None
+    if metres is not None and not metres > 0:
+        raise ValueError(f"{name}: a length is above 0 m, not {metres:g}")
+    return Traced(kind, name, pixels, metres)
+
+
+def write_tracing(traced: Sequence[Traced], path: Path) -> None:
+    """Writes what was traced, to the hundredth of a pixel."""
+    listed = [
+        {
+            "kind": item.kind,
+            "name": item.name,
+            **({} if item.metres is None else {"metres": item.metres}),
+            "photos": {photo: np.round(points, 2).tolist() for photo, points in item.pixels.items()},
+        }
+        for item in traced
+    ]
+    lines = ",\n  ".join(json.dumps(item, ensure_ascii=False) for item in listed)
+    write_text(path, f'{{"traced": [\n  {lines}\n]}}\n')
+
 
 # A building of another map is the same where the footprints overlap by so much of their union.
 _SAME_IOU = 0.2
@@ -195,13 +278,7 @@ _LINE_POINTS, _DEPTH_SHARES, _BEYOND = 30, (0.02, 0.98), 1.3
 
 
 class TraceServer(LocalServer):
-    """Serves a model's photos to be traced in.
-
-    Args:
-        model: What is traced in.
-        file: Where the tracing is kept; what it holds is gone on with.
-        describe: Words for what was solved.
-        port: To listen at; 0 for any that is free.
+    """Serves a model's photos to be traced in; what ``file`` holds is gone on with.
 
     Raises:
         DatasetError: The file is there, and no tracing of this model.
@@ -271,7 +348,7 @@ class TraceServer(LocalServer):
     def _page(self, names: list[str]) -> bytes:
         from jinja2 import Environment
 
-        template = files("lodbench.harness.tracing").joinpath("templates/trace.html.jinja")
+        template = files("lodbench.harness").joinpath("templates/trace.html.jinja")
         environment = Environment(autoescape=True)
         page = environment.from_string(template.read_text(encoding="utf-8"))
         return page.render(file=self.file.name, names=names, traced=self.saved).encode()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import scipy
@@ -11,9 +12,111 @@ from numpy.typing import NDArray
 from shapely import Polygon
 
 from lodbench.errors import DatasetError
-from lodbench.harness.tracing import Traced, View, triangulated
+from lodbench.geometry import Camera, Pose
+from lodbench.geometry.lens import distort
+from lodbench.segmentation.masks import read_photo
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Traced:
+    """One thing traced in two or more photos, its points in the same order in each.
+
+    Attributes:
+        kind: ``roof``: the corners of a level roof; ``ground``: places on level ground; ``length``: the two
+            ends of a known length.
+        name: Of the building, or of whatever it is.
+        pixels: By photo, (N, 2) column and row in the photo as stored, the first pixel's centre at 0.5.
+        metres: Of a ``length``.
+    """
+
+    kind: str
+    name: str
+    pixels: Mapping[str, Floats]
+    metres: float | None = None
+
+
+# Shorter line segments are texture, pixels.
+_SHORTEST_PX = 12.0
+# The fixed point of a lens's inverse: photos of drones need five rounds.
+_LENS_ROUNDS = 30
+
+
+@dataclass(slots=True, eq=False)
+class View:
+    """A posed photo.
+
+    Attributes:
+        name: As the model calls it.
+        camera: Of the photo as stored, lens distortion included.
+        pose: World to camera.
+        photo: Its file.
+        kept: Its line segments, once they were looked for: copies of the view share them.
+    """
+
+    name: str
+    camera: Camera
+    pose: Pose
+    photo: Path
+    kept: list[Floats] = field(default_factory=list, repr=False)
+
+    def project(self, points: Floats) -> Floats:
+        """Returns (N, 2) pixels of (N, 3) points of the world; NaN behind the camera."""
+        return self.camera.project(points @ self.pose.rotation.T + self.pose.translation)
+
+    def rays(self, pixels: Floats) -> Floats:
+        """Returns (N, 3) unit directions, world axes, of (N, 2) pixels."""
+        camera = self.camera
+        seen = (pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+        plain = seen
+        if camera.distortion:
+            for _ in range(_LENS_ROUNDS):
+                bent = np.stack(distort(camera.lens, camera.distortion, plain[:, 0], plain[:, 1]), axis=1)
+                plain = plain + seen - bent
+        rays = np.column_stack([plain, np.ones(len(plain))]) @ self.pose.rotation
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+    def shows(self, pixels: Floats) -> NDArray[np.bool_]:
+        """Tells which of (N, 2) pixels are in the photo."""
+        inside = (pixels >= 0) & (pixels <= [self.camera.width, self.camera.height])
+        return np.asarray(inside.all(axis=1))
+
+    def segments(self) -> Floats:
+        """Returns (S, 4) line segments of the photo, ends in pixels (von Gioi et al., LSD, 2010); kept."""
+        import cv2
+
+        if not self.kept:
+            grey = cv2.cvtColor(read_photo(self.photo), cv2.COLOR_RGB2GRAY)
+            found = cv2.createLineSegmentDetector().detect(grey)[0]
+            # OpenCV counts from pixel centres.
+            ends = np.zeros((0, 4)) if found is None else np.reshape(found, (-1, 4)).astype(np.float64) + 0.5
+            self.kept.append(ends[np.hypot(*(ends[:, 2:] - ends[:, :2]).T) >= _SHORTEST_PX])
+        return self.kept[0]
+
+
+def triangulated(pixels: Mapping[str, Floats], views: Mapping[str, View]) -> Floats:
+    """Returns (N, 3) the places nearest to the rays of all photos.
+
+    Raises:
+        DatasetError: A photo is not there, or the rays of a point are parallel.
+    """
+    count = len(next(iter(pixels.values())))
+    normal, side = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    for name, points in pixels.items():
+        if name not in views:
+            raise DatasetError(
+                f"There is no photo {name}.", "`--images` is the folder of the model's photos."
+            )
+        rays, center = views[name].rays(points), views[name].pose.center
+        across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+        normal, side = normal + across, side + across @ center
+    if np.linalg.eigvalsh(normal)[:, 0].min() < 1e-6:
+        raise DatasetError(
+            f"The rays from {' and '.join(pixels)} are parallel.", "Trace in photos taken further apart."
+        )
+    return np.asarray(np.linalg.solve(normal, side[..., None])[..., 0])
+
 
 # How well a corner is traced by hand, pixels: what holds corners where no edge does.
 _TRACED_PX = 4.0
@@ -106,10 +209,6 @@ def snapped_roof(roof: Roof, views: Sequence[View]) -> Roof:
     are then refined together by robust least squares over the distances to the nearest parallel segments,
     which are looked for anew each round. The tracing, with its covariance, holds what no edge does. The
     covariance counts each photo as one witness, however many places it shows.
-
-    Args:
-        roof: As traced.
-        views: The photos to look at.
 
     Raises:
         DatasetError: None of them shows it.

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
+from pathlib import Path
 
 import numpy as np
 import scipy
@@ -12,14 +13,65 @@ from numpy.typing import NDArray
 from shapely import Polygon, contains_xy
 
 from lodbench.datasets.exchange.colmap import read_colmap, read_colmap_points
+from lodbench.datasets.own import find_photo
 from lodbench.datasets.pose_text import FoundPose
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry.similarity import Similarity
-from lodbench.harness.georeference_start import rough_start
-from lodbench.harness.tracing import Traced, TraceRequest, View, posed_views, triangulated
-from lodbench.harness.tracing.roofs import Roof, snapped_roof, traced_roof
+from lodbench.harness.photo.flight_inputs import rough_start
+from lodbench.harness.tracing.roofs import Roof, Traced, View, snapped_roof, traced_roof, triangulated
 from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.pose import HeightOptions
 from lodbench.storage import random_stream
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TraceRequest:
+    """A reconstruction, and how its frame becomes the map's.
+
+    Attributes:
+        model: Folder of a COLMAP model.
+        images: Folder that its names are relative to.
+        start: Rough poses in the map's coordinates, or a similarity of ``lodbench georeference``; or None.
+        crs: The map's reference system; with no ``start``, the photos' own positions place the model in it.
+        scale: Metres per unit of the model, or None.
+        is_metric: Whether the model is in the map's coordinates already.
+        heights: How the drone's heights become the map's.
+        queries: Patterns of names of photos that the map must not use, as they are the benchmark's queries;
+            empty for every second one that nothing is traced in; None where there is no benchmark.
+    """
+
+    model: Path
+    images: Path
+    start: Path | None = None
+    crs: str | None = None
+    scale: float | None = None
+    is_metric: bool = False
+    heights: HeightOptions = field(default_factory=HeightOptions)
+    queries: tuple[str, ...] | None = None
+
+
+def posed_views(images: Sequence[FoundPose], photos: Path, similarity: Similarity) -> dict[str, View]:
+    """Returns the model's photos in the frame that a similarity leads to, by name.
+
+    Those without a file, or a camera that is known here, are left out.
+
+    Raises:
+        DatasetError: No image has both.
+    """
+    views = {}
+    for image in images:
+        file = find_photo(photos, image.name)
+        if image.camera is not None and file is not None:
+            views[image.name] = View(image.name, image.camera, similarity.pose(image.pose), file)
+    if all(image.camera is None for image in images):
+        raise DatasetError(f"No image of the model can be used; {images[0].name}: {images[0].no_camera}")
+    if not views:
+        raise DatasetError(
+            f"{photos} holds no photo of the model; the first is looked for as {images[0].name}.",
+            "`--images` is the folder of the model's photos.",
+        )
+    return views
+
 
 Floats = NDArray[np.float64]
 
@@ -77,9 +129,6 @@ class TracedMap:
 
 class Model:
     """A COLMAP model and its photos, read once.
-
-    Args:
-        request: Where they are, and how the model is placed.
 
     Raises:
         DatasetError: The model cannot be read, or none of its photos is there.
@@ -213,13 +262,6 @@ def placed_model(
 ) -> PlacedModel:
     """Returns the similarity that the request, or else what was traced, gives.
 
-    Args:
-        request: With a start, a reference system or a scale, or none of them.
-        images: Of the model.
-        points: (N, 3) of the model.
-        traced: Known lengths and places on the ground are used where the request says nothing.
-        views: The model's photos, in its own frame.
-
     Raises:
         LodbenchError: Nothing gives the scale, or rough poses cannot be read or are too few.
     """
@@ -242,7 +284,6 @@ def placed_model(
 
 
 def _scale(request: TraceRequest, traced: Sequence[Traced], views: Mapping[str, View]) -> tuple[float, str]:
-    """Returns metres per unit of the model, and where that is from."""
     if request.scale is not None:
         return request.scale, f"scale: {request.scale:g} m per unit, as given"
     known = [item for item in traced if item.kind == "length"]

@@ -216,7 +216,7 @@ def findings_of(
     """Returns what a flight says, beside the poses; ``of_ends`` is what constants err by besides, (13, 13).
 
     ``constants``: by name the ``value`` to be added to what the sensors or the map say, ``sigma``, ``unit``
-    and whether the photos ``told`` it; ``buildings``: id, metres ``higher_m`` against the map and all other
+    and whether it is ``determined``; ``buildings``: id, metres ``higher_m`` against the map and all other
     buildings, ``sigma_m``, number of ``photos``, ``apart_deg`` between the directions they look from, and
     whether it is in ``doubt``; ``lost``: photos placed by the others alone, and ``reasons`` why, by name;
     ``changes``: buildings that stand in the map only (``gone_buildings``) and places where the map lacks one
@@ -252,7 +252,7 @@ def lost_of(state: State, queries: Sequence[Query]) -> dict[str, Any]:
 
 
 def constants_of(aligned: Aligned, params: FlightParams, of_ends: Floats) -> dict[str, dict[str, Any]]:
-    """Returns what photos share, by name: value, sigma, unit, whether photos say it; none that is held."""
+    """Returns what photos share but for what is held: value, sigma, unit, whether photos determine it."""
     state = aligned.state
     spread = np.sqrt(np.diag(shared_covariance(aligned.solution, np.arange(CONSTANTS)) + of_ends))
     beforehand = params.constant_sigmas(state.scales)
@@ -261,7 +261,7 @@ def constants_of(aligned: Aligned, params: FlightParams, of_ends: Floats) -> dic
             "value": float(state.constants[k]),
             "sigma": float(spread[k]),
             "unit": unit,
-            "told": bool(spread[k] < _TOLD * beforehand[k]),
+            "determined": bool(spread[k] < _TOLD * beforehand[k]),
         }
         for k, (name, unit) in enumerate(_NAMES)
         if beforehand[k] > 1e-3 * (1.0 if unit == "m" else 0.1)

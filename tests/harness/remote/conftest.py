@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import lodbench
-from lodbench.methods.conformance.trial import make_trial
+from lodbench.harness.conformance.trial import make_trial
 from lodbench.methods.registry import make_method
 
 # A method whose package only the other Python finds: it asks for a little of everything.

@@ -1,19 +1,28 @@
-"""Methods over pipes: the same bytes as in this process."""
+"""Methods in another process: the same bytes as in this one; their map, their commands, wrong settings."""
 
 import os
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lodbench.errors import ConfigError, QueryFault
+from lodbench.cli import main
+from lodbench.errors import ConfigError, LodbenchError, QueryFault
+from lodbench.geometry import Camera
+from lodbench.harness.conformance.trial import streams_of
 from lodbench.harness.remote import RemoteMethod, RunnerParams
+from lodbench.harness.remote import child as child_module
+from lodbench.harness.remote.child import RemoteMap
+from lodbench.harness.remote.method import answered
+from lodbench.harness.remote.process import KINDS, packed
 from lodbench.methods import Estimate
-from lodbench.methods.conformance.trial import streams_of
 from lodbench.methods.localize import localize_query
 from lodbench.methods.protocol import Workspace
 from lodbench.methods.registry import make_method
+from lodbench.rendering import IouFit
+from tests.town import write_dataset
 
 
 def remote(elsewhere: str, **settings) -> RemoteMethod:
@@ -139,3 +148,150 @@ def test_a_plug_in_there_that_a_setting_names_is_part_of_the_code(elsewhere, tmp
     after = codes()
     assert after[0] == before[0]
     assert after[1] != before[1]
+
+
+class Here:
+    """Stands for the pipe: what is asked is answered in this process, and noted."""
+
+    def __init__(self, city_map) -> None:
+        self.city_map, self.asked = city_map, []
+
+    def ask(self, *words):
+        self.asked.append(words)
+        return answered(list(words), None, self.city_map, None)
+
+
+FAR = {"name": "", "threads": 1, "is_textured": False}
+
+
+@pytest.mark.parametrize("kind", [*sorted(KINDS - {"render"}), "fit"])
+def test_many_poses_are_asked_for_some_at_a_time(kind, trial, monkeypatch):
+    camera, city_map = trial.queries[0].camera.scaled(80, 60), trial.city_map
+    poses = [query.prior for query in trial.queries] * 2
+    asked = np.stack([p.rotation for p in poses]), np.stack([p.center for p in poses])
+    mask = np.zeros((60, 80), bool)
+    mask[20:40, 30:60] = True
+    more = {"counts": [mask], "fit": [IouFit(mask)]}.get(kind, [])
+    city_map.usage.take()
+    monkeypatch.setattr(child_module, "_PORTION_BYTES", 40 if kind == "counts" else 1)
+    pipe = Here(city_map)
+    found = getattr(RemoteMap(pipe, FAR), kind)(camera, *asked, *more)
+    assert len(pipe.asked) == (3 if kind == "counts" else 6)
+    assert city_map.usage.total == 6
+    assert packed(found) == packed(getattr(city_map, kind)(camera, *asked, *more))
+    nothing = getattr(RemoteMap(pipe, FAR), kind)(camera, asked[0][:0], asked[1][:0], *more)
+    assert packed(nothing) == packed(getattr(city_map, kind)(camera, asked[0][:0], asked[1][:0], *more))
+
+
+def test_a_grid_of_any_size_is_drawn(trial, monkeypatch):
+    """200,000 poses, 6.9 GB of silhouettes: more than goes over the pipe at a time."""
+    largest = 0
+
+    def silhouettes(camera, rotations, centers):
+        nonlocal largest
+        largest = max(largest, len(centers))
+        return np.zeros((len(centers), 1, 1), np.uint64)
+
+    monkeypatch.setattr(trial.city_map.scorer, "silhouettes", silhouettes)
+    method_map = RemoteMap(Here(trial.city_map), FAR)
+    count, camera = 200_000, trial.queries[0].camera.scaled(602, 448)
+    rotations = np.broadcast_to(np.eye(3), (count, 3, 3))
+    scores = method_map.fit(camera, rotations, np.zeros((count, 3)), lambda words: np.zeros(len(words)))
+    assert len(scores) == count
+    assert 0 < largest * 448 * 80 <= 1 << 26
+
+
+def test_what_a_method_counts_itself_is_counted_here(trial):
+    trial.city_map.usage.take()
+    RemoteMap(Here(trial.city_map), FAR).usage.add("wires", 7)
+    assert trial.city_map.usage.take() == {"wires": 7}
+    with pytest.raises(LodbenchError):
+        answered(["count", "wires", -7], None, trial.city_map, None)
+
+
+def test_only_what_is_offered_is_drawn_and_never_too_much(trial):
+    camera, many = Camera(8000, 8000, 9e3, 9e3, 4e3, 4e3), (np.zeros((10**6, 3, 3)), np.zeros((10**6, 3)))
+    for words, reason in (
+        (["draw", "depth", {}, camera, *many], "too many at a time"),
+        (["draw", "depth", {}, 7, *many], "with a camera and poses"),
+        (["draw", "usage", {}], "no 'draw'"),
+        (["true_pixels", many[1]], "no 'true_pixels'"),
+        ([], "no ''"),
+    ):
+        with pytest.raises(LodbenchError, match=reason):
+            answered(words, trial.queries[0], trial.city_map, streams_of(trial.queries[0]))
+
+
+@pytest.mark.slow
+def test_a_run_over_pipes_counts_a_crash_and_goes_on(elsewhere, tmp_path, capsys):
+    root, city = write_dataset(tmp_path / "town", count=2)
+    words = ["run", "method=shake", "dataset=folder", f"root={root}", f"city={city}"]
+    words += ["runner=subprocess", f"runner.python={elsewhere}", f"paths.runs={tmp_path / 'runs'}"]
+    assert main([*words, "method.mood=dies"]) == 0
+    printed = capsys.readouterr().out
+    assert "1 x ProcessFault: the method's process ended with exit code 1: RuntimeError: no more" in printed
+    (config,) = (tmp_path / "runs").rglob("config.yaml")
+    assert "runner: subprocess" in config.read_text()
+    assert elsewhere not in config.read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "reported"),
+    [
+        (
+            ["runner=subprocess", f"runner.python={sys.executable}", "runner.timeout_s=0"],
+            "runner.timeout_s=0 is not in",
+        ),
+        pytest.param(
+            ["runner=subprocess", f"runner.python={sys.executable}", "method=shake"],
+            "shake",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            ["runner=subprocess", f"runner.python={sys.executable}", "method=flight"],
+            "whole flights",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_a_wrong_runner_is_one_line_before_any_work(words, reported, capsys, tmp_path):
+    assert main(["run", "dataset=demo", f"paths.runs={tmp_path}", *words]) == 2
+    error = capsys.readouterr().err
+    assert reported in error
+    assert error.startswith("lodbench: ")
+    assert len(error.splitlines()) <= 2
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_check_method_asks_it_there(elsewhere, capsys):
+    assert main(["check-method", "shake", f"runner.python={elsewhere}", "method.tries=6"]) == 0
+    assert "conforms to the protocol" in capsys.readouterr().out
+    assert main(["check-method", "shake", f"runner.python={sys.executable}"]) == 1
+    assert "shake" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_check_method_there_takes_the_settings_that_a_method_has_for_the_trial(capsys):
+    """Of a matcher that finds nothing on plain blocks all but the matcher is judged, and that is said."""
+    assert main(["check-method", "cadloc", f"runner.python={sys.executable}"]) == 0
+    printed = capsys.readouterr().out
+    assert "matcher=oracle instead of sift_nn" in printed
+    assert "cadloc conforms to the protocol" in printed
+
+
+@pytest.mark.slow
+def test_a_method_that_counts_poses_itself_answers_there_too():
+    assert main(["check-method", "lodloc", "method.rounds=1", f"runner.python={sys.executable}"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "reported"),
+    [
+        ([f"runner.python={sys.executable}", "method.bogus=1"], "method.bogus is not a setting"),
+        ([f"runner.python={sys.executable}", "runner.bogus=1"], "runner.bogus is not a setting"),
+    ],
+)
+def test_a_wrong_runner_is_no_fault_of_the_method_checked(words, reported, capsys):
+    assert main(["check-method", "prior_only", *words]) == 2
+    assert f"lodbench: {reported}" in capsys.readouterr().err

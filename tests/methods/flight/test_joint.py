@@ -156,7 +156,7 @@ def test_what_photos_share_is_told_with_its_sigma(found):
         ("focal length", FOCAL - 1.0, 0.004),
     ):
         told = constants[name]
-        assert told["told"]
+        assert told["determined"]
         assert told["value"] == pytest.approx(value, abs=tolerance), name
         assert abs(told["value"] - value) < 4.0 * told["sigma"] + 0.1
     assert found[0].findings["lost"] == []

@@ -1,11 +1,15 @@
-"""From a stored entry to what a method is given: the one place where truth may touch a query.
+"""A query of a run: from a stored entry to what a method is given, and to its answer as it is stored.
 
-Besides, what a run's numbers depend on through its method: weights, pictures, and what it prepared from them.
+This is the one place where truth may touch a query.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import json
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -16,16 +20,23 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.faults import camera_fault
-from lodbench.datasets.inputs import Input, declared_inputs
-from lodbench.datasets.query import Dataset, Entry, Query, Reference
-from lodbench.errors import STOPPED, ConfigError, LodbenchError, QueryFault, nearest_names
-from lodbench.execution.guards import single_threaded_blas, staying_here
+from lodbench.datasets.inputs import Input
+from lodbench.datasets.query import Dataset, Entry, Query
+from lodbench.errors import STOPPED, ConfigError, InputChanged, LodbenchError, QueryFault, WorkersGone
+from lodbench.evaluation.predictions import Prediction, encoded_mask
+from lodbench.execution.guards import staying_here
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.runs.requirements import require_near, require_photo
-from lodbench.harness.tracebacks import keep_traceback, words_of
-from lodbench.methods import Method
-from lodbench.methods.localize import weight_files
-from lodbench.methods.protocol import SupportsFlights, SupportsPrepare, open_workspace
+from lodbench.harness.runs.requirements import require_near, require_photo, require_tilt
+from lodbench.harness.tracebacks import answered_flight, keep_traceback, words_of
+from lodbench.methods import Estimate, Method
+from lodbench.methods.localize import (
+    localize_queries,
+    localize_query,
+    note_fault,
+    number_fault,
+    uncertainty_fault,
+)
+from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
 from lodbench.photos.measurements import Measurements
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
@@ -35,17 +46,17 @@ from lodbench.segmentation import (
     MapGuidedInstanceSegmenter,
     MapGuidedSegmenter,
     Segmenter,
+    binary_mask,
     check_classes,
     check_instances,
     check_mask,
+    no_wider,
 )
 from lodbench.segmentation.oracle import Oracle
-from lodbench.storage import digest_of
-from lodbench.storage.digest import content_digest
+from lodbench.storage import make_folder, write_text
+from lodbench.storage.disk import writable
 
 Points = NDArray[np.float64]
-
-TILTS = ("prior", "truth")
 # Beside the words that there is no truth, of a query whose tilt, mask or matches would come from it.
 _NOT_ASKED = "not asked, for that would take the true pose"
 
@@ -183,7 +194,6 @@ class Preparation:
         return check_classes(self.segmenter.segment_classes(entry), camera)
 
     def _from_truth(self, oracle: Oracle, entry: Entry, camera: Camera) -> NDArray[np.float32]:
-        """Returns what an oracle makes of the silhouette at the truth."""
         return oracle.from_silhouette(
             self._renderer.render(*self._true_view(oracle, entry, camera)), entry.key
         )
@@ -209,29 +219,6 @@ class Preparation:
         return self.city_map or CityMap(self.scene)
 
 
-def require_choices(tilt: str, limit: int | None = None) -> None:
-    """Makes sure of what can be checked of a run's settings before any dataset is opened, or built.
-
-    Raises:
-        ConfigError: A tilt is none of ``TILTS``, or no query is requested.
-    """
-    if tilt not in TILTS:
-        raise ConfigError(f"tilt={tilt} is not known.", nearest_names(tilt, TILTS))
-    if limit is not None and limit < 1:
-        raise ConfigError(f"limit={limit} is not a number of queries.")
-
-
-def require_tilt(tilt: str, dataset: Dataset) -> None:
-    """Makes sure that a tilt is one of ``TILTS``, and that a dataset has it.
-
-    Raises:
-        ConfigError: It is not, or the true one is requested and there is no truth.
-    """
-    require_choices(tilt)
-    if tilt == "truth" and not dataset.truth:
-        raise ConfigError("tilt=truth needs a truth, and the dataset has none.", "Leave it out.")
-
-
 def prior_of(entry: Entry, dataset: Dataset, tilt: str) -> Pose | None:
     """Returns an entry's prior, with the true pitch and roll if ``tilt`` is ``truth``; None without one."""
     return None if entry.prior is None else tilted(entry.prior, dataset.truth.get(entry.key), tilt)
@@ -242,69 +229,160 @@ def tilted(prior: Pose, truth: Pose | None, tilt: str) -> Pose:
     return prior if truth is None or tilt == "prior" else prior.with_tilt_of(truth)
 
 
-# What a workspace's content depends on, of a run's inputs.
-_PREPARED_FROM = ("scene", "roofs", "code", "weights", "references", "textured_map")
+# What flights say besides poses, one file each.
+FLIGHTS_FOLDER = "flights"
+# Masks are stored, and compared with the truth, at most at this width, pixels: the paper's fine size.
+_MASK_WIDTH = 602
+# Those of a flight are held at most at this width, pixels: of 500 drone's photos the whole have 40 GB.
+_HELD_WIDTH = 2 * _MASK_WIDTH
+# No query is to blame for these. A plug-in's sys.exit is a fault like others: it would end a run silently.
+_ENDS_RUN = (ConfigError, InputChanged, WorkersGone, *STOPPED)
 
 
-def method_inputs(method: Method, dataset: Dataset, entries: Sequence[Entry]) -> dict[str, str]:
-    """Returns digests of the weights, photos and references that a method uses; nothing for what it does not.
+@dataclass(slots=True)
+class PendingQuery:
+    """A query on its way to a prediction.
 
-    Raises:
-        ConfigError: A file of weights is missing.
+    Attributes:
+        entry: As the dataset stores it.
+        streams: Its random numbers.
+        query: As the method sees it, once it is made.
+        prepare_s: How long that took, seconds.
+        estimate: The method's, if there is one.
+        failure: Why there is none.
     """
-    requires = declared_inputs(method, "requires", {Input.MASK})
-    weights = weight_files(method)
-    inputs = {}
-    if weights:
-        inputs["weights"] = digest_of([content_digest(file) for file in weights])
-    # Methods for flights look at photos where there are any; of the same photos all have the same digest.
-    shown = [entry for entry in entries if entry.image is not None]
-    if shown and (Input.IMAGE in requires or isinstance(method, SupportsFlights)):
-        inputs["images"] = digest_of([[entry.key, content_digest(entry.image)] for entry in shown])
-    if Input.REFERENCES in requires:
-        inputs["references"] = digest_of([_identity(reference) for reference in dataset.references])
-    return inputs
+
+    entry: Entry
+    streams: Streams
+    query: Query | None = None
+    prepare_s: float = 0.0
+    estimate: Estimate | None = None
+    failure: str = ""
+
+    def prediction(self, preparation: Preparation, folder: Path) -> Prediction:
+        """Returns what is stored: the estimate, or why there is none; an odd estimate is a fault too."""
+        mask = "" if self.query is None else _stored_mask(self.query)
+        if self.estimate is not None:
+            with _failing(self, folder):
+                return _stored_estimate(self.estimate, self.prepare_s, mask, preparation)
+        return Prediction(None, writable(self.failure), hypotheses=0, mask_png=mask)
+
+
+def _stored_estimate(
+    found: Estimate, prepare_s: float, mask_png: str, preparation: Preparation
+) -> Prediction:
+    fault = number_fault(found) or uncertainty_fault(found) or note_fault(found)
+    if fault:
+        raise ValueError(fault)
+    return Prediction(
+        pose=Pose.from_matrix(preparation.in_dataset_frame(found.pose).cam_from_world),
+        score=float(found.score) if math.isfinite(found.score) else None,
+        hypotheses=int(found.hypotheses),
+        seconds={"prepare": prepare_s, **{stage: float(spent) for stage, spent in found.seconds.items()}},
+        trace={stage: tuple(map(float, scores)) for stage, scores in found.trace.items()},
+        probability=None if found.probability is None else float(found.probability),
+        covariance=_upper_triangle(found.covariance),
+        alternatives=tuple(
+            Pose.from_matrix(preparation.in_dataset_frame(pose).cam_from_world) for pose in found.alternatives
+        ),
+        alternative_probabilities=tuple(map(float, found.alternative_probabilities)),
+        notes=tuple(map(writable, found.notes)),
+        mask_png=mask_png,
+    )
 
 
 @staying_here()
-def prepare_method(
-    method: Method,
-    params: object,
-    inputs: Mapping[str, str],
-    city_map: CityMap,
-    references: Sequence[Reference],
-    folder: Path,
+def answer(
+    method: Method, preparation: Preparation, city_map: CityMap, waiting: Sequence[PendingQuery], folder: Path
 ) -> None:
-    """Lets a method prepare, if it does, in the workspace of this content; a second time it finds it filled.
-
-    Args:
-        method: The method.
-        params: Its parameters, as JSON values.
-        inputs: Digests of the run's inputs.
-        city_map: The map.
-        references: Posed pictures in the dataset's frame.
-        folder: The run's, for the traceback of a fault.
-
-    Raises:
-        LodbenchError: It cannot prepare: in the method's words, or, for a fault of its code, with the
-            traceback's file.
-    """
-    if not isinstance(method, SupportsPrepare):
+    """Fills in estimates, or why there are none."""
+    for each in waiting:
+        with _failing(each, folder):
+            started = time.perf_counter()
+            query = preparation.query(each.entry)
+            each.query = _with_small_mask(query) if isinstance(method, SupportsFlights) else query
+            each.prepare_s = time.perf_counter() - started
+    ready = [(each, each.query) for each in waiting if each.query is not None]
+    if isinstance(method, SupportsFlights) and ready:
+        _answer_flight(method, city_map, ready, folder)
         return
-    content = {name: inputs[name] for name in _PREPARED_FROM if name in inputs}
-    workspace = open_workspace(method.name, digest_of([method.name, params, content]))
-    local = [replace(r, pose=r.pose.shifted(-city_map.scene.origin)) for r in references]
+    if isinstance(method, SupportsBatches) and len(ready) > 1:
+        try:
+            answers = localize_queries(
+                method, [query for _, query in ready], city_map, [each.streams for each, _ in ready]
+            )
+        except _ENDS_RUN:
+            raise
+        except BaseException as error:  # one by one it shows which query it is
+            keep_traceback(folder, f"batch {ready[0][0].entry.key}", error)
+        else:
+            for (each, _), answer in zip(ready, answers, strict=True):
+                with _failing(each, folder):
+                    if isinstance(answer, QueryFault):
+                        raise answer
+                    each.estimate = answer
+            return
+    for each, query in ready:
+        with _failing(each, folder):
+            each.estimate = localize_query(method, query, city_map, each.streams)
+
+
+def _with_small_mask(query: Query) -> Query:
+    """Returns a query whose mask is no larger than methods need: those of a whole flight are held."""
+    if query.building_probability is None:
+        return query
+    small = no_wider(query.building_probability, _HELD_WIDTH, query.camera)
+    return replace(query, building_probability=small)
+
+
+def _answer_flight(
+    method: SupportsFlights, city_map: CityMap, ready: Sequence[tuple[PendingQuery, Query]], folder: Path
+) -> None:
+    """Fills in the estimates of a flight's photos; what it says besides goes to the run's folder."""
+    first = ready[0][0].entry
+    streams = [each.streams for each, _ in ready]
+    found = answered_flight(method, [query for _, query in ready], city_map, streams, folder, first.key)
+    for (each, _), answer in zip(ready, found.estimates, strict=True):
+        with _failing(each, folder):
+            if isinstance(answer, QueryFault):
+                raise answer
+            each.estimate = answer
+    if found.findings:
+        make_folder(folder / FLIGHTS_FOLDER)
+        reported = json.dumps(found.findings, indent=1, sort_keys=True)
+        write_text(folder / FLIGHTS_FOLDER / f"{flight_name(first)}.json", reported + "\n")
+
+
+def flight_name(entry: Entry) -> str:
+    """Returns what the files of a query's flight are called, whatever its dataset calls the sequence."""
+    name = f"{entry.split}-{entry.sequence or 'all'}"
+    return name.replace("%", "%25").replace("/", "%2F").replace("\\", "%5C")
+
+
+@contextmanager
+def _failing(each: PendingQuery, folder: Path) -> Iterator[None]:
+    """Turns what is raised into a query's failure, but for what ends a run; keeps a plug-in's traceback."""
     try:
-        single_threaded_blas(method.prepare)(city_map, local, workspace)
-    except (LodbenchError, *STOPPED):
+        yield
+    except _ENDS_RUN:
         raise
-    except BaseException as error:  # a plug-in's code may raise anything
-        file = keep_traceback(folder, "prepare", error)
-        raise ConfigError(
-            f"method={method.name} cannot prepare: {words_of(error)}", f"See {file}."
-        ) from error
+    except LodbenchError as fault:
+        each.failure = fault.message if isinstance(fault, QueryFault) else fault.message.rstrip(".")
+    except BaseException as error:
+        keep_traceback(folder, each.entry.key, error)
+        each.failure = words_of(error)
 
 
-def _identity(reference: Reference) -> list[object]:
-    pose = [float(v) for v in reference.pose.cam_from_world[:3].ravel()]
-    return [reference.name, repr(reference.camera), pose, content_digest(reference.image)]
+def _stored_mask(query: Query) -> str:
+    """Returns a query's mask at its own size, or at 602 pixels' width if it is larger; "" for none."""
+    if query.building_probability is None:
+        return ""
+    height, width = query.building_probability.shape
+    if width > _MASK_WIDTH:
+        height, width = max(1, round(_MASK_WIDTH * height / width)), _MASK_WIDTH
+    return encoded_mask(binary_mask(query.building_probability, width, height))
+
+
+def _upper_triangle(covariance: NDArray[np.float64] | None) -> tuple[float, ...]:
+    """Returns the 21 numbers of a (6, 6) covariance on and above its diagonal, row by row; () for none."""
+    return () if covariance is None else tuple(float(v) for v in np.asarray(covariance)[np.triu_indices(6)])

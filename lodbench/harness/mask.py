@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import DatasetError
-from lodbench.harness.tracebacks import told_as_fault
+from lodbench.harness.tracebacks import reported_as_fault
 from lodbench.photos.metadata import read_photo_metadata
 from lodbench.reporting.overlays import write_picture
 from lodbench.segmentation import Segmenter, binary_mask
@@ -201,7 +201,7 @@ def opened_session(
             )
         return MaskSession(pixels, np.asarray(given >= 0.5))
     if segmenter is not None:
-        with told_as_fault(f"segmenter {segmenter.name}", photo.parent, photo.name):
+        with reported_as_fault(f"segmenter {segmenter.name}", photo.parent, photo.name):
             probability = photo_probability(segmenter, photo)
         return MaskSession(pixels, binary_mask(probability, width, height))
     return MaskSession(pixels, np.zeros((height, width), bool))
@@ -212,11 +212,6 @@ def require_unturned(photo: Path, formats: tuple[str, ...], polygons: Path | Non
 
     LabelMe and most others turn a photo for display as EXIF says; masks are of the stored pixels. Of a photo
     that stands on its head nothing else would tell: its size is the same.
-
-    Args:
-        photo: The file.
-        formats: Polygons that will be written.
-        polygons: Those that are read, or None.
 
     Raises:
         DatasetError: The photo is turned, and polygons come or go.
@@ -237,12 +232,6 @@ def require_unturned(photo: Path, formats: tuple[str, ...], polygons: Path | Non
 
 def require_untouched(out: Path, photo: Path, formats: tuple[str, ...], polygons: Path | None) -> None:
     """Makes sure that no polygons are replaced that another program has written since the mask was saved.
-
-    Args:
-        out: The mask.
-        photo: Its photo.
-        formats: Of the polygons that will be written beside it.
-        polygons: What the mask starts from, if from polygons: they may be replaced.
 
     Raises:
         DatasetError: Some would be.
@@ -267,10 +256,6 @@ class Untouched:
     """Files that a page will replace: as they were when it began, or when it last saved.
 
     Another program, or another page of the same photo, may write them while the page is open.
-
-    Args:
-        out: The mask.
-        formats: Of the polygons beside it.
     """
 
     def __init__(self, out: Path, formats: tuple[str, ...]) -> None:
@@ -283,9 +268,6 @@ class Untouched:
 
     def require(self, hint: str) -> None:
         """Makes sure that nobody else has written a file since; tried again, they may be replaced.
-
-        Args:
-            hint: What to do about it.
 
         Raises:
             DatasetError: Somebody has.
