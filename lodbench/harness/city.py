@@ -10,7 +10,8 @@ import numpy as np
 from lodbench.citymodel.cache import OpenCity, open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
-from lodbench.errors import DatasetError
+from lodbench.datasets.query import Dataset
+from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import ProgressCallback
 from lodbench.geometry import Pose
 from lodbench.photos.map_frame import MapFrame
@@ -35,6 +36,18 @@ def open_city(path: Path, lod: str | None, options: ReadOptions, roof_height: st
     """
     with ProgressCallback(f"reading {path.name}", "MB", 1_000_000) as progress:
         return open_cached_city(path, lod=lod, options=options, roof_height=roof_height, progress=progress)
+
+
+def city_of_dataset(dataset: Dataset) -> OpenCity:
+    """Returns the city of a dataset.
+
+    Raises:
+        ConfigError: It names none.
+        CityModelError: It cannot be read, or has no building at that level.
+    """
+    if dataset.city_model is None:
+        raise ConfigError("There is no city model to localise against.", dataset.city_hint)
+    return open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
 
 
 def scene_digest(scene: Scene) -> str:

@@ -43,7 +43,7 @@ from lodbench.evaluation.pose_errors import PoseError, pose_error
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
 from lodbench.geometry.angles import off_nadir_deg
-from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+from lodbench.harness.city import FURTHEST_M, city_of_dataset, distance_outside_m
 from lodbench.harness.contradictions import check_views
 from lodbench.harness.runs.requirements import check_photos
 from lodbench.photos.camera import camera_from_photo
@@ -208,7 +208,7 @@ def check_dataset(
         wanted = f"none of {', '.join(known.city_files)}" if known else Words(dataset.city_hint)
         findings.add(FILE_MISSING, "city model", wanted)
     else:
-        scene = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
+        scene = city_of_dataset(dataset).scene
         _check_place(dataset, scene, findings)
         _check_views(dataset, scene, findings)
         _check_heights(dataset, scene, findings)

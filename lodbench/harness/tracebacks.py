@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -78,6 +78,24 @@ def answered_flight(
 
 
 _LOG = logging.getLogger(__name__)
+
+
+@contextmanager
+def kept_when_stopped(
+    out: Path, table: str, write: Callable[[], str], stops: tuple[type[BaseException], ...]
+) -> Iterator[None]:
+    """Writes what is done when the block is stopped; an earlier table in the folder goes before.
+
+    ``write`` returns what to say of it, "" where nothing was worth writing.
+    """
+    try:
+        yield
+    except stops:
+        if not (out / table).exists():
+            with last_write(out):
+                if said := write():
+                    _LOG.warning("%s: %s", said, out)
+        raise
 
 
 @contextmanager

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import csv
-import logging
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
@@ -27,7 +25,7 @@ from lodbench.execution import Progress
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city, require_near_city
 from lodbench.harness.photo.prepare import RoughRequest, rough_camera, rough_pose
-from lodbench.harness.tracebacks import last_write
+from lodbench.harness.tracebacks import kept_when_stopped
 from lodbench.harness.track_frames import Footage, Mask, MaskMaker, Shot, with_masks
 from lodbench.methods.localize import localize_next
 from lodbench.methods.protocol import Follower
@@ -85,9 +83,6 @@ def _is_track_of(table: Path, source: Path, names: Iterable[str]) -> bool:
         return bool(rows) and rows == expected
     except (OSError, ValueError, KeyError, csv.Error):
         return False  # somebody else's, or of a version that did not say
-
-
-_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,7 +177,14 @@ def track(request: TrackRequest) -> Track:
     prior = start.shifted(-scene.origin)
     first = Query("", "", pinhole, prior, lens_percent=camera.lens_percent)
     frames: list[TrackedFrame] = []
-    with _keeping(frames, request, frame):
+
+    def keep() -> str:
+        if all(each.pose is None for each in frames):
+            return ""
+        _write(frames, request, frame)
+        return f"{len(frames)} frames were tracked until then"
+
+    with kept_when_stopped(request.out, TABLE_FILE, keep, (KeyboardInterrupt, LodbenchError)):
         seconds, cpu_s = _follow(request, maker, first, CityMap(scene), frames)
     if request.masks is not None:
         require_some_mask(request.masks, [each.name for each in frames])
@@ -193,19 +195,6 @@ def track(request: TrackRequest) -> Track:
         return Track(tuple(frames), seconds, cpu_s, None, notes)
     _write(frames, request, frame)
     return Track(tuple(frames), seconds, cpu_s, request.out, notes)
-
-
-@contextmanager
-def _keeping(frames: Sequence[TrackedFrame], request: TrackRequest, frame: MapFrame | None) -> Iterator[None]:
-    """Writes the frames that are done when the block ends before its time; an earlier track goes before."""
-    try:
-        yield
-    except (KeyboardInterrupt, LodbenchError):
-        if any(each.pose is not None for each in frames) and not (request.out / TABLE_FILE).exists():
-            with last_write(request.out):
-                _write(frames, request, frame)
-                _LOG.warning("%d frames were tracked until then: %s", len(frames), request.out)
-        raise
 
 
 def _follow(

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 import itertools
-import logging
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ from lodbench.harness.city import open_city
 from lodbench.harness.photo.localize import LocalizedPhoto, localize_photo
 from lodbench.harness.photo.prepare import PhotoRequest
 from lodbench.harness.photo.workers import PhotoWorker, photo_workers
-from lodbench.harness.tracebacks import last_write
+from lodbench.harness.tracebacks import kept_when_stopped
 from lodbench.photos.files import find_photos, require_photos
 from lodbench.photos.map_frame import SURVEY_COLUMNS, survey_row
 from lodbench.photos.pose import PoseNotStated
@@ -62,7 +60,6 @@ class FlightAnswer:
         }
 
 
-_LOG = logging.getLogger(__name__)
 TABLE_FILE, MAP_FILE, VIEW_FILE = "localized.csv", "localized.geojson", "localized_3d.html"
 GEOPACKAGE_FILE = "localized.gpkg"
 FLIGHTS_FILE, FINDINGS_FILE = "flights.json", "map_findings.geojson"
@@ -190,27 +187,19 @@ def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path |
         row: (photo, find_mask(masks, f"{photo.parent.name}/{photo.name}", photo), masks)
         for row, photo in enumerate(photos)
     }
-    with _keeping(request.out, answers, photos), photo_workers(request) as workers:
+
+    def keep() -> str:
+        if all(answer.found is None for answer in answers.values()):
+            return ""
+        left = (PhotoAnswer(photo, None, "stopped before its turn") for photo in photos)
+        write_answers(request.out, [answers.get(row) or other for row, other in enumerate(left)])
+        return f"{len(answers)} of {len(photos)} photos were done until then"
+
+    keeping = kept_when_stopped(request.out, TABLE_FILE, keep, (KeyboardInterrupt,))
+    with keeping, photo_workers(request) as workers:
         for row, answer in workers.each("photos", _answer, items, photos):
             answers[row] = answer
     return write_answers(request.out, [answers[row] for row in items])
-
-
-@contextmanager
-def _keeping(out: Path, answers: Mapping[int, PhotoAnswer], photos: Sequence[Path]) -> Iterator[None]:
-    """Writes the answers there are when the block is stopped; an earlier table goes before."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        if any(answer.found is not None for answer in answers.values()) and not (out / TABLE_FILE).exists():
-            kept = [
-                answers.get(row) or PhotoAnswer(photo, None, "stopped before its turn")
-                for row, photo in enumerate(photos)
-            ]
-            with last_write(out):
-                write_answers(out, kept)
-                _LOG.warning("%d of %d photos were done until then: %s", len(answers), len(photos), out)
-        raise
 
 
 def write_answers(

@@ -16,7 +16,7 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, own_failure
 from lodbench.geometry import Pose
-from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+from lodbench.harness.city import FURTHEST_M, city_of_dataset, distance_outside_m
 from lodbench.harness.photo.outputs import city_and_marks
 from lodbench.harness.runs.gallery import picture_of
 from lodbench.harness.runs.queries import FLIGHTS_FOLDER, flight_name, prior_of
@@ -57,10 +57,8 @@ def scene_of(verdict: Verdict) -> Scene | None:
 
 def city_of(dataset: Dataset) -> Scene | None:
     """Returns the city of a dataset, or None where it is not there."""
-    if dataset.city_model is None:
-        return None
     try:
-        return open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
+        return city_of_dataset(dataset).scene
     except LodbenchError:
         return None
 

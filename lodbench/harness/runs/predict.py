@@ -15,7 +15,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.mesh.texture_files import open_textured_map
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset, Entry, Reference
-from lodbench.errors import ConfigError, DatasetError
+from lodbench.errors import DatasetError
 from lodbench.evaluation.predictions import Prediction
 from lodbench.execution import Ledger, Progress
 from lodbench.execution.executor import (
@@ -27,7 +27,7 @@ from lodbench.execution.executor import (
     require_code_version,
 )
 from lodbench.geometry import Camera
-from lodbench.harness.city import city_digests, open_city
+from lodbench.harness.city import city_digests, city_of_dataset
 from lodbench.harness.runs.inputs import prepare_method
 from lodbench.harness.runs.queries import PendingQuery, Preparation, answer
 from lodbench.methods import Method
@@ -257,9 +257,7 @@ def _open_here(work: Work) -> None:
     require_code_version(work.code)
     remember_contents(work.contents)
     dataset = work.dataset
-    if dataset.city_model is None:
-        raise ConfigError("There is no city model to localise against.", dataset.city_hint)
-    scene = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
+    scene = city_of_dataset(dataset).scene
     textured = None
     if dataset.textured_map is not None:
         textured = open_textured_map(dataset.textured_map, scene, options=dataset.city_options)

@@ -25,7 +25,7 @@ from lodbench.evaluation.queries import protocol_named
 from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams
 from lodbench.execution.fan_out import expect_workers
 from lodbench.execution.guards import only_one_in
-from lodbench.harness.city import city_digests, open_city
+from lodbench.harness.city import city_digests, city_of_dataset
 from lodbench.harness.runs.artefacts import Run
 from lodbench.harness.runs.inputs import (
     chosen_entries,
@@ -294,9 +294,7 @@ def _remove_unused(folder: Path) -> None:
 
 def _open_city(dataset: Dataset) -> tuple[Scene, Dataset]:
     """Returns a dataset's scene, and the dataset with what was met in its city added to the notes."""
-    if dataset.city_model is None:
-        raise ConfigError("There is no city model to localise against.", dataset.city_hint)
-    city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
+    city = city_of_dataset(dataset)
     return city.scene, replace(dataset, notes=dataset.notes + city.notes())
 
 

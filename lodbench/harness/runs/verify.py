@@ -32,7 +32,7 @@ from lodbench.evaluation.queries import (
     protocol_named,
 )
 from lodbench.geometry import wrap_deg
-from lodbench.harness.city import city_digests, open_city
+from lodbench.harness.city import city_digests, city_of_dataset
 from lodbench.harness.runs.artefacts import Result, summary_of
 from lodbench.harness.runs.compare import TOLERANCE_DEG, TOLERANCE_M, changed_answers, is_without_ledger
 from lodbench.harness.runs.inputs import chosen_entries, flights_digest, queries_digest
@@ -136,7 +136,7 @@ def verify_run(
             inputs["masks"] = earlier if is_same else masks_digest(segmenter, entries)
         scorer = None
         if "scene" in inputs and dataset.city_model is not None:
-            city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
+            city = city_of_dataset(dataset)
             inputs, lod = _with_city(inputs, city.scene, notes), city.scene.lod
             scorer = make_renderer("silhouette", city.scene, None)
             reported = replace(dataset, notes=dataset.notes + city.notes())
