@@ -155,7 +155,7 @@ class CompactInstances(PackagedNetwork):
         """
         mask = self.segment(entry) >= BUILDING_THRESHOLD
         inside = self.cached(entry, self.interior, ("interior", "mask_weights")) >= self.params.interior
-        return masks_of_labels(told_apart(mask, inside))
+        return masks_of_labels(separated(mask, inside))
 
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns a digest of the photos' contents, the settings and the weights of both networks."""
@@ -186,7 +186,7 @@ def interiors(labels: NDArray[Any]) -> NDArray[np.bool_]:
     return alone & (labels > 0)
 
 
-def told_apart(mask: NDArray[np.bool_], inside: NDArray[np.bool_]) -> NDArray[np.uint16]:
+def separated(mask: NDArray[np.bool_], inside: NDArray[np.bool_]) -> NDArray[np.uint16]:
     """Returns (H, W) labels 1, 2, ... that fill a mask: each pixel goes to the nearest building's inside.
 
     Patches of the mask with no inside of their own are a building each.

@@ -61,7 +61,7 @@ class TestOneFolder:
         assert entry.mask.is_file()
         assert entry.key in dataset.truth
 
-    def test_flights_and_reconstructions_of_other_names_are_told(self, tmp_path, city):
+    def test_flights_and_reconstructions_of_other_names_are_reported(self, tmp_path, city):
         names = ("a.jpg", "b.jpg", "c.jpg")
         root = write_split(tmp_path / "flight", names, names, names)
         (root / "sequences.txt").write_text("a.jpg east\nb east\nb.jpeg east\n")
@@ -241,7 +241,7 @@ class TestFaults:
         with pytest.raises(DatasetError, match=r"holds no GT_pose\.txt"):
             open_at(tmp_path / "empty", city)
 
-    def test_one_made_by_hand_without_true_poses_is_told_how_to_say_so(self, tmp_path, city):
+    def test_one_made_by_hand_without_true_poses_gets_a_hint_how_to_say_so(self, tmp_path, city):
         root = write_split(tmp_path / "mine")
         (root / "GT_pose.txt").unlink()
         with pytest.raises(DatasetError, match=r"mine holds no GT_pose\.txt") as caught:
@@ -309,7 +309,7 @@ class TestMeasurements:
         assert sigmas("prior")[3] == 0.1
         assert sigmas("truth") == (0.02, 0.03, 0.05, None, None, None)
 
-    def test_a_bad_line_is_named_and_a_stray_name_is_told(self, tmp_path, city):
+    def test_a_bad_line_is_named_and_a_stray_name_is_reported(self, tmp_path, city):
         folder = write_split(tmp_path / "flight")
         (folder / "measurements.txt").write_text("a.jpg east=0.02\nb.jpg east=1\n")
         assert any("measurements.txt names b.jpg" in note for note in open_at(folder, city).notes)

@@ -99,7 +99,7 @@ def test_names_with_spaces_in_pix4d_s_parameters(tmp_path, name, separator):
     assert found.pose.center == pytest.approx(CENTER)
 
 
-def test_odm_is_told_a_code_that_it_knows(tmp_path):
+def test_odm_is_given_a_code_that_it_knows(tmp_path):
     image = FoundPose("a.jpg", "", Pose.from_euler(EulerAngles(31.0, 0.2, -40.0), CENTER))
     write_odm([image], tmp_path / "geo.txt", "IGNF:LAMB93")
     assert (tmp_path / "geo.txt").read_text().startswith("EPSG:2154\n")
@@ -202,7 +202,7 @@ def test_odm_s_first_line_is_the_plane_s_code(tmp_path):
         ("imageName X Y Z Omega Phi Kappa\na.jpg 6 51 x 0 0 0\n", "could not convert"),
     ],
 )
-def test_what_is_not_meant_is_told(tmp_path, text, word):
+def test_what_is_not_meant_is_reported(tmp_path, text, word):
     path = tmp_path / "poses.txt"
     path.write_text(text)
     with pytest.raises(DatasetError, match=word):

@@ -191,7 +191,7 @@ def test_wrong_settings_and_files_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("asked", ["auto", "colmap"])
-def test_the_folder_above_colmap_s_models_is_told_where_they_are(tmp_path, asked):
+def test_the_folder_above_colmap_s_models_says_where_they_are(tmp_path, asked):
     for model in ("sparse/0", "sparse/1"):
         (tmp_path / model).mkdir(parents=True)
         (tmp_path / model / "images.txt").write_text(colmap(TRUTH))

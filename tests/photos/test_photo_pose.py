@@ -141,14 +141,14 @@ class TestHeights:
         assert place_notes(NRW, [replace(PHOTO, has_rtk=True)], HeightOptions(geoid_m=46.2)) == ()
         assert place_notes(NRW, [PHOTO], HeightOptions()) == ()
 
-    def test_a_fix_lost_on_the_way_is_told_for_it_steps_by_46_metres(self):
+    def test_a_fix_lost_on_the_way_is_reported_for_it_steps_by_46_metres(self):
         photos = [PHOTO, *[replace(PHOTO, has_rtk=True)] * 3]
         (note,) = place_notes(NRW, iter(photos))
         assert "1 of 4 photos have no RTK solution" in note
         for told in (HeightOptions("ellipsoid"), HeightOptions(takeoff_m=60.0)):
             assert place_notes(NRW, photos, told) == ()
 
-    def test_an_rtk_receiver_without_corrections_is_told(self):
+    def test_an_rtk_receiver_without_corrections_is_reported(self):
         photos = [PHOTO, replace(PHOTO, is_single_point=True)]
         (note,) = place_notes(NRW, photos)
         assert "1 of 2 photos" in note
@@ -204,7 +204,7 @@ def test_what_is_missing_is_said(absent, match):
     assert "--" in fault.value.hint
 
 
-def test_a_coarse_datum_shift_is_told():
+def test_a_coarse_datum_shift_is_reported():
     assert datum_note(NRW) is None
     assert "EPSG:31466" in (datum_note(MapFrame("EPSG:31466")) or "")
 
@@ -245,7 +245,7 @@ class TestCamera:
             {"focal_mm": 8.8, "pixel_mm": (0.0024, 0.0024)},
         ],
     )
-    def test_a_program_that_scaled_a_photo_and_changed_its_exif_is_told(self, numbers):
+    def test_a_program_that_scaled_a_photo_and_changed_its_exif_is_reported(self, numbers):
         whole = replace(PHOTO, focal_35mm=24.0, **numbers)
         assert camera_from_photo(whole).camera.fx == pytest.approx(3666.0, abs=1.0)
         with pytest.raises(DatasetError, match=r"not of 1368 x 912 pixels, .* scaled since") as fault:

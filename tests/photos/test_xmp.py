@@ -118,7 +118,7 @@ def test_angles_of_two_makers_are_not_mixed(tmp_path):
         (camera_xmp("north", "&lt;b&gt;"), "states Camera:Yaw, Camera:Pitch, Camera:Roll 0, which"),
     ],
 )
-def test_angles_that_makers_mean_differently_are_told_and_not_guessed(tmp_path, body, told):
+def test_angles_that_makers_mean_differently_are_reported_and_not_guessed(tmp_path, body, told):
     photo = photo_of(tmp_path, body)
     assert (photo.gimbal_yaw_deg, photo.gimbal_pitch_deg, photo.gimbal_roll_deg) == (None, None, None)
     with pytest.raises(DatasetError, match="where its camera looked") as fault:

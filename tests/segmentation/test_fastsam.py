@@ -59,7 +59,7 @@ class TestDecode:
         assert not counted(found, [], 1.0, (32, 32)).any()
 
 
-def test_the_union_is_of_the_classes_asked_for_and_of_nothing_too_large():
+def test_the_union_is_of_the_classes_requested_and_of_nothing_too_large():
     masks = np.zeros((3, 4, 5), bool)
     masks[0, 0], masks[1, 1], masks[2, :3] = True, True, True
     found = Instances(masks, np.array([0.9, 0.8, 0.7], np.float32), np.array([0, 2, 0]))
@@ -157,7 +157,7 @@ class TestAdapter:
         assert "whatever it is" not in segmenter.notes()[0]
         assert "whatever it is" in self.segmenter(weights).notes()[0]
 
-    def test_another_network_or_size_is_told(self, weights, tmp_path):
+    def test_another_network_or_size_is_reported(self, weights, tmp_path):
         from lodbench.segmentation.photo_segmenter import packaged_file
 
         with pytest.raises(ConfigError, match=r"answers \[\(1, 1, 64, 64\)\], not the rows"):
@@ -188,7 +188,7 @@ class TestAdapter:
         ("row", "value", "said"),
         [(4, np.nan, "NaN"), (0, np.inf, "NaN, or values beyond"), (7, np.nan, "NaN"), (4, 5.0, "scores of")],
     )
-    def test_answers_that_are_no_instances_are_told_and_no_empty_mask(self, weights, row, value, said):
+    def test_answers_that_are_no_instances_are_reported_and_no_empty_mask(self, weights, row, value, said):
         rows = np.zeros((1, 8, 84), np.float32)
         rows[0, row] = value
 

@@ -97,7 +97,7 @@ def test_a_true_outline_is_kept_and_known_to_be_exact(photo):
     assert exactness(bgr, houses()) > 1.5 > 1.2 > exactness(bgr, np.roll(houses(), (5, 5), (0, 1)))
 
 
-def test_evidence_is_judged_by_other_pixels(photo):
+def test_evidence_is_assessed_by_other_pixels(photo):
     bgr = photo[..., ::-1]
     noise = np.random.default_rng(3).integers(0, 256, bgr.shape, dtype=np.uint8)
     assert held_out_evidence(bgr, houses()) > 0.2

@@ -238,7 +238,7 @@ def test_polygons_drawn_by_others_count_pixels_whose_centres_they_hold(tmp_path)
         ),
     ],
 )
-def test_broken_files_are_told_in_one_line(content, words, tmp_path):
+def test_broken_files_are_reported_in_one_line(content, words, tmp_path):
     path = tmp_path / "drawn.json"
     path.write_text(content)
     with pytest.raises(DatasetError, match=words):

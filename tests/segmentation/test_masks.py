@@ -236,7 +236,7 @@ def town(tmp_path_factory):
     return open_folder(FolderParams(str(root), str(city))), scene
 
 
-def test_surfaces_are_told_apart_by_slope(town):
+def test_surfaces_are_separated_by_slope(town):
     scene = town[1]
     corners = scene.vertices[scene.triangles]
     rises = np.ptp(corners[..., 2], axis=1)

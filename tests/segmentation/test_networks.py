@@ -114,14 +114,14 @@ def test_no_weights_are_no_random_ones(small):
     assert "segmenter.weights=random" in told.value.hint
 
 
-def test_a_missing_encoder_is_told_by_its_own_setting(small):
+def test_a_missing_encoder_is_reported_by_its_own_setting(small):
     segmenter = Sam2UNetSegmenter(Sam2UNetParams(encoder="toy", size=64, encoder_weights="no.pt"))
     with pytest.raises(ConfigError, match=r"no weights no\.pt") as told:
         segmenter.build(None)
     assert "segmenter.encoder_weights=" in told.value.hint
 
 
-def test_what_does_not_fit_into_memory_is_told_before_it_is_built(monkeypatch):
+def test_what_does_not_fit_into_memory_is_reported_before_it_is_built(monkeypatch):
     monkeypatch.setattr(torch_segmenter, "free_bytes", lambda: 500 << 20)
     with pytest.raises(ConfigError, match=r"need 0\.8 GiB of memory, 0\.5 GiB are free"):
         Sam2UNetSegmenter(Sam2UNetParams(encoder="large")).build(None)
@@ -177,7 +177,7 @@ def test_a_pickle_is_refused_without_a_word_of_torch(tmp_path):
         read_weights(tmp_path / "w.pt")
 
 
-def test_missing_hub_access_is_told_in_one_line():
+def test_missing_hub_access_is_reported_in_one_line():
     params = Sam2UNetParams(weights="facebook/no-such-model")
     with pytest.raises(
         ConfigError, match=r"facebook/no-such-model are not at .*models--facebook--no-such"
@@ -188,7 +188,7 @@ def test_missing_hub_access_is_told_in_one_line():
 
 
 @pytest.mark.parametrize("device", ["cuda:99", "gpu"])
-def test_a_device_that_is_not_there_is_told(small, device):
+def test_a_device_that_is_not_there_is_reported(small, device):
     params = Sam2UNetParams(encoder="toy", size=64, weights="random", device=device)
     with pytest.raises(ConfigError, match=f"segmenter.device={device} is not there") as told:
         Sam2UNetSegmenter(params).logits(photo_of(64, 64))

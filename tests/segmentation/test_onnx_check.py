@@ -152,7 +152,7 @@ def test_what_is_no_network(content: bytes) -> None:
     assert onnx_fault(content)
 
 
-def test_a_reader_that_breaks_down_is_told_in_one_line(tmp_path: Path, monkeypatch) -> None:
+def test_a_reader_that_breaks_down_is_reported_in_one_line(tmp_path: Path, monkeypatch) -> None:
     path = tmp_path / "a.onnx"
     path.write_bytes(small_network().SerializeToString().replace(b"Conv", b"Con\xb5"))
     monkeypatch.setattr(onnx_file, "onnx_fault", lambda content: "")
@@ -244,7 +244,7 @@ def of_answers(*channels: int) -> onnx.ModelProto:
     ("channels", "told"), [((1, 1), "has 2 outputs instead of one"), ((19,), r"answers \(1, 19, ")]
 )
 @pytest.mark.parametrize("name", ["compact", "efficient_unet", "compact_instances"])
-def test_a_network_of_another_kind_is_told_in_one_line(tmp_path, name, channels, told) -> None:
+def test_a_network_of_another_kind_is_reported_in_one_line(tmp_path, name, channels, told) -> None:
     file, photo = tmp_path / "other.onnx", tmp_path / "photo.png"
     file.write_bytes(of_answers(*channels).SerializeToString())
     cv2.imwrite(str(photo), np.full((60, 80, 3), 128, np.uint8))

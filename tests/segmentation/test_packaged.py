@@ -17,7 +17,7 @@ from lodbench.segmentation.compact import (
     CompactInstancesParams,
     CompactParams,
     interiors,
-    told_apart,
+    separated,
 )
 from lodbench.segmentation.efficient_unet import EfficientUnet, EfficientUnetParams, adapted
 from lodbench.storage import file_digest
@@ -134,7 +134,7 @@ def test_each_inside_is_a_building_that_grows_over_the_mask():
     inside[14:26, 14:27] = inside[14:26, 33:46] = True
     inside[12:14, 62:65] = True  # too small for a building's inside
     inside[0:6, 0:20] = True  # not in the mask
-    labels = told_apart(mask, inside)
+    labels = separated(mask, inside)
     assert ((labels > 0) == mask).all()
     left, right, alone = (
         np.unique(labels[:, part]) for part in (slice(10, 28), slice(33, 50), slice(60, 75))
@@ -143,10 +143,10 @@ def test_each_inside_is_a_building_that_grows_over_the_mask():
     assert len({int(part[-1]) for part in (left, right, alone)}) == 3
 
 
-def test_nothing_is_told_apart_where_nothing_is():
+def test_nothing_is_separated_where_nothing_is():
     nothing = np.zeros((8, 8), bool)
-    assert not told_apart(nothing, nothing).any()
-    assert not told_apart(nothing, ~nothing).any()
+    assert not separated(nothing, nothing).any()
+    assert not separated(nothing, ~nothing).any()
 
 
 @pytest.fixture(scope="module")

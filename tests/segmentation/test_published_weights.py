@@ -165,7 +165,7 @@ def test_metas_sam2_encoder_fits_name_by_name(size):
     }
 
 
-def test_the_sam2_encoder_of_another_size_is_told_from_this_one():
+def test_the_sam2_encoder_of_another_size_is_distinguished():
     with torch.device("meta"):
         net = hiera.make_hiera("tiny")
     with pytest.raises(ConfigError, match=r"does not fit the network: .*missing"):

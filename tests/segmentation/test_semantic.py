@@ -48,7 +48,7 @@ def test_classes_by_name_sum_their_probabilities(checkpoint):
     assert both.std() > 1e-5
 
 
-def test_an_unknown_class_or_folder_is_told(checkpoint, tmp_path):
+def test_an_unknown_class_or_folder_is_reported(checkpoint, tmp_path):
     with pytest.raises(ConfigError, match="no class 'bulding'") as told:
         Semantic(SemanticParams(str(checkpoint), classes=["bulding"])).logits(photo_of(32, 32))
     assert "building" in told.value.hint
@@ -101,7 +101,7 @@ def test_a_backbone_alone_is_no_network(tmp_path, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_a_file_that_was_cut_off_is_told(checkpoint, tmp_path):
+def test_a_file_that_was_cut_off_is_reported(checkpoint, tmp_path):
     shutil.copytree(checkpoint, tmp_path, dirs_exist_ok=True)
     weights = tmp_path / "model.safetensors"
     weights.write_bytes(weights.read_bytes()[:20_000])
@@ -138,7 +138,7 @@ def test_what_the_checkpoint_says_of_photos_counts_for_its_digest(checkpoint, tm
     assert Semantic(params).weights_digest != before
 
 
-def test_a_gated_repository_without_its_weights_is_told(tmp_path, monkeypatch):
+def test_a_gated_repository_without_its_weights_is_reported(tmp_path, monkeypatch):
     import huggingface_hub
 
     (tmp_path / "README.md").write_text("agree to the licence first")
@@ -163,7 +163,7 @@ def refusal(folder):
     return told.value.message
 
 
-def test_code_of_a_stranger_is_neither_run_nor_asked_about(checkpoint, tmp_path, monkeypatch):
+def test_code_of_a_stranger_is_neither_run_nor_offered(checkpoint, tmp_path, monkeypatch):
     ran = tmp_path / "ran"
     named = {"AutoConfig": "evil.C", "AutoModelForSemanticSegmentation": "evil.M"}
     folder = copied(checkpoint, tmp_path / "code", model_type="evil", auto_map=named)
@@ -202,7 +202,7 @@ def test_a_configuration_names_safetensors_of_its_folder_alone(checkpoint, tmp_p
         ({"num_channels": 4}, "its weights are of other shapes than its config.json says"),
     ],
 )
-def test_a_configuration_that_cannot_be_is_told_in_a_line(checkpoint, tmp_path, config, said):
+def test_a_configuration_that_cannot_be_is_reported_in_a_line(checkpoint, tmp_path, config, said):
     assert said in refusal(copied(checkpoint, tmp_path / "net", **config))
 
 

@@ -174,7 +174,7 @@ def test_the_fingerprint_names_photo_size_and_weights(weights, tmp_path):
     assert first != Compact(CompactParams(weights=str(weights), size=64)).fingerprint(entries)
 
 
-def test_faults_are_told_in_one_line(tmp_path):
+def test_faults_are_reported_in_one_line(tmp_path):
     with pytest.raises(ConfigError, match=r"no weights .*nowhere\.onnx"):
         Compact(CompactParams(weights=str(tmp_path / "nowhere.onnx")))
     with pytest.raises(ConfigError, match="is a folder") as told:

@@ -85,7 +85,7 @@ def test_a_trajectory_is_followed_and_looks_ahead(town, tmp_path):
     assert np.abs(offsets).max() > 1.0
 
 
-def test_views_without_buildings_are_taken_when_asked(town):
+def test_views_without_buildings_are_taken_when_requested(town):
     scene, place = town
     asked = params(sampling="anywhere", count=40, height=[60.0], pitch=[0.0], val_share=0.2, test_share=0.2)
     assert not {view.name for view in plan_views(asked, scene, place.ground).views} >= {"000000", "000001"}
@@ -119,7 +119,7 @@ def test_views_are_skipped_for_a_reason_and_counted(town, tmp_path):
     assert {view.split for view in split.views} == {"train", "val", "test"}
 
 
-def test_regions_are_strips_with_the_shares_asked_for(town):
+def test_regions_are_strips_with_the_shares_requested(town):
     bases = town[1].bases
     region = regions_of(bases, 0.2, 0.2)
     along = bases[:, int(np.ptp(bases[:, 1]) > np.ptp(bases[:, 0]))]
@@ -169,7 +169,7 @@ def test_names_hold_the_pose_in_whole_metres_and_degrees(box_file, tmp_path):
     assert manifest["settings"]["naming"] == "pose"
 
 
-def test_occluders_are_cut_out_of_masks_only_when_asked(box_file, tmp_path):
+def test_occluders_are_cut_out_of_masks_only_when_requested(box_file, tmp_path):
     shown = {}
     for cut in (False, True):
         asked = GenerateParams(

@@ -45,7 +45,7 @@ def test_rgb_camera_scales_to_the_fine_size():
     assert CAMERA.fy == pytest.approx(3767.392 * 448 / 3956)
 
 
-def test_views_lie_in_the_asked_ranges(city, renderer):
+def test_views_lie_in_the_requested_ranges(city, renderer):
     sampling = ViewSampling(camera_height_m=(100, 160), pitch_deg=(20, 60), building_share=(0.1, 0.8), seed=4)
     views = sample_views(city, renderer, CAMERA, sampling, 12, "test")
     assert len(views.poses) == 12
@@ -127,7 +127,7 @@ def cache(tmp_path_factory, monkeypatch) -> Path:
     return folder
 
 
-def test_masks_are_as_wrong_as_asked(town):
+def test_masks_are_as_wrong_as_requested(town):
     dataset, scene = open_views(ViewsParams(str(town), num_views=2)), open_scene(town)
     engine = SilhouetteRenderer(scene)
     for entry in dataset.entries:
@@ -139,7 +139,7 @@ def test_masks_are_as_wrong_as_asked(town):
         )
 
 
-def test_priors_lie_in_the_asked_ranges(town):
+def test_priors_lie_in_the_requested_ranges(town):
     dataset = open_views(ViewsParams(str(town), num_views=2, range_m=4.0, height_m=2.0, tilt_deg=0.5))
     for entry in dataset.entries:
         truth = dataset.truth[entry.key]
@@ -163,7 +163,7 @@ def test_a_lone_house_is_seen_from_lower_down(tmp_path):
 
 
 @pytest.mark.parametrize("setting", [{"camera_height_m": (80, 40)}, {"building_share": (0.5, 2.0)}])
-def test_ranges_that_cannot_be_are_told_before_the_city_is_read(setting):
+def test_ranges_that_cannot_be_are_reported_before_the_city_is_read(setting):
     with pytest.raises(ConfigError, match=next(iter(setting))):
         ViewsParams("absent.gml", **setting)
 
@@ -215,7 +215,7 @@ def test_photos_show_the_city_and_change_nothing_else(town):
     assert np.abs(inside - outside).max() > 5.0
 
 
-def test_photos_show_the_world_that_is_told(town):
+def test_photos_show_the_world_that_is_reported(town):
     """A lens a third longer shows the buildings larger: of what both show one part only is roof and wall."""
     world = Perturbation(focal=0.3)
     longer = open_views(ViewsParams(str(town), num_views=1, look="hard", world=world))
@@ -296,7 +296,7 @@ def test_lenses_are_longer_and_shorter_in_turn():
     assert stretches == pytest.approx([1.03, 0.97, 1.03, 0.97])
 
 
-def test_a_world_is_told_in_short():
+def test_a_world_is_reported_in_short():
     world = Perturbation.parse("shared_roofs=1.5,hidden_feet_m=2,focal=0.01,tilt=5")
     assert world == Perturbation(1.5, 2.0, 0.01, 5.0)
     assert world.describe() == "shared_roofs_m=1.5, hidden_feet_m=2, focal=0.01, tilt=5"

@@ -175,7 +175,7 @@ def test_a_map_that_lies_elsewhere_teaches_nothing(flight, tmp_path):
         posed_samples(root, tmp_path / "silhouettes")
 
 
-def test_photos_that_are_missing_are_told(flight, tmp_path, caplog):
+def test_photos_that_are_missing_are_reported(flight, tmp_path, caplog):
     root = tmp_path / "flight"
     shutil.copytree(flight[0], root)
     (root / "Query_image" / "view_01.png").unlink()
@@ -198,7 +198,7 @@ def test_a_network_is_trained_on_them(flight, tmp_path, capsys):
     assert "val IoU: mean per view" in told.out
 
 
-def test_views_with_few_buildings_leave_no_iou_and_the_reason_is_told(tmp_path):
+def test_views_with_few_buildings_leave_no_iou_and_the_reason_is_reported(tmp_path):
     row = {"loss": 0.5, "mean_iou": math.nan, "pooled_iou": math.nan, "views": 0}
     told = report_trained(Trained(tmp_path / "compact.onnx", [row], "val views", 7, 0, {}))
     assert "val IoU: none, for no view to validate on has 5 % buildings or more\n" in told

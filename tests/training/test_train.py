@@ -257,7 +257,7 @@ def test_mixed_precision_learns_as_well(views, tmp_path):
     assert histories[1] == pytest.approx(histories[0], rel=0.3)
 
 
-def test_without_tensorboard_it_is_told_how_to_get_it(views, tmp_path, capsys, monkeypatch):
+def test_without_tensorboard_it_is_reported_how_to_get_it(views, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboard", None)
     assert train(views, tmp_path / "a", "schedule.epochs=1", "tensorboard=true") == 2
     told = capsys.readouterr().err

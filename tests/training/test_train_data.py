@@ -137,7 +137,7 @@ def test_a_share_of_pictures_loses_its_colours():
         assert np.median(np.ptp(band, axis=2)) < 0.1 < np.median(np.ptp(colours, axis=2))
 
 
-def test_a_photo_that_cannot_be_read_is_told_before_anything_is_learnt(tmp_path):
+def test_a_photo_that_cannot_be_read_is_reported_before_anything_is_learnt(tmp_path):
     for kind, name in (("images", "0.jpg"), ("masks", "0.png"), ("images", "1.jpg"), ("masks", "1.png")):
         (tmp_path / "train" / kind).mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(tmp_path / "train" / kind / name), np.zeros((8, 8), np.uint8))

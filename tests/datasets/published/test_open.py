@@ -160,7 +160,7 @@ class TestQuirks:
         lost = {"NO_TRUTH": 1, "NO_PRIOR": 1, "NO_CAMERA": 1, "NO_IMAGE": 1}
         assert codes(dataset) == {"NOT_IN_SPLIT": 1, **lost}
 
-    def test_a_missing_split_is_told(self, root):
+    def test_a_missing_split_is_reported(self, root):
         (root / "UAVD4L-LoD" / "outTraj").rename(root / "elsewhere")
         dataset = self.open(root)
         assert dataset.splits == ("in_traj", "synthetic")
@@ -336,7 +336,7 @@ def test_without_them_there_are_none_and_the_advice_says_where_they_belong(tmp_p
     assert "UAVD4L-LoD/references/" in words
 
 
-def test_a_map_that_is_named_and_not_there_is_told(tmp_path):
+def test_a_map_that_is_named_and_not_there_is_reported(tmp_path):
     params = PublishedParams(
         "uavd4l_lodv2", str(write(tmp_path, extra=False)), textured_map=str(tmp_path / "none.glb")
     )
