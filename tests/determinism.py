@@ -49,7 +49,7 @@ SAME_M, SAME_DEG, MAY_PART = 1e-3, 1e-3, 0.05
 CHUNKS = {
     "lodbench.rendering.silhouette._MOST_GROUPS": 1,
     "lodbench.citymodel.triangulate.CHUNK_POLYGONS": 77,
-    "lodbench.citymodel.meshing.CHUNK_POLYGONS": 77,
+    "lodbench.citymodel.read.CHUNK_POLYGONS": 77,
     "lodbench.citymodel.cleaning._CHUNK_POINTS": 1001,
     "lodbench.citymodel.frame._CHUNK_POINTS": 1001,
     "lodbench.citymodel.scene._CHUNK_TRIANGLES": 999,

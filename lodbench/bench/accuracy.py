@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lodbench.bench.report import Figure, Progress, Report, no_progress
 from lodbench.bench.views import TILTS, Job, of_seeds, protocol_of, sweep
-from lodbench.citymodel.lods import lod_in_words
+from lodbench.citymodel.model import lod_in_words
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation import DEFAULT_THRESHOLDS, SplitSummary
 from lodbench.evaluation.metrics import Calibration, calibrate

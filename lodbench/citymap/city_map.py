@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.mesh.textured import TexturedMesh
-from lodbench.citymodel.raw import take_segments
+from lodbench.citymodel.model import take_segments
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lodbench.citymodel.axis_order import is_true_to_scale
-from lodbench.citymodel.crs import is_same_plane, require_crs
-from lodbench.citymodel.lifespans import Period, date_in, holds_on, period_of
+from lodbench.citymodel.attributes import date_in, holds_on, period_of
+from lodbench.citymodel.crs import is_same_plane, is_true_to_scale, require_crs
+from lodbench.citymodel.formats import Source
+from lodbench.citymodel.model import Period
 from lodbench.citymodel.options import PATH_OPTIONS, ReadOptions, made_with
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene, read_scene, write_scene
-from lodbench.citymodel.source import Source, open_sources
+from lodbench.citymodel.source import open_sources
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 from lodbench.plugins import find_plugin, installed
@@ -28,8 +29,8 @@ from lodbench.storage.digest import digest_of_code, package_files
 from lodbench.storage.paths import cache_limit_bytes, cache_root, mark_used, prune_cache
 
 if TYPE_CHECKING:
-    from lodbench.citymodel.meshing import CityMesh
     from lodbench.citymodel.model import CityModel
+    from lodbench.citymodel.read import CityMesh
 
 _LOGGER = logging.getLogger(__name__)
 # What decides the numbers besides our own code. Those of extras need not be there.
@@ -80,8 +81,7 @@ def open_cached_city(
         except CityModelError as fault:
             _LOGGER.warning("%s It is made anew.", fault)
     # Not needed where the cache has the scene.
-    from lodbench.citymodel.meshing import mesh_model
-    from lodbench.citymodel.read import read_city_model
+    from lodbench.citymodel.read import mesh_model, read_city_model
 
     model = read_city_model(path, options=options, progress=progress)
     city = open_city(model, mesh_model(model, lod, roof_height=roof_height))
@@ -253,11 +253,7 @@ def open_scene_folder(
 
 
 def _require_made_so(folder: Path, made: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    """Makes sure that a scene was made with all that is requested now (``made_with``).
-
-    Raises:
-        CityModelError: It was not, and is what it is.
-    """
+    """Makes sure that a scene was made with all that is requested now (``made_with``)."""
     for name, value in wanted.items():
         # A level that was there needed no rule.
         if value != made.get(name, value if name == "roof_height" else None):

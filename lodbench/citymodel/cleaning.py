@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel import codes
-from lodbench.citymodel.lods import group_cuts, select_polygons
-from lodbench.citymodel.model import Polygons, SurfaceKind
-from lodbench.citymodel.raw import RawCity, starts_of, take_segments
+from lodbench.citymodel.model import (
+    HIGHEST_M,
+    LOWEST_M,
+    TALLEST_M,
+    CityObjects,
+    Polygons,
+    SurfaceKind,
+    group_cuts,
+    select_polygons,
+    starts_of,
+    take_segments,
+)
+from lodbench.citymodel.raw import RawCity
+from lodbench.citymodel.scene import HASH_MIXER, HASH_ODD, HASH_SHIFT, number_rows
 from lodbench.findings import FindingCode, Findings
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 # Points moved at a time: a few hundred kilobytes are held besides the city.
 _CHUNK_POINTS = 1 << 14
@@ -130,8 +147,6 @@ def _report(raw: RawCity, code: FindingCode, buildings: NDArray[np.int32]) -> No
 
 # Polygons compared at a time: what is held of them, some hundred bytes each, fits the cache.
 _BLOCK_POLYGONS = 1 << 12
-# An odd number (2**64 over the golden ratio) and one of splitmix64, which spread bits.
-_ODD, _MIXER, _SHIFT = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(31)
 
 
 def drop_repeats(
@@ -200,15 +215,15 @@ def _hash_corners(polygons: Polygons, chosen: NDArray[np.int64]) -> NDArray[np.u
     key = np.zeros(len(corners), np.uint64)
     for column in np.take(polygons.points, corners, axis=0).T:
         key ^= (column + 0.0).view(np.uint64)  # -0 is 0
-        key *= _ODD
-        key ^= key >> _SHIFT
-        key *= _MIXER
-    key ^= key >> _SHIFT
+        key *= HASH_ODD
+        key ^= key >> HASH_SHIFT
+        key *= HASH_MIXER
+    key ^= key >> HASH_SHIFT
     hashes = np.zeros((2, len(chosen)), np.uint64)
     filled = np.flatnonzero(np.diff(starts) > 0)
     if len(filled) > 0:
         hashes[0, filled] = np.add.reduceat(key, starts[filled])
-        hashes[1, filled] = np.add.reduceat((key * _ODD) ^ (key >> _SHIFT), starts[filled])
+        hashes[1, filled] = np.add.reduceat((key * HASH_ODD) ^ (key >> HASH_SHIFT), starts[filled])
     hashes[0] += np.diff(starts).astype(np.uint64)
     return hashes
 
@@ -236,13 +251,7 @@ def far_from_most(points: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def report_outliers(polygons: Polygons, building_ids: tuple[str, ...], findings: Findings) -> None:
-    """Adds a finding for each building with a point that lies far from most.
-
-    Args:
-        polygons: In metres of one reference system.
-        building_ids: For the findings.
-        findings: Receives ``FAR_AWAY``.
-    """
+    """Adds ``FAR_AWAY`` for each building with a point that lies far from most; polygons are in metres."""
     far = np.flatnonzero(far_from_most(polygons.points))
     point_starts = polygons.ring_starts[polygons.polygon_starts]
     polygon = np.searchsorted(point_starts, far, side="right") - 1
@@ -253,83 +262,134 @@ def report_outliers(polygons: Polygons, building_ids: tuple[str, ...], findings:
         findings.add(codes.FAR_AWAY, building_ids[building], where, place=(east, north, up))
 
 
-def number_rows(columns: list[NDArray[np.uint64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Returns a number for every row, equal for equal rows, and the first row of each number.
+def unique_ids(ids: Sequence[str], findings: Findings) -> tuple[str, ...]:
+    """Returns ids of which no two are equal: what repeats an earlier one gets ``~2``, ``~3`` and so on.
 
-    Numbers count up in the order of first occurrence.
+    An export that merged two buildings of one id would lose one of them.
 
     Args:
-        columns: Arrays (N,) of bits; a row is one entry of each.
-
-    Returns:
-        numbers: (N,) int64.
-        first: (U,) int64 ascending.
+        ids: As the file has them.
+        findings: Receives ``DUPLICATE_ID``, once per id that repeats.
 
     Example:
-        >>> number_rows([np.array([7, 5, 7], np.uint64)])[0]
-        array([0, 1, 0])
+        >>> unique_ids(["a", "b", "a"], Findings())
+        ('a', 'b', 'a~2')
     """
-    key = np.zeros(len(columns[0]), np.uint64)
-    for column in columns:
-        key = (key ^ column) * _MULTIPLIER
-        key = (key ^ (key >> _SHIFT)) * _MIXER
-    order = np.argsort(key, kind="stable")
-    is_new = _changes([key], order)
-    if not np.array_equal(is_new, _changes(columns, order)):
-        # Two rows share a hash: sort by the rows themselves.
-        order = np.lexsort(columns)
-        is_new = _changes(columns, order)
-    group = np.cumsum(is_new) - 1
-    first = order[is_new]  # a stable sort keeps the earliest row of a group in front
-    by_occurrence = np.argsort(first)
-    rank = np.empty_like(by_occurrence)
-    rank[by_occurrence] = np.arange(len(first))
-    numbers = np.empty(len(order), np.int64)
-    numbers[order] = rank[group]
-    return numbers, first[by_occurrence]
+    if len(set(ids)) == len(ids):
+        return tuple(ids)
+    counts = Counter(ids)
+    for name, count in counts.items():
+        if count > 1:
+            findings.add(codes.DUPLICATE_ID, name, f"names {count} objects; the later get ~2 and so on")
+    taken, met, unique = set(ids), Counter[str](), []
+    for name in ids:
+        met[name] += 1
+        own = name
+        while met[name] > 1 and own in taken:
+            own = f"{name}~{met[name]}"
+            met[name] += own in taken
+        taken.add(own)
+        unique.append(own)
+    return tuple(unique)
 
 
-def connected_components(
-    num_nodes: int, first: NDArray[np.int64], second: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Returns the smallest node of each node's component.
+def unique_objects(objects: CityObjects, building_ids: tuple[str, ...], findings: Findings) -> CityObjects:
+    """Returns objects of which no two have one id; buildings are called as ``building_ids`` says."""
+    ids = list(objects.ids)
+    for n, building in enumerate(objects.building.tolist()):
+        if objects.parents[n] < 0:
+            ids[n] = building_ids[building]
+    return replace(objects, ids=unique_ids(ids, findings))
+
+
+def mend_heights(polygons: Polygons, raw: RawCity, label: str | None) -> None:
+    """Puts corners at impossible heights on the ground near them, in place; each building is a finding.
+
+    Impossible is what lies below or above all land, and of a building taller than any the end that is further
+    from the heights of the others. The ground is the lowest corner of the nearest building without such
+    corners, else the lowest other corner of its own. Where all heights are impossible, their unit or zero is
+    another: they stay, and so do those of meshes without a reference system.
 
     Args:
-        num_nodes: Nodes are 0 .. num_nodes - 1.
-        first: (E,) one end of every edge.
-        second: (E,) the other end.
+        polygons: In metres, heights above the sea or the ellipsoid, or of a local frame.
+        raw: Names of the buildings, and what they are; its findings grow.
+        label: Reference system of the points.
     """
-    from scipy.sparse import coo_array, csgraph
+    is_mesh = raw.lods == ("",)
+    if len(polygons) == 0 or (is_mesh and label is None):
+        return
+    z = polygons.points[:, 2]
+    lowest_m, highest_m = z.min(), z.max()
+    if LOWEST_M < lowest_m and highest_m < HIGHEST_M and highest_m - lowest_m <= TALLEST_M:
+        return
+    point_polygon = np.repeat(
+        np.arange(len(polygons)), np.diff(polygons.ring_starts[polygons.polygon_starts])
+    )
+    building = polygons.building[point_polygon]
+    is_off = ~((z > LOWEST_M) & (z < HIGHEST_M))
+    if is_off.all():
+        return
+    if not is_mesh:  # whose pieces may be mountains
+        level = building * (int(polygons.lod.max()) + 1) + polygons.lod[point_polygon]
+        is_off |= _wrong_ends(z, level, is_off) & _are_buildings(raw)[building]
+    if not is_off.any():
+        return
+    count = len(raw.building_ids)
+    lowest = np.full(count, np.inf)
+    np.minimum.at(lowest, building[~is_off], z[~is_off])
+    is_hurt = np.zeros(count, np.bool_)
+    is_hurt[building[is_off]] = True
+    ground = _ground_near(polygons.points, building, lowest, is_hurt)
+    order = np.flatnonzero(is_off)
+    for number, first in zip(*np.unique(building[order], return_index=True), strict=True):
+        own, place = z[order[building[order] == number]], polygons.points[order[first]].copy()
+        which = f"{own.min():.10g}" if np.ptp(own) == 0 else f"{own.min():.10g} to {own.max():.10g}"
+        detail = f"{len(own)} corners at {which} m, put at {ground[number]:.2f} m"
+        east, north, up = place.tolist()
+        raw.findings.add(codes.HEIGHT_NO_DATA, raw.building_ids[number], detail, place=(east, north, up))
+    z[is_off] = ground[building[is_off]]
 
-    edges = coo_array((np.ones(len(first), np.bool_), (first, second)), shape=(num_nodes, num_nodes))
-    count, labels = csgraph.connected_components(edges, directed=False)
-    smallest: NDArray[np.int64] = np.full(count, num_nodes, np.int64)
-    np.minimum.at(smallest, labels, np.arange(num_nodes))
-    return np.asarray(smallest[labels])
+
+def _are_buildings(raw: RawCity) -> Flags:
+    """Returns which of a city's objects are buildings, and no terrain or bridge."""
+    is_building = np.ones(len(raw.building_ids), np.bool_)
+    if raw.objects is not None:
+        for number in np.flatnonzero(raw.objects.parents < 0).tolist():
+            is_building[raw.objects.building[number]] = "Building" in raw.objects.types[number]
+    return is_building
 
 
-# Odd constants with well spread bits (from the golden ratio and the splitmix64 finaliser).
-_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
+def _wrong_ends(z: Floats, group: NDArray[np.integer], is_off: Flags) -> Flags:
+    """Returns which heights are the wrong end of a building, a group, that is taller than any.
+
+    Without another one to compare with it is the lower end: the ground is more often lost than the roof.
+    """
+    numbers, place = np.unique(group, return_inverse=True)
+    low, high = np.full(len(numbers), np.inf), np.full(len(numbers), -np.inf)
+    np.minimum.at(low, place[~is_off], z[~is_off])
+    np.maximum.at(high, place[~is_off], z[~is_off])
+    is_tall = high - low > TALLEST_M
+    is_sound = ~is_tall[place] & ~is_off
+    middle = float(np.median(z[is_sound])) if is_sound.any() else np.inf
+    is_low_end = np.abs(low - middle) >= np.abs(high - middle) if is_sound.any() else is_tall
+    half = 0.5 * (low + np.where(is_tall, high, low))
+    is_wrong: Flags = is_tall[place] & np.where(is_low_end[place], z < half[place], z > half[place])
+    return is_wrong
 
 
-_MIXER = np.uint64(0xBF58476D1CE4E5B9)
+def _ground_near(points: Floats, building: NDArray[np.integer], lowest: Floats, is_hurt: Flags) -> Floats:
+    """Returns (B,) the lowest corner of each building; of the hurt ones that of the nearest that is sound."""
+    from scipy.spatial import cKDTree
 
-
-_SHIFT = np.uint64(31)
-
-
-def _changes(columns: list[NDArray[np.uint64]], order: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Returns where a row differs from the one before it in the given order."""
-    is_new = np.zeros(len(order), np.bool_)
-    is_new[:1] = True
-    for column in columns:
-        ordered = column[order]
-        is_new[1:] |= ordered[1:] != ordered[:-1]
-    return is_new
-
-
-def point_bits(points: NDArray[np.floating]) -> list[NDArray[np.uint64]]:
-    """Returns the bits of points, (N, 3) of any float type, as three columns; -0.0 counts as 0.0."""
-    word = np.uint32 if points.dtype == np.float32 else np.uint64
-    bits = np.ascontiguousarray((points + points.dtype.type(0)).T).view(word)
-    return [column.astype(np.uint64) for column in bits]
+    sizes = np.maximum(np.bincount(building, minlength=len(lowest)), 1)
+    middles = np.stack(
+        [np.bincount(building, points[:, k], minlength=len(lowest)) / sizes for k in (0, 1)], axis=1
+    )
+    ground = np.where(np.isfinite(lowest), lowest, 0.0)
+    sound = np.flatnonzero(~is_hurt & np.isfinite(lowest))
+    hurt = np.flatnonzero(is_hurt)
+    if len(sound):
+        ground[hurt] = lowest[sound[cKDTree(middles[sound]).query(middles[hurt])[1]]]
+    elif np.isfinite(lowest).any():
+        ground[hurt] = np.where(np.isfinite(lowest[hurt]), lowest[hurt], lowest.min())
+    return ground

@@ -16,15 +16,14 @@ from lodbench.citymodel.cache import open_city, store_city
 from lodbench.citymodel.cityjson.writer import cityjson_text, cityjsonseq_text
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.gml.writer import CityGmlWriter
-from lodbench.citymodel.lods import polygon_blocks
-from lodbench.citymodel.mesh.reader import MeshFrame
+from lodbench.citymodel.json_documents import MeshFrame
 from lodbench.citymodel.mesh.texture_files import read_textured
 from lodbench.citymodel.mesh.textured import textured_model
 from lodbench.citymodel.mesh.writer import glb_bytes, obj_text, ply_bytes, write_pictures, write_textured
-from lodbench.citymodel.meshing import CityMesh, mesh_model
-from lodbench.citymodel.model import CityModel
+from lodbench.citymodel.model import FIRST_COLOUR, CityModel, polygon_blocks
 from lodbench.citymodel.options import ReadOptions, made_with
-from lodbench.citymodel.pictures import FIRST_COLOUR, counted_lines, wraps_of
+from lodbench.citymodel.pictures import counted_lines, wraps_of
+from lodbench.citymodel.read import CityMesh, mesh_model
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import TILE_INDEX, file_source, own_geojson
 from lodbench.citymodel.subset import drop_repeats_of_mesh, footprint_boxes, keep_buildings, keep_level

@@ -11,7 +11,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.codes import SCALE_OFF
 from lodbench.errors import CityModelError
+from lodbench.findings import Findings
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -312,3 +317,40 @@ def is_same_plane(first: str, second: str) -> bool:
         return True
     one, other = (require_crs(name).horizontal for name in (first, second))
     return bool(one.equals(other, ignore_axis_order=True))
+
+
+_MAX_SCALE_ERROR = 1e-3
+
+_MAX_KEPT_SCALE_ERROR = 1e-2
+
+
+def is_true_to_scale(known: KnownCrs, middle: NDArray[np.float64], findings: Findings) -> bool:
+    """Returns whether the metres of a system are metres at a place (east, north), to a hundredth.
+
+    What is off by more than a thousandth is told, and what is off by a hundredth, as Mercator of the whole
+    world is, does for no measuring: it is projected anew.
+    """
+    scales = _scales(known, middle)
+    worst = max(abs(scale - 1.0) for scale in scales)
+    if not worst > _MAX_SCALE_ERROR:
+        return True
+    factors = f"a metre to the east is {scales[0]:.4f} m there, to the north {scales[1]:.4f} m"
+    is_kept = worst <= _MAX_KEPT_SCALE_ERROR
+    findings.add(SCALE_OFF, "", f"{known.label}: {factors}{'' if is_kept else '; projected anew'}")
+    return is_kept
+
+
+def _scales(known: KnownCrs, middle: NDArray[np.float64]) -> tuple[float, float]:
+    """Returns how long a metre on the ground is in a projected system, along x and y; NaN outside of it."""
+    from pyproj import Proj
+
+    geod, step_m = known.horizontal.get_geod(), 50.0
+    if geod is None:
+        return 1.0, 1.0
+    x, y = middle
+    ends = ((x - step_m, y), (x + step_m, y)), ((x, y - step_m), (x, y + step_m))
+    project, lengths = Proj(known.horizontal), []
+    for first, last in ends:
+        degrees = *project(*first, inverse=True), *project(*last, inverse=True)
+        lengths.append(geod.inv(*degrees)[2] if np.isfinite(degrees).all() else np.nan)
+    return 2 * step_m / lengths[0], 2 * step_m / lengths[1]

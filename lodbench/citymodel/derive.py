@@ -8,10 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import LOD_DERIVED, LOD_UNDERIVABLE
-from lodbench.citymodel.extrude import extrude, is_flat, raise_flat
-from lodbench.citymodel.lods import select_polygons
-from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind, outer_parts
-from lodbench.citymodel.raw import starts_of
+from lodbench.citymodel.extrude import extrude, raise_flat
+from lodbench.citymodel.model import (
+    CityModel,
+    Polygons,
+    SurfaceKind,
+    is_flat,
+    outer_parts,
+    select_polygons,
+    starts_of,
+)
 from lodbench.citymodel.triangulate import MAX_CORNERS, newell, triangulate
 from lodbench.errors import CityModelError, ConfigError
 from lodbench.findings import Findings

@@ -11,15 +11,17 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any, BinaryIO
 
-from lodbench.errors import ConfigError
+from lodbench.citymodel.options import MESH_FORMATS, SURFACE_SUFFIXES
+from lodbench.errors import CityModelError, ConfigError
 from lodbench.plugins import PlugIn, blaming, installed
 
-# What a mesh is called, by the ending of its file.
-MESH_FORMATS = {".ply": "PLY", ".stl": "STL", ".glb": "glTF", ".gltf": "glTF"}
-# Rasters and laser points, read from a path; in a folder where nothing else is a city.
-SURFACE_SUFFIXES = (".tif", ".tiff", ".asc", ".laz", ".las")
+if TYPE_CHECKING:
+    from lodbench.citymodel.options import ReadOptions
+    from lodbench.citymodel.raw import RawCity
+
 _LOGGER = logging.getLogger(__name__)
 
 
@@ -104,6 +106,176 @@ def formats_in_words() -> str:
     return ", ".join(f"{each.label} ({', '.join(each.suffixes)})" for each in city_formats())
 
 
-def text_of(head: bytes) -> bytes:
+def _text_of(head: bytes) -> bytes:
     """Returns the first bytes of a text, NUL bytes, a byte order mark and white space left out."""
     return head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n\t")
+
+
+class CityGml:
+    """CityGML 1.0 to 3.0 (a ``CityFormat``)."""
+
+    label = "CityGML"
+    suffixes = (".gml", ".xml", ".citygml")
+
+    @staticmethod
+    def identify(head: bytes, suffix: str) -> bool:
+        """Returns whether a file begins as XML does."""
+        return _text_of(head).startswith(b"<")
+
+    @staticmethod
+    def read(source: Source, options: ReadOptions) -> RawCity:
+        """Returns the buildings, and what ``options.layers`` names."""
+        from lodbench.citymodel.gml.reader import read_citygml
+
+        return read_citygml(source.open, source.name, **_details_wanted(source, options))
+
+
+class CityJson:
+    """CityJSON and CityJSONSeq (a ``CityFormat``)."""
+
+    label = "CityJSON"
+    suffixes = (".json", ".jsonl")
+
+    @staticmethod
+    def identify(head: bytes, suffix: str) -> bool:
+        """Returns whether a file begins as JSON does."""
+        return _text_of(head).startswith((b"{", b"["))
+
+    @staticmethod
+    def read(source: Source, options: ReadOptions) -> RawCity:
+        """Returns the buildings, and what ``options.layers`` names."""
+        from lodbench.citymodel.cityjson.reader import read_cityjson
+
+        return read_cityjson(source.open, source.name, **_details_wanted(source, options))
+
+
+class Obj:
+    """Wavefront OBJ (a ``CityFormat``)."""
+
+    label = "OBJ"
+    suffixes = (".obj",)
+
+    @staticmethod
+    def identify(head: bytes, suffix: str) -> bool:
+        """Returns whether a file is called so, or its lines begin as points and faces do."""
+        text = _text_of(head)
+        if text.startswith((b"<", b"{", b"[")):
+            return False
+        first_words = {line.split(None, 1)[0] for line in text.splitlines() if line.strip()}
+        return suffix == ".obj" or bool(first_words & {b"v", b"f", b"o", b"mtllib"})
+
+    @staticmethod
+    def read(source: Source, options: ReadOptions) -> RawCity:
+        """Returns the buildings."""
+        from lodbench.citymodel.mesh.reader import read_obj
+
+        with source.open() as stream:
+            return read_obj(stream, source.name, options.up_axis)
+
+
+class Mesh:
+    """PLY, STL and glTF (a ``CityFormat``)."""
+
+    label = "meshes"
+    suffixes = tuple(MESH_FORMATS)
+
+    @staticmethod
+    def identify(head: bytes, suffix: str) -> bool:
+        """Returns whether a file is called as these are."""
+        return suffix in MESH_FORMATS
+
+    @staticmethod
+    def read(source: Source, options: ReadOptions) -> RawCity:
+        """Returns the buildings."""
+        from lodbench.citymodel.mesh.reader import read_mesh
+
+        with source.open() as stream:
+            return read_mesh(stream, source.name, source.suffix, options)
+
+
+class Footprints:
+    """Footprints with heights, as blocks, through GDAL (a ``CityFormat``)."""
+
+    label = "footprints with heights"
+    suffixes = (".gpkg", ".shp", ".geojson", ".fgb", ".gdb", ".parquet", ".geoparquet", ".pbf", ".osm")
+    needs_path = True
+
+    @staticmethod
+    def identify(head: bytes, suffix: str) -> bool:
+        """Returns whether a file is called as those that GDAL reads."""
+        return suffix in Footprints.suffixes
+
+    @staticmethod
+    def read(source: Source, options: ReadOptions) -> RawCity:
+        """Returns footprints with heights, as blocks."""
+        from lodbench.citymodel.vector.footprints import read_footprints
+
+        return read_footprints(source.vector_path or str(source.path), source.name, options)
+
+
+class Surface:
+    """What rises above the ground of a raster, of laser points, of a folder of tiles (a ``CityFormat``)."""
+
+    label = "surface models"
+    suffixes = SURFACE_SUFFIXES
+    is_tile = False
+
+    @staticmethod
+    def identify(head: bytes, suffix: str) -> bool:
+        """Returns whether a file is called as these are."""
+        return suffix in SURFACE_SUFFIXES
+
+    @staticmethod
+    def read(source: Source, options: ReadOptions) -> RawCity:
+        """Returns what rises above the ground."""
+        from lodbench.citymodel.surface.reader import read_surface
+
+        return read_surface(source.path, source.name, options)
+
+
+def _details_wanted(source: Source, options: ReadOptions) -> dict[str, Any]:
+    """Returns the arguments that readers of details, attributes and pictures, share."""
+    pictures = None
+    if options.has_textures and options.has_details:
+        from lodbench.citymodel.pictures import PictureTable, TextureFolder
+
+        folder = TextureFolder(source.path.parent, source.path.parent)
+        pictures = PictureTable(folder, is_packed="!" in source.name)
+    return {
+        "is_strict": options.is_strict,
+        "has_details": options.has_details,
+        "layers": options.layers,
+        "day": options.date,
+        "pictures": pictures,
+    }
+
+
+HEAD_BYTES = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One city file, wherever it lies."""
+
+    name: str  # for messages: the path, with the member of an archive after an exclamation mark
+    open: Callable[[], BinaryIO]  # opens a fresh stream of its bytes; the caller closes it
+    path: Path  # the file on disk that holds it
+    vector_path: str | None = None  # what GDAL opens, for a vector file; None for all others
+    stamp: tuple[int, ...] = ()  # checksum and size of a member of an archive; empty for files
+
+    @property
+    def suffix(self) -> str:
+        """Returns the ending of its name, in small letters, that of compression left out."""
+        return PurePath(self.name.removesuffix(".gz")).suffix.lower()
+
+    def head(self) -> bytes:
+        """Returns the first bytes.
+
+        Raises:
+            CityModelError: They cannot be read, or there is nothing but white space.
+        """
+        with self.open() as stream:
+            head = stream.read(HEAD_BYTES)
+        if not head.strip(b"\0 \r\n\t"):
+            raise CityModelError(f"{self.name} is empty.", "Download or export the file again.")
+        return head

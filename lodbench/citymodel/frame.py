@@ -8,20 +8,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.axis_order import (
-    Order,
-    declares_south_and_west,
-    is_true_to_scale,
-    settle_order,
-    try_order,
-)
 from lodbench.citymodel.codes import (
+    AXES_AMBIGUOUS,
+    AXES_SWAPPED,
     CRS_IMPLAUSIBLE,
     CRS_MAPPED,
     CRS_MISSING,
@@ -29,13 +25,147 @@ from lodbench.citymodel.codes import (
     CRS_UNKNOWN,
     HEIGHTS_ELLIPSOIDAL,
 )
-from lodbench.citymodel.crs import KnownCrs, is_geocentric, metric_crs, require_crs, resolve_crs
+from lodbench.citymodel.crs import (
+    KnownCrs,
+    is_geocentric,
+    is_true_to_scale,
+    metric_crs,
+    require_crs,
+    resolve_crs,
+)
 from lodbench.citymodel.options import AxisOrder
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
 if TYPE_CHECKING:
     from pyproj import Transformer
+
+# Areas of use are bounding boxes of countries and zones; tiles at their rim reach a little out.
+_AREA_MARGIN_DEG = 0.5
+# No town lies further south or north; it tells latitudes from longitudes where the area is the world.
+_INHABITED_LATITUDES_DEG = (-56.0, 80.0)
+
+# So many houses are hardly all inside out, and overrule a name that promises the order of its authority.
+_MANY_BUILDINGS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """One reading of the first two columns, and whether it puts the data where it should be."""
+
+    is_north_first: bool
+    is_plausible: bool
+    longitude_deg: float
+    latitude_deg: float
+
+
+def settle_order(
+    middle: NDArray[np.float64],
+    known: KnownCrs,
+    srs_name: str | None,
+    findings: Findings,
+    tells_north_first: Callable[[int], bool | None],
+) -> Order:
+    """Returns how to read the first two columns.
+
+    Args:
+        middle: (2,) of the data.
+        known: Their reference system.
+        srs_name: Under which the file itself names it, or None.
+        findings: Receives what is decided against the declaration, or not at all.
+        tells_north_first: Called with the least number of buildings, where both orders are plausible; None
+            for no answer.
+    """
+    axes = [axis.direction.lower() for axis in known.horizontal.axis_info[:2]]
+    is_declared_north_first = axes[0].startswith("north") or axes[0] == "south"
+    declared = try_order(middle, known, is_declared_north_first)
+    swapped = try_order(middle, known, not is_declared_north_first)
+    stated = None
+    if declared.is_plausible != swapped.is_plausible:
+        stated = declared.is_north_first if declared.is_plausible else swapped.is_north_first
+    elif declared.is_plausible and is_declared_north_first:
+        stated = tells_north_first(1)
+        if stated is False and srs_name is not None and _promises_order(srs_name):
+            stated = tells_north_first(_MANY_BUILDINGS) is not False
+            taken = (
+                "north first, as declared, though walls face inwards"
+                if stated
+                else "east first, as walls show"
+            )
+            findings.add(AXES_AMBIGUOUS, "", f"{known.label}: taken as {taken}; say axis_order")
+    if stated == is_declared_north_first:
+        return declared
+    if stated is not None:
+        findings.add(AXES_SWAPPED, "", f"{known.label}: {'north' if stated else 'east'} first")
+        return swapped
+    if not declared.is_plausible:
+        where = f"({middle[0]:.6g}, {middle[1]:.6g})"
+        findings.add(CRS_IMPLAUSIBLE, "", f"{known.label}: the middle {where} lies outside its area of use")
+        # Files of projected systems store east first more often than not.
+        return swapped if known.horizontal.is_projected and is_declared_north_first else declared
+    # Meshes name no system, and have x to the east: latitudes first are those of files that say so.
+    if is_declared_north_first and (known.horizontal.is_projected or srs_name is None):
+        findings.add(
+            AXES_AMBIGUOUS, "", f"{known.label} declares north first; taken as east first, as is usual"
+        )
+        return swapped
+    return declared
+
+
+def _promises_order(srs_name: str) -> bool:
+    """Tells whether a name is OGC's URN or URI; of others (``EPSG:4979``, ``epsg.xml#4979``) nobody knows."""
+    return "urn:ogc:def:crs" in srs_name.lower() or "opengis.net/def/crs" in srs_name.lower()
+
+
+def declares_south_and_west(known: KnownCrs) -> bool:
+    """Returns whether a system has southings before westings."""
+    return known.counts_west and known.horizontal.axis_info[0].direction.lower() == "south"
+
+
+def try_order(middle: NDArray[np.float64], known: KnownCrs, is_north_first: bool) -> Order:
+    """Returns where on Earth one order puts the middle of the data, (2,), and whether that may be."""
+    is_swapped = is_north_first != declares_south_and_west(known)
+    east, north = (middle[1], middle[0]) if is_swapped else (middle[0], middle[1])
+    longitude, latitude = float(east), float(north)
+    if known.horizontal.is_projected:
+        from pyproj import Proj
+
+        longitude, latitude = Proj(known.horizontal)(east, north, inverse=True)
+    area = known.horizontal.area_of_use
+    low, high = _INHABITED_LATITUDES_DEG
+    is_plausible = bool(np.isfinite(longitude) and np.isfinite(latitude)) and low <= latitude <= high
+    is_plausible = is_plausible and -180.0 <= longitude <= 180.0
+    if area is not None and is_plausible:
+        is_plausible = (
+            area.south - _AREA_MARGIN_DEG <= latitude <= area.north + _AREA_MARGIN_DEG
+            and _longitude_within(longitude, area.west, area.east)
+        )
+    return Order(is_north_first, is_plausible, longitude, latitude)
+
+
+def _longitude_within(longitude_deg: float, west_deg: float, east_deg: float) -> bool:
+    width = (east_deg - west_deg) % 360.0 or 360.0
+    return (longitude_deg - west_deg + _AREA_MARGIN_DEG) % 360.0 <= width + 2 * _AREA_MARGIN_DEG
+
+
+def require_true_to_scale(target: KnownCrs, middle: NDArray[np.float64], findings: Findings) -> None:
+    """Makes sure that a system can be measured in where a city, (east, north), is brought to.
+
+    What is off by more than a thousandth is reported, as is a place outside of the system's area.
+
+    Raises:
+        CityModelError: Its metres are off by more than a hundredth.
+    """
+    place = try_order(middle, target, is_north_first=False)
+    if not place.is_plausible:
+        findings.add(CRS_IMPLAUSIBLE, "", f"{target.label}: the city lies outside its area of use")
+    if not is_true_to_scale(target, middle, findings):
+        better = metric_crs(target, place.longitude_deg, place.latitude_deg)
+        raise CityModelError(
+            f"A metre of {target.label} is off by more than a hundredth at the city.",
+            f"Name a system that is made for the place, such as {better}.",
+        )
+
 
 # Points moved or projected at a time: pyproj copies what it is given.
 _CHUNK_POINTS = 1 << 16
@@ -184,11 +314,7 @@ def _strip_zone_prefix(points: NDArray[np.float64], known: KnownCrs, findings: F
 
 
 def _require_degrees(points: NDArray[np.float64], known: KnownCrs) -> None:
-    """Makes sure that what is called degrees can be: a country at most, and somewhere on Earth.
-
-    Raises:
-        CityModelError: It cannot.
-    """
+    """Makes sure that what is called degrees can be: a country at most, and somewhere on Earth."""
     if known.horizontal.is_geographic:
         columns = (points[:, 0], points[:, 1])
         if (
@@ -217,11 +343,7 @@ def _transformer(source: str, target: str) -> Transformer:
 
 
 def _project(points: NDArray[np.float64], known: KnownCrs, order: Order, findings: Findings) -> str:
-    """Projects degrees, feet or westings, in place, to a metric system around the middle of the data.
-
-    Raises:
-        CityModelError: The coordinates lie nowhere in the system.
-    """
+    """Projects degrees, feet or westings, in place, to a metric system around the middle of the data."""
     if not np.isfinite([order.longitude_deg, order.latitude_deg]).all():
         raise CityModelError(
             f"The coordinates lie nowhere in {known.label}.",

@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.lifespans import Period
-from lodbench.citymodel.pictures import Pictures
+from lodbench.citymodel.codes import (
+    LOD_SUBSTITUTED,
+    STAYS_FLAT,
+)
+from lodbench.errors import CityModelError
 from lodbench.findings import Findings
+
+# First day, and the day after the last, between which the same objects stand; None where none has an end.
+Period = tuple[str, str]
+# No land lies lower or higher, metres: what does is a mark for cells where nobody measured, -9999 mostly.
+LOWEST_M, HIGHEST_M = -500.0, 9000.0
+# No house is higher: heights above the sea are.
+TALLEST_M = 1000.0
+FLAT = "0"  # what names of levels without walls begin with
+NO_PICTURE = -1
+# From here downward a polygon has no picture but the colour of its material.
+FIRST_COLOUR = -2
+# Instead of one level for all: of each building the level with most detail, or with least.
+FINEST, COARSEST = "finest", "coarsest"
+Colour = tuple[int, int, int]
 
 
 class SurfaceKind(IntEnum):
@@ -111,10 +129,6 @@ class CityModel:
         return np.array(["Building" in name for name in self.types()], np.bool_)
 
 
-# No house is higher: heights above the sea are.
-TALLEST_M = 1000.0
-
-
 @dataclass(frozen=True, slots=True)
 class CityObjects:
     """The objects of a city as a tree, flat, parents before their children."""
@@ -152,91 +166,6 @@ class Solids:
         return [shell for shell in shells if shell]
 
 
-@dataclass(slots=True)
-class ObjectTable:
-    """Grows the objects and solids of a city while it is read.
-
-    Faces name polygons by serial numbers, which count all polygons met, dropped ones included.
-    """
-
-    has_details: bool
-    ids: list[str] = field(default_factory=list)
-    types: list[str] = field(default_factory=list)
-    parents: list[int] = field(default_factory=list)
-    building: list[int] = field(default_factory=list)
-    attributes: list[dict[str, Any]] = field(default_factory=list)
-    solids: list[tuple[int, list[list[tuple[int, bool]]], int]] = field(default_factory=list)
-    num_composites: int = 0
-    polygon_ids: dict[int, str] = field(default_factory=dict)
-    num_polygons: int = 0
-    roof_types: list[tuple[int, str]] = field(default_factory=list)
-    measured_m: dict[int, float] = field(default_factory=dict)
-
-    def add(
-        self,
-        object_id: str,
-        type_: str,
-        parent: int,
-        building: int,
-        attributes: dict[str, Any] | None = None,
-        roof_type: str = "",
-        height_m: float | None = None,
-    ) -> int:
-        """Returns the index of a new object; its roof type and height count for its building."""
-        if roof_type:
-            self.roof_types.append((building, roof_type))
-        if height_m is not None and 0 < height_m < TALLEST_M:  # of parts the highest
-            self.measured_m[building] = max(height_m, self.measured_m.get(building, 0.0))
-        self.ids.append(object_id)
-        self.types.append(type_)
-        self.parents.append(parent)
-        self.building.append(building)
-        if self.has_details:
-            self.attributes.append(attributes or {})
-        return len(self.ids) - 1
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether there are buildings only, of which nothing but their ids is reported."""
-        return not self.has_details and self.types.count("Building") == len(self.types)
-
-    def heights(self, count: int) -> NDArray[np.float64] | None:
-        """Returns (count,) measured heights of buildings, metres, NaN for none; None where no one has any."""
-        heights = [self.measured_m.get(building, np.nan) for building in range(count)]
-        return np.asarray(heights) if self.measured_m else None
-
-    def finish(self) -> CityObjects:
-        """Returns the objects."""
-        return CityObjects(
-            tuple(self.ids),
-            tuple(self.types),
-            np.asarray(self.parents, np.int32),
-            np.asarray(self.building, np.int32),
-            tuple(self.attributes),
-        )
-
-    def finish_solids(self, serials: NDArray[np.int64]) -> tuple[Solids, tuple[str, ...]]:
-        """Returns the solids, and an id or "" for each polygon.
-
-        Args:
-            serials: (N,) serial number of each polygon that is there; -1 for copies.
-        """
-        size = int(serials.max(initial=-1)) + 1
-        index = np.full(size + 1, -1, np.int64)
-        index[serials[serials >= 0]] = np.flatnonzero(serials >= 0)
-        shells = [shell for _, solid, _ in self.solids for shell in solid]
-        faces = np.asarray([number for shell in shells for number, _ in shell], np.int64)
-        solids = Solids(
-            np.asarray([part for part, _, _ in self.solids], np.int32),
-            np.cumsum([0, *(len(solid) for _, solid, _ in self.solids)]).astype(np.int64),
-            np.cumsum([0, *map(len, shells)]).astype(np.int64),
-            index[np.where(faces < size, faces, size)],
-            np.asarray([is_flipped for shell in shells for _, is_flipped in shell], np.bool_),
-            np.asarray([composite for _, _, composite in self.solids], np.int32),
-        )
-        return solids, tuple(self.polygon_ids.get(number, "") for number in serials.tolist())
-
-
 def outer_parts(objects: CityObjects) -> NDArray[np.int32]:
     """Returns (O,) the building or part each object stands with: itself, or what it hangs on."""
     result = np.arange(len(objects), dtype=np.int32)
@@ -246,64 +175,216 @@ def outer_parts(objects: CityObjects) -> NDArray[np.int32]:
     return result
 
 
-# Attributes that name the kind of a roof: of CityGML and CityJSON, 3DBAG, OpenStreetMap, and ALKIS.
-ATTRIBUTES = ("roofType", "b3_dak_type", "dak_type", "roof:shape", "roof_shape", "dachform")
-# Of the surveying authorities of Germany (2100 to 3800) and of SIG 3D (1010 to 1100, 1120): single pitches,
-# gables, hips, mansards, tents, cones, saw teeth, mixed forms. Flat, arched, combined and other ones are not.
-_CODES = frozenset(
-    {"2100", "2200", "3100", "3200", "3300", "3400", "3500", "3600", "3800", "5000"}
-    | {"1010", "1020", "1030", "1040", "1050", "1060", "1070", "1080", "1100", "1120"}
-)  # fmt: skip
-# Four digits at the end: of the code itself, or of an address or a name, ".../roofType.xml#3100".
-_CODE = re.compile(r"(?<!\d)(\d{4})(?:\.0)?\s*$")
-# Parts of words, in lower case; what says that there is no pitch goes before.
-_WORDS = (
-    "slanted", "pitch", "gable", "hipped", "gambrel", "mansard", "pyramid", "skillion", "saltbox", "pavilion",
-    "cone", "conical", "sawtooth", "sattel", "walm", "pultd", "zeltd", "kegeld", "sheddach", "zadeldak",
-    "schilddak", "lessenaar", "tentdak",
-)  # fmt: skip
-_LEVEL_WORDS = ("flat", "unpitched", "not pitched")
-
-
-def is_pitched(roof_type: str) -> bool:
-    """Returns whether a word or code says that a roof is pitched; of unknown ones nothing is known.
+def starts_of(lengths: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Returns offsets from lengths: ``(n + 1,)``, beginning with 0.
 
     Example:
-        >>> is_pitched("3100"), is_pitched("SATTELDACH"), is_pitched("multiple horizontal")
-        (True, True, False)
+        >>> starts_of(np.array([2, 3]))
+        array([0, 2, 5])
     """
-    words = roof_type.lower()
-    code = _CODE.search(words)
-    if code is not None:
-        return code[1] in _CODES
-    return any(word in words for word in _WORDS) and not any(word in words for word in _LEVEL_WORDS)
+    starts = np.zeros(len(lengths) + 1, np.int64)
+    np.cumsum(lengths, out=starts[1:])
+    return starts
 
 
-def roof_type_of(attributes: Mapping[str, Any]) -> str:
-    """Returns the word or code under which an object's attributes describe its roof, or ""."""
-    return next(filter(None, (word_of(attributes.get(name)) for name in ATTRIBUTES)), "")
+def group_by(owner: NDArray[np.integer]) -> dict[int, list[int]]:
+    """Returns the indices of each owner, ascending.
+
+    Example:
+        >>> group_by(np.array([7, 2, 7]))
+        {7: [0, 2], 2: [1]}
+    """
+    groups: dict[int, list[int]] = {}
+    for n, number in enumerate(owner.tolist()):
+        groups.setdefault(number, []).append(n)
+    return groups
 
 
-def word_of(value: object) -> str:
-    """Returns a value as a word or code, "" where it is none; codes may be numbers with a decimal point."""
-    if isinstance(value, float):
-        return str(int(value)) if value.is_integer() else ""
-    return str(value).strip() if isinstance(value, str | int) and not isinstance(value, bool) else ""
-
-
-def pitched_buildings(stated: Iterable[tuple[int, str]], count: int) -> NDArray[np.bool_] | None:
-    """Returns (B,) which buildings have pitched roofs: at least half of what is stated of them says so.
-
-    None where no building has.
+def take_segments(
+    starts: NDArray[np.int64], chosen: NDArray[np.integer]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the item indices of the chosen segments in a row, and the offsets of the result.
 
     Args:
-        stated: Buildings and words or codes; of those with parts, of each.
-        count: Number of buildings, B.
+        starts: (S + 1,) offsets of all segments.
+        chosen: (C,) segment indices, in any order, repeats allowed.
+
+    Returns:
+        items: indices into the items the segments are made of.
+        new_starts: (C + 1,) offsets into ``items``.
+
+    Example:
+        >>> take_segments(np.array([0, 2, 5]), np.array([1, 0]))
+        (array([2, 3, 4, 0, 1]), array([0, 3, 5]))
     """
-    balance, is_any = np.zeros(count, np.int64), np.zeros(count, np.bool_)
-    for building, roof_type in stated:
-        has_pitch = is_pitched(roof_type)
-        balance[building] += 1 if has_pitch else -1
-        is_any[building] |= has_pitch
-    is_any &= balance >= 0
-    return is_any if is_any.any() else None
+    lengths = starts[chosen + 1] - starts[chosen]
+    new_starts = starts_of(lengths)
+    items = np.arange(new_starts[-1]) + np.repeat(starts[chosen] - new_starts[:-1], lengths)
+    return items, new_starts
+
+
+def select_polygons(polygons: Polygons, chosen: NDArray[np.int64]) -> Polygons:
+    """Returns some of the polygons, in the order given."""
+    if len(chosen) == len(polygons) and np.all(chosen[1:] > chosen[:-1]):
+        return polygons
+    rings, polygon_starts = take_segments(polygons.polygon_starts, chosen)
+    points, ring_starts = take_segments(polygons.ring_starts, rings)
+    return _some(polygons, chosen, points, ring_starts, polygon_starts)
+
+
+def slice_polygons(polygons: Polygons, first: int, last: int) -> Polygons:
+    """Returns the polygons from ``first`` to before ``last``; their arrays are views."""
+    if first == 0 and last >= len(polygons):
+        return polygons
+    rings = polygons.polygon_starts[first : last + 1]
+    starts = polygons.ring_starts[rings[0] : rings[-1] + 1]
+    points = slice(starts[0], starts[-1])
+    return _some(polygons, slice(first, last), points, starts - starts[0], rings - rings[0])
+
+
+def _some(
+    polygons: Polygons, chosen: Any, points: Any, ring_starts: NDArray[np.int64], starts: NDArray[np.int64]
+) -> Polygons:
+    names = ("building", "lod", "kind", "part", "picture")
+    columns = {name: column for name in names if (column := getattr(polygons, name)) is not None}
+    of_each = {name: column[chosen] for name, column in columns.items()}
+    uv = None if polygons.uv is None else polygons.uv[points]
+    return Polygons(polygons.points[points], ring_starts, starts, **of_each, uv=uv)
+
+
+def polygon_blocks(
+    polygons: Polygons, chosen: NDArray[np.int64], block_polygons: int
+) -> Iterator[tuple[int, Polygons]]:
+    """Yields the chosen polygons by building, some thousand at a time, and how many came before.
+
+    A building is never cut, and the buildings ascend.
+    """
+    building = polygons.building[chosen]
+    if np.any(building[1:] < building[:-1]):
+        order = np.argsort(building, kind="stable")
+        chosen, building = chosen[order], building[order]
+    for first, last in pairwise(group_cuts(building, block_polygons)):
+        yield first, select_polygons(polygons, chosen[first:last])
+
+
+def group_cuts(groups: NDArray[np.integer], size: int) -> list[int]:
+    """Returns where to cut items in ascending groups into blocks of about ``size`` whole groups.
+
+    Example:
+        >>> group_cuts(np.array([0, 0, 0, 4, 4, 7]), 2)
+        [0, 3, 5, 6]
+    """
+    is_last = np.append(groups[1:] != groups[:-1], True)
+    ends = np.flatnonzero(is_last[: len(groups)]) + 1
+    wanted = np.arange(size, len(groups) + size, size).clip(max=len(groups))
+    cuts: list[int] = np.unique(ends[np.searchsorted(ends, wanted)]).tolist()
+    return [0, *cuts]
+
+
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """The pictures of a city; polygons name them by number (``Polygons.picture``, ``Polygons.uv``)."""
+
+    files: tuple[Path, ...] = ()  # where each lies
+    notes: tuple[str, ...] = ()  # what of the source's appearances is not kept, a line each
+    # RGB of materials; a polygon without a picture has number ``FIRST_COLOUR - k`` for the k-th
+    colours: tuple[Colour, ...] = ()
+    # How each goes on beyond its edges, in the word of CityGML, "" where nothing is said
+    wraps: tuple[str, ...] = ()
+
+
+def is_flat(model: CityModel) -> NDArray[np.bool_]:
+    """Returns which buildings have a known height, and outlines at level 0 alone; (B,)."""
+    if model.measured_m is None:
+        return np.zeros(len(model.building_ids), np.bool_)
+    polygons = model.polygons
+    has_walls, has_outline = np.zeros((2, len(model.building_ids)), np.bool_)
+    at_level_0 = np.array([name.startswith(FLAT) for name in model.lods], np.bool_)[polygons.lod]
+    has_outline[polygons.building[at_level_0]] = True
+    has_walls[polygons.building[~at_level_0 & (polygons.kind != SurfaceKind.INTERIOR)]] = True
+    return has_outline & ~has_walls & np.isfinite(model.measured_m)
+
+
+def tell_flat(model: CityModel, findings: Findings) -> None:
+    """Adds a finding for each building that is drawn flat though its height is known."""
+    if model.measured_m is not None:
+        for n in np.flatnonzero(is_flat(model)).tolist():
+            detail = f"{model.measured_m[n]:g} m high; as a block with lod=1 and roof_height=max"
+            findings.add(STAYS_FLAT, model.building_ids[n], detail)
+
+
+def lod_in_words(lod: str) -> str:
+    """Returns a level's name for readers.
+
+    Example:
+        >>> lod_in_words("2.2"), lod_in_words("finest")
+        ('LoD2.2', 'finest LoD')
+    """
+    return f"{lod} LoD" if lod in (FINEST, COARSEST) else f"LoD{lod}"
+
+
+def choose_lod(
+    present: Sequence[str], wanted: str | None, findings: Findings, has_heights: bool = False
+) -> str:
+    """Returns the name of the level to mesh, one for the whole file.
+
+    Without a wish it is the lowest level that has walls: 1 if present, else 2, else 3; footprints
+    (LoD0) only where there is nothing else. A whole number stands for its refinements: "1" takes
+    "1.2" before "1.3", because the coarser of two is the closer to a plain LoD1. "3" also takes
+    the outer shell of a LoD4. A source without levels ("") serves every wish.
+
+    Args:
+        present: Level names of the file.
+        wanted: The level requested, or None.
+        findings: Receives ``LOD_SUBSTITUTED`` where the name taken is not the name requested.
+        has_heights: Whether the source states heights of buildings.
+
+    Raises:
+        CityModelError: The level is absent; the message names those that are there.
+
+    Example:
+        >>> choose_lod(["0", "1.2", "1.3", "2.2"], "1", Findings())
+        '1.2'
+    """
+    names = sorted(present)
+    if not names:
+        raise CityModelError(
+            "The city model has no geometry at any level of detail.", "Is it the building tile of the city?"
+        )
+    if wanted is None:
+        return next((name for name in names if not name.startswith("0")), names[0])
+    wanted = plain_level(wanted)
+    if wanted in names:
+        return wanted
+    candidates = _candidates(names, wanted)
+    if not candidates:
+        hint = f"Ask for `lod={names[-1]}`."
+        if wanted == "1" and (names[-1] >= "2" or has_heights):
+            hint = f"Ask for `lod={names[-1]}`, or derive it: `roof_height=median` (or max, p70, eave)."
+        raise CityModelError(
+            f"No building has a level of detail {wanted}; the file has: {', '.join(names)}.", hint
+        )
+    findings.add(LOD_SUBSTITUTED, "", f"{wanted} requested, {candidates[0] or 'unnamed level'} used")
+    return candidates[0]
+
+
+def has_lod(present: Sequence[str], wanted: str) -> bool:
+    """Returns whether ``choose_lod`` would find a level.
+
+    Example:
+        >>> has_lod(["0", "2.2"], "2"), has_lod(["0", "2.2"], "1")
+        (True, False)
+    """
+    return bool(_candidates(sorted(present), plain_level(wanted)))
+
+
+def plain_level(wanted: str) -> str:
+    """Returns a level as it is named in files: ``LoD2`` is ``2``."""
+    return wanted.strip().lower().removeprefix("lod")
+
+
+def _candidates(names: list[str], wanted: str) -> list[str]:
+    found = [name for name in names if name.partition(".")[0] == wanted or name in (wanted, "")]
+    if wanted == "3" and "4" in names:
+        found.append("4")
+    return found

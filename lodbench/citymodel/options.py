@@ -149,11 +149,7 @@ def made_with(options: ReadOptions, roof_height: str | None) -> dict[str, Any]:
 
 
 def _fitting(name: str, value: Any, hint: Any) -> Any:
-    """Returns a value as the type its option has: whole numbers become what is requested.
-
-    Raises:
-        ConfigError: It has another type, is not finite, or is none of the known words.
-    """
+    """Returns a value as the type its option has: whole numbers become what is requested."""
     kinds = [kind for kind in get_args(hint) if kind is not NoneType] or [hint]
     if get_origin(hint) is Literal:
         return value  # the options check their words themselves
@@ -239,3 +235,10 @@ def types_of(layers: Sequence[str]) -> frozenset[str]:
 def folders_of(layers: Sequence[str]) -> frozenset[str]:
     """Returns the names of the folders that hold them, where a delivery has a folder for each kind."""
     return frozenset(["bldg", *(name for layer in layers for name in FOLDERS[layer])])
+
+
+# What a mesh is called, by the ending of its file.
+MESH_FORMATS = {".ply": "PLY", ".stl": "STL", ".glb": "glTF", ".gltf": "glTF"}
+
+# Rasters and laser points, read from a path; in a folder where nothing else is a city.
+SURFACE_SUFFIXES = (".tif", ".tiff", ".asc", ".laz", ".las")

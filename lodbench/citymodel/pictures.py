@@ -5,8 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import unquote
@@ -14,26 +13,10 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.model import FIRST_COLOUR, NO_PICTURE, Colour, Pictures
 from lodbench.errors import DatasetError
 
-NO_PICTURE = -1
-# From here downward a polygon has no picture but the colour of its material.
-FIRST_COLOUR = -2
 WRAPS = ("", "none", "wrap", "mirror", "clamp", "border")
-Colour = tuple[int, int, int]
-
-
-@dataclass(frozen=True, slots=True)
-class Pictures:
-    """The pictures of a city; polygons name them by number (``Polygons.picture``, ``Polygons.uv``)."""
-
-    files: tuple[Path, ...] = ()  # where each lies
-    notes: tuple[str, ...] = ()  # what of the source's appearances is not kept, a line each
-    # RGB of materials; a polygon without a picture has number ``FIRST_COLOUR - k`` for the k-th
-    colours: tuple[Colour, ...] = ()
-    # How each goes on beyond its edges, in the word of CityGML, "" where nothing is said
-    wraps: tuple[str, ...] = ()
 
 
 def wraps_of(pictures: Pictures | None) -> dict[int, str]:
@@ -102,66 +85,9 @@ class PictureTable:
         return Pictures(tuple(self._files), notes, tuple(self._colours), tuple(self._wraps))
 
 
-def merge_pictures(
-    parts: Sequence[tuple[Pictures | None, NDArray[np.int32] | None, NDArray[np.float64] | None, int, int]],
-) -> tuple[Pictures | None, NDArray[np.int32] | None, NDArray[np.float64] | None]:
-    """Returns the pictures of several tiles as one, with the numbers of polygons and places of points.
-
-    Args:
-        parts: Of each tile its pictures, as in ``RawCity``, and how many polygons and points it has.
-    """
-    if all(pictures is None for pictures, *_ in parts):
-        return None, None, None
-    files: list[Path] = []
-    numbers, places = [], []
-    notes: list[str] = []
-    colours: list[Colour] = []
-    wraps: list[str] = []
-    for pictures, picture, uv, num_polygons, num_points in parts:
-        if picture is None or uv is None:
-            picture, uv = blank(num_polygons, num_points)
-        shift = np.where(picture >= 0, len(files), np.where(picture <= FIRST_COLOUR, -len(colours), 0))
-        numbers.append((picture + shift).astype(np.int32))
-        places.append(uv)
-        if pictures is not None:
-            files += pictures.files
-            notes += pictures.notes
-            colours += pictures.colours
-            wraps += pictures.wraps
-    return (
-        Pictures(tuple(files), tuple(notes), tuple(colours), tuple(wraps)),
-        np.concatenate(numbers),
-        np.concatenate(places),
-    )
-
-
-def blank(num_polygons: int, num_points: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Returns the numbers and places of polygons without a picture."""
-    return np.full(num_polygons, NO_PICTURE, np.int32), np.full((num_points, 2), np.nan)
-
-
 def counted_lines(notes: Counter[str]) -> tuple[str, ...]:
     """Returns what was left out, a line each."""
     return tuple(f"{count} x {text}" if count > 1 else text for text, count in sorted(notes.items()))
-
-
-def details_wanted(path: Path, name: str, options: ReadOptions) -> dict[str, Any]:
-    """Returns the arguments that readers of details, attributes and pictures, share.
-
-    Args:
-        path: The file on disk that holds the city.
-        name: Its name for messages, with the member of an archive after an exclamation mark.
-        options: How to read it.
-    """
-    folder = TextureFolder(path.parent, path.parent)
-    has_pictures = options.has_textures and options.has_details
-    return {
-        "is_strict": options.is_strict,
-        "has_details": options.has_details,
-        "layers": options.layers,
-        "day": options.date,
-        "pictures": PictureTable(folder, is_packed="!" in name) if has_pictures else None,
-    }
 
 
 T = TypeVar("T")

@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.axis_order import faces_tell_north_first
-from lodbench.citymodel.cleaning import clean_polygons, drop_repeats, frame_origin, report_outliers
-from lodbench.citymodel.codes import CRS_MIXED, DUPLICATE_ID
+from lodbench.citymodel.cleaning import (
+    clean_polygons,
+    drop_repeats,
+    frame_origin,
+    mend_heights,
+    report_outliers,
+    unique_ids,
+    unique_objects,
+)
+from lodbench.citymodel.codes import (
+    BASE_MOVED,
+    CRS_MIXED,
+    GROUND_DEFAULTED,
+    OPTION_UNUSED,
+)
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.frame import bring_to, brought_note, require_no_degrees, to_metres
-from lodbench.citymodel.lods import select_polygons
-from lodbench.citymodel.model import CityModel, CityObjects, Polygons, Solids
+from lodbench.citymodel.model import (
+    CityModel,
+    Pictures,
+    Polygons,
+    Solids,
+    select_polygons,
+)
 from lodbench.citymodel.options import INTERIORS, ReadOptions
-from lodbench.citymodel.pictures import Pictures
 from lodbench.citymodel.raw import RawCity
-from lodbench.citymodel.terrain import mend_heights, move_bases, tell_unused
 from lodbench.citymodel.triangulate import newell
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
-from lodbench.geometry.similarity import ShiftedEcef
 
 # Far more than any false easting; float32 and projections stay sound below it.
 _MAX_COORDINATE_M = 1e9
@@ -91,11 +103,7 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
 
 
 def _make_points_writable(raw: RawCity) -> None:
-    """Lets the points be changed in place.
-
-    Raises:
-        CityModelError: One is not finite.
-    """
+    """Lets the points be changed in place."""
     raw.points = np.require(raw.points, np.float64, ["C", "W"])
     if not np.isfinite(_largest(raw.points)):
         raise CityModelError(
@@ -110,6 +118,8 @@ def _bring_to_local_frame(
     """Changes points to metres of a local frame; returns its reference system, and its origin, (3,)."""
     label = _bring_to_metres(polygons, srs, raw, options)
     if options.ecef_origin is not None:
+        from lodbench.geometry.similarity import ShiftedEcef
+
         polygons.points[:] = ShiftedEcef(*options.ecef_origin).points_to_enu(polygons.points)
     tell_unused(raw.format, options, raw.findings)
     mend_heights(polygons, raw, label)
@@ -124,15 +134,7 @@ def _renumbered(
     kept_as: NDArray[np.int64],
     is_turned: NDArray[np.bool_],
 ) -> Solids:
-    """Returns solids of polygons that were read as solids of those that stand for them, -1 for none.
-
-    Args:
-        solids: Their faces are numbers below ``num_read``, or -1.
-        num_read: How many polygons there were.
-        kept: (N,) which of them are clean.
-        kept_as: (N,) which polygon stands for each of these.
-        is_turned: (N,) whether that one looks the other way.
-    """
+    """Returns solids of polygons that were read as solids of those that stand for them, -1 for none."""
     places, turned = np.full(num_read + 1, -1, np.int64), np.zeros(num_read + 1, np.bool_)
     places[kept], turned[kept] = kept_as, is_turned
     return replace(solids, faces=places[solids.faces], is_flipped=solids.is_flipped ^ turned[solids.faces])
@@ -204,17 +206,7 @@ def _subtract_origin(
 def _bring_to_metres(
     polygons: Polygons, srs: NDArray[np.int16], raw: RawCity, options: ReadOptions
 ) -> str | None:
-    """Brings all points, in place, to metres of one reference system: the first that is known.
-
-    Args:
-        polygons: In the coordinates of the file.
-        srs: (N,) the reference system of each, as in ``RawCity``.
-        raw: Names and findings.
-        options: ``crs``, ``axis_order``, ``origin``.
-
-    Returns:
-        The label of that system, or None where there is none.
-    """
+    """Brings all points, in place, to metres of one reference system: the first that is known."""
     override, points = options.crs, polygons.points
     if not raw.srs_names and options.origin is not None:
         return None if override is None else require_crs(override).metric_label
@@ -257,41 +249,126 @@ def _told_by_faces(
     return faces_tell_north_first(chosen, least_buildings)
 
 
-def unique_ids(ids: Sequence[str], findings: Findings) -> tuple[str, ...]:
-    """Returns ids of which no two are equal: what repeats an earlier one gets ``~2``, ``~3`` and so on.
+def tell_unused(format: str, options: ReadOptions, findings: Findings) -> None:
+    """Adds a finding for every option that was given and that a city of this format does not hear."""
+    unheard = {}
+    if format not in _FOOTPRINTS:
+        unheard = {name: f"{name}: it is of footprints" for name in _OF_FOOTPRINTS}
+        if options.base != "ground":
+            unheard |= {name: f"{name}: base=ground sets buildings on the ground" for name in _OF_GROUND}
+    if format in _UPRIGHT:
+        unheard["up_axis"] = "up_axis: it is of meshes"
+    if not format.startswith("City"):
+        unheard["date"] = "date: it is of CityGML and CityJSON"
+    usual = ReadOptions()
+    for name, why in unheard.items():
+        if getattr(options, name) != getattr(usual, name):
+            findings.add(OPTION_UNUSED, "", why)
 
-    An export that merged two buildings of one id would lose one of them.
+
+# What formats of footprints alone are read by, and what sets buildings on the ground where that is requested.
+_FOOTPRINTS = ("footprints", "surfaces")
+
+_OF_FOOTPRINTS = (
+    "layer", "height_column", "storeys_column", "storey_height_m", "ground_column", "default_height_m",
+)  # fmt: skip
+
+_OF_GROUND = ("ground_m", "terrain")
+
+# What has its heights in z, whatever is requested.
+_UPRIGHT = (*_FOOTPRINTS, "CityGML", "CityJSON", "CityJSONSeq")
+
+
+def move_bases(
+    polygons: Polygons,
+    building_ids: tuple[str, ...],
+    label: str | None,
+    options: ReadOptions,
+    findings: Findings,
+) -> None:
+    """Moves the bottoms of buildings, in place, as ``options.base`` says.
+
+    ``ground`` adds the terrain height under each building's middle (or ``ground_m``) to all its
+    heights: for sources such as Open City Model whose buildings all stand at 0. ``sunk`` lifts
+    everything within ``sunk_m`` of a building's lowest point to that height: for sources such as
+    swissBUILDINGS3D whose walls reach below the terrain.
 
     Args:
-        ids: As the file has them.
-        findings: Receives ``DUPLICATE_ID``, once per id that repeats.
-
-    Example:
-        >>> unique_ids(["a", "b", "a"], Findings())
-        ('a', 'b', 'a~2')
+        polygons: In metres, not yet in the local frame.
+        building_ids: For the findings.
+        label: Reference system of the points.
+        options: What to do.
+        findings: Receives what was done, and buildings outside the terrain.
     """
-    if len(set(ids)) == len(ids):
-        return tuple(ids)
-    counts = Counter(ids)
-    for name, count in counts.items():
-        if count > 1:
-            findings.add(DUPLICATE_ID, name, f"names {count} objects; the later get ~2 and so on")
-    taken, met, unique = set(ids), Counter[str](), []
-    for name in ids:
-        met[name] += 1
-        own = name
-        while met[name] > 1 and own in taken:
-            own = f"{name}~{met[name]}"
-            met[name] += own in taken
-        taken.add(own)
-        unique.append(own)
-    return tuple(unique)
+    points = polygons.points
+    if options.base == "as_given" or len(points) == 0:
+        return
+    building = np.repeat(polygons.building, np.diff(polygons.ring_starts[polygons.polygon_starts]))
+    count = len(building_ids)
+    if options.base == "sunk":
+        lowest = np.full(count, np.inf)
+        np.minimum.at(lowest, building, points[:, 2])
+        points[:, 2] = np.maximum(points[:, 2], lowest[building] + options.sunk_m)
+        detail = f"walls cut {options.sunk_m:g} m above their lowest point"
+    else:
+        heights = np.full(count, options.ground_m)
+        if options.terrain is not None and label is not None:
+            from lodbench.citymodel.surface.grid import ground_under
+
+            sizes = np.maximum(np.bincount(building, minlength=count), 1)
+            middles = np.stack(
+                [np.bincount(building, points[:, k], minlength=count) / sizes for k in (0, 1)], axis=1
+            )
+            found = ground_under(middles, label, options)
+            for b in np.flatnonzero(~np.isfinite(found)):
+                findings.add(GROUND_DEFAULTED, building_ids[b], f"ground_m={options.ground_m:g}")
+            heights = np.where(np.isfinite(found), found, options.ground_m)
+        points[:, 2] += heights[building]
+        detail = f"set on {options.terrain or f'{options.ground_m:g} m'}"
+    findings.add(BASE_MOVED, "", detail)
 
 
-def unique_objects(objects: CityObjects, building_ids: tuple[str, ...], findings: Findings) -> CityObjects:
-    """Returns objects of which no two have one id; buildings are called as ``building_ids`` says."""
-    ids = list(objects.ids)
-    for n, building in enumerate(objects.building.tolist()):
-        if objects.parents[n] < 0:
-            ids[n] = building_ids[building]
-    return replace(objects, ids=unique_ids(ids, findings))
+# So many buildings are enough to decide.
+_SAMPLE_BUILDINGS = 4096
+
+# A wall covers less of the square around it in plan. Roofs and footprints are drawn this way and that.
+_WALL_SHARE = 0.1
+
+# Of walls that all look outside each adds to the area of the plan; of walls drawn at random they cancel out.
+_LEAST_SHARE = 0.5
+
+# So many of the buildings with a result must agree.
+_LEAST_AGREEING = 0.9
+
+
+def faces_tell_north_first(polygons: Polygons, least_buildings: int = 1) -> bool | None:
+    """Returns whether northings stand first: exchanged columns mirror houses, whose walls then look inside.
+
+    Args:
+        polygons: In the coordinates of the file.
+        least_buildings: So many must have a result.
+
+    Returns:
+        None where walls do not decide: footprints have none, some publishers draw them at random.
+    """
+    step = 1 + int(polygons.building.max(initial=0)) // _SAMPLE_BUILDINGS
+    chosen = select_polygons(polygons, np.flatnonzero(polygons.building % step == 0))
+    if len(chosen) == 0:
+        return None
+    vectors, _ = newell(chosen)
+    first = chosen.ring_starts[chosen.polygon_starts[:-1]]
+    plan = chosen.points[:, :2]
+    sides = np.maximum.reduceat(plan, first) - np.minimum.reduceat(plan, first)
+    is_wall = np.abs(vectors[:, 2]) < _WALL_SHARE * (sides**2).sum(axis=1)
+    _, building = np.unique(chosen.building, return_inverse=True)
+    counts = np.bincount(building)
+    middles = np.stack([np.bincount(building, plan[first, k]) / counts for k in (0, 1)], axis=1)
+    areas = is_wall * ((plan[first] - middles[building]) * vectors[:, :2]).sum(axis=1)
+    total, largest = np.bincount(building, areas), np.bincount(building, np.abs(areas))
+    is_outside, is_inside = total > _LEAST_SHARE * largest, total < -_LEAST_SHARE * largest
+    if is_inside.sum() + is_outside.sum() < least_buildings:
+        return None
+    share = is_inside.sum() / max(is_inside.sum() + is_outside.sum(), 1)
+    if share >= _LEAST_AGREEING:
+        return True
+    return False if is_outside.any() and share <= 1.0 - _LEAST_AGREEING else None

@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import gc
+from collections.abc import Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from lodbench.citymodel.lifespans import Period
-from lodbench.citymodel.model import CityObjects, ObjectTable, Solids, pitched_buildings
+from lodbench.citymodel.attributes import common_period
+from lodbench.citymodel.model import (
+    FIRST_COLOUR,
+    NO_PICTURE,
+    CityObjects,
+    Colour,
+    Period,
+    Pictures,
+    Solids,
+    starts_of,
+)
 from lodbench.citymodel.options import AxisOrder
-from lodbench.citymodel.pictures import Pictures, PictureTable, blank
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
+
+if TYPE_CHECKING:
+    pass
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -112,54 +126,6 @@ def buildings_only(ids: tuple[str, ...]) -> CityObjects:
     )
 
 
-def starts_of(lengths: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Returns offsets from lengths: ``(n + 1,)``, beginning with 0.
-
-    Example:
-        >>> starts_of(np.array([2, 3]))
-        array([0, 2, 5])
-    """
-    starts = np.zeros(len(lengths) + 1, np.int64)
-    np.cumsum(lengths, out=starts[1:])
-    return starts
-
-
-def group_by(owner: NDArray[np.integer]) -> dict[int, list[int]]:
-    """Returns the indices of each owner, ascending.
-
-    Example:
-        >>> group_by(np.array([7, 2, 7]))
-        {7: [0, 2], 2: [1]}
-    """
-    groups: dict[int, list[int]] = {}
-    for n, number in enumerate(owner.tolist()):
-        groups.setdefault(number, []).append(n)
-    return groups
-
-
-def take_segments(
-    starts: NDArray[np.int64], chosen: NDArray[np.integer]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Returns the item indices of the chosen segments in a row, and the offsets of the result.
-
-    Args:
-        starts: (S + 1,) offsets of all segments.
-        chosen: (C,) segment indices, in any order, repeats allowed.
-
-    Returns:
-        items: indices into the items the segments are made of.
-        new_starts: (C + 1,) offsets into ``items``.
-
-    Example:
-        >>> take_segments(np.array([0, 2, 5]), np.array([1, 0]))
-        (array([2, 3, 4, 0, 1]), array([0, 3, 5]))
-    """
-    lengths = starts[chosen + 1] - starts[chosen]
-    new_starts = starts_of(lengths)
-    items = np.arange(new_starts[-1]) + np.repeat(starts[chosen] - new_starts[:-1], lengths)
-    return items, new_starts
-
-
 class GrowingArray:
     """Collects blocks of rows into one array.
 
@@ -201,103 +167,167 @@ class GrowingArray:
         self._rows.resize((size, *self._rows.shape[1:]), refcheck=False)
 
 
-_MAX_LODS = 64
+def merge_pictures(
+    parts: Sequence[tuple[Pictures | None, NDArray[np.int32] | None, NDArray[np.float64] | None, int, int]],
+) -> tuple[Pictures | None, NDArray[np.int32] | None, NDArray[np.float64] | None]:
+    """Returns the pictures of several tiles as one, with the numbers of polygons and places of points.
 
-
-@dataclass(slots=True)
-class PolygonCollector:
-    """Grows polygons into the arrays of a ``RawCity``.
-
-    Points come in blocks; rings and polygons are plain lists until the end. ``painted`` has the number of a
-    picture and the places of the corners for those polygons that have one.
+    Args:
+        parts: Of each tile its pictures, as in ``RawCity``, and how many polygons and points it has.
     """
+    if all(pictures is None for pictures, *_ in parts):
+        return None, None, None
+    files: list[Path] = []
+    numbers, places = [], []
+    notes: list[str] = []
+    colours: list[Colour] = []
+    wraps: list[str] = []
+    for pictures, picture, uv, num_polygons, num_points in parts:
+        if picture is None or uv is None:
+            picture, uv = blank(num_polygons, num_points)
+        shift = np.where(picture >= 0, len(files), np.where(picture <= FIRST_COLOUR, -len(colours), 0))
+        numbers.append((picture + shift).astype(np.int32))
+        places.append(uv)
+        if pictures is not None:
+            files += pictures.files
+            notes += pictures.notes
+            colours += pictures.colours
+            wraps += pictures.wraps
+    return (
+        Pictures(tuple(files), tuple(notes), tuple(colours), tuple(wraps)),
+        np.concatenate(numbers),
+        np.concatenate(places),
+    )
 
-    point_blocks: list[NDArray[np.float64]] = field(default_factory=list)
-    ring_lengths: list[int] = field(default_factory=list)
-    ring_counts: list[int] = field(default_factory=list)
-    owners: list[tuple[int, int, int, int]] = field(default_factory=list)
-    lods: list[str] = field(default_factory=list)
-    building_ids: list[str] = field(default_factory=list)
-    objects: ObjectTable | None = None
-    serials: list[int] = field(default_factory=list)
-    pictures: PictureTable | None = None
-    painted: dict[int, tuple[int, NDArray[np.float64]]] = field(default_factory=dict)
-    findings: Findings = field(default_factory=Findings)
 
-    def add_polygon(self, building: int, lod: str, points: NDArray[np.float64], kind: int) -> None:
-        """Adds one polygon without holes.
+def blank(num_polygons: int, num_points: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Returns the numbers and places of polygons without a picture."""
+    return np.full(num_polygons, NO_PICTURE, np.int32), np.full((num_points, 2), np.nan)
 
-        Args:
-            building: Index into ``building_ids``.
-            lod: Name of its level of detail.
-            points: (N, 3) corners, the first not repeated.
-            kind: Its ``SurfaceKind``.
-        """
-        self.point_blocks.append(points)
-        self.ring_lengths.append(len(points))
-        self.ring_counts.append(1)
-        self.owners.append((building, self.lod_index(lod), kind, building))
 
-    def lod_index(self, name: str) -> int:
-        """Returns the number of a level of detail, a new one where it is new."""
-        if name not in self.lods:
-            if len(self.lods) == _MAX_LODS:
-                raise CityModelError(
-                    f"There are more than {_MAX_LODS} levels of detail.", "Four is usual: correct the file."
-                )
-            self.lods.append(name)
-        return self.lods.index(name)
+@contextmanager
+def paused_collector() -> Iterator[None]:
+    """Keeps Python from looking for cycles: JSON has a million lists and none, and it doubles the time."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
-    def _painted_corners(
-        self, firsts: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int32] | None, NDArray[np.float64] | None]:
-        """Returns the picture of each polygon and the place of each point on it; ``firsts``: (N + 1,)."""
-        if self.pictures is None:
-            return None, None
-        picture, uv = blank(len(firsts) - 1, int(firsts[-1]))
-        for polygon, (number, places) in self.painted.items():
-            picture[polygon], uv[firsts[polygon] : firsts[polygon + 1]] = number, places
-        return picture, uv
 
-    def finish(
-        self, *, source: str, format: str, version: str | None, srs_names: tuple[str | None, ...]
-    ) -> RawCity:
-        """Returns everything collected; all of it is in the first of ``srs_names``."""
-        # A third of the time that asarray takes for a list of tuples.
-        owners = np.fromiter(chain.from_iterable(self.owners), np.int64).reshape(-1, 4)
-        table = self.objects
-        solids: Solids | None = None
-        polygon_ids: tuple[str, ...] = ()
-        if table is not None and table.has_details:
-            solids, polygon_ids = table.finish_solids(np.asarray(self.serials, np.int64))
-        is_plain = table is None or (len(table.ids) == len(self.building_ids) and table.is_plain)
-        points = np.concatenate(self.point_blocks) if self.point_blocks else np.zeros((0, 3))
-        ring_starts = starts_of(np.asarray(self.ring_lengths, np.int64))
-        polygon_starts = starts_of(np.asarray(self.ring_counts, np.int64))
-        picture, uv = self._painted_corners(ring_starts[polygon_starts])
-        return RawCity(
-            source=source,
-            format=format,
-            version=version,
-            srs_names=srs_names,
-            building_ids=tuple(self.building_ids),
-            num_parts=0 if table is None else table.types.count("BuildingPart"),
-            lods=tuple(self.lods),
-            points=points,
-            ring_starts=ring_starts,
-            polygon_starts=polygon_starts,
-            building=owners[:, 0].astype(np.int32),
-            lod=owners[:, 1].astype(np.int16),
-            kind=owners[:, 2].astype(np.uint8),
-            srs=np.zeros(len(owners), np.int16),
-            findings=self.findings,
-            part=None if is_plain else owners[:, 3].astype(np.int32),
-            objects=None if table is None or is_plain else table.finish(),
-            solids=solids,
-            polygon_ids=polygon_ids,
-            pictures=None if self.pictures is None else self.pictures.finish(),
-            picture=picture,
-            uv=uv,
-            pitched=None if table is None else pitched_buildings(table.roof_types, len(self.building_ids)),
-            measured_m=None if table is None else table.heights(len(self.building_ids)),
-        )
+def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
+    """Returns several tiles as one city; ids that two tiles share stay as they are.
+
+    Args:
+        source: Name of the folder or archive.
+        cities: One or more tiles, of any format; their points are taken from them.
+    """
+    first = cities[0]
+    systems = tuple(dict.fromkeys(system for city in cities for system in city.systems()))
+    lods = tuple(dict.fromkeys(name for city in cities for name in city.lods))
+    findings = Findings([item for city in cities for item in city.findings.items])
+    building_ids = tuple(name for city in cities for name in city.building_ids)
+    pictures, picture, uv = merge_pictures(
+        [(city.pictures, city.picture, city.uv, len(city.building), len(city.points)) for city in cities]
+    )
+    before = starts_of(np.asarray([len(city.building_ids) for city in cities]))
+    part, objects, solids, polygon_ids = _merge_objects(cities)
+    return RawCity(
+        source=source,
+        format=first.format,
+        version=first.version,
+        srs_names=tuple(name for name, _ in systems),
+        building_ids=building_ids,
+        num_parts=sum(city.num_parts for city in cities),
+        lods=lods,
+        points=_taken_points(cities),
+        ring_starts=starts_of(np.concatenate([np.diff(city.ring_starts) for city in cities])),
+        polygon_starts=starts_of(np.concatenate([np.diff(city.polygon_starts) for city in cities])),
+        building=_counted_on([city.building for city in cities], before[:-1]),
+        lod=np.concatenate([_renamed(c.lod, c.lods, lods) for c in cities]),
+        kind=np.concatenate([city.kind for city in cities]),
+        srs=np.concatenate([_renamed(c.srs, c.systems(), systems) for c in cities]),
+        has_closing_points=np.concatenate(
+            [np.broadcast_to(city.has_closing_points, len(city.ring_starts) - 1) for city in cities]
+        ),
+        findings=findings,
+        axis_orders=tuple(order for _, order in systems),
+        part=part,
+        objects=objects,
+        solids=solids,
+        polygon_ids=polygon_ids,
+        has_textures=any(city.has_textures for city in cities),
+        pictures=pictures,
+        picture=picture,
+        uv=uv,
+        pitched=joined([(city.pitched, len(city.building_ids)) for city in cities], False),
+        measured_m=joined([(city.measured_m, len(city.building_ids)) for city in cities], np.nan),
+        period=common_period(city.period for city in cities),
+    )
+
+
+def _taken_points(cities: list[RawCity]) -> NDArray[np.float64]:
+    """Returns the points of all cities, (P, 3), which have none afterwards: they are not held twice."""
+    points = GrowingArray(np.float64, (3,))
+    for city in cities:
+        points.extend(city.points)
+        city.points = np.zeros((0, 3))
+    return points.finish()
+
+
+def _counted_on(columns: Sequence[NDArray[np.int32]], firsts: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Returns columns of numbers in a row, those of each column counted from its first."""
+    return np.concatenate([c + n for c, n in zip(columns, firsts, strict=True)]).astype(np.int32)
+
+
+def _merge_objects(
+    cities: list[RawCity],
+) -> tuple[NDArray[np.int32] | None, CityObjects | None, Solids | None, tuple[str, ...]]:
+    """Returns parts, objects, solids and polygon ids of several tiles, as far as any has them."""
+    if all(city.objects is None for city in cities):
+        return None, None, None, ()
+    tables = [city.objects or buildings_only(city.building_ids) for city in cities]
+    parts = [city.part if city.part is not None else city.building for city in cities]
+    buildings = starts_of(np.asarray([len(city.building_ids) for city in cities]))[:-1]
+    firsts = starts_of(np.asarray([len(table) for table in tables]))[:-1]
+    polygons = starts_of(np.asarray([len(city.building) for city in cities]))[:-1]
+    objects = CityObjects(
+        tuple(name for table in tables for name in table.ids),
+        tuple(name for table in tables for name in table.types),
+        np.concatenate(
+            [np.where(t.parents < 0, -1, t.parents + n) for t, n in zip(tables, firsts, strict=True)]
+        ).astype(np.int32),
+        _counted_on([table.building for table in tables], buildings),
+        tuple(values for table in tables for values in (table.attributes or ({},) * len(table)))
+        if any(table.attributes for table in tables)
+        else (),
+    )
+    part = _counted_on(parts, firsts)
+    if all(city.solids is None for city in cities):
+        return part, objects, None, ()
+    stated = [
+        (city.solids, n, f)
+        for city, n, f in zip(cities, polygons, firsts, strict=True)
+        if city.solids is not None
+    ]
+    solids = Solids(
+        np.concatenate([s.part + f for s, _, f in stated]).astype(np.int32),
+        starts_of(np.concatenate([np.diff(s.shell_starts) for s, _, _ in stated])),
+        starts_of(np.concatenate([np.diff(s.face_starts) for s, _, _ in stated])),
+        np.concatenate([np.where(s.faces < 0, -1, s.faces + n) for s, n, _ in stated]),
+        np.concatenate([s.is_flipped for s, _, _ in stated]),
+        np.concatenate([np.where(s.composite < 0, -1, s.composite + n) for s, n, _ in stated]).astype(
+            np.int32
+        ),
+    )
+    ids = (city.polygon_ids or ("",) * len(city.building) for city in cities)
+    return part, objects, solids, tuple(chain.from_iterable(ids))
+
+
+def _renamed(
+    indices: NDArray[np.int16], names: tuple[Hashable, ...], all_names: tuple[Hashable, ...]
+) -> NDArray[np.int16]:
+    table = np.asarray([all_names.index(name) for name in names], np.int16)
+    return table[indices] if len(table) else indices

@@ -1,32 +1,168 @@
-"""Opening a city model with the reader that fits."""
+"""From a file to a model, with the reader that fits; from a model to a scene: which level, and its mesh."""
 
 from __future__ import annotations
 
 import io
 import logging
 from collections import Counter
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import replace
-from itertools import chain
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import FILE_SKIPPED
-from lodbench.citymodel.formats import SURFACE_SUFFIXES, city_formats, formats_in_words, identify
-from lodbench.citymodel.lifespans import common_period
-from lodbench.citymodel.meshing import NothingToMesh, mesh_model
-from lodbench.citymodel.model import CityModel, CityObjects, Solids
-from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.pictures import merge_pictures
+from lodbench.citymodel.codes import (
+    FILE_SKIPPED,
+    INTERIOR_SKIPPED,
+    LOD_ABSENT,
+    OPTION_UNUSED,
+)
+from lodbench.citymodel.formats import Source, city_formats, formats_in_words, identify
+from lodbench.citymodel.model import (
+    FLAT,
+    CityModel,
+    SurfaceKind,
+    has_lod,
+    lod_in_words,
+    polygon_blocks,
+    tell_flat,
+)
+from lodbench.citymodel.options import SURFACE_SUFFIXES, ReadOptions
 from lodbench.citymodel.polygons import finish_model
-from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity, buildings_only, joined, starts_of
-from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.source import Source, StreamOver, open_sources
+from lodbench.citymodel.raw import (
+    NotACity,
+    RawCity,
+    merge_cities,
+)
+from lodbench.citymodel.scene import Scene, SceneBuilder
+from lodbench.citymodel.source import count_bytes, open_sources
+from lodbench.citymodel.triangulate import CHUNK_POLYGONS, polygons_at, triangulate
+from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 from lodbench.plugins import blaming, load_plugin, of_kind
+
+
+class NothingToMesh(CityModelError):
+    """A level of detail whose polygons make no triangle.
+
+    Attributes:
+        area_m2: Newell area of the polygons, all of it lost.
+        findings: Why.
+    """
+
+    def __init__(self, source: str, lod: str, area_m2: float, findings: Findings) -> None:
+        super().__init__(
+            f"{source} has no surface to mesh at level of detail {lod}.", "Try lodbench city check."
+        )
+        self.area_m2, self.findings = area_m2, findings
+
+
+@dataclass(frozen=True, slots=True)
+class CityMesh:
+    """A scene and what became of the model's area on the way to it."""
+
+    scene: Scene  # triangles, ready for the renderers
+    num_polygons: int  # polygons meshed
+    area_m2: float  # their Newell area
+    meshed_m2: float  # area of their triangles; larger where polygons are bent
+    lost_m2: float  # area no triangle covers
+    excess_m2: float  # area triangles cover beyond their polygons
+    findings: Findings  # what was met while meshing; the model's own findings are not repeated
+
+
+def mesh_model(
+    model: CityModel, lod: str | None = None, *, roof_height: str | None = None, stands_in: bool = True
+) -> CityMesh:
+    """Returns the mesh of one level of detail, with its areas and findings.
+
+    Args:
+        model: The city as read.
+        lod: Level name, ``finest`` or ``coarsest`` for each building's own (see ``polygons_at``), or None
+            for the lowest that has walls.
+        roof_height: Rule by which level 1 is derived where it is requested and absent; None makes
+            that an error.
+        stands_in: Whether objects that are no buildings and lack the level come with one of theirs.
+
+    Raises:
+        CityModelError: The level is absent, or holds no surface.
+        ConfigError: The rule is unknown.
+    """
+    findings = Findings()
+    lod = None if lod is None else str(lod)  # in notebooks levels are numbers
+    if roof_height is not None:
+        from lodbench.citymodel.derive import AT_EAVES, derive_lod1, require_rule
+
+        require_rule(roof_height)
+        if lod is None or lod.lower().removeprefix("lod") != "1":
+            findings.add(OPTION_UNUSED, "", "roof_height: only level 1 is derived, with lod=1")
+        elif not has_lod(model.lods, lod):
+            blocks = derive_lod1(model, roof_height, findings)
+            # Blocks that end at eaves are not too high.
+            pitched = None if roof_height == AT_EAVES else model.pitched
+            counts = (len(blocks),)
+            model = replace(model, lods=("1",), polygons=blocks, polygons_read=counts, pitched=pitched)
+    name, at_level = polygons_at(model, lod, findings, stands_in)
+    if name.startswith(FLAT):
+        tell_flat(model, findings)
+    polygons = model.polygons
+    is_interior = (polygons.kind == SurfaceKind.INTERIOR) & (not model.has_interiors)
+    for building, count in sorted(Counter(polygons.building[at_level & is_interior].tolist()).items()):
+        findings.add(INTERIOR_SKIPPED, model.building_ids[building], f"{count} polygons")
+    return _mesh_level(model, name, np.flatnonzero(at_level & ~is_interior), findings)
+
+
+def _mesh_level(model: CityModel, lod: str, chosen: NDArray[np.int64], findings: Findings) -> CityMesh:
+    """Returns the mesh of some polygons of a model, made a few thousand polygons at a time."""
+    has_level = np.zeros(len(model.building_ids), np.bool_)
+    has_level[model.polygons.building[chosen]] = True
+    for building in np.flatnonzero(~has_level):
+        findings.add(LOD_ABSENT, model.building_ids[building], f"no {lod_in_words(lod)}")
+    for part in _absent_parts(model, chosen, has_level):
+        findings.add(LOD_ABSENT, part, f"a building part, no {lod_in_words(lod)}")
+    builder = SceneBuilder(model.building_ids)
+    areas = np.zeros(4)
+    num_triangles = 0
+    for num_before, block in polygon_blocks(model.polygons, chosen, CHUNK_POLYGONS):
+        result = triangulate(block, model.building_ids, findings, num_before=num_before)
+        builder.add(block.points, result.triangles, block.building[result.polygon])
+        areas += result.area_m2.sum(), result.meshed_m2.sum(), result.lost_m2, result.excess_m2
+        num_triangles += len(result.triangles)
+    if num_triangles == 0:
+        raise NothingToMesh(model.source, lod, float(areas[0]), findings)
+    area_m2, meshed_m2, lost_m2, excess_m2 = areas.tolist()
+    scene = builder.finish(lod=lod, crs=model.crs, origin=model.origin, pitched=model.pitched)
+    return CityMesh(scene, len(chosen), area_m2, meshed_m2, lost_m2, excess_m2, findings)
+
+
+def _absent_parts(model: CityModel, chosen: NDArray[np.int64], has_level: NDArray[np.bool_]) -> list[str]:
+    """Returns the ids of parts with walls of which nothing is chosen, nor of their building itself."""
+    objects, part = model.objects, model.polygons.part
+    if objects is None or part is None:
+        return []
+    is_chosen, has_walls = np.zeros((2, len(objects)), np.bool_)
+    is_chosen[part[chosen]] = True
+    is_flat = np.array([name.startswith("0") for name in model.lods], np.bool_)
+    has_walls[part[~is_flat[model.polygons.lod]]] = True
+    is_whole = np.zeros(len(has_level), np.bool_)
+    is_whole[objects.building[is_chosen & (objects.parents < 0)]] = True
+    is_open = has_walls & ~is_chosen & (has_level & ~is_whole)[objects.building]
+    return [objects.ids[n] for n in np.flatnonzero(is_open) if objects.types[n] == "BuildingPart"]
+
+
+def mesh_city(model: CityModel, lod: str | None = None, *, roof_height: str | None = None) -> Scene:
+    """Returns one level of detail of a city as a scene; see ``mesh_model`` for the account of it.
+
+    Args:
+        model: The city as read.
+        lod: Level name (``"1"``, ``"2.2"``, ``"finest"``), or None for the lowest that has walls.
+        roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
+
+    Raises:
+        CityModelError: The level is absent, or holds no surface.
+    """
+    return mesh_model(model, lod, roof_height=roof_height).scene
+
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -151,234 +287,3 @@ def _reader_of(source: Source) -> str:
             f"Supported: {formats_in_words()}; most as .gz, in a .zip, and folders of them.",
         )
     return found.name
-
-
-def city_info(model: CityModel) -> dict[str, Any]:
-    """Returns a summary made of plain values, ready for JSON.
-
-    Returns:
-        ``format, version, crs, center_lat_lon`` (degrees, or None without a reference system),
-        ``buildings, parts, objects`` (of opted-in layers, type to count), ``pitched_roofs`` (buildings that
-        the source states to have one), ``extent_m`` (x, y, z lengths), ``lods``: level name to
-        ``polygons`` (as in the file), ``triangles``, ``area_m2`` (of the polygons), ``meshed_m2`` and
-        ``lost_m2``; and ``findings``: code and name to count, meshing included; ``finding_objects``: to
-        how many buildings they were met in.
-    """
-    points = model.polygons.points
-    types = Counter(
-        "Building" if own else name for name, own in zip(model.types(), model.is_building(), strict=True)
-    )
-    extent = np.ptp(points, axis=0) if len(points) else np.zeros(3)
-    findings = Findings(list(model.findings.items))
-    lods: dict[str, dict[str, float]] = {}
-    for name, num_read in zip(model.lods, model.polygons_read, strict=True):
-        row: dict[str, float] = {"polygons": num_read, "triangles": 0, "area_m2": 0.0}
-        try:
-            mesh = mesh_model(model, name, stands_in=False)
-        except NothingToMesh as nothing:
-            findings.items += nothing.findings.items
-            row["lost_m2"] = row["area_m2"] = round(nothing.area_m2, 3)
-        else:
-            findings.items += mesh.findings.items
-            row["triangles"] = len(mesh.scene.triangles)
-            row["area_m2"] = round(mesh.area_m2, 3)
-            row["meshed_m2"] = round(mesh.meshed_m2, 3)
-            row["lost_m2"] = round(mesh.lost_m2, 3)
-        lods[name] = row
-    return {
-        "format": model.format,
-        "version": model.version,
-        "crs": model.crs,
-        "center_lat_lon": _center_lat_lon(model),
-        "buildings": types["Building"],
-        "parts": model.num_parts,
-        "objects": {name: count for name, count in sorted(types.items()) if name != "Building"},
-        "pitched_roofs": 0 if model.pitched is None else int(model.pitched.sum()),
-        "extent_m": [round(float(length), 3) for length in extent],
-        "lods": lods,
-        "findings": findings.counts(),
-        "finding_objects": findings.objects(),
-    }
-
-
-def _center_lat_lon(model: CityModel) -> list[float] | None:
-    """Returns where on Earth the middle of the city is, to a decimetre: the quickest test of a place."""
-    points = model.polygons.points
-    if model.crs is None or len(points) == 0:
-        return None
-    from pyproj import Transformer
-    from pyproj.exceptions import ProjError
-
-    x, y = 0.5 * (points[:, :2].min(axis=0) + points[:, :2].max(axis=0)) + model.origin[:2]
-    try:
-        lon, lat = Transformer.from_crs(model.crs, "EPSG:4326", always_xy=True).transform(x, y)
-    except ProjError:
-        return None
-    return [round(lat, 6), round(lon, 6)] if np.isfinite([lat, lon]).all() else None
-
-
-def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
-    """Returns several tiles as one city; ids that two tiles share stay as they are.
-
-    Args:
-        source: Name of the folder or archive.
-        cities: One or more tiles, of any format; their points are taken from them.
-    """
-    first = cities[0]
-    systems = tuple(dict.fromkeys(system for city in cities for system in city.systems()))
-    lods = tuple(dict.fromkeys(name for city in cities for name in city.lods))
-    findings = Findings([item for city in cities for item in city.findings.items])
-    building_ids = tuple(name for city in cities for name in city.building_ids)
-    pictures, picture, uv = merge_pictures(
-        [(city.pictures, city.picture, city.uv, len(city.building), len(city.points)) for city in cities]
-    )
-    before = starts_of(np.asarray([len(city.building_ids) for city in cities]))
-    part, objects, solids, polygon_ids = _merge_objects(cities)
-    return RawCity(
-        source=source,
-        format=first.format,
-        version=first.version,
-        srs_names=tuple(name for name, _ in systems),
-        building_ids=building_ids,
-        num_parts=sum(city.num_parts for city in cities),
-        lods=lods,
-        points=_taken_points(cities),
-        ring_starts=starts_of(np.concatenate([np.diff(city.ring_starts) for city in cities])),
-        polygon_starts=starts_of(np.concatenate([np.diff(city.polygon_starts) for city in cities])),
-        building=_counted_on([city.building for city in cities], before[:-1]),
-        lod=np.concatenate([_renamed(c.lod, c.lods, lods) for c in cities]),
-        kind=np.concatenate([city.kind for city in cities]),
-        srs=np.concatenate([_renamed(c.srs, c.systems(), systems) for c in cities]),
-        has_closing_points=np.concatenate(
-            [np.broadcast_to(city.has_closing_points, len(city.ring_starts) - 1) for city in cities]
-        ),
-        findings=findings,
-        axis_orders=tuple(order for _, order in systems),
-        part=part,
-        objects=objects,
-        solids=solids,
-        polygon_ids=polygon_ids,
-        has_textures=any(city.has_textures for city in cities),
-        pictures=pictures,
-        picture=picture,
-        uv=uv,
-        pitched=joined([(city.pitched, len(city.building_ids)) for city in cities], False),
-        measured_m=joined([(city.measured_m, len(city.building_ids)) for city in cities], np.nan),
-        period=common_period(city.period for city in cities),
-    )
-
-
-def _taken_points(cities: list[RawCity]) -> NDArray[np.float64]:
-    """Returns the points of all cities, (P, 3), which have none afterwards: they are not held twice."""
-    points = GrowingArray(np.float64, (3,))
-    for city in cities:
-        points.extend(city.points)
-        city.points = np.zeros((0, 3))
-    return points.finish()
-
-
-def _counted_on(columns: Sequence[NDArray[np.int32]], firsts: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Returns columns of numbers in a row, those of each column counted from its first."""
-    return np.concatenate([c + n for c, n in zip(columns, firsts, strict=True)]).astype(np.int32)
-
-
-def _merge_objects(
-    cities: list[RawCity],
-) -> tuple[NDArray[np.int32] | None, CityObjects | None, Solids | None, tuple[str, ...]]:
-    """Returns parts, objects, solids and polygon ids of several tiles, as far as any has them."""
-    if all(city.objects is None for city in cities):
-        return None, None, None, ()
-    tables = [city.objects or buildings_only(city.building_ids) for city in cities]
-    parts = [city.part if city.part is not None else city.building for city in cities]
-    buildings = starts_of(np.asarray([len(city.building_ids) for city in cities]))[:-1]
-    firsts = starts_of(np.asarray([len(table) for table in tables]))[:-1]
-    polygons = starts_of(np.asarray([len(city.building) for city in cities]))[:-1]
-    objects = CityObjects(
-        tuple(name for table in tables for name in table.ids),
-        tuple(name for table in tables for name in table.types),
-        np.concatenate(
-            [np.where(t.parents < 0, -1, t.parents + n) for t, n in zip(tables, firsts, strict=True)]
-        ).astype(np.int32),
-        _counted_on([table.building for table in tables], buildings),
-        tuple(values for table in tables for values in (table.attributes or ({},) * len(table)))
-        if any(table.attributes for table in tables)
-        else (),
-    )
-    part = _counted_on(parts, firsts)
-    if all(city.solids is None for city in cities):
-        return part, objects, None, ()
-    stated = [
-        (city.solids, n, f)
-        for city, n, f in zip(cities, polygons, firsts, strict=True)
-        if city.solids is not None
-    ]
-    solids = Solids(
-        np.concatenate([s.part + f for s, _, f in stated]).astype(np.int32),
-        starts_of(np.concatenate([np.diff(s.shell_starts) for s, _, _ in stated])),
-        starts_of(np.concatenate([np.diff(s.face_starts) for s, _, _ in stated])),
-        np.concatenate([np.where(s.faces < 0, -1, s.faces + n) for s, n, _ in stated]),
-        np.concatenate([s.is_flipped for s, _, _ in stated]),
-        np.concatenate([np.where(s.composite < 0, -1, s.composite + n) for s, n, _ in stated]).astype(
-            np.int32
-        ),
-    )
-    ids = (city.polygon_ids or ("",) * len(city.building) for city in cities)
-    return part, objects, solids, tuple(chain.from_iterable(ids))
-
-
-def _renamed(
-    indices: NDArray[np.int16], names: tuple[Hashable, ...], all_names: tuple[Hashable, ...]
-) -> NDArray[np.int16]:
-    table = np.asarray([all_names.index(name) for name in names], np.int16)
-    return table[indices] if len(table) else indices
-
-
-class CountedStream(StreamOver):
-    """A stream that tells how many bytes have been read from it.
-
-    Args:
-        stream: Where the bytes come from.
-        report: Called with the number of bytes after each read.
-    """
-
-    def __init__(self, stream: BinaryIO, report: Callable[[int], None]) -> None:
-        super().__init__(stream)
-        self._report = report
-
-    def read(self, size: int = -1) -> bytes:
-        """Returns up to ``size`` bytes, all that is left where it is negative."""
-        return self._counted(self._stream.read(size))
-
-    def readline(self, size: int | None = -1) -> bytes:
-        """Returns the next line, or its first ``size`` bytes."""
-        return self._counted(self._stream.readline(-1 if size is None else size))
-
-    def _counted(self, data: bytes) -> bytes:
-        self._report(len(data))
-        return data
-
-
-def count_bytes(sources: tuple[Source, ...], progress: Callable[[int, int], None]) -> tuple[Source, ...]:
-    """Returns the sources with every read counted towards one progress.
-
-    Args:
-        sources: What will be read.
-        progress: Called with the bytes read and their total, 0 where compression hides it.
-    """
-    is_packed = any("!" in source.name or source.name.endswith(".gz") for source in sources)
-    paths = {source.path for source in sources if source.path.is_file()}
-    total = 0 if is_packed else sum(path.stat().st_size for path in paths)
-    done = 0
-
-    def report(num_bytes: int) -> None:
-        nonlocal done
-        done += num_bytes
-        progress(min(done, total) if total else done, total)
-
-    def counted(source: Source) -> Source:
-        def open_stream() -> BinaryIO:
-            return CountedStream(source.open(), report)  # type: ignore[return-value]
-
-        return replace(source, open=open_stream)
-
-    return tuple(counted(source) for source in sources)

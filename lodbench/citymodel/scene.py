@@ -10,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.cleaning import number_rows, point_bits
-from lodbench.citymodel.lods import group_cuts
-from lodbench.citymodel.raw import GrowingArray, starts_of
+from lodbench.citymodel.model import group_cuts, starts_of
+from lodbench.citymodel.raw import GrowingArray
 from lodbench.errors import CityModelError
 
 # Classes of surfaces; 0 is all else: ground, sky, what no map holds.
@@ -198,13 +197,7 @@ def build_scene(
 def _merge(
     points: NDArray[np.float32], triangles: NDArray[np.int64], building: NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Returns the vertices and triangles of whole buildings, and the building of each of both.
-
-    Args:
-        points: (P, 3).
-        triangles: (T, 3) indices into ``points``.
-        building: (T,) ascending.
-    """
+    """Returns the vertices and triangles of whole buildings, and the building of each of both."""
     corners = points[triangles].reshape(-1, 3) + np.float32(0)  # no -0.0
     corner_building = np.repeat(building, 3)
     numbers, first = number_rows([corner_building.astype(np.uint64), *point_bits(corners)])
@@ -257,3 +250,79 @@ def floors_and_rises(scene: Scene) -> tuple[Floats, Floats]:
     floors, rises = np.zeros((2, scene.num_buildings))
     floors[building], rises[building] = low[:, 2], high[:, 2] - low[:, 2]
     return floors, rises
+
+
+# An odd number (2**64 over the golden ratio) and one of splitmix64, which spread bits.
+HASH_ODD, HASH_MIXER, HASH_SHIFT = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(31)
+
+
+def number_rows(columns: list[NDArray[np.uint64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns a number for every row, equal for equal rows, and the first row of each number.
+
+    Numbers count up in the order of first occurrence.
+
+    Args:
+        columns: Arrays (N,) of bits; a row is one entry of each.
+
+    Returns:
+        numbers: (N,) int64.
+        first: (U,) int64 ascending.
+
+    Example:
+        >>> number_rows([np.array([7, 5, 7], np.uint64)])[0]
+        array([0, 1, 0])
+    """
+    key = np.zeros(len(columns[0]), np.uint64)
+    for column in columns:
+        key = (key ^ column) * HASH_ODD
+        key = (key ^ (key >> HASH_SHIFT)) * HASH_MIXER
+    order = np.argsort(key, kind="stable")
+    is_new = _changes([key], order)
+    if not np.array_equal(is_new, _changes(columns, order)):
+        # Two rows share a hash: sort by the rows themselves.
+        order = np.lexsort(columns)
+        is_new = _changes(columns, order)
+    group = np.cumsum(is_new) - 1
+    first = order[is_new]  # a stable sort keeps the earliest row of a group in front
+    by_occurrence = np.argsort(first)
+    rank = np.empty_like(by_occurrence)
+    rank[by_occurrence] = np.arange(len(first))
+    numbers = np.empty(len(order), np.int64)
+    numbers[order] = rank[group]
+    return numbers, first[by_occurrence]
+
+
+def connected_components(
+    num_nodes: int, first: NDArray[np.int64], second: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Returns the smallest node of each node's component.
+
+    Args:
+        num_nodes: Nodes are 0 .. num_nodes - 1.
+        first: (E,) one end of every edge.
+        second: (E,) the other end.
+    """
+    from scipy.sparse import coo_array, csgraph
+
+    edges = coo_array((np.ones(len(first), np.bool_), (first, second)), shape=(num_nodes, num_nodes))
+    count, labels = csgraph.connected_components(edges, directed=False)
+    smallest: NDArray[np.int64] = np.full(count, num_nodes, np.int64)
+    np.minimum.at(smallest, labels, np.arange(num_nodes))
+    return np.asarray(smallest[labels])
+
+
+def _changes(columns: list[NDArray[np.uint64]], order: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Returns where a row differs from the one before it in the given order."""
+    is_new = np.zeros(len(order), np.bool_)
+    is_new[:1] = True
+    for column in columns:
+        ordered = column[order]
+        is_new[1:] |= ordered[1:] != ordered[:-1]
+    return is_new
+
+
+def point_bits(points: NDArray[np.floating]) -> list[NDArray[np.uint64]]:
+    """Returns the bits of points, (N, 3) of any float type, as three columns; -0.0 counts as 0.0."""
+    word = np.uint32 if points.dtype == np.float32 else np.uint64
+    bits = np.ascontiguousarray((points + points.dtype.type(0)).T).view(word)
+    return [column.astype(np.uint64) for column in bits]

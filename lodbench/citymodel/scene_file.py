@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.raw import starts_of
+from lodbench.citymodel.model import starts_of
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import CityModelError
 from lodbench.storage import digest_of, new_folder, write_text
@@ -173,11 +173,7 @@ def scene_info(folder: Path) -> dict[str, Any]:
 
 
 def _pitched(stated: list[int], count: int) -> NDArray[np.bool_] | None:
-    """Returns (count,) which buildings have pitched roofs, given their numbers; None where none has.
-
-    Raises:
-        ValueError: One is no building's number.
-    """
+    """Returns (count,) which buildings have pitched roofs, given their numbers; None where none has."""
     if not all(type(number) is int and 0 <= number < count for number in stated):
         raise ValueError("a pitched roof has no building")
     pitched = np.zeros(count, np.bool_)
@@ -186,11 +182,7 @@ def _pitched(stated: list[int], count: int) -> NDArray[np.bool_] | None:
 
 
 def _check(scene: Scene) -> None:
-    """Makes sure that the arrays have their types and that no index points out of its building.
-
-    Raises:
-        ValueError: One does.
-    """
+    """Makes sure that the arrays have their types and that no index points out of its building."""
     count = scene.num_buildings
     shapes: dict[str, tuple[type[np.generic], tuple[int, ...]]]
     shapes = {"vertices": (np.float32, (-1, 3)), "triangles": (np.int32, (-1, 3))}
@@ -297,11 +289,7 @@ class _Parts(NamedTuple):
 
 
 def _looked_at(folders: Sequence[Path]) -> _Parts:
-    """Returns what there is to know of scenes.
-
-    Raises:
-        CityModelError: One is damaged, there is nothing to see, or there are too many corners to number.
-    """
+    """Returns what there is to know of scenes."""
     origins, vertices, triangles = [], [], []
     pitched: list[int] = []
     num_buildings = 0

@@ -14,15 +14,16 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path, PurePath, PurePosixPath
 from typing import BinaryIO, TypeVar
 
-from lodbench.citymodel.formats import SURFACE_SUFFIXES, suffixes_of
-from lodbench.citymodel.options import folders_of
-from lodbench.citymodel.raw import NotACity
-from lodbench.citymodel.scene_file import is_scene
+from lodbench.citymodel.formats import HEAD_BYTES, Source, suffixes_of
+from lodbench.citymodel.options import SURFACE_SUFFIXES, folders_of
+from lodbench.citymodel.raw import (
+    NotACity,
+)
 from lodbench.errors import CityModelError
 
 # City models compress 8 to 30 times. Beyond this ratio a stream is taken for a bomb.
@@ -91,7 +92,6 @@ class BoundedStream(StreamOver):
 
 Item = TypeVar("Item")
 
-HEAD_BYTES = 4096
 _ARCHIVE_SUFFIXES = (".gz", ".zip")
 # Beside the tiles, PLATEAU and others deliver these; none holds a building.
 _OTHER_FOLDERS = frozenset({"codelists", "metadata", "schemas", "specification"})
@@ -104,34 +104,6 @@ TILE_INDEX = {**OWN_GEOJSON, "lodbench": "tile index"}
 # What a GeoPackage of lodbench's own has as the description of its layers.
 OWN_GEOPACKAGE = "lodbench result"
 _OWN = re.compile(rb'\s*\{\s*"type"\s*:\s*"FeatureCollection"\s*,\s*"lodbench"\s*:\s*"([^"]*)"')
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """One city file, wherever it lies."""
-
-    name: str  # for messages: the path, with the member of an archive after an exclamation mark
-    open: Callable[[], BinaryIO]  # opens a fresh stream of its bytes; the caller closes it
-    path: Path  # the file on disk that holds it
-    vector_path: str | None = None  # what GDAL opens, for a vector file; None for all others
-    stamp: tuple[int, ...] = ()  # checksum and size of a member of an archive; empty for files
-
-    @property
-    def suffix(self) -> str:
-        """Returns the ending of its name, in small letters, that of compression left out."""
-        return PurePath(self.name.removesuffix(".gz")).suffix.lower()
-
-    def head(self) -> bytes:
-        """Returns the first bytes.
-
-        Raises:
-            CityModelError: They cannot be read, or there is nothing but white space.
-        """
-        with self.open() as stream:
-            head = stream.read(HEAD_BYTES)
-        if not head.strip(b"\0 \r\n\t"):
-            raise CityModelError(f"{self.name} is empty.", "Download or export the file again.")
-        return head
 
 
 def open_sources(path: Path, layers: Sequence[str] = ()) -> tuple[Source, ...]:
@@ -184,6 +156,8 @@ def is_city_file(path: Path) -> bool:
 
 
 def _folder_sources(folder: Path, layers: Sequence[str]) -> tuple[Source, ...]:
+    from lodbench.citymodel.scene_file import is_scene
+
     # Its scene.json would pass for a city file by its ending.
     if is_scene(folder):
         raise CityModelError(
@@ -355,3 +329,54 @@ def _zip_source(path: Path, member: zipfile.ZipInfo) -> Source:
 def _archive(path: Path, modified_ns: int) -> zipfile.ZipFile:
     """Returns an archive that stays open: its list of members is long where it has thousands of tiles."""
     return zipfile.ZipFile(path)
+
+
+class CountedStream(StreamOver):
+    """A stream that tells how many bytes have been read from it.
+
+    Args:
+        stream: Where the bytes come from.
+        report: Called with the number of bytes after each read.
+    """
+
+    def __init__(self, stream: BinaryIO, report: Callable[[int], None]) -> None:
+        super().__init__(stream)
+        self._report = report
+
+    def read(self, size: int = -1) -> bytes:
+        """Returns up to ``size`` bytes, all that is left where it is negative."""
+        return self._counted(self._stream.read(size))
+
+    def readline(self, size: int | None = -1) -> bytes:
+        """Returns the next line, or its first ``size`` bytes."""
+        return self._counted(self._stream.readline(-1 if size is None else size))
+
+    def _counted(self, data: bytes) -> bytes:
+        self._report(len(data))
+        return data
+
+
+def count_bytes(sources: tuple[Source, ...], progress: Callable[[int, int], None]) -> tuple[Source, ...]:
+    """Returns the sources with every read counted towards one progress.
+
+    Args:
+        sources: What will be read.
+        progress: Called with the bytes read and their total, 0 where compression hides it.
+    """
+    is_packed = any("!" in source.name or source.name.endswith(".gz") for source in sources)
+    paths = {source.path for source in sources if source.path.is_file()}
+    total = 0 if is_packed else sum(path.stat().st_size for path in paths)
+    done = 0
+
+    def report(num_bytes: int) -> None:
+        nonlocal done
+        done += num_bytes
+        progress(min(done, total) if total else done, total)
+
+    def counted(source: Source) -> Source:
+        def open_stream() -> BinaryIO:
+            return CountedStream(source.open(), report)  # type: ignore[return-value]
+
+        return replace(source, open=open_stream)
+
+    return tuple(counted(source) for source in sources)

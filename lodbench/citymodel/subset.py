@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.axis_order import require_true_to_scale
 from lodbench.citymodel.cleaning import drop_repeats, frame_origin
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.derive import derive_lod1
-from lodbench.citymodel.lods import has_lod, polygons_at, select_polygons
-from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.raw import take_segments
+from lodbench.citymodel.frame import require_true_to_scale
+from lodbench.citymodel.model import CityModel, has_lod, select_polygons, take_segments
+from lodbench.citymodel.triangulate import polygons_at
 from lodbench.errors import CityModelError, nearest_names
 from lodbench.findings import Findings
 

@@ -1,4 +1,4 @@
-"""Polygons to triangles: vectorised for three and four corners, earcut for the rest, area checked.
+"""Polygons of a level to triangles: three and four corners at once, earcut for the rest, areas checked.
 
 Every polygon is seen along its Newell normal, from an origin of its own, in
 float64. The areas of its triangles must add up to its Newell area; where they do not, the polygon
@@ -13,10 +13,24 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import AREA_MISMATCH, FAR_FROM_PLANAR, NOT_PLANAR, ZERO_AREA
-from lodbench.citymodel.lods import slice_polygons
-from lodbench.citymodel.model import Polygons
-from lodbench.citymodel.raw import take_segments
+from lodbench.citymodel.codes import (
+    AREA_MISMATCH,
+    FAR_FROM_PLANAR,
+    NOT_PLANAR,
+    ZERO_AREA,
+)
+from lodbench.citymodel.model import (
+    COARSEST,
+    FINEST,
+    CityModel,
+    Polygons,
+    SurfaceKind,
+    choose_lod,
+    outer_parts,
+    plain_level,
+    slice_polygons,
+    take_segments,
+)
 from lodbench.findings import Findings
 
 PLANAR_TOLERANCE_M = 0.01  # what surveys promise for a planar face; 3D city validators use the same
@@ -293,3 +307,79 @@ def deviation(
     first = polygons.ring_starts[polygons.polygon_starts[:-1]]
     mean = np.add.reduceat(height, first) / point_counts
     return np.maximum.reduceat(np.abs(height - np.repeat(mean, point_counts)), first)
+
+
+def polygons_at(
+    model: CityModel, wanted: str | None, findings: Findings, stands_in: bool = True
+) -> tuple[str, NDArray[np.bool_]]:
+    """Returns the name of what is meshed, and (P,) which of the model's P polygons belong to it.
+
+    Args:
+        model: The city.
+        wanted: A level of the whole file, see ``choose_lod``; or ``finest`` or ``coarsest``: of each building
+            its own. Cities mix levels: a few landmarks at LoD2 among blocks at LoD1. Footprints (LoD0) are
+            no building's finest or coarsest, interiors nobody's. An object that is no building and lacks the
+            level has its finest below it, else its coarsest above.
+        findings: See ``choose_lod``.
+        stands_in: Whether it has it.
+
+    Raises:
+        CityModelError: The level is absent.
+    """
+    polygons = model.polygons
+    wish = None if wanted is None else plain_level(wanted)
+    is_building = model.is_building() | (not stands_in)
+    if wish not in (FINEST, COARSEST):
+        used = np.unique(polygons.lod[is_building[polygons.building]]).tolist()
+        present = [model.lods[n] for n in used] if used and not is_building.all() else model.lods
+        name = choose_lod(present, wanted, findings, model.measured_m is not None)
+        at_level: NDArray[np.bool_] = polygons.lod == model.lods.index(name)
+        if not is_building.all():
+            at_level |= _own_level(model, name, ~is_building)
+        return name, at_level
+    order = {name: rank for rank, name in enumerate(sorted(model.lods))}
+    ranks = np.array([order[name] for name in model.lods], np.int64)
+    ranks = ranks if wish == FINEST else len(ranks) - 1 - ranks
+    has_walls = np.array([not name.startswith("0") for name in model.lods], np.bool_)
+    counts = has_walls[polygons.lod] & (polygons.kind != SurfaceKind.INTERIOR)
+    rank = np.where(counts, ranks[polygons.lod], -1)
+    unit, is_lead = _units(model, counts, wish)
+    best = np.full(int(unit.max(initial=-1)) + 1, -1, np.int64)
+    np.maximum.at(best, unit[is_lead], rank[is_lead])
+    is_led = best[unit] >= 0
+    np.maximum.at(best, unit[~is_led], rank[~is_led])
+    return wish, counts & (rank == best[unit])
+
+
+def _units(
+    model: CityModel, counts: NDArray[np.bool_], wish: str
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Returns what each polygon chooses its level with, and whether it has a say in it."""
+    polygons, objects = model.polygons, model.objects
+    if polygons.part is None or objects is None:
+        return polygons.building.astype(np.int64), counts
+    own = polygons.part.astype(np.int64)
+    outer = outer_parts(objects)[own].astype(np.int64)
+    is_lead = counts & (outer == own)
+    root = np.zeros(len(model.building_ids), np.int64)
+    is_root = objects.parents < 0
+    root[objects.building[is_root]] = np.flatnonzero(is_root)
+    # Walls of the building itself may stand for those of all its parts.
+    is_whole = np.zeros(len(root), np.bool_)
+    is_whole[polygons.building[is_lead & is_root[own]]] = True
+    unit = np.where(is_whole[polygons.building], root[polygons.building], outer)
+    return (np.where(outer == own, unit, own) if wish == FINEST else unit), is_lead
+
+
+def _own_level(model: CityModel, name: str, is_other: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Returns which polygons are of objects that lack a level, at the level that stands in for it."""
+    polygons = model.polygons
+    order = {other: rank for rank, other in enumerate(sorted(model.lods))}
+    ranks = np.array([order[other] for other in model.lods], np.int64)
+    # Below the level the finest is best, above it the coarsest; above counts after all below.
+    distance = np.where(ranks <= order[name], order[name] - ranks, len(ranks) + ranks - order[name])
+    own = np.where(is_other[polygons.building], distance[polygons.lod], 2 * len(ranks))
+    best = np.full(len(model.building_ids), 2 * len(ranks), np.int64)
+    np.minimum.at(best, polygons.building, own)
+    is_best: NDArray[np.bool_] = is_other[polygons.building] & (own == best[polygons.building])
+    return is_best

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.codes import finding_catalogue
 from lodbench.citymodel.formats import formats_in_words
-from lodbench.citymodel.lods import lod_in_words
+from lodbench.citymodel.model import lod_in_words
 from lodbench.citymodel.options import ReadOptions
 from lodbench.cli.city_convert import ConvertOptions, TileOptions, converted, read_city, require_other
 from lodbench.cli.parser import Parser
@@ -155,7 +155,7 @@ def _info(wanted: InfoOptions, options: ReadOptions) -> int:
 
 
 def _check(wanted: CheckOptions, options: ReadOptions) -> int:
-    from lodbench.citymodel.checks import check_city, findings_geojson, format_report
+    from lodbench.citymodel.checks.report import check_city, findings_geojson, format_report
     from lodbench.citymodel.source import OWN_GEOJSON, file_source, own_geojson
     from lodbench.storage import write_bytes
 

@@ -218,7 +218,7 @@ def _several(
     request: PhotoRequest, photos: Sequence[Path], masks: Path | None, options: LocalizeOptions
 ) -> Answers:
     """Returns the answers to several photos, as flights or each alone, and writes them."""
-    from lodbench.citymodel.imagery import open_imagery
+    from lodbench.citymodel.surface.orthophoto import open_imagery
     from lodbench.harness.photo.flights import localize_flights
     from lodbench.harness.photo.localize import open_map
     from lodbench.harness.photo.many import localize_photos, write_view

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from lodbench.citymodel.lifespans import date_in
+from lodbench.citymodel.attributes import date_in
 from lodbench.citymodel.options import PATH_OPTIONS
 from lodbench.cli.parts import option_pairs, profile_of
 from lodbench.cli.settings import settings_of

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lodbench.citymodel.crs import is_same_plane, require_crs
-from lodbench.citymodel.imagery import Imagery, open_imagery
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.surface.orthophoto import Imagery, open_imagery
 from lodbench.cli.parser import Parser, report_fault
 from lodbench.cli.verify import DataOptions, read_config, reopen_dataset, run_folders, verify_folder
 from lodbench.datasets.query import Dataset

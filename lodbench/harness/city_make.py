@@ -20,10 +20,9 @@ from lodbench.citymodel.codes import (
     finding_catalogue,
 )
 from lodbench.citymodel.convert import convert_city
-from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.read import read_city_model
+from lodbench.citymodel.read import mesh_model, read_city_model
 from lodbench.citymodel.source import open_sources
 from lodbench.citymodel.subset import choose_buildings
 from lodbench.datasets.folder import FolderParams, open_folder

@@ -16,20 +16,20 @@ from typing import Any
 
 import numpy as np
 
+from lodbench.citymodel.attributes import common_period, holds_on, period_of
 from lodbench.citymodel.cache import code_digest, source_digest
+from lodbench.citymodel.cleaning import unique_ids
 from lodbench.citymodel.codes import CRS_MIXED, FILE_SKIPPED, LOD_ABSENT
+from lodbench.citymodel.formats import Source
 from lodbench.citymodel.frame import brought_note
-from lodbench.citymodel.lifespans import Period, common_period, holds_on, period_of
-from lodbench.citymodel.lods import COARSEST, FINEST, choose_lod, has_lod
-from lodbench.citymodel.meshing import mesh_model
-from lodbench.citymodel.model import CityModel
+from lodbench.citymodel.model import COARSEST, FINEST, CityModel, Period, choose_lod, has_lod
 from lodbench.citymodel.options import ReadOptions, made_with
-from lodbench.citymodel.polygons import finish_model, unique_ids
+from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import NotACity
-from lodbench.citymodel.read import read_source
+from lodbench.citymodel.read import mesh_model, read_source
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import is_scene, join_scenes, read_about, write_scene
-from lodbench.citymodel.source import Source, open_sources
+from lodbench.citymodel.source import open_sources
 from lodbench.citymodel.subset import reproject
 from lodbench.errors import CityModelError, LodbenchError
 from lodbench.execution.executor import ExecutorParams, spread

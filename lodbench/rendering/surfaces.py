@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lodbench.citymodel.raw import take_segments
+from lodbench.citymodel.model import take_segments
 from lodbench.citymodel.scene import ROOF_Z, Scene, building_boxes
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lodbench.citymodel.lods import lod_in_words
+from lodbench.citymodel.model import lod_in_words
 from lodbench.datasets.real_flights import BOARD_HEAD
 from lodbench.datasets.real_flights import NAME as REAL_FLIGHTS
 from lodbench.evaluation.pose_errors import DEFAULT_THRESHOLDS

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from lodbench.citymodel.lods import lod_in_words
+from lodbench.citymodel.model import lod_in_words
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.reporting.aligned_text import plain_text
 

@@ -5,16 +5,52 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from few_blocks import CAMERA, blocks_scene, poses_around
 
 from lodbench.citymap import CityMap
+from lodbench.citymap.city_map import corrected_map
+from lodbench.citymodel import open_scene
 from lodbench.citymodel.mesh.textured import TexturedMesh
+from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.errors import ConfigError, RenderingError
-from lodbench.geometry import EulerAngles, Pose, rotation_from_euler
+from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler
 from lodbench.rendering import BoundaryFit, IouFit
 from lodbench.rendering.masks import unpack_mask
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.reference import ReferenceRenderer
+from tests.town import CAMERA as TOWN_CAMERA
+from tests.town import box_obj, true_poses
+
+CAMERA = Camera(121, 90, 95.0, 97.0, 60.2, 44.1)
+# West, south, east, north, base, top, metres.
+_BLOCKS = (
+    (-40, -30, -12, -8, 0, 14),
+    (-6, -22, 16, 2, 0, 31),
+    (22, -15, 45, 30, 2, 9),
+    (-35, 6, -8, 34, 0, 20),
+)
+# A block's corners count x, y, z in binary; no floor, walls and roof run outwards.
+_FACES = ((0, 4, 5, 1), (2, 3, 7, 6), (0, 1, 3, 2), (4, 6, 7, 5), (1, 5, 7, 3))
+
+
+def blocks_scene(blocks=_BLOCKS) -> Scene:
+    """Returns upright blocks, one building each."""
+    corners = [(x, y, z) for w, s, e, n, b, t in blocks for x in (w, e) for y in (s, n) for z in (b, t)]
+    faces = np.concatenate([8 * k + np.array(_FACES) for k in range(len(blocks))])
+    building = np.repeat(np.arange(len(blocks), dtype=np.int32), 2 * len(_FACES))
+    names = tuple(f"block {k}" for k in range(len(blocks)))
+    points = np.array(corners, dtype=np.float64)
+    return build_scene(points, faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), building, names)
+
+
+def poses_around(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Returns (N, 3, 3) rotations and (N, 3) centres of views that see some of the blocks."""
+    rng = np.random.default_rng(seed)
+    angles = [EulerAngles(*rng.uniform((0, -5, -180), (45, 5, 180))) for _ in range(count)]
+    rotations = np.array([rotation_from_euler(angle) for angle in angles])
+    ahead = rotations[:, 2]
+    targets = rng.uniform((-25, -20, 0), (25, 20, 10), (count, 3))
+    return rotations, targets - ahead * rng.uniform(60, 120, (count, 1))
+
 
 COUNT = 11
 ROTATIONS, CENTERS = poses_around(COUNT)
@@ -234,3 +270,50 @@ def test_colour_of_a_textured_map_is_its_textures(scene):
     # Geometry stays the city's: the textured map is what it looks like.
     depth = textured.depth(CAMERA, down, np.array([[0.0, 0.0, 90.0]]))[0]
     assert depth.max() > 60.0
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    path = tmp_path_factory.mktemp("town") / "city.obj"
+    path.write_text(box_obj())
+    return open_scene(path)
+
+
+def tops(town):
+    return np.maximum.reduceat(town.vertices[:, 2], town.vertex_starts[:-1])
+
+
+@pytest.mark.parametrize("renderer", ["silhouette", "raster"])
+def test_what_is_drawn_is_the_city_with_those_heights(town, renderer):
+    """As mapped from disk, where drawings of the city may be kept under its digest."""
+    city_map = CityMap(replace(town, stored_digest="kept"), renderer, threads=1)
+    heights_m = np.resize([1.5, 0.0, -0.7, 0.2], town.num_buildings)
+    drawn, changed_m = corrected_map(city_map, heights_m)
+    np.testing.assert_array_equal(changed_m, np.where(heights_m == 0.2, 0.0, heights_m))
+    np.testing.assert_allclose(tops(drawn.scene) - tops(town), changed_m, atol=1e-4)
+    assert (drawn.name, drawn.scene.stored_digest, drawn.usage) == (renderer, "", city_map.usage)
+    expected = CityMap(replace(town, vertices=drawn.scene.vertices), threads=1)
+    for pose in true_poses(2).values():
+        np.testing.assert_array_equal(drawn.render(TOWN_CAMERA, pose), expected.render(TOWN_CAMERA, pose))
+
+
+def test_where_nothing_can_be_lowered_the_map_stays(town):
+    flat = town.vertices.copy()
+    flat[:, 2] = np.minimum.reduceat(flat[:, 2], town.vertex_starts[:-1])[
+        np.repeat(np.arange(town.num_buildings), np.diff(town.vertex_starts))
+    ]
+    city_map = CityMap(replace(town, vertices=flat), threads=1)
+    assert corrected_map(city_map, np.full(town.num_buildings, -1.0))[0] is city_map
+
+
+def test_what_is_low_is_not_lowered(town):
+    """Nor raised to the height below which nothing is lowered."""
+    owner = np.repeat(np.arange(town.num_buildings), np.diff(town.vertex_starts))
+    floors = np.minimum.reduceat(town.vertices[:, 2], town.vertex_starts[:-1])
+    rises = np.resize([1.0, 2.4, 9.0], town.num_buildings)
+    low = town.vertices.copy()
+    low[:, 2] = np.minimum(low[:, 2], (floors + rises)[owner])
+    _, changed_m = corrected_map(
+        CityMap(replace(town, vertices=low), threads=1), np.full(town.num_buildings, -1.0)
+    )
+    np.testing.assert_allclose(changed_m[:3], [0.0, -0.4, -1.0], atol=1e-4)

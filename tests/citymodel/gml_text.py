@@ -2,6 +2,12 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lodbench.citymodel import read_city_model
+from lodbench.citymodel.model import CityModel
 
 Point = tuple[float, float, float]
 Ring = Sequence[Point]
@@ -109,4 +115,34 @@ def box_city(**options: float) -> str:
 
 def write(path: Path, text: str | bytes) -> Path:
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def model_of(tmp_path: Path, text: str | bytes, **options: object) -> CityModel:
+    """Reads a CityGML text."""
+    return read_city_model(write(tmp_path / "city.gml", text), **options)  # type: ignore[arg-type]
+
+
+def codes(model: CityModel) -> dict[str, int]:
+    """Counts findings by code."""
+    return {key.split()[0]: count for key, count in model.findings.counts().items()}
+
+
+def squares(path: Path, count: int = 40, driver: str = "ESRI Shapefile", **options: Any) -> Path:
+    """Writes footprints of 10 m with heights; ``options`` are those of ``pyogrio.raw.write``."""
+    import pyogrio
+    import shapely
+
+    x = 500000.0 + 20.0 * np.arange(count)
+    boxes = shapely.to_wkb(shapely.box(x, 5600000.0, x + 10.0, 5600010.0))
+    pyogrio.raw.write(
+        str(path),
+        boxes,
+        [np.full(count, 6.0), np.array([f"b{i}" for i in range(count)], object)],
+        fields=["height", "ID"],
+        geometry_type="Polygon",
+        crs="EPSG:25832",
+        driver=driver,
+        **options,
+    )
     return path

@@ -16,7 +16,9 @@ from .gml_text import (
     box_city,
     box_rings,
     city,
+    codes,
     member,
+    model_of,
     multi_surface,
     polygon,
     solid,
@@ -24,7 +26,6 @@ from .gml_text import (
     surface_members,
     write,
 )
-from .models import codes, model_of
 
 BOX = box_rings()
 # As Spain's cadastre publishes buildings.

@@ -17,7 +17,9 @@ from .gml_text import (
     box_city,
     box_rings,
     city,
+    codes,
     member,
+    model_of,
     multi_surface,
     polygon,
     pos_list,
@@ -25,7 +27,6 @@ from .gml_text import (
     solid_of,
     surface_members,
 )
-from .models import codes, model_of
 
 BOX = box_rings()
 

@@ -15,15 +15,16 @@ from .gml_text import (
     box_area,
     box_rings,
     city,
+    codes,
     link,
     member,
+    model_of,
     multi_surface,
     polygon,
     solid,
     solid_of,
     surface_members,
 )
-from .models import codes, model_of
 
 BOX = box_rings()
 

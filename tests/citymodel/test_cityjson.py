@@ -11,8 +11,7 @@ from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import CityModelError
 
-from .gml_text import write
-from .models import codes
+from .gml_text import codes, write
 
 SQUARE = [[0, 0, 0], [4000, 0, 0], [4000, 4000, 0], [0, 4000, 0]]
 TRANSFORM = {"scale": [0.001, 0.001, 0.001], "translate": [85000.0, 446000.0, 0.0]}

@@ -9,19 +9,29 @@ from hypothesis import strategies as st
 from pyproj import CRS, Transformer
 
 from lodbench.citymodel import ReadOptions, read_city_model
-from lodbench.citymodel.axis_order import faces_tell_north_first
 from lodbench.citymodel.cleaning import clean_polygons
 from lodbench.citymodel.convert import convert_city
-from lodbench.citymodel.coordinates import parse_rings
 from lodbench.citymodel.crs import require_crs
+from lodbench.citymodel.gml.folding import parse_rings
 from lodbench.citymodel.model import CityModel
+from lodbench.citymodel.polygons import faces_tell_north_first
 from lodbench.citymodel.read import read_source
 from lodbench.citymodel.source import open_sources
 from lodbench.citymodel.subset import reproject
 from lodbench.cli import main
 
-from .gml_text import Ring, box_rings, city, member, polygon, solid, solid_of, surface_members, write
-from .models import model_of
+from .gml_text import (
+    Ring,
+    box_rings,
+    city,
+    member,
+    model_of,
+    polygon,
+    solid,
+    solid_of,
+    surface_members,
+    write,
+)
 
 decimals = st.from_regex(r"\A[+-]?(\d{1,25}(\.\d{0,25})?|\.\d{1,20})([eE][+-]?\d{1,2})?\Z").filter(
     str.isascii

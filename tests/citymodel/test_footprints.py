@@ -10,11 +10,10 @@ from pyproj import Transformer
 
 from lodbench.citymodel import ReadOptions, mesh_model, open_scene, read_city_model
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.terrain import ground_under
+from lodbench.citymodel.surface.grid import ground_under
 from lodbench.errors import CityModelError
 
-from .gml_text import write
-from .models import codes
+from .gml_text import codes, write
 
 LON, LAT, STEP = 116.40, 39.90, 0.0001
 

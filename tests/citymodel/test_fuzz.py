@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import ReadOptions, mesh_model, parse_city_model, read_city_model
-from lodbench.citymodel.checks import check_city
+from lodbench.citymodel.checks.report import check_city
 from lodbench.citymodel.cityjson.writer import cityjson_text
 from lodbench.citymodel.gml.writer import CityGmlWriter
 from lodbench.errors import LodbenchError
 
-from .footprint_files import squares
-from .gml_text import box_city
+from .gml_text import box_city, squares
 from .test_layers import town, twin
 from .twins import documents
 

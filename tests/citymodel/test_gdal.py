@@ -14,8 +14,7 @@ from lodbench.citymodel.vector.gdal import missing_bytes
 from lodbench.cli import main
 from lodbench.errors import CityModelError
 
-from .footprint_files import squares
-from .gml_text import write
+from .gml_text import squares, write
 
 pytestmark = pytest.mark.attack
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from lodbench.citymodel import ReadOptions, city_info, mesh_model, read_city_model
-from lodbench.citymodel import lifespans as module
+from lodbench.citymodel import attributes as module
+from lodbench.citymodel.attributes import date_in
 from lodbench.citymodel.cache import load_city, open_cached_city
 from lodbench.citymodel.convert import convert_city
-from lodbench.citymodel.lifespans import date_in
 from lodbench.citymodel.model import CityModel
 from lodbench.errors import CityModelError, ConfigError
 
@@ -17,6 +17,7 @@ from .gml_text import (
     box_area,
     box_rings,
     city,
+    codes,
     member,
     multi_surface,
     polygon,
@@ -24,7 +25,6 @@ from .gml_text import (
     surface_members,
     write,
 )
-from .models import codes
 from .test_cityjson import building, document, read, surface
 
 

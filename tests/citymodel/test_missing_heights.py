@@ -24,6 +24,7 @@ from .gml_text import (
     box_city,
     box_rings,
     city,
+    codes,
     member,
     multi_surface,
     polygon,
@@ -31,7 +32,6 @@ from .gml_text import (
     surface_members,
     write,
 )
-from .models import codes
 from .test_cityjson import building, document, read, surface
 
 

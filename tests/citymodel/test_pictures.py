@@ -13,8 +13,7 @@ from lodbench.citymodel.mesh.texture_files import read_textured
 from lodbench.citymodel.model import CityModel
 from lodbench.cli import main
 
-from .cityjson_rules import FEATURE, assert_keeps_the_rules
-from .published_schemas import assert_valid
+from .schemas import FEATURE, assert_keeps_the_rules, assert_valid
 
 EAST, NORTH = 691000.0, 5335000.0
 OPTIONS = ReadOptions(has_details=True, has_textures=True)

@@ -8,7 +8,7 @@ import pytest
 
 from lodbench.citymodel import ReadOptions, mesh_city, mesh_model, open_scene, read_city_model
 from lodbench.citymodel.cache import open_cached_scene
-from lodbench.citymodel.checks import check_city, format_report
+from lodbench.citymodel.checks.report import check_city, format_report
 from lodbench.citymodel.convert import convert_city
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.scene import Scene

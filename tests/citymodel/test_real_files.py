@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lodbench.citymodel import ReadOptions, cleaning, coordinates, mesh_city, mesh_model, read_city_model
-from lodbench.citymodel.coordinates import parse_rings
-from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
-from lodbench.citymodel.raw import starts_of
+from lodbench.citymodel import ReadOptions, cleaning, mesh_city, mesh_model, read_city_model
+from lodbench.citymodel.gml import folding
+from lodbench.citymodel.gml.folding import parse_rings
+from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind, starts_of
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.triangulate import triangulate
 from lodbench.findings import Findings
@@ -163,7 +163,7 @@ ODD_TEXTS = [
 def both(texts: list[str], monkeypatch: pytest.MonkeyPatch) -> list[tuple[bytes, ...]]:
     found = []
     for is_few in (True, False):
-        monkeypatch.setattr(coordinates, "is_few", lambda _, is_few=is_few: is_few)
+        monkeypatch.setattr(folding, "is_few", lambda _, is_few=is_few: is_few)
         found.append(tuple(part.tobytes() for part in parse_rings([text.encode() for text in texts])))
     return found
 
@@ -245,7 +245,7 @@ def test_corners_are_hashed_as_by_a_plain_loop():
 
 def test_numba_is_left_out_for_a_small_city_and_loaded_for_a_large_one():
     code = (
-        "import sys\nfrom lodbench.citymodel.coordinates import parse_rings\n"
+        "import sys\nfrom lodbench.citymodel.gml.folding import parse_rings\n"
         "parse_rings([b'1.25 2.50 3.75 ' * 1000]); print('numba' in sys.modules)\n"
         "parse_rings([b'1.25 2.50 3.75 ' * 900000]); print('numba' in sys.modules)"
     )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import ReadOptions, mesh_city, mesh_model, open_scene, read_city_model
-from lodbench.citymodel.model import is_pitched
+from lodbench.citymodel.attributes import is_pitched
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.read import read_source
 from lodbench.citymodel.scene import Scene

@@ -1,3 +1,5 @@
+"""Boxes around the buildings of a scene."""
+
 from itertools import pairwise
 from operator import attrgetter
 
@@ -6,12 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lodbench.citymodel.cleaning import connected_components, number_rows, point_bits
-from lodbench.citymodel.lods import choose_lod, group_cuts, polygons_at
-from lodbench.citymodel.meshing import mesh_model
-from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
+from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind, choose_lod, group_cuts
 from lodbench.citymodel.raw import GrowingArray
-from lodbench.citymodel.scene import build_scene
+from lodbench.citymodel.read import mesh_model
+from lodbench.citymodel.scene import (
+    Scene,
+    build_scene,
+    building_boxes,
+    connected_components,
+    number_rows,
+    point_bits,
+)
+from lodbench.citymodel.triangulate import polygons_at
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -25,7 +33,7 @@ class TestNumberRows:
         assert [rows[i] for i in first] == list(known)
 
     def test_colliding_hashes(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("lodbench.citymodel.cleaning._MULTIPLIER", np.uint64(0))
+        monkeypatch.setattr("lodbench.citymodel.scene.HASH_ODD", np.uint64(0))
         rows = np.random.default_rng(1).integers(0, 5, (200, 3)).astype(np.uint64)
         numbers, _ = number_rows(list(rows.T))
         _, expected = np.unique(rows, axis=0, return_inverse=True)
@@ -174,7 +182,7 @@ class TestBlocks:
         ids = tuple("abcdefghij")
         model = CityModel("x", "GML", None, None, np.zeros(3), ids, 0, ("1",), polygons, (40,), Findings())
         whole = mesh_model(model)
-        monkeypatch.setattr("lodbench.citymodel.meshing.CHUNK_POLYGONS", size)
+        monkeypatch.setattr("lodbench.citymodel.read.CHUNK_POLYGONS", size)
         parts = mesh_model(model)
         assert parts.scene.digest() == whole.scene.digest()
         assert parts.area_m2 == pytest.approx(whole.area_m2, rel=1e-12)
@@ -193,3 +201,40 @@ def test_growing_array(sizes: list[int]) -> None:
             array.extend(block)
         rows = array.finish()
         assert np.array_equal(rows, np.concatenate([np.zeros((0, 3)), *blocks]).astype(np.float32))
+
+
+# A roof of three corners, a building that was lost, and another roof.
+SCENE = Scene(
+    vertices=np.array(
+        [[0, 0, 2], [10, 0, 5], [0, 8, 9], [30, 30, 1], [34, 30, 1], [30, 36, 7]], dtype=np.float32
+    ),
+    triangles=np.arange(6, dtype=np.int32).reshape(2, 3),
+    vertex_starts=np.array([0, 3, 3, 6]),
+    triangle_starts=np.array([0, 1, 1, 2]),
+    building_ids=("a", "lost", "c"),
+    lod="1",
+    crs=None,
+    origin=np.zeros(3),
+)
+
+
+def test_buildings_without_triangles_are_left_out():
+    boxes = building_boxes(SCENE)
+    np.testing.assert_array_equal(boxes.building, [0, 2])
+    np.testing.assert_array_equal(boxes.low, [[0, 0, 2], [30, 30, 1]])
+    np.testing.assert_array_equal(boxes.high, [[10, 8, 9], [34, 36, 7]])
+    np.testing.assert_array_equal(boxes.bases, [[5, 4, 2], [32, 33, 1]])
+
+
+@pytest.mark.parametrize(
+    ("center", "is_clear"),
+    [
+        ((5, 4, 6), False),
+        ((5, 4, 11.5), True),
+        ((11.5, 4, 6), False),
+        ((12, 4, 6), True),
+        ((32, 33, 8), False),
+    ],
+)
+def test_a_camera_keeps_its_distance_sideways_and_above(center, is_clear):
+    assert building_boxes(SCENE).are_clear_of(np.array(center, dtype=float), 2.0) is is_clear

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from lodbench.citymodel import ReadOptions, mesh_city, read_city_model
-from lodbench.citymodel.checks import check_city, findings_geojson
+from lodbench.citymodel.checks.report import check_city, findings_geojson
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.errors import CityModelError, ConfigError
 

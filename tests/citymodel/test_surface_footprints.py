@@ -13,7 +13,7 @@ from lodbench.citymodel.surface.ground import estimate_ground, fill_gaps, find_g
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
-from .models import codes
+from .gml_text import codes
 from .surface_case import (
     CELL_M,
     NORTH,
@@ -138,7 +138,7 @@ class TestHeights:
         once = tops(read(footprints(tmp_path), surface=str(surface)))
         monkeypatch.setattr("lodbench.citymodel.surface.grid.BLOCK", 32)
         monkeypatch.setattr("lodbench.citymodel.surface.ground.BLOCK", 32)
-        monkeypatch.setattr("lodbench.citymodel.surface.roofs.BLOCK", 32)
+        monkeypatch.setattr("lodbench.citymodel.surface.ground.BLOCK", 32)
         assert tops(read(footprints(tmp_path), surface=str(surface))) == once
 
 

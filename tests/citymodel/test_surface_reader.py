@@ -11,7 +11,7 @@ from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.errors import CityModelError
 from lodbench.synthesis.surface_survey import seen_from_above
 
-from .models import codes
+from .gml_text import codes
 from .surface_case import CELL_M, NORTH, WEST, ground_m, heights_of, write_raster
 
 pytest.importorskip("rasterio")

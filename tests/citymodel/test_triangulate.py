@@ -4,8 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from lodbench.citymodel.model import Polygons
-from lodbench.citymodel.raw import starts_of
+from lodbench.citymodel.model import Polygons, starts_of
 from lodbench.citymodel.triangulate import Triangulation, triangulate
 from lodbench.findings import Findings
 

@@ -9,8 +9,7 @@ import pytest
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.extrude import pitched_blocks
-from lodbench.citymodel.meshing import mesh_model
-from lodbench.citymodel.read import read_city_model
+from lodbench.citymodel.read import mesh_model, read_city_model
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault

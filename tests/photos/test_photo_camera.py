@@ -19,7 +19,7 @@ from lodbench.photos.focal import _ROUNDED_MM, _SENSOR_MM, NOMINAL_PERCENT
 from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
 from lodbench.photos.pose import RoughPlace, require_stated
 from lodbench.photos.xmp import _PROPERTIES, Dewarp
-from tests.geometry.test_lens import MODELS
+from tests.geometry.test_camera import MODELS
 from tests.photos.dji_photo import PROPERTIES, exif_of, packet_around, write_photo, xmp_packet
 
 GUIDE = Path(__file__).parents[2] / "docs" / "your-own-city.md"

@@ -10,8 +10,12 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel import codes
 from lodbench.citymodel.derive import part_blocks
-from lodbench.citymodel.lods import select_polygons
-from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
+from lodbench.citymodel.model import (
+    CityModel,
+    Polygons,
+    SurfaceKind,
+    select_polygons,
+)
 from lodbench.citymodel.triangulate import (
     CHUNK_POLYGONS,
     MAX_CORNERS,
@@ -31,8 +35,11 @@ _REASONS: tuple[tuple[str, FindingCode], ...] = (
     ("Interior is disconnected", codes.INTERIOR_SPLIT),
     ("Duplicate Rings", codes.RINGS_EQUAL),
 )
+
 _PLACE = re.compile(r"\[(\S+) (\S+)\]")
+
 _MAX_TURN_DEG = 20.0  # as val3dity has it
+
 _MIN_OVERLAP_M2, _MIN_OVERLAP_M = 0.1, 0.1
 
 

@@ -13,10 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel import codes
-from lodbench.citymodel.cleaning import connected_components, number_rows
-from lodbench.citymodel.lods import select_polygons
-from lodbench.citymodel.model import CityModel, Polygons, Solids
-from lodbench.citymodel.raw import take_segments
+from lodbench.citymodel.model import CityModel, Polygons, Solids, select_polygons, take_segments
+from lodbench.citymodel.scene import connected_components, number_rows
 from lodbench.citymodel.triangulate import triangulate
 from lodbench.findings import FindingCode, Findings
 

@@ -23,8 +23,8 @@ from lodbench.citymodel.checks.shells import (
     passes,
     winding,
 )
-from lodbench.citymodel.cleaning import connected_components
 from lodbench.citymodel.model import CityModel, Solids
+from lodbench.citymodel.scene import connected_components
 from lodbench.findings import Findings
 
 # Two faces are one on the other where they share this much.

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.cityjson.textures import TextureReader
+from lodbench.citymodel.attributes import ObjectTable
+from lodbench.citymodel.cityjson.polygons import PolygonCollector, TextureReader
 from lodbench.citymodel.codes import BAD_INDEX, GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED, SEMANTICS_MISFIT
 from lodbench.citymodel.gml.names import INTERIOR_NAMES, SURFACE_KINDS
 from lodbench.citymodel.json_documents import points_of
-from lodbench.citymodel.model import ObjectTable, SurfaceKind
-from lodbench.citymodel.raw import PolygonCollector
+from lodbench.citymodel.model import SurfaceKind
 from lodbench.errors import CityModelError
 
 # How many lists of lists stand around a surface.

@@ -9,11 +9,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.attributes import Lifespans, ObjectTable, overall_height, roof_type_of
 from lodbench.citymodel.cityjson.geometry import GeometryReader
-from lodbench.citymodel.cityjson.textures import TextureReader
+from lodbench.citymodel.cityjson.polygons import PolygonCollector, TextureReader
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
 from lodbench.citymodel.crs import crs_label, is_in_degrees
-from lodbench.citymodel.gml.details import overall_height
 from lodbench.citymodel.gml.names import INTERIOR_NAMES, STOREYS
 from lodbench.citymodel.json_documents import (
     HINT,
@@ -21,15 +21,12 @@ from lodbench.citymodel.json_documents import (
     documents_of,
     is_tileset,
     list_or_empty,
-    paused_collector,
     place_of_tileset,
     points_of,
 )
-from lodbench.citymodel.lifespans import Lifespans
-from lodbench.citymodel.model import ObjectTable, roof_type_of
 from lodbench.citymodel.options import types_of
 from lodbench.citymodel.pictures import PictureTable
-from lodbench.citymodel.raw import NotACity, PolygonCollector, RawCity
+from lodbench.citymodel.raw import NotACity, RawCity, paused_collector
 from lodbench.errors import CityModelError
 
 _GROUP = "CityObjectGroup"
@@ -166,11 +163,7 @@ class _Reader:
         self.read_feature(document)
 
     def _read_next_header(self, document: Json) -> None:
-        """Reads a line that says anew what transform and templates the features behind it have.
-
-        Raises:
-            CityModelError: They are in another reference system.
-        """
+        """Reads a line that says anew what transform and templates the features behind it have."""
         before = self._srs_name
         self.read_header(document)
         names = {None if name is None else crs_label(name)[0] for name in (before, self._srs_name)}
@@ -348,11 +341,7 @@ class _Reader:
 
 
 def _require_scale(vertices: NDArray[np.float64], scale: NDArray[np.float64], source: str) -> None:
-    """Makes sure that a transform keeps the vertices apart that it scales.
-
-    Raises:
-        CityModelError: It puts different ones at one place; what is flat needs no scale of its heights.
-    """
+    """Makes sure that a transform keeps the vertices apart that it scales."""
     is_lost = ~np.isfinite(scale) | (scale == 0)
     if len(vertices) and is_lost[2] and np.isfinite(scale[2]):
         is_lost[2] = bool(np.ptp(vertices[:, 2]))

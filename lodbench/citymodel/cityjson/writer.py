@@ -10,11 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.citymodel.cityjson.textures import TextureWriter
 from lodbench.citymodel.json_documents import ONE_TEXT, fitting, listed, reference_system
-from lodbench.citymodel.model import CityModel, CityObjects, SurfaceKind
+from lodbench.citymodel.model import (
+    CityModel,
+    CityObjects,
+    Polygons,
+    SurfaceKind,
+    group_by,
+)
 from lodbench.citymodel.pictures import counted_lines, wraps_of
-from lodbench.citymodel.raw import buildings_only, group_by
+from lodbench.citymodel.raw import buildings_only
 
 _SURFACE_NAMES = {
     SurfaceKind.WALL: "WallSurface",
@@ -251,3 +256,64 @@ def _leaves(shape: Json) -> Iterator[int]:
 
 def _renumbered(values: list[Any], place: dict[int, int]) -> list[Any]:
     return [_renumbered(v, place) if isinstance(v, list) else place[v] for v in values]
+
+
+_THEME = "pictures"
+
+
+class TextureWriter:
+    """Collects the textures of a document or feature."""
+
+    def __init__(self, polygons: Polygons, names: dict[int, str], wraps: dict[int, str]) -> None:
+        self._polygons, self._names, self._wraps = polygons, names, wraps
+        self._textures: dict[int, int] = {}
+        self._places: dict[tuple[float, ...], int] = {}
+
+    def values(self, faces: Any) -> Any:
+        """Returns the texture values of polygons, nested as these are; a polygon is (number, is turned)."""
+        if isinstance(faces, list):
+            return [self.values(face) for face in faces]
+        polygon, is_flipped = faces
+        polygons = self._polygons
+        rings = range(polygons.polygon_starts[polygon], polygons.polygon_starts[polygon + 1])
+        if polygons.picture is None or polygons.uv is None or polygons.picture[polygon] not in self._names:
+            return [[None] for _ in rings]
+        number = self._textures.setdefault(int(polygons.picture[polygon]), len(self._textures))
+        values: list[list[int | None]] = []
+        for ring in rings:
+            uv = polygons.uv[polygons.ring_starts[ring] : polygons.ring_starts[ring + 1]]
+            if not np.isfinite(uv).all():
+                values.append([None])
+                continue
+            places = [tuple(place) for place in np.round(uv, 7).tolist()]
+            indices = [self._places.setdefault(place, len(self._places)) for place in places]
+            values.append([number, *(indices[::-1] if is_flipped else indices)])
+        return values
+
+    def texture(self, faces: list[Any]) -> Json:
+        """Returns the member ``texture`` of a geometry, or nothing where it has none."""
+        values = self.values(faces)
+        return {"texture": {_THEME: {"values": values}}} if _has_any(values) else {}
+
+    def appearance(self) -> Json:
+        """Returns the member ``appearance`` of the document, or nothing where it has none."""
+        if not self._textures:
+            return {}
+        names = [(self._names[picture], self._wraps.get(picture)) for picture in self._textures]
+        textures = [
+            {"type": "JPG" if name.endswith(".jpg") else "PNG", "image": name}
+            | ({"wrapMode": wrap} if wrap else {})
+            for name, wrap in names
+        ]
+        places = [list(place) for place in self._places]
+        return {
+            "appearance": {
+                "textures": textures, "vertices-texture": places, "default-theme-texture": _THEME,
+            }
+        }  # fmt: skip
+
+
+def _has_any(values: Any) -> bool:
+    if isinstance(values, list):
+        return any(map(_has_any, values))
+    return values is not None

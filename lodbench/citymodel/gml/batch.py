@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import BAD_COORDINATE, BAD_COUNT, RING_2D
-from lodbench.citymodel.coordinates import parse_rings
-from lodbench.citymodel.gml.folding import FoldedRings
+from lodbench.citymodel.gml.folding import FoldedRings, parse_rings
 from lodbench.citymodel.gml.xml import Element, NotFolded, local_name
-from lodbench.citymodel.model import SurfaceKind
-from lodbench.citymodel.raw import starts_of, take_segments
+from lodbench.citymodel.model import SurfaceKind, starts_of, take_segments
 from lodbench.errors import CityModelError
 from lodbench.findings import FindingCode, Findings
 

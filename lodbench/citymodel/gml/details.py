@@ -1,57 +1,29 @@
-"""What CityGML says of a building besides its surfaces: attributes, address, and the solids they close."""
+"""What CityGML says of objects besides their surfaces: attributes, addresses, and the pictures on them."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
-from lodbench.citymodel.gml.context import HEIGHTS, is_another_s, owner_of
-from lodbench.citymodel.gml.names import (
-    GEOMETRY_PROPERTIES,
-    GML_IDS,
-    OBJECT_PROPERTIES,
-    POLYGONS,
-    XLINK_HREF,
-    is_citygml,
-    property_lod,
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.attributes import take_measured_height
+from lodbench.citymodel.gml.names import GML_IDS, HEIGHTS, OBJECT_PROPERTIES, is_citygml
+from lodbench.citymodel.gml.xml import (
+    MAX_DEPTH,
+    Element,
+    local_name,
+    metres_of,
+    put_value,
+    value_of,
 )
-from lodbench.citymodel.gml.walk import GeometryWalk
-from lodbench.citymodel.gml.xml import Element, NotFolded, local_name
-from lodbench.citymodel.model import ObjectTable
-
-
-@dataclass(slots=True)
-class MemberIndex:
-    """Everything in a member that can be referred to; built only when a plain look-up fails."""
-
-    elements: dict[str, Element]
-    polygons: dict[Element, int]
-
-
-def index_member(member: Element, walk: GeometryWalk | None) -> MemberIndex:
-    """Returns what can be referred to; polygons by number where ``walk`` has just collected them.
-
-    Raises:
-        NotFolded: Some of it has no elements.
-    """
-    if walk is not None and walk.folding.has_folded:
-        raise NotFolded("A reference may be to something that is folded.")
-    elements: dict[str, Element] = {}
-    for element in member.iter():
-        for name in GML_IDS:
-            gml_id = element.get(name)
-            if gml_id is not None:
-                elements.setdefault(gml_id, element)
-    if walk is None:
-        return MemberIndex(elements, {})
-    # The same steps in the same order as the walk took, so that numbers agree.
-    in_order = (polygon for prop in walk.properties for polygon in prop.iter(*POLYGONS))
-    polygons = {element: walk.first_polygon + i for i, element in enumerate(in_order)}
-    return MemberIndex(elements, polygons)
-
+from lodbench.citymodel.model import NO_PICTURE
+from lodbench.citymodel.pictures import PictureTable, TextureFolder
+from lodbench.citymodel.raw import blank
+from lodbench.errors import DatasetError
 
 # Children that hold geometry, other objects or bookkeeping, not facts about the object.
 _NO_ATTRIBUTES = OBJECT_PROPERTIES | {
@@ -59,16 +31,7 @@ _NO_ATTRIBUTES = OBJECT_PROPERTIES | {
 }  # fmt: skip
 _GENERIC = ("attribute", "attributeset")
 _GENERIC_KINDS = {"doubleAttribute": float, "intAttribute": int, "measureAttribute": float}
-# By their names, in UCUM and in EPSG; without a unit a length is in metres.
-_METRES_PER_UNIT = (
-    dict.fromkeys(("", "m", "metre", "metres", "meter", "meters", "9001"), 1.0)
-    | {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "km": 1e3}
-    | dict.fromkeys(("ft", "foot", "feet", "[ft_i]", "ft_i", "9002"), 0.3048)
-    | dict.fromkeys(("us-ft", "ftus", "[ft_us]", "ft_us", "9003"), 1200.0 / 3937.0)
-)
-_DECIMALS = re.compile(r"\s*(?:[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?(?:\s+|\Z))*")
 _DAYS = ("creationDate", "terminationDate")
-_MAX_DEPTH = 8
 # Lines, points and terrain intersections: geometry too, which no scene has.
 _LINES = re.compile(r"lod\d\w+")
 # What a name inside of an address of CityGML 3 is the name of.
@@ -98,89 +61,17 @@ def read_attributes(element: Element) -> dict[str, Any]:
         elif name == "genericAttribute" or (generic is not None and name.lower().endswith(_GENERIC)):
             _put_generic(values, child, 0)
         elif name not in _NO_ATTRIBUTES and not (is_citygml(child.tag) and _LINES.fullmatch(name)):
-            value = _value(child, 0)
+            value = value_of(child, 0)
             if name in _DAYS:
                 value = str(value).removesuffix("T00:00:00")  # a day, which CityGML 3 writes as a moment
             elif name.startswith("storey"):
-                value = _storeys(name, str(child.text or ""), _metres(child) or 1.0)
-            if name in HEIGHTS and _metres(child) is None:
+                value = _storeys(name, str(child.text or ""), metres_of(child) or 1.0)
+            if name in HEIGHTS and metres_of(child) is None:
                 name = f"{name}_{child.get('uom')}"  # not to be taken for metres
             if value not in (None, "", {}):
-                _put(values, name, value)
-    _take_measured_height(values)
+                put_value(values, name, value)
+    take_measured_height(values)
     return values
-
-
-def _take_measured_height(values: dict[str, Any]) -> None:
-    """Puts what measuredHeight became in CityGML 3 under its name: of several heights that with its ends."""
-    given = values.get("height")
-    heights = given if isinstance(given, list) else [given]
-    inner = [one.get("Height") if isinstance(one, dict) else None for one in heights]
-    measured = [one for one in inner if isinstance(one, dict) and one.get("status") == "measured"]
-    if not measured:
-        return
-    chosen = max(measured, key=_is_overall)
-    values["measuredHeight"] = chosen.get("value")
-    if _is_overall(chosen):
-        rest = [one for one, height in zip(heights, inner, strict=True) if height is not chosen]
-        values["height"] = rest if len(rest) > 1 else next(iter(rest), None)
-        if not rest:
-            del values["height"]
-
-
-def measured_height(noted: Mapping[str, list[Element]]) -> float | None:
-    """Returns the height of an object above the ground in metres: the stated one, or that of its storeys.
-
-    Args:
-        noted: Its ``noted_children``.
-    """
-    found: dict[str, Any] = {}
-    for name in HEIGHTS:
-        for child in noted.get(name, ()):
-            metres = _metres(child)
-            if metres is not None:
-                found[name] = [float(word) * metres for word in _numbers(child)]
-    if "height" in noted:
-        found["height"] = _value(noted["height"][-1], 0)
-    if not found:
-        return None
-    if "measuredHeight" not in found:
-        _take_measured_height(found)
-    return overall_height(found)
-
-
-def overall_height(attributes: Mapping[str, Any]) -> float | None:
-    """Returns the measured height among an object's attributes, else that of its storeys above the ground."""
-    for name in ("measuredHeight", "storeyHeightsAboveGround"):
-        values = attributes[name] if isinstance(attributes.get(name), list) else [attributes.get(name)]
-        if values and all(type(value) in (int, float) for value in values):
-            return float(sum(values))
-    return None
-
-
-def _numbers(element: Element) -> list[str]:
-    text = element.text or ""
-    return text.split() if _DECIMALS.fullmatch(text) else []
-
-
-def _is_overall(height: dict[str, Any]) -> bool:
-    return (height.get("lowReference"), height.get("highReference")) == (
-        "lowestGroundPoint",
-        "highestRoofEdge",
-    )
-
-
-def _metres(element: Element) -> float | None:
-    """Returns the metres per unit that a measure declares, None where its unit is no known length."""
-    return _metres_per(element.get("uom", "m"))
-
-
-@lru_cache(maxsize=256)
-def _metres_per(uom: str) -> float | None:
-    unit = uom.strip().lower()
-    # What divides is no length; names of authorities are URNs and addresses.
-    name = unit if "/" in unit and "://" not in unit else re.split("[:#/]", unit)[-1]
-    return _METRES_PER_UNIT.get(name)
 
 
 def _storeys(name: str, text: str, metres: float) -> Any:
@@ -202,13 +93,13 @@ def _put_generic(values: dict[str, Any], element: Element, depth: int) -> None:
     if not name:
         return
     if not kind.lower().endswith("attributeset"):
-        _put(values, name, _generic(element, kind[:1].lower() + kind[1:]))
-    elif depth < _MAX_DEPTH:
+        put_value(values, name, _generic(element, kind[:1].lower() + kind[1:]))
+    elif depth < MAX_DEPTH:
         inside: dict[str, Any] = {}
         for child in element.iterchildren("*"):
             if local_name(child.tag) not in ("name", "codeSpace"):
                 _put_generic(inside, child, depth + 1)
-        _put(values, name, inside)
+        put_value(values, name, inside)
 
 
 def _generic(element: Element, kind: str) -> Any:
@@ -216,37 +107,6 @@ def _generic(element: Element, kind: str) -> Any:
     text = (value.text or "").strip() if value is not None else ""
     try:
         return _GENERIC_KINDS.get(kind, str)(text)
-    except ValueError:
-        return text
-
-
-def _put(values: dict[str, Any], name: str, value: Any) -> None:
-    """Adds a value; a name met again becomes a list."""
-    if name not in values:
-        values[name] = value
-    elif isinstance(values[name], list):
-        values[name].append(value)
-    else:
-        values[name] = [values[name], value]
-
-
-def _value(element: Element, depth: int) -> Any:
-    if len(element) == 0:
-        text = (element.text or "").strip() or str(element.get(XLINK_HREF) or "")
-        return _number(text, _metres(element) or 1.0) if element.get("uom") is not None else text
-    if depth >= _MAX_DEPTH:
-        return None
-    values: dict[str, Any] = {}
-    for child in element.iterchildren("*"):
-        value = _value(child, depth + 1)
-        if value not in (None, "", {}):
-            _put(values, local_name(child.tag), value)
-    return values
-
-
-def _number(text: str, scale: float) -> Any:
-    try:
-        return float(text) * scale
     except ValueError:
         return text
 
@@ -260,62 +120,262 @@ def _leaves(element: Element) -> dict[str, Any]:
         if len(node) == 0 and text and name not in ("pos", "posList"):
             around = "" if parent is None else local_name(parent.tag)
             given = next((v for key, v in node.items() if local_name(str(key)) == "Type"), None)
-            _put(values, str(given or _ADDRESS_NAMES.get((around, name), name)), text)
+            put_value(values, str(given or _ADDRESS_NAMES.get((around, name), name)), text)
     return values
 
 
-class SolidReader:
-    """Finds the solids of a member and the polygons that close them.
+Floats = NDArray[np.float64]
 
-    Attributes:
-        polygons: The member's polygons by their number in the walk.
+
+class Image(NamedTuple):
+    """A picture by its name in the file, and how it goes on beyond its edges (``Pictures.wraps``)."""
+
+    name: str
+    wrap: str = ""
+
+
+class Georeference(NamedTuple):
+    """A picture that lies on the ground: (column, row) = inverse @ (x, y) - inverse @ origin."""
+
+    image: str
+    inverse: Floats
+    origin: Floats
+
+
+@dataclass(slots=True)
+class Appearances:
+    """What the appearances of a file say, by gml:id."""
+
+    # Picture and text of coordinates of each ring
+    rings: dict[str, tuple[Image, str]] = field(default_factory=dict)
+    # Picture and (3, 4) matrix from world to texture of each surface
+    planes: dict[str, tuple[Image, Floats]] = field(default_factory=dict)
+    grounds: dict[str, Georeference] = field(default_factory=dict)  # georeferenced picture of each surface
+    materials: dict[str, tuple[int, int, int]] = field(default_factory=dict)  # diffuse RGB of each surface
+
+
+def read_appearances(member: Element, found: Appearances, folder: TextureFolder) -> None:
+    """Adds what a member of the file says; what a surface was given first stays.
+
+    Args:
+        member: Any element.
+        found: Receives it.
+        folder: Where world files lie beside the pictures.
     """
+    for texture in member.iter("{*}ParameterizedTexture"):
+        _read_parameterized(texture, found)
+    for texture in member.iter("{*}GeoreferencedTexture"):
+        ground = _georeference(texture, folder)
+        if ground is not None:
+            found.grounds |= {target: ground for target in _targets(texture) if target not in found.grounds}
+    for material in member.iter("{*}X3DMaterial"):
+        colour = numbers_of(_text(material, "diffuseColor"))
+        if len(colour) == 3:
+            red, green, blue = np.rint(255 * np.clip(colour, 0.0, 1.0)).astype(int).tolist()
+            for target in _targets(material):
+                found.materials.setdefault(target, (red, green, blue))
 
-    def __init__(self, member: Element, walk: GeometryWalk, table: ObjectTable, first_serial: int) -> None:
-        self._index: MemberIndex = index_member(member, walk)
-        self.polygons = self._index.polygons
-        self._table, self._left_out = table, walk.left_out
-        self._first = first_serial
-        for element, number in self._index.polygons.items():
-            gml_id = next((element.get(name) for name in GML_IDS if element.get(name)), None)
-            if gml_id is not None:
-                table.polygon_ids[first_serial + number] = str(gml_id)
 
-    def read(self, building: Element, part_of: dict[Element, int], own: int) -> None:
-        """Adds the solids of a building and its parts."""
-        for prop in building.iter(*GEOMETRY_PROPERTIES):
-            if property_lod(prop.tag) is None or is_another_s(prop, building, self._left_out):
+def _read_parameterized(texture: Element, found: Appearances) -> None:
+    image = Image(_text(texture, "imageURI"), _text(texture, "wrapMode"))
+    for places in texture.iter("{*}TexCoordList"):
+        coordinates = list(places.iterchildren("{*}textureCoordinates"))
+        # CityGML 3 names the rings beside the coordinates, in the same order.
+        rings = [ring.text or "" for ring in places.iterchildren("{*}ring")] or [""] * len(coordinates)
+        for each, ring in zip(coordinates, rings, strict=False):
+            name = each.get("ring") or ring
+            found.rings.setdefault(name.strip().removeprefix("#"), (image, each.text or ""))
+    for matrix in texture.iter("{*}worldToTexture"):
+        numbers = numbers_of(matrix.text)
+        if len(numbers) == 12:
+            for target in _targets_above(matrix):
+                found.planes.setdefault(target, (image, numbers.reshape(3, 4)))
+
+
+def _targets(element: Element) -> list[str]:
+    """Returns the ids that an appearance is for: ``<target>#id</target>``, or the attribute ``uri``."""
+    found = [(target.get("uri") or target.text or "").strip() for target in element.iter("{*}target")]
+    return [name.removeprefix("#") for name in found if name]
+
+
+def _targets_above(element: Element) -> list[str]:
+    """Returns the ids of the target, or of the association of CityGML 3, that holds an element."""
+    for above in element.iterancestors():
+        if local_name(above.tag) == "target" and above.get("uri"):
+            return [str(above.get("uri")).strip().removeprefix("#")]
+        if local_name(above.tag) == "TextureAssociation":
+            return _targets(above)
+    return []
+
+
+def _georeference(texture: Element, folder: TextureFolder) -> Georeference | None:
+    image = _text(texture, "imageURI")
+    place = next(texture.iter("{*}pos"), None)
+    orientation = numbers_of(_text(texture, "orientation"))
+    if place is not None and len(orientation) == 4:
+        matrix, origin = orientation.reshape(2, 2), numbers_of(place.text)[:2]
+    else:
+        world = _world_file(image, folder)
+        if world is None:
+            return None
+        # Lines of a world file: a d b e c f, of x = a column + b row + c and y = d column + e row + f.
+        matrix, origin = np.array([[world[0], world[2]], [world[1], world[3]]]), world[4:6]
+    if len(origin) != 2 or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-12:
+        return None
+    return Georeference(image, np.linalg.inv(matrix).astype(np.float64), origin)
+
+
+def _world_file(image: str, folder: TextureFolder) -> Floats | None:
+    stem, _, suffix = image.rpartition(".")
+    for name in (f"{stem}.{suffix[:1]}{suffix[-1:]}w", f"{stem}.wld"):
+        if stem and folder.path(name) is not None:
+            numbers = numbers_of(folder.read(name).decode("ascii", "replace"))
+            return numbers if len(numbers) == 6 else None
+    return None
+
+
+def numbers_of(text: str | None) -> Floats:
+    """Returns the numbers of a text, none if any is no number."""
+    try:
+        return np.array((text or "").split(), dtype=np.float64)
+    except ValueError:
+        return np.zeros(0)
+
+
+def _text(element: Element, name: str) -> str:
+    """Returns the text of the first child of a local name."""
+    child = next(element.iterchildren("{*}" + name), None)
+    return "" if child is None else (child.text or "").strip()
+
+
+class SurfacePictures:
+    """Gathers what the members of a document say of pictures, and puts it together at its end."""
+
+    def __init__(self, pictures: PictureTable) -> None:
+        self._pictures = pictures
+        self._found = Appearances()
+        self._rings: dict[int, tuple[str, ...]] = {}
+        self._surfaces: dict[int, tuple[str, ...]] = {}
+
+    def read_member(self, member: Element, polygons: dict[Element, int], first_serial: int) -> None:
+        """Adds the appearances of a member, and the ids of its polygons and their rings."""
+        read_appearances(member, self._found, self._pictures.folder)
+        above: dict[Element | None, tuple[str, ...]] = {None: ()}
+        for element, number in polygons.items():
+            serial = first_serial + number
+            self._surfaces[serial] = _ids_up(element, above)
+            self._rings[serial] = tuple(_gml_id(ring) for ring in element.iter("{*}LinearRing", "{*}Ring"))
+
+    def paint(
+        self,
+        serial: NDArray[np.int64],
+        points: NDArray[np.float64],
+        ring_starts: NDArray[np.int64],
+        polygon_starts: NDArray[np.int64],
+        flipped: set[int],
+    ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+        """Returns the picture of each polygon and the place of each point on it.
+
+        Args:
+            serial: (N,) serial number of each polygon, -1 for copies.
+            points: (P, 3) in the coordinates of the file.
+            ring_starts: (R + 1,) offsets into the points.
+            polygon_starts: (N + 1,) offsets into the rings.
+            flipped: Serial numbers of the polygons whose rings were turned round.
+        """
+        picture, uv = blank(len(serial), len(points))
+        found, notes = self._found, self._pictures.notes
+        if not (found.rings or found.planes or found.grounds or found.materials):
+            return picture, uv
+        for polygon, number in enumerate(serial.tolist()):
+            starts = ring_starts[polygon_starts[polygon] : polygon_starts[polygon + 1] + 1]
+            own = points[starts[0] : starts[-1]]
+            if number < 0:
+                notes["surface borrowed from another object, whose picture stays with that"] += 1
                 continue
-            composites: dict[Element, int] = {}
-            for composite in prop.iter("{*}CompositeSolid"):
-                composites[composite] = self._table.num_composites
-                self._table.num_composites += 1
-            for solid in prop.iter("{*}Solid"):
-                shells = [
-                    self._faces(shell)
-                    for name in ("{*}exterior", "{*}interior")
-                    for shell in solid.iterchildren(name)
-                ]
-                if any(shells):
-                    around = owner_of(solid, prop, composites, -1) if composites else -1
-                    self._table.solids.append((owner_of(prop, building, part_of, own), shells, around))
+            name, places = self._by_ring(number, np.diff(starts), number in flipped)
+            if name is None:
+                name, places = self._by_surface(number, own)
+            if name is not None and places is not None:
+                picture[polygon] = self._pictures.number(*name)
+                if picture[polygon] != NO_PICTURE:
+                    uv[starts[0] : starts[-1]] = places
+                    continue
+                notes["surface whose picture is not there"] += 1
+            picture[polygon] = self._colour(number)
+        return picture, uv
 
-    def _faces(self, shell: Element) -> list[tuple[int, bool]]:
-        """Returns serial number and direction of each polygon of a shell, borrowed ones included."""
-        faces: list[tuple[int, bool]] = []
-        visited: set[Element] = {shell}
-        todo = [(shell, False)]
-        for root, is_flipped in todo:  # which grows
-            for node in root.iter(*POLYGONS, "{*}surfaceMember", "{*}baseSurface"):
-                number = self._index.polygons.get(node)
-                if number is not None:
-                    faces.append((self._first + number, is_flipped))
-                href = node.get(XLINK_HREF)
-                name = (href or "").strip().removeprefix("#").strip().removeprefix("urn:uuid:")
-                target = self._index.elements.get(name)
-                if target is not None and target not in visited:
-                    visited.add(target)
-                    parent = node.getparent()
-                    is_turned = parent is not None and parent.get("orientation", "+").strip() == "-"
-                    todo.append((target, is_flipped ^ is_turned))
-        return faces
+    def _colour(self, serial: int) -> int:
+        """Returns the number of the colour of a polygon's material, or of that of what it is part of."""
+        colours = (self._found.materials.get(name) for name in self._surfaces.get(serial, ()))
+        return next((self._pictures.colour(each) for each in colours if each is not None), NO_PICTURE)
+
+    def _by_ring(
+        self, serial: int, lengths: NDArray[np.int64], is_flipped: bool
+    ) -> tuple[Image | None, Floats | None]:
+        """Returns the picture that the outline of a polygon has, and the places of all its corners."""
+        rings = self._rings.get(serial, ())
+        entries = [self._found.rings.get(name) if name else None for name in rings]
+        if not entries or entries[0] is None:
+            return None, None
+        if len(entries) != len(lengths):
+            self._pictures.notes["surface with ambiguous rings"] += 1
+            return entries[0][0], None
+        image = entries[0][0]
+        parts: list[Floats] = []
+        for entry, length in zip(entries, lengths.tolist(), strict=True):
+            places = np.full((length, 2), np.nan)
+            numbers = numbers_of(entry[1]) if entry is not None and entry[0] == image else np.zeros(0)
+            if len(numbers) == 2 * length - 2:  # some writers leave out the closing point
+                numbers = np.append(numbers, numbers[:2])
+            if len(numbers) == 2 * length and np.isfinite(numbers).all():
+                places[:] = numbers.reshape(-1, 2)
+            elif not parts:
+                self._pictures.notes["surface whose places on its picture do not fit its corners"] += 1
+                return image, None
+            parts.append(places[::-1] if is_flipped else places)
+        return image, np.concatenate(parts)
+
+    def _by_surface(self, serial: int, points: Floats) -> tuple[Image | None, Floats | None]:
+        """Returns the picture of a polygon or of what it is part of, by a matrix or a place on the ground."""
+        for name in self._surfaces.get(serial, ()):
+            if name in self._found.planes:
+                image, matrix = self._found.planes[name]
+                homogeneous = np.column_stack([points, np.ones(len(points))]) @ matrix.T
+                places: Floats = homogeneous[:, :2] / homogeneous[:, 2:]
+                return image, places if np.isfinite(places).all() else None
+            if name in self._found.grounds:
+                return Image(self._found.grounds[name].image), self._on_ground(
+                    self._found.grounds[name], points
+                )
+        return None, None
+
+    def _on_ground(self, ground: Georeference, points: Floats) -> Floats | None:
+        try:
+            width, height = self._pictures.folder.size(ground.image)
+        except DatasetError:
+            return None
+        pixels = (points[:, :2] - ground.origin) @ ground.inverse.T
+        # The reference point is the middle of the upper left pixel.
+        return np.column_stack([(pixels[:, 0] + 0.5) / width, 1.0 - (pixels[:, 1] + 0.5) / height])
+
+
+def _gml_id(element: Element) -> str:
+    return next((str(element.get(name)) for name in GML_IDS if element.get(name)), "")
+
+
+def _ids_up(element: Element, known: dict[Element | None, tuple[str, ...]]) -> tuple[str, ...]:
+    """Returns the ids of an element and of all above it; ``known`` grows by those above."""
+    line = list(_unknown_above(element, known))
+    ids = known[line[-1].getparent()] if line else known[element]
+    for node in reversed(line):
+        own = _gml_id(node)
+        ids = known[node] = (own, *ids) if own else ids
+    return ids
+
+
+def _unknown_above(element: Element, known: dict[Element | None, tuple[str, ...]]) -> Iterator[Element]:
+    node: Element | None = element
+    while node is not None and node not in known:
+        yield node
+        node = node.getparent()

@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.gml.properties_writer import Dialect, Property, tag, text_of
-from lodbench.citymodel.lods import select_polygons
-from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
+from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind, group_by, select_polygons
 from lodbench.citymodel.pictures import wraps_of
-from lodbench.citymodel.raw import group_by
 from lodbench.citymodel.triangulate import triangulate
 from lodbench.findings import Findings
 

@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from itertools import chain
 
 from lodbench.citymodel import codes
+from lodbench.citymodel.attributes import (
+    ObjectTable,
+)
 from lodbench.citymodel.gml.batch import Reference
-from lodbench.citymodel.gml.context import (
-    declared_around,
+from lodbench.citymodel.gml.names import (
+    GEOMETRY_PROPERTIES,
+    GML_IDS,
+    POLYGONS,
     is_another_s,
     linked_objects,
     noted_children,
+    owner_of,
+    property_lod,
     surface_kind,
 )
-from lodbench.citymodel.gml.details import MemberIndex, index_member
-from lodbench.citymodel.gml.names import GEOMETRY_PROPERTIES, POLYGONS, XLINK_HREF, property_lod
 from lodbench.citymodel.gml.walk import GeometryWalk
-from lodbench.citymodel.gml.xml import Element, local_name
+from lodbench.citymodel.gml.xml import (
+    XLINK_HREF,
+    Element,
+    NotFolded,
+    local_name,
+)
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.findings import Findings
 
@@ -270,3 +281,98 @@ class LinkResolver:
             walk.batch.flipped.append(polygon)
         if reference.placement is not None:
             walk.batch.placed[polygon] = reference.placement
+
+
+@dataclass(slots=True)
+class MemberIndex:
+    """Everything in a member that can be referred to; built only when a plain look-up fails."""
+
+    elements: dict[str, Element]
+    polygons: dict[Element, int]
+
+
+def index_member(member: Element, walk: GeometryWalk | None) -> MemberIndex:
+    """Returns what can be referred to; polygons by number where ``walk`` has just collected them.
+
+    Raises:
+        NotFolded: Some of it has no elements.
+    """
+    if walk is not None and walk.folding.has_folded:
+        raise NotFolded("A reference may be to something that is folded.")
+    elements: dict[str, Element] = {}
+    for element in member.iter():
+        for name in GML_IDS:
+            gml_id = element.get(name)
+            if gml_id is not None:
+                elements.setdefault(gml_id, element)
+    if walk is None:
+        return MemberIndex(elements, {})
+    # The same steps in the same order as the walk took, so that numbers agree.
+    in_order = (polygon for prop in walk.properties for polygon in prop.iter(*POLYGONS))
+    polygons = {element: walk.first_polygon + i for i, element in enumerate(in_order)}
+    return MemberIndex(elements, polygons)
+
+
+class SolidReader:
+    """Finds the solids of a member and the polygons that close them.
+
+    Attributes:
+        polygons: The member's polygons by their number in the walk.
+    """
+
+    def __init__(self, member: Element, walk: GeometryWalk, table: ObjectTable, first_serial: int) -> None:
+        self._index: MemberIndex = index_member(member, walk)
+        self.polygons = self._index.polygons
+        self._table, self._left_out = table, walk.left_out
+        self._first = first_serial
+        for element, number in self._index.polygons.items():
+            gml_id = next((element.get(name) for name in GML_IDS if element.get(name)), None)
+            if gml_id is not None:
+                table.polygon_ids[first_serial + number] = str(gml_id)
+
+    def read(self, building: Element, part_of: dict[Element, int], own: int) -> None:
+        """Adds the solids of a building and its parts."""
+        for prop in building.iter(*GEOMETRY_PROPERTIES):
+            if property_lod(prop.tag) is None or is_another_s(prop, building, self._left_out):
+                continue
+            composites: dict[Element, int] = {}
+            for composite in prop.iter("{*}CompositeSolid"):
+                composites[composite] = self._table.num_composites
+                self._table.num_composites += 1
+            for solid in prop.iter("{*}Solid"):
+                shells = [
+                    self._faces(shell)
+                    for name in ("{*}exterior", "{*}interior")
+                    for shell in solid.iterchildren(name)
+                ]
+                if any(shells):
+                    around = owner_of(solid, prop, composites, -1) if composites else -1
+                    self._table.solids.append((owner_of(prop, building, part_of, own), shells, around))
+
+    def _faces(self, shell: Element) -> list[tuple[int, bool]]:
+        """Returns serial number and direction of each polygon of a shell, borrowed ones included."""
+        faces: list[tuple[int, bool]] = []
+        visited: set[Element] = {shell}
+        todo = [(shell, False)]
+        for root, is_flipped in todo:  # which grows
+            for node in root.iter(*POLYGONS, "{*}surfaceMember", "{*}baseSurface"):
+                number = self._index.polygons.get(node)
+                if number is not None:
+                    faces.append((self._first + number, is_flipped))
+                href = node.get(XLINK_HREF)
+                name = (href or "").strip().removeprefix("#").strip().removeprefix("urn:uuid:")
+                target = self._index.elements.get(name)
+                if target is not None and target not in visited:
+                    visited.add(target)
+                    parent = node.getparent()
+                    is_turned = parent is not None and parent.get("orientation", "+").strip() == "-"
+                    todo.append((target, is_flipped ^ is_turned))
+        return faces
+
+
+def declared_around(geometry: Element) -> tuple[str | None, int]:
+    """Returns the srsName and the srsDimension around a geometry, None and 0 where none is."""
+    names = (node.get("srsName") for node in geometry.iterancestors())
+    dimensions = ((node.get("srsDimension") or "").strip() for node in geometry.iterancestors())
+    srs_name = next((str(name).strip() for name in names if name), None)
+    return srs_name, int(next((text for text in dimensions if text in ("2", "3")), 0))

@@ -6,35 +6,50 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.attributes import (
+    ATTRIBUTES,
+    Lifespans,
+    ObjectTable,
+    pitched_buildings,
+    roof_type_of,
+)
 from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
-from lodbench.citymodel.gml.appearance import SurfacePictures
 from lodbench.citymodel.gml.batch import read_batch
-from lodbench.citymodel.gml.context import (
+from lodbench.citymodel.gml.folding import Folding
+from lodbench.citymodel.gml.names import (
+    MEMBERS,
+    NESTED_TYPES,
     buildings_inside,
     envelope_srs,
     gml_id,
-    is_inside,
+    is_building_tag,
+    is_citygml,
+    measured_height,
     noted_children,
     owner_of,
 )
-from lodbench.citymodel.gml.details import SolidReader, measured_height, read_attributes
-from lodbench.citymodel.gml.folding import Folding
-from lodbench.citymodel.gml.links import LinkResolver
-from lodbench.citymodel.gml.names import MEMBERS, NESTED_TYPES, is_building_tag, is_citygml
 from lodbench.citymodel.gml.walk import GeometryWalk
-from lodbench.citymodel.gml.xml import Element, NotFolded, XmlMembers, local_name, namespace_of
-from lodbench.citymodel.json_documents import paused_collector
-from lodbench.citymodel.lifespans import Lifespans
-from lodbench.citymodel.model import ATTRIBUTES, ObjectTable, Solids, pitched_buildings, roof_type_of
+from lodbench.citymodel.gml.xml import (
+    Element,
+    NotFolded,
+    XmlMembers,
+    local_name,
+    namespace_of,
+)
+from lodbench.citymodel.model import Solids, starts_of
 from lodbench.citymodel.options import types_of
-from lodbench.citymodel.pictures import PictureTable
-from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity, starts_of
+from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity, paused_collector
 from lodbench.findings import Findings
+
+if TYPE_CHECKING:
+    from lodbench.citymodel.gml.details import SurfacePictures
+    from lodbench.citymodel.gml.links import LinkResolver
+    from lodbench.citymodel.pictures import PictureTable
 
 # Numbers are read when this much text has gathered: large enough that a parse is worth its call,
 # small enough that memory stays flat.
@@ -84,7 +99,7 @@ def read_citygml(
             reader = _Reader(source, is_strict, has_details, layers, pictures, day)
             with open_stream() as stream:
                 reader.read(stream)
-    if reader.links.unresolved:
+    if reader.has_unresolved:
         with open_stream() as stream:
             reader.read_links(stream)
     return reader.result()
@@ -105,7 +120,6 @@ class _Reader:
         self.findings = Findings()
         self._lifespans = Lifespans(day, self.findings)
         self.walk = GeometryWalk(self.findings, self._lifespans)
-        self.links = LinkResolver(self.walk, source.rpartition("/")[2], self.findings)
         self._source = source
         self._is_strict = is_strict
         self._building_ids: list[str] = []
@@ -127,7 +141,12 @@ class _Reader:
             self._columns["serial"] = GrowingArray(np.int64)
         self._has_textures = False
         self._pictures = pictures
-        self._painted = None if pictures is None else SurfacePictures(pictures)
+        self._links: LinkResolver | None = None
+        self._painted: SurfacePictures | None = None
+        if pictures is not None:
+            from lodbench.citymodel.gml.details import SurfacePictures
+
+            self._painted = SurfacePictures(pictures)
         self._flipped: set[int] = set()
         self._version: str | None = None
         self._srs_name: str | None = None
@@ -151,15 +170,29 @@ class _Reader:
             self._read_root(members.root)
         self.walk.folding = Folding(is_on=False)
 
+    @property
+    def has_unresolved(self) -> bool:
+        """Returns whether references have no target in their own member."""
+        return self._links is not None and bool(self._links.unresolved)
+
+    def _resolver(self) -> LinkResolver:
+        """Returns what resolves references, which most files without solids have none of."""
+        if self._links is None:
+            from lodbench.citymodel.gml.links import LinkResolver
+
+            self._links = LinkResolver(self.walk, self._source.rpartition("/")[2], self.findings)
+        return self._links
+
     def read_links(self, stream: BinaryIO) -> None:
         """Looks in every member for the targets of references that point out of their own."""
-        self.links.begin_second_pass(self._building_ids)
+        links = self._resolver()
+        links.begin_second_pass(self._building_ids)
         for member in XmlMembers(stream, self._source, MEMBERS, Findings()):
             self._begin_member(member)
             srs_name = next(filter(None, map(envelope_srs, member)), self._srs_name)
-            if not self.links.resolve_elsewhere(member, self._building_ids, srs_name):
+            if not links.resolve_elsewhere(member, self._building_ids, srs_name):
                 break
-        self.links.end_second_pass()
+        links.end_second_pass()
         self._flush()
 
     def _read_root(self, root: Element) -> None:
@@ -210,12 +243,14 @@ class _Reader:
         if self._objects.has_details and not self._has_textures:  # a look at all elements
             self._has_textures = member.find(".//{*}appearance") is not None
         if self._objects.has_details:
+            from lodbench.citymodel.gml.links import SolidReader
+
             solids = SolidReader(member, self.walk, self._objects, self._num_walked)
             for element, part_of, own in met:
                 solids.read(element, part_of, own)
             self._read_pictures(member, solids.polygons)
         if self.walk.references or self.walk.duplicate_ids:
-            self.links.resolve_member(member, self._building_ids)
+            self._resolver().resolve_member(member, self._building_ids)
 
     def _read_object(
         self, element: Element, noted: dict[str, list[Element]]
@@ -224,7 +259,7 @@ class _Reader:
         type_, number = local_name(element.tag), len(self._building_ids)
         building_id = gml_id(element) or f"{type_.lower()}-{number + 1}"
         self._building_ids.append(building_id)
-        attributes = read_attributes(element) if self._objects.has_details else None
+        attributes = self._attributes_of(element)
         own = self._objects.add(
             building_id, _JSON_TYPES.get(type_, type_), -1, number, attributes, _roof_type(noted),
             measured_height(noted),
@@ -238,6 +273,13 @@ class _Reader:
             self.findings.add(BUILDING_EMPTY, building_id, "" if type_ == "Building" else f"a {type_}")
         return part_of, own
 
+    def _attributes_of(self, element: Element) -> dict[str, Any] | None:
+        if not self._objects.has_details:
+            return None
+        from lodbench.citymodel.gml.details import read_attributes
+
+        return read_attributes(element)
+
     def _read_pictures(self, member: Element, polygons: dict[Element, int]) -> None:
         if self._painted is not None:
             self._painted.read_member(member, polygons, self._num_walked)
@@ -248,7 +290,7 @@ class _Reader:
         name = local_name(nested.tag)
         parent = owner_of(nested, building, part_of, own)
         object_id = gml_id(nested) or f"{table.ids[own]}-{name}-{len(part_of) + 1}"
-        attributes = read_attributes(nested) if table.has_details else None
+        attributes = self._attributes_of(nested)
         noted = noted_children(nested)
         type_, roof_type = NESTED_TYPES[name], _roof_type(noted)
         height_m = measured_height(noted) if type_ == "BuildingPart" else None
@@ -266,7 +308,8 @@ class _Reader:
                 column.extend(getattr(arrays, name))
 
     def _report_what_is_left_out(self) -> None:
-        self.links.report_unresolved(self._building_ids)
+        if self._links is not None:
+            self._links.report_unresolved(self._building_ids)
         for name, count in sorted(self._others.items()):
             if not name.startswith("Appearance"):
                 self.findings.add(NOT_A_BUILDING, name, f"{count} of them")
@@ -341,3 +384,9 @@ def _roof_type(noted: dict[str, list[Element]]) -> str:
     if "roofType" in noted:
         stated["roofType"] = noted["roofType"][0].text
     return roof_type_of(stated) if stated else ""
+
+
+def is_inside(element: Element, met: list[tuple[Element, dict[Element, int], int]]) -> bool:
+    """Returns whether an element stands inside of one that was met, as terrain does inside of terrain."""
+    above = set(element.iterancestors())
+    return any(other in above for other, _, _ in met)

@@ -6,22 +6,10 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+from lodbench.citymodel.attributes import NAMES, Lifespans
 from lodbench.citymodel.codes import GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
 from lodbench.citymodel.crs import is_in_degrees
 from lodbench.citymodel.gml.batch import NameTable, PolygonBatch, Reference, leave_out, read_placement
-from lodbench.citymodel.gml.context import (
-    extension_above,
-    gml_id,
-    is_another_s,
-    is_in_ring,
-    linked_objects,
-    noted_children,
-    owner_of,
-    plain_numbers,
-    relief_lod,
-    storeys_among,
-    surface_kind,
-)
 from lodbench.citymodel.gml.folding import FOLDED, FoldedSurface, Folding
 from lodbench.citymodel.gml.names import (
     BOUNDARY,
@@ -40,16 +28,25 @@ from lodbench.citymodel.gml.names import (
     TUPLES,
     WALKED,
     WALKED_IN_BUILDINGS,
-    XLINK_HREF,
     NodeTable,
     WalkedTags,
+    extension_above,
+    gml_id,
+    is_another_s,
     is_building_tag,
     is_citygml,
     is_extension,
+    is_in_ring,
+    linked_objects,
+    noted_children,
+    owner_of,
+    plain_numbers,
     property_lod,
+    relief_lod,
+    storeys_among,
+    surface_kind,
 )
-from lodbench.citymodel.gml.xml import Element, NotFolded, local_name
-from lodbench.citymodel.lifespans import NAMES, Lifespans
+from lodbench.citymodel.gml.xml import XLINK_HREF, Element, NotFolded, local_name
 from lodbench.findings import Findings
 
 
@@ -186,11 +183,7 @@ class GeometryWalk:
         return properties
 
     def _folded_surfaces(self, boundary: Element) -> list[FoldedSurface] | None:
-        """Returns what is folded into a boundary, None where nothing is.
-
-        Raises:
-            NotFolded: Its names are not of CityGML and GML, which the bytes alone do not tell.
-        """
+        """Returns what is folded into a boundary, None where nothing is."""
         for name, value in boundary.items():
             surfaces = self.folding.surfaces_at(str(value))
             if surfaces is not None:

@@ -23,8 +23,8 @@ from lodbench.citymodel.gml.properties_writer import (
     properties_of,
     tag,
 )
-from lodbench.citymodel.model import CityModel, SurfaceKind
-from lodbench.citymodel.raw import buildings_only, group_by
+from lodbench.citymodel.model import CityModel, SurfaceKind, group_by
+from lodbench.citymodel.raw import buildings_only
 
 # Namespace by prefix, without the version.
 MODULES = {

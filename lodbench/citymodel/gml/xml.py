@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import BinaryIO, Protocol, cast
+from typing import Any, BinaryIO, Protocol, cast
 
 from lxml import etree
 
@@ -274,3 +274,70 @@ def _release(element: Element) -> None:
     if parent is not None:
         while element.getprevious() is not None:
             del parent[0]
+
+
+XLINK_HREF = "{http://www.w3.org/1999/xlink}href"
+
+
+# By their names, in UCUM and in EPSG; without a unit a length is in metres.
+_METRES_PER_UNIT = (
+    dict.fromkeys(("", "m", "metre", "metres", "meter", "meters", "9001"), 1.0)
+    | {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "km": 1e3}
+    | dict.fromkeys(("ft", "foot", "feet", "[ft_i]", "ft_i", "9002"), 0.3048)
+    | dict.fromkeys(("us-ft", "ftus", "[ft_us]", "ft_us", "9003"), 1200.0 / 3937.0)
+)
+
+_DECIMALS = re.compile(r"\s*(?:[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?(?:\s+|\Z))*")
+
+MAX_DEPTH = 8
+
+
+def numbers_in(element: Element) -> list[str]:
+    """Returns the decimals that are all of an element's text; nothing where there is anything else."""
+    text = element.text or ""
+    return text.split() if _DECIMALS.fullmatch(text) else []
+
+
+def metres_of(element: Element) -> float | None:
+    """Returns the metres per unit that a measure declares, None where its unit is no known length."""
+    return _metres_per(element.get("uom", "m"))
+
+
+@lru_cache(maxsize=256)
+def _metres_per(uom: str) -> float | None:
+    unit = uom.strip().lower()
+    # What divides is no length; names of authorities are URNs and addresses.
+    name = unit if "/" in unit and "://" not in unit else re.split("[:#/]", unit)[-1]
+    return _METRES_PER_UNIT.get(name)
+
+
+def put_value(values: dict[str, Any], name: str, value: Any) -> None:
+    """Adds a value; a name met again becomes a list."""
+    if name not in values:
+        values[name] = value
+    elif isinstance(values[name], list):
+        values[name].append(value)
+    else:
+        values[name] = [values[name], value]
+
+
+def value_of(element: Element, depth: int) -> Any:
+    """Returns an element's text, a measure in metres, or a mapping of what is in it, ``MAX_DEPTH`` deep."""
+    if len(element) == 0:
+        text = (element.text or "").strip() or str(element.get(XLINK_HREF) or "")
+        return _number(text, metres_of(element) or 1.0) if element.get("uom") is not None else text
+    if depth >= MAX_DEPTH:
+        return None
+    values: dict[str, Any] = {}
+    for child in element.iterchildren("*"):
+        value = value_of(child, depth + 1)
+        if value not in (None, "", {}):
+            put_value(values, local_name(child.tag), value)
+    return values
+
+
+def _number(text: str, scale: float) -> Any:
+    try:
+        return float(text) * scale
+    except ValueError:
+        return text

@@ -1,26 +1,28 @@
-"""Triangle meshes through trimesh: PLY, STL and glTF as LoD-less cities."""
+"""Meshes as cities without levels: PLY, STL and glTF through trimesh, Wavefront OBJ by lines."""
 
 from __future__ import annotations
 
 import io
 import json
+import re
 import struct
+from codecs import BOM_UTF8
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.cleaning import connected_components, number_rows, point_bits
-from lodbench.citymodel.formats import MESH_FORMATS
-from lodbench.citymodel.json_documents import list_or_empty
-from lodbench.citymodel.model import SurfaceKind
-from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.raw import RawCity
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.codes import ELEMENT_IGNORED
+from lodbench.citymodel.gml.folding import parse_rings
+from lodbench.citymodel.json_documents import MeshFrame, frame_of_comments, frame_of_extras, list_or_empty
+from lodbench.citymodel.model import SurfaceKind, starts_of
+from lodbench.citymodel.options import MESH_FORMATS, ReadOptions
+from lodbench.citymodel.raw import NotACity, RawCity
+from lodbench.citymodel.scene import connected_components, number_rows, point_bits
 from lodbench.errors import CityModelError, LodbenchError
+from lodbench.findings import Findings
 
 _CHUNK = struct.Struct("<4sIII4s")  # of a binary file: magic, version, length; then of the first chunk
 # Extensions that change looks, or say something of objects, and leave the triangles as they are. Positions in
@@ -135,29 +137,40 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
     if suffix == ".ply" and frame is None:
         frame = frame_of_comments(_ply_comments(content))
     points = turned_up(points, options.up_axis, suffix)
-    if frame is not None:
-        points = points + frame.origin
     if len(parts) > 1:
         building = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
         ids = [str(part.metadata.get("name") or f"mesh-{i + 1}") for i, part in enumerate(parts)]
     else:
-        building = _components(points)
+        building = _components(points, np.full(len(points) // 3, 3))
         ids = [f"component-{i + 1}" for i in range(int(building.max()) + 1)]
-    count = len(building)
+    return _city(source, MESH_FORMATS[suffix], points, np.arange(len(building) + 1) * 3, building, ids, frame)
+
+
+def _city(
+    source: str,
+    format: str,
+    points: NDArray[np.float64],
+    ring_starts: NDArray[np.int64],
+    building: NDArray[np.int64],
+    ids: list[str],
+    frame: MeshFrame | None,
+) -> RawCity:
+    """Returns faces of one ring each, moved to where their frame says, as a city without levels."""
+    count, has_crs = len(building), frame is not None and frame.crs is not None
     return RawCity(
         source=source,
-        format=MESH_FORMATS[suffix],
-        srs_names=(frame.crs,) if frame is not None and frame.crs is not None else (),
+        format=format,
+        srs_names=(frame.crs,) if frame is not None and has_crs else (),
         building_ids=tuple(ids),
         lods=("",),
-        points=points,
-        ring_starts=np.arange(count + 1) * 3,
+        points=points if frame is None else points + frame.origin,
+        ring_starts=ring_starts,
         polygon_starts=np.arange(count + 1),
         building=building.astype(np.int32),
         lod=np.zeros(count, np.int16),
         kind=np.full(count, SurfaceKind.UNKNOWN, np.uint8),
         srs=np.zeros(count, np.int16),
-        axis_orders=("east_first",) if frame is not None and frame.crs is not None else (),
+        axis_orders=("east_first",) if has_crs else (),
     )
 
 
@@ -234,68 +247,115 @@ def _set_in_place(loaded: Any, node: str) -> Any:
     return part
 
 
-def _components(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Returns the component of each triangle, by shared positions."""
-    node = number_rows(point_bits(points))[0].reshape(-1, 3)
-    first = np.concatenate([node[:, 0], node[:, 1]])
-    second = np.concatenate([node[:, 1], node[:, 2]])
-    root = connected_components(int(node.max()) + 1, first, second)
-    return np.unique(root[node[:, 0]], return_inverse=True)[1].reshape(-1)
+def _components(corners: NDArray[np.float64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Returns the component of each face: faces that share a position, directly or through others."""
+    node = number_rows(point_bits(corners))[0].reshape(-1)
+    ends = np.cumsum(counts)
+    following = np.concatenate([node[1:], node[:1]])
+    following[ends - 1] = node[ends - counts]
+    root = connected_components(int(node.max()) + 1, node, following)
+    return np.unique(root[node[ends - counts]], return_inverse=True)[1].reshape(-1)
 
 
-_NO_NAME = "unknown"
-_ORIGIN, _CRS = "origin ", "crs "
-_KEY = "lodbench"
+# Texture and normal indices: `7/3/2` means point 7.
+_TEXTURE_PART = re.compile(r"/[^\s;]*")
+# lodbench writes its comments first.
+_HEAD_LINES = 8
+_SILENT = frozenset({"v", "f", "vt", "vn", "s", "o", "g", "mtllib"})
 
 
-@dataclass(frozen=True, slots=True)
-class MeshFrame:
-    """Place of a mesh."""
+def read_obj(stream: BinaryIO, source: str, up_axis: str = "auto") -> RawCity:
+    """Returns the faces of a Wavefront OBJ; what hangs together is a building.
 
-    origin: NDArray[np.float64]  # (3,) what was subtracted from the coordinates
-    crs: str | None  # their reference system, or None where it was unknown
+    Metres, x east, y north, z up, or y up where so declared. Only positions and faces count: lines, points,
+    texture coordinates, normals, materials and groups carry no surface. Numbers are read in bulk; a line at
+    fault is looked for only when there is one.
 
-    @classmethod
-    def of_scene(cls, scene: Scene) -> MeshFrame:
-        """Returns the frame of a scene."""
-        return cls(scene.origin, scene.crs)
+    Args:
+        stream: The file's bytes.
+        source: Its name, for messages.
+        up_axis: ``y``, ``z``, or ``auto``, which is z.
 
-    def comments(self) -> list[str]:
-        """Returns two lines of text, as they stand in the comments of OBJ and PLY."""
-        return [_ORIGIN + " ".join(map(repr, self.origin.tolist())), _CRS + (self.crs or _NO_NAME)]
-
-    def extras(self) -> dict[str, Any]:
-        """Returns plain values, as they stand in the extras of a glTF scene."""
-        return {_KEY: {"origin": self.origin.tolist(), "crs": self.crs}}
-
-
-def frame_of_comments(comments: list[str]) -> MeshFrame | None:
-    """Returns the frame that two comments in a row tell, or None where they are anybody's.
-
-    Example:
-        >>> frame_of_comments(["origin 5.0 6.0 0.0", "crs EPSG:25832"]).crs
-        'EPSG:25832'
-        >>> frame_of_comments(["made by hand"]) is None
-        True
+    Raises:
+        CityModelError: A number is malformed or not finite, a face has fewer than three corners or
+            an index out of range (the message names the line), or there is no face.
     """
-    for first, second in pairwise(comments):
-        if first.startswith(_ORIGIN) and second.startswith(_CRS):
-            name = second.removeprefix(_CRS).strip()
-            return _frame(first.removeprefix(_ORIGIN).split(), None if name == _NO_NAME else name)
-    return None
+    lines = _logical_lines(stream.read().removeprefix(BOM_UTF8).decode("latin-1"))
+    findings = Findings()
+    positions = [i for i, line in enumerate(lines) if line.startswith("v ")]
+    faces = [i for i, line in enumerate(lines) if line.startswith("f ")]
+    _report_ignored(lines, source, findings)
+    if not faces:
+        raise NotACity(f"{source} has no faces.", "A city model in OBJ needs lines of v and f.")
+    points = turned_up(_read_points(lines, positions, source), up_axis, ".obj")
+    corners, counts = _read_faces(lines, faces, np.asarray(positions, np.int64), source)
+    points = points[corners]
+    building = _components(points, counts)
+    frame = frame_of_comments([line[1:].strip() for line in lines[:_HEAD_LINES] if line.startswith("#")])
+    num_buildings = int(building.max()) + 1
+    width = len(str(num_buildings))
+    ids = [f"component-{i + 1:0{width}d}" for i in range(num_buildings)]
+    city = _city(source, "OBJ", points, starts_of(counts), building, ids, frame)
+    city.findings = findings
+    return city
 
 
-def frame_of_extras(metadata: Any) -> MeshFrame | None:
-    """Returns the frame in the extras of a glTF scene, or None."""
-    values = metadata.get(_KEY) if isinstance(metadata, dict) else None
-    if not isinstance(values, dict) or not isinstance(values.get("crs"), str | None):
-        return None
-    return _frame(values.get("origin"), values.get("crs"))
+def _logical_lines(text: str) -> list[str]:
+    """Returns the lines by number; a line continued by a backslash leaves empty lines behind."""
+    lines = text.replace("\t", " ").splitlines()
+    if any(line.startswith(" ") for line in lines):
+        lines = [line.lstrip() for line in lines]
+    if "\\" in text:
+        for i in range(len(lines) - 2, -1, -1):
+            if lines[i].endswith("\\"):
+                lines[i], lines[i + 1] = lines[i][:-1] + " " + lines[i + 1], ""
+    return lines
 
 
-def _frame(origin: Any, crs: str | None) -> MeshFrame | None:
-    try:
-        values = np.asarray(origin, np.float64).reshape(3)
-    except (TypeError, ValueError):
-        return None
-    return MeshFrame(values, crs) if np.isfinite(values).all() else None
+def _report_ignored(lines: list[str], source: str, findings: Findings) -> None:
+    keywords = Counter(
+        line.split(maxsplit=1)[0] for line in lines if line and not line.startswith(("v ", "f ", "v", "#"))
+    )
+    for keyword, count in sorted(keywords.items()):
+        if keyword not in _SILENT:
+            findings.add(ELEMENT_IGNORED, source, f"{count} `{keyword}`")
+
+
+def _read_points(lines: list[str], positions: list[int], source: str) -> NDArray[np.float64]:
+    """Returns (V, 3) positions; what follows x, y, z on a line (a weight, a colour) is left."""
+    values, counts, is_bad = parse_rings([lines[i][2:].encode() for i in positions])
+    is_bad |= (counts < 3) | (counts > 7)
+    if is_bad.any():
+        line = positions[int(np.argmax(is_bad))]
+        raise _line_error(source, line, lines[line], "is not a point of three finite numbers")
+    columns: NDArray[np.int64] = starts_of(counts)[:-1, None] + np.arange(3)
+    return values.take(columns)
+
+
+def _read_faces(
+    lines: list[str], faces: list[int], positions: NDArray[np.int64], source: str
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the point index of every corner, face after face, and the corners of each face."""
+    texts = [lines[i][2:] for i in faces]
+    if any("/" in text for text in texts):
+        # A separator in the text would shift the lines; as "?" it is a fault of its own line.
+        joined = ";".join(text.replace(";", "?") for text in texts)
+        texts = _TEXTURE_PART.sub("", joined).split(";")
+    values, counts, is_bad = parse_rings([text.encode() for text in texts])
+    face = np.repeat(np.arange(len(counts)), counts)
+    # Larger than any index, smaller than an overflow: such a number fails the range check below.
+    indices = np.clip(np.nan_to_num(values), -1e15, 1e15).astype(np.int64)
+    # A negative index counts back from the last point above the face.
+    above = np.searchsorted(positions, np.asarray(faces))
+    corners = np.where(indices < 0, above[face] + indices, indices - 1)
+    is_bad[face[(values != indices) | (corners < 0) | (corners >= len(positions))]] = True
+    is_bad |= counts < 3
+    if is_bad.any():
+        line = faces[int(np.argmax(is_bad))]
+        what = f"is not a face of three or more points out of {len(positions)}"
+        raise _line_error(source, line, lines[line], what)
+    return corners, counts
+
+
+def _line_error(source: str, line: int, text: str, what: str) -> CityModelError:
+    return CityModelError(f"{source}, line {line + 1}: `{text[:60]}` {what}.", "Mend or remove the line.")

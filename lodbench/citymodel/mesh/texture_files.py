@@ -180,11 +180,7 @@ def _gltf_content(path: Path) -> dict[str, Any]:
 
 
 def _require_plain(material: dict[str, Any], content: dict[str, Any], source: str) -> None:
-    """Makes sure that a picture lies by the first texture coordinates, as they stand, and is of a kind read.
-
-    Raises:
-        DatasetError: It is of another, lies by others, or they are moved first.
-    """
+    """Makes sure that a picture lies by the first texture coordinates, unmoved, and is of a known kind."""
     texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
     transform = texture.get("extensions", {}).get(_TRANSFORM, {})
     is_moved = any(transform.get(key, stays) != stays for key, stays in _STAYS.items())

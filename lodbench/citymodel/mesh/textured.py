@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.lods import FINEST, polygons_at, select_polygons
-from lodbench.citymodel.model import CityModel, Polygons
-from lodbench.citymodel.pictures import FIRST_COLOUR, MAX_ALL_PIXELS, NO_PICTURE, TextureFolder
+from lodbench.citymodel.model import FINEST, FIRST_COLOUR, NO_PICTURE, CityModel, Polygons, select_polygons
+from lodbench.citymodel.pictures import MAX_ALL_PIXELS, TextureFolder
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.triangulate import triangulate
+from lodbench.citymodel.triangulate import polygons_at, triangulate
 from lodbench.errors import DatasetError
 from lodbench.findings import Findings
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.mesh.reader import MeshFrame
+from lodbench.citymodel.json_documents import MeshFrame
 from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.pictures import TextureFolder
@@ -190,11 +190,7 @@ def write_pictures(model: CityModel, target: Path) -> tuple[dict[int, str], tupl
 
 
 def _portable(path: Path) -> tuple[bytes, str]:
-    """Returns a picture as JPEG or PNG, and the ending that it gets.
-
-    Raises:
-        DatasetError: It is none, or too large.
-    """
+    """Returns a picture as JPEG or PNG, and the ending that it gets."""
     folder = TextureFolder(path.parent, path.parent)
     content = folder.read(path.name)
     kind = folder.kind(path.name)

@@ -1,28 +1,200 @@
-"""Surface models as heights on a grid that are read by windows, and what is checked of them."""
+"""Heights on a grid: terrain models, surface models that are read by windows, and what is checked of them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import SURFACE_NO_DATA, SURFACE_STEP
 from lodbench.citymodel.crs import resolve_crs
-from lodbench.citymodel.terrain import (
-    height_unit_m,
-)
+from lodbench.citymodel.model import HIGHEST_M, LOWEST_M
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.vector.gdal import opened_raster, raster_driver
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
+
+_MAX_CELLS = 1 << 30
+# What bands of rasters call their unit, metres; where they do not, it is that of their reference system.
+_UNITS_M = {
+    "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0, "ft": 0.3048, "foot": 0.3048,
+    "feet": 0.3048, "us survey foot": 1200 / 3937, "us-ft": 1200 / 3937, "ftus": 1200 / 3937,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Terrain:
+    """Heights on a grid.
+
+    Attributes:
+        heights: (rows, columns) float64, north to south, in the raster's unit; NaN where there is none.
+        west, north: Outer corner of the first cell.
+        cell_x, cell_y: Size of a cell, both positive.
+    """
+
+    heights: NDArray[np.float64]
+    west: float
+    north: float
+    cell_x: float
+    cell_y: float
+
+    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Returns (N,) heights at points (N, 2): those of the cells they lie in, NaN outside."""
+        rows, columns = self.heights.shape
+        column = np.floor((points[:, 0] - self.west) / self.cell_x)
+        row = np.floor((self.north - points[:, 1]) / self.cell_y)
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        heights = np.full(len(points), np.nan)
+        heights[inside] = self.heights[row[inside].astype(int), column[inside].astype(int)]
+        return heights
+
+
+def ground_under(points: NDArray[np.float64], crs: str, options: ReadOptions) -> NDArray[np.float64]:
+    """Returns (N,) terrain heights under points given as easting or longitude first; NaN where there is none.
+
+    Args:
+        points: (N, 2) in ``crs``.
+        crs: Their reference system, in whose unit of height the answer is; that of an ASCII grid, too.
+        options: ``terrain`` names the raster.
+
+    Raises:
+        CityModelError: The raster cannot be read.
+    """
+    path = Path(str(options.terrain))
+    if not path.is_file():
+        raise CityModelError(f"There is no terrain model at {path}.", "Check the path.")
+    unit_m = height_unit_m(crs)
+    if path.suffix.lower() == ".asc":
+        heights_m = read_ascii(path).at(points) * unit_m
+    else:
+        heights_m = _raster_heights_m(path, points, crs)
+    return np.where((heights_m > LOWEST_M) & (heights_m < HIGHEST_M), heights_m / unit_m, np.nan)
+
+
+def height_unit_m(crs: str | None) -> float:
+    """Returns metres per unit of height of a reference system; 1 for one that is not known."""
+    known = None if crs is None else resolve_crs(crs)
+    return 1.0 if known is None else known.height_unit_m
+
+
+def _raster_heights_m(path: Path, points: NDArray[np.float64], crs: str) -> NDArray[np.float64]:
+    """Returns (N,) heights of a raster in metres; only the part of it under the points is read."""
+    instead = "Or convert the raster to an ASCII grid (.asc)."
+    with opened_raster(path, raster_driver(path), instead) as raster:
+        grid = empty_grid(raster.transform, path)
+        own_crs = crs if raster.crs is None else raster.crs.to_wkt()
+        if raster.crs is not None:
+            points = _projected(points, crs, own_crs)
+        rows, columns = _window(grid, points, raster.shape)
+        if (rows[1] - rows[0]) * (columns[1] - columns[0]) > _MAX_CELLS:
+            raise CityModelError(f"{path} has too many cells under the city.", "Warp it to larger cells.")
+        heights_m = read_band_m(raster, own_crs, rows, columns)
+    part = replace(
+        grid,
+        heights=heights_m,
+        west=grid.west + columns[0] * grid.cell_x,
+        north=grid.north - rows[0] * grid.cell_y,
+    )
+    return part.at(points)
+
+
+def read_band_m(
+    raster: Any, crs: str | None, rows: tuple[int, int], columns: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Returns a window of a raster's first band as heights in metres, NaN where there is none.
+
+    Scale and offset of the band count; so does its unit, and where it names none that of the system.
+
+    Args:
+        raster: As ``opened_raster`` yields it.
+        crs: Its reference system.
+        rows: First and last (not included).
+        columns: Likewise.
+    """
+    unit_m = _UNITS_M.get(str(raster.units[0]).strip().lower()) or height_unit_m(crs)
+    band = raster.read(1, window=(rows, columns), masked=True)
+    heights: NDArray[np.float64] = band.astype(np.float64).filled(np.nan)
+    heights_m: NDArray[np.float64] = (heights * raster.scales[0] + raster.offsets[0]) * unit_m
+    return heights_m
+
+
+def empty_grid(step: Any, path: Path) -> Terrain:
+    """Returns the place and the cells of a raster, without heights, by its affine transform.
+
+    Raises:
+        CityModelError: It has none, or is turned.
+    """
+    if step.is_identity:
+        raise CityModelError(
+            f"The raster {path} does not say where it lies; a world file beside it is not read.",
+            "Put its place into it: gdal_translate -of GTiff FILE PLACED.tif",
+        )
+    if step.b or step.d or step.e >= 0:
+        raise CityModelError(f"The raster {path} is turned.", "Warp it to north up (gdalwarp).")
+    return Terrain(np.zeros((0, 0)), step.c, step.f, step.a, -step.e)
+
+
+def _projected(points: NDArray[np.float64], crs: str, target: str) -> NDArray[np.float64]:
+    from pyproj import Transformer
+
+    transformer = Transformer.from_crs(crs, target, always_xy=True)
+    return np.stack(transformer.transform(points[:, 0], points[:, 1]), axis=1)
+
+
+def _window(
+    grid: Terrain, points: NDArray[np.float64], shape: tuple[int, int]
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Returns the first and last rows and columns of a grid that hold all the points it covers."""
+    finite = points[np.isfinite(points).all(axis=1)]
+    columns = np.floor((finite[:, 0] - grid.west) / grid.cell_x)
+    rows = np.floor((grid.north - finite[:, 1]) / grid.cell_y)
+    is_inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
+    if not is_inside.any():
+        return (0, 1), (0, 1)
+    rows, columns = rows[is_inside].astype(int), columns[is_inside].astype(int)
+    return (int(rows.min()), int(rows.max()) + 1), (int(columns.min()), int(columns.max()) + 1)
+
+
+def read_ascii(path: Path) -> Terrain:
+    """Returns an ESRI ASCII grid; its reference system is taken to be that of the footprints."""
+    header: dict[str, float] = {}
+    try:
+        with path.open(encoding="ascii") as stream:
+            position = 0
+            while (line := stream.readline()).split()[:1] and line.split()[0][0].isalpha():
+                name, value = line.split()[:2]
+                header[name.lower()] = float(value)
+                position = stream.tell()
+            shape = int(header["nrows"]), int(header["ncols"])
+            if not 0 < shape[0] * shape[1] <= _MAX_CELLS:
+                raise ValueError("the size is out of range")
+            cells = [header.get(name) or header["cellsize"] for name in ("dx", "dy")]
+            placing = [value for name, value in header.items() if name != "nodata_value"]
+            if not all(map(math.isfinite, placing)) or min(cells) <= 0:
+                raise ValueError("its place is not finite, or its cells have no size")
+            stream.seek(position)
+            heights = np.array(stream.read().split(), dtype=np.float64).reshape(shape)
+    except (OSError, ValueError, KeyError, OverflowError) as error:
+        raise CityModelError(
+            f"{path} is no ASCII grid ({error}).", "It begins with ncols and nrows."
+        ) from None
+    heights[heights == header.get("nodata_value", -9999.0)] = np.nan
+    width, height = cells
+    west = header.get("xllcorner", header.get("xllcenter", 0.0) - 0.5 * width)
+    south = header.get("yllcorner", header.get("yllcenter", 0.0) - 0.5 * height)
+    return Terrain(heights, west, south + shape[0] * height, width, height)
+
 
 Floats = NDArray[np.float32]
 Span = tuple[int, int]
 
 # What a header may state: 32,768 cells a side, 8 km at 0.25 m.
-_MAX_CELLS = 1 << 30
 # Heights beside each other on the two sides of a border between tiles differ by more in the median: a step.
 _STEP_M = 0.3
 # Cells coarser than this show no building, metres.

@@ -10,17 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel import codes
+from lodbench.citymodel.attributes import pitched_buildings
 from lodbench.citymodel.crs import resolve_crs
-from lodbench.citymodel.extrude import clean_rings, extrude
-from lodbench.citymodel.model import TALLEST_M, CityObjects, SurfaceKind, pitched_buildings
+from lodbench.citymodel.extrude import clean_rings, extrude, shaped_building
+from lodbench.citymodel.model import (
+    HIGHEST_M,
+    LOWEST_M,
+    TALLEST_M,
+    CityObjects,
+    SurfaceKind,
+    starts_of,
+    take_segments,
+)
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.raw import NotACity, RawCity, starts_of, take_segments
-from lodbench.citymodel.surface.roofs import MeasuredFootprints, measure_footprints
-from lodbench.citymodel.terrain import HIGHEST_M, LOWEST_M, ground_under
-from lodbench.citymodel.vector.columns import Columns
+from lodbench.citymodel.raw import NotACity, RawCity
+from lodbench.citymodel.surface.grid import ground_under
+from lodbench.citymodel.surface.ground import MeasuredFootprints, measure_footprints
+from lodbench.citymodel.vector.columns import Columns, read_table
 from lodbench.citymodel.vector.gdal import WkbPolygons, missing_bytes
-from lodbench.citymodel.vector.roof_shapes import shaped_building
-from lodbench.citymodel.vector.tables import read_table
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -210,13 +217,7 @@ def _blocks(
 
 
 def _with_roofs(city: RawCity, shaped: Mapping[int, tuple[str, float, bool]], squeeze: float) -> RawCity:
-    """Returns a city of blocks with level 2 of the buildings whose roofs are stated.
-
-    Args:
-        city: Its blocks.
-        shaped: Shape, rise of the roof, and whether its ridge runs across, by building.
-        squeeze: As for ``shaped_building``.
-    """
+    """Returns a city of blocks with level 2 of the buildings whose roofs are stated."""
     wanted = np.flatnonzero((city.kind == SurfaceKind.ROOF) & np.isin(city.building, list(shaped)))
     floors = {int(city.building[n]): n for n in np.flatnonzero(city.kind == SurfaceKind.GROUND).tolist()}
     made, owners = [], []

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.citymodel.meshing import mesh_model
+from lodbench.citymodel.formats import Source
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import RawCity
-from lodbench.citymodel.source import Source, open_sources
+from lodbench.citymodel.read import mesh_model
+from lodbench.citymodel.source import open_sources
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.pose_text import FoundPose
 from lodbench.datasets.prior_sources import prior_digest

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.citymodel.lods import lod_in_words
+from lodbench.citymodel.model import lod_in_words
 from lodbench.evaluation.pose_errors import (
     DEFAULT_THRESHOLDS,
     PROBABILITY_THRESHOLD,

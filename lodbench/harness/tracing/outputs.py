@@ -17,10 +17,10 @@ from lodbench import __version__
 from lodbench.citymodel.convert import convert_city
 from lodbench.citymodel.derive import part_blocks
 from lodbench.citymodel.extrude import extrude
-from lodbench.citymodel.model import CityModel
+from lodbench.citymodel.model import CityModel, starts_of
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.polygons import finish_model
-from lodbench.citymodel.raw import RawCity, starts_of
+from lodbench.citymodel.raw import RawCity
 from lodbench.citymodel.read import read_city_model
 from lodbench.datasets.own import OwnImage, Written, find_photo, named_apart, write_dataset
 from lodbench.datasets.pose_text import LayoutGuard, read_json

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.model import Polygons, SurfaceKind
-from lodbench.citymodel.raw import starts_of
+from lodbench.citymodel.model import Polygons, SurfaceKind, starts_of
 from lodbench.citymodel.triangulate import triangulate
 from lodbench.findings import Findings
 from lodbench.kernels.looks import SurfaceClass
