@@ -7,14 +7,16 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lodbench.citymap import CityMap
-from lodbench.datasets.query import Query
 from lodbench.errors import STOPPED, ConfigError, InputChanged, LodbenchError, QueryFault, WorkersGone
-from lodbench.methods.localize import localize_flight
-from lodbench.methods.protocol import Estimate, FlightEstimate, Streams, SupportsFlights
 from lodbench.storage import make_folder, write_text
 from lodbench.storage.disk import final_name, writable
+
+if TYPE_CHECKING:
+    from lodbench.citymap import CityMap
+    from lodbench.datasets.query import Query
+    from lodbench.methods.protocol import Estimate, FlightEstimate, Streams, SupportsFlights
 
 
 def keep_traceback(folder: Path, name: str, error: BaseException) -> Path:
@@ -68,6 +70,10 @@ def answered_flight(
     Raises:
         LodbenchError: What ends a command, and is no fault of a photo.
     """
+    # Who has a flight has loaded these; others who report faults do without.
+    from lodbench.methods.localize import localize_flight
+    from lodbench.methods.protocol import FlightEstimate
+
     try:
         with reported_as_fault(part, folder, name):
             return localize_flight(method, queries, city_map, streams, alone)

@@ -77,12 +77,13 @@ def test_csv_has_a_line_per_method_and_split():
     ]
 
 
-def test_a_folder_that_is_no_run_is_refused(tmp_path):
+def test_a_folder_that_is_no_run_of_this_schema_is_refused(tmp_path):
     with pytest.raises(DatasetError, match="summary"):
         read_summary(tmp_path)
-    (tmp_path / "summary.json").write_text(json.dumps([1]))
-    with pytest.raises(DatasetError, match="not a run summary"):
-        read_summary(tmp_path)
+    for content, words in (([1], "not a run summary"), ({**summary("full", 1.0), "schema": 1}, "schema 1")):
+        (tmp_path / "summary.json").write_text(json.dumps(content))
+        with pytest.raises(DatasetError, match=words):
+            read_summary(tmp_path)
 
 
 @pytest.mark.attack
@@ -250,17 +251,30 @@ def test_what_is_freed_stands_in_the_row():
     assert [line.label for line in table.lines[1:]] == ["lodlocv2 full lod=1", "lodlocv2 full lod=2"]
 
 
-def test_detail_columns_show_areas_parts_and_cost():
+@pytest.mark.parametrize(
+    ("columns", "metrics", "cells"),
+    [
+        (
+            "details",
+            {"median_horizontal_m": 0.31, "median_vertical_m": 0.62, "median_yaw_deg": 0.04},
+            ("61.50", "99.10", "0.31", "0.62", "0.04", "2425", "0.51"),
+        ),
+        ("segmenter", {"mask_iou": 0.8765}, ("IoU", "0.88")),
+        (
+            "calibration",
+            {"mean_confidence_percent": 91.25, "ece_percent": 3.5, "aurc_percent": 0.75},
+            ("91.25", "3.50", "0.75"),
+        ),
+    ],
+)
+def test_columns_of_a_group_show_its_numbers(columns, metrics, cells):
     run = summary("full", 97.9)
-    run["splits"]["in_place"] |= {
-        "auc": {"2m-2deg": 61.5, "5m-5deg": 80.0},
-        "recall_of_answered": {"2m-2deg": 99.1, "5m-5deg": 100.0},
-        "metrics": {"median_horizontal_m": 0.31, "median_vertical_m": 0.62, "median_yaw_deg": 0.04},
-    }
+    areas, of_answered = {"2m-2deg": 61.5, "5m-5deg": 80.0}, {"2m-2deg": 99.1, "5m-5deg": 100.0}
+    run["splits"]["in_place"] |= {"auc": areas, "recall_of_answered": of_answered, "metrics": metrics}
     (table,) = tables_of([with_seconds(run, {"in_place": 0.51})])
-    text = format_text(table.with_columns("details"))
-    for cell in ("61.50", "99.10", "0.31", "0.62", "0.04", "2425", "0.51"):
-        assert cell in text
+    text = format_text(table.with_columns(columns))
+    assert [cell for cell in cells if cell not in text] == []
+    assert columns != "segmenter" or "T.e./R.e." not in text
 
 
 def test_hostile_names_are_harmless_in_every_format():
@@ -316,32 +330,6 @@ def test_a_cell_of_two_numbers_is_bold_if_both_are_best(rotation_deg, found):
             split["median_translation_m"], split["median_rotation_deg"] = numbers
             split["recall"] = {"2m-2deg": 0.0}
     assert bold(*runs) == found
-
-
-def test_runs_of_another_schema_are_refused(tmp_path):
-    (tmp_path / "summary.json").write_text(json.dumps({**summary("full", 1.0), "schema": 1}))
-    with pytest.raises(DatasetError, match="schema 1"):
-        read_summary(tmp_path)
-
-
-def test_the_segmenter_table_shows_the_masks_iou_beside_recall():
-    run = summary("full", 97.9)
-    run["splits"]["in_place"]["metrics"] = {"mask_iou": 0.8765}
-    (table,) = tables_of([run])
-    text = format_text(table.with_columns("segmenter"))
-    assert "IoU" in text
-    assert "0.88" in text
-    assert "T.e./R.e." not in text
-
-
-def test_calibration_columns_stand_where_a_method_gave_a_probability():
-    run = summary("full", 97.9)
-    names = ("mean_confidence_percent", "ece_percent", "aurc_percent")
-    run["splits"]["in_place"]["metrics"] = dict(zip(names, (91.25, 3.5, 0.75), strict=True))
-    (table,) = tables_of([run])
-    text = format_text(table.with_columns("calibration"))
-    for cell in ("91.25", "3.50", "0.75"):
-        assert cell in text
 
 
 def test_a_number_of_any_metric_is_a_column_by_its_name():
