@@ -7,9 +7,12 @@ import tomllib
 from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+
+from lodbench import kernels
 
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = """
@@ -168,7 +171,16 @@ def test_parts_of_kernels_are_called_by_kernels_alone():
         for alias in node.names
         if f"{node.module}.{alias.name}" in parts
     ]
+    wrong += [name for name, home in kernels.HOMES.items() if f"lodbench.kernels.{home}.{name}" in parts]
     assert not wrong
+
+
+def test_kernels_are_where_their_callers_are_sent():
+    for name, home in kernels.HOMES.items():
+        assert callable(getattr(import_module(f"lodbench.kernels.{home}"), name))
+        assert isinstance(getattr(kernels, name), kernels.Kernel)
+    with pytest.raises(AttributeError, match="no attribute 'draw_all'"):
+        kernels.draw_all  # noqa: B018
 
 
 def test_nothing_imports_the_baselines():

@@ -11,6 +11,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+# Hypotheses that are drawn side by side; columns of a strip of marks; children of a node of spheres.
+LANES, STRIP, BRANCH = 8, 64, 8
+# A triangle cut by five planes has at most 3 + 5 corners. Rounding can make a sliver look concave
+# to a plane, and each plane can then add half as many corners again: 3, 4, 6, 9, 13, 19.
+MAX_CORNERS = 20
+# Levels of an edge's strength, equally full over all pixels and directions, and directions over half a turn.
+EDGE_LEVELS, DIRECTIONS = 16, 12
+# Steps of strength per mean strength, and how many are distinguished.
+FINE_STEPS, FINEST = 256.0, 4095
+
 Floats = NDArray[np.float64]
 Indices = NDArray[np.uint32]
 

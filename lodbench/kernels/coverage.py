@@ -20,13 +20,12 @@ from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
+from lodbench.kernels.arguments import LANES, STRIP
 from lodbench.kernels.compiled import part
-from lodbench.kernels.simd import LANES
 from lodbench.kernels.simd_kernels import mark_lines, set_up_lines
 
 # A sum is read as 16 bits: it is looked at before more triangles than this could add up.
 MAX_LAYERS = 30_000
-STRIP = 64
 
 
 @part

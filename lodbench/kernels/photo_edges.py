@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from lodbench.kernels.arguments import DIRECTIONS, FINE_STEPS, FINEST
 from lodbench.kernels.compiled import inlined, kernel, per_pixel, uncounted
-
-# Levels of strength, equally full over all pixels and directions, and directions over half a turn.
-EDGE_LEVELS, DIRECTIONS = 16, 12
-# Steps of strength per mean strength, and how many are told apart.
-FINE_STEPS, FINEST = 256.0, 4095
 
 
 @inlined

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lodbench.kernels.arguments import BRANCH
 from lodbench.kernels.compiled import inlined, kernel, part, uncounted
 from lodbench.kernels.raster_rule import GUARD_PX, NEAR_M
 
@@ -50,9 +51,6 @@ def visible_buildings(spheres, rotation, center, planes):
     return chosen[:count]
 
 
-# A triangle cut by five planes has at most 3 + 5 corners. Rounding can make a sliver look concave
-# to a plane, and each plane can then add half as many corners again: 3, 4, 6, 9, 13, 19.
-MAX_CORNERS = 20
 NUM_PLANES = 5
 
 
@@ -105,10 +103,6 @@ def clip_polygon(polygon, count, scratch, intrinsics):
         if count < 3:
             return 0
     return count
-
-
-# Children of a node.
-BRANCH = 8
 
 
 @part

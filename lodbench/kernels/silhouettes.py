@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from lodbench.kernels.arguments import LANES
 from lodbench.kernels.compiled import kernel, part, uncounted
 from lodbench.kernels.coverage import MAX_LAYERS, accumulate, append_edge, expect_marks, mark_edges
 from lodbench.kernels.masks import intersect_and_clear
 from lodbench.kernels.projection import camera_axes, clip_polygon, select_nearby, snap
 from lodbench.kernels.raster_rule import GUARD_PX, NEAR_M
-from lodbench.kernels.simd import LANES
 from lodbench.kernels.simd_kernels import collect_outline, face_triangles, project_vertices
 
 # A building whose snapped corners all stay this far inside the guard band needs no clipping.

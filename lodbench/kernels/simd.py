@@ -16,7 +16,7 @@ from llvmlite import ir
 from numba.core import cgutils
 from numba.np.arrayobj import make_array
 
-LANES = 8
+from lodbench.kernels.arguments import LANES
 
 BIT = ir.IntType(1)
 I16 = ir.IntType(16)

@@ -14,13 +14,13 @@ from numba.core import cgutils
 from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
+from lodbench.kernels.arguments import LANES
 from lodbench.kernels.simd import (
     BIT,
     F64,
     I16,
     I32,
     I64,
-    LANES,
     Memory,
     Running,
     Vector,

@@ -15,10 +15,16 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.kernels import arguments
-from lodbench.kernels.arguments import Coverage, EdgeLists, SceneArrays, Scratch
-from lodbench.kernels.coverage import STRIP
-from lodbench.kernels.projection import BRANCH, MAX_CORNERS
-from lodbench.kernels.simd import LANES
+from lodbench.kernels.arguments import (
+    BRANCH,
+    LANES,
+    MAX_CORNERS,
+    STRIP,
+    Coverage,
+    EdgeLists,
+    SceneArrays,
+    Scratch,
+)
 from lodbench.rendering import edges, projection
 from lodbench.rendering.edges import edge_table
 from lodbench.rendering.masks import words_per_row

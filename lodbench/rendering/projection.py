@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench import kernels
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
-from lodbench.kernels import projection
-from lodbench.kernels.arguments import SceneArrays, SphereTree
-from lodbench.kernels.projection import BRANCH
+from lodbench.kernels.arguments import BRANCH, SceneArrays, SphereTree
 from lodbench.kernels.raster_rule import GUARD_PX
 
 Floats = NDArray[np.float64]
@@ -153,7 +152,7 @@ def select_buildings(
 ) -> NDArray[np.int64]:
     """Returns the buildings, (K,), that any of N nearby views may see; arguments as of ``select_nearby``."""
     seen = np.zeros((2, len(tree.order) + BRANCH), dtype=np.int64)
-    count = projection.select_buildings(tree, rotations, centers, planes, seen)
+    count = kernels.select_buildings(tree, rotations, centers, planes, seen)
     return seen[0, :count]
 
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera
+from lodbench.kernels import resolve_textured
 from lodbench.kernels.arguments import Band, Buffer
 from lodbench.kernels.looks import Charts
-from lodbench.kernels.textures import resolve_textured
 from lodbench.rendering.raster import RasterRenderer, plain_appearance
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.mesh.textured import TexturedMesh
-from lodbench.kernels.heights import draw_from_above
+from lodbench.kernels import draw_from_above
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numba import njit
 from lodbench.citymodel.scene import build_scene
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.kernels import coverage as kernels
-from lodbench.kernels.simd import LANES
+from lodbench.kernels.arguments import LANES
 from lodbench.kernels.simd_kernels import face_triangles, project_vertices
 from lodbench.rendering.engine_arrays import blank_coverage, edge_lists
 from lodbench.rendering.masks import unpack_mask, words_per_row

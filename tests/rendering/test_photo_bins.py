@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from lodbench.geometry import Camera, EulerAngles
 from lodbench.geometry.angles import rotation_from_euler
-from lodbench.kernels.arguments import LinePoints
-from lodbench.kernels.photo_edges import DIRECTIONS, EDGE_LEVELS, count_along_lines, sum_along_lines
+from lodbench.kernels.arguments import DIRECTIONS, EDGE_LEVELS, LinePoints
+from lodbench.kernels.photo_edges import count_along_lines, sum_along_lines
 from lodbench.methods.region.line_likelihood import line_poses
 from lodbench.rendering.photo_bins import directed_edge_levels, mean_around
 from lodbench.storage import random_stream
