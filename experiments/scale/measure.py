@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from experiments.scale.grown_city import TILE_BUILDINGS, grown_city, open_grown_city
 from experiments.scale.opening import Opening, open_apart
 from lodbench.bench.report import SEED, Figure, Progress, Report, no_progress
-from lodbench.bench.silhouettes import SilhouetteOptions, Swarm, make_swarm
+from lodbench.bench.views import Swarm, make_swarm
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import read_scene
 from lodbench.errors import ConfigError, DatasetError
@@ -177,8 +177,9 @@ def _swarms(
 ) -> tuple[list[Swarm], int]:
     sampling = ViewSampling(pitch_deg=pitch_deg, area_m=_AIM_M, seed=options.seed)
     views = sample_views(core.scene, core, camera, sampling, count, "scale", int(pitch_deg[0]))
-    asked = SilhouetteOptions(hypotheses=options.hypotheses, seed=options.seed)
-    return [make_swarm(pose, i, asked) for i, pose in enumerate(views.poses)], views.rejections
+    return [
+        make_swarm(pose, i, options.hypotheses, options.seed) for i, pose in enumerate(views.poses)
+    ], views.rejections
 
 
 def time_views(

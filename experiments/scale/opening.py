@@ -12,7 +12,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from lodbench.bench.training_data import resident_mb
+from lodbench.bench.throughput import resident_mb
 from lodbench.citymodel.scene_file import read_scene
 from lodbench.errors import LodbenchError
 from lodbench.rendering.silhouette import SilhouetteRenderer

@@ -21,7 +21,7 @@ import numpy as np
 from experiments.scale.grown_city import TILE_BUILDINGS, open_grown_city
 from experiments.scale.measure import ScaleOptions, swarms_inside
 from lodbench.bench.city import write_tiles
-from lodbench.bench.silhouettes import Swarm
+from lodbench.bench.views import Swarm
 from lodbench.citymodel.mesh.writer import obj_text
 from lodbench.citymodel.read import read_city_model
 from lodbench.citymodel.scene_file import read_scene

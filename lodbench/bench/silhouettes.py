@@ -22,26 +22,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.bench.report import SEED, Figure, Progress, Report, load_in_words, no_progress, words
+from lodbench.bench.views import HORIZON, PITCHES, STEEP, Swarm, make_swarms
 from lodbench.citymodel import Scene, open_scene
-from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, RenderingError
-from lodbench.geometry import Camera, Pose, rotations_at_yaws
+from lodbench.geometry import Camera, Pose
 from lodbench.params import flag
 from lodbench.rendering import ContourFit, RegionFit, Scorer, appearance_bins, edge_bins, make_renderer
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.figures import SERIES, draw_figure
-from lodbench.storage import random_stream
-from lodbench.synthesis.views import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
+from lodbench.synthesis.views import FINE_SIZE, RGB_CAMERA
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
-
-# Kinds of views, named by their pitch from nadir.
-STEEP = "pitch 20 to 60"
-HORIZON = "pitch 60 to 75"
 
 
 class Timing(NamedTuple):
@@ -109,7 +104,6 @@ def report_silhouettes(
 
 
 def _peers_of(timing: Timing, timings: list[Timing]) -> list[Timing]:
-    """Returns the peers' timings at the same size on the same views."""
     return [t for t in timings if t.is_peer and (t.size, t.views) == (timing.size, timing.views)]
 
 
@@ -135,9 +129,8 @@ def _figures(timings: list[Timing], absent: Mapping[str, str]) -> Iterator[Figur
         title = f"render and IoU, {b.where} beside {a.where}, {b.name}"
         yield Figure(title, b.mean, "us", a.where, a.mean, a.mean / b.mean)
     yield from (Figure(f"cores kept busy, {t.where}, {t.name}", t.cores, "cores") for t in timings)
-    for t in timings:
-        if t.is_peer:
-            yield Figure(f"pixels unlike {t.name}, {t.where}", t.different * 100, "%")
+    peers = [t for t in timings if t.is_peer]
+    yield from (Figure(f"pixels unlike {t.name}, {t.where}", t.different * 100, "%") for t in peers)
 
 
 def _table(timings: list[Timing]) -> str:
@@ -153,7 +146,9 @@ def _table(timings: list[Timing]) -> str:
 
 def _pictures(timings: list[Timing]) -> dict[str, bytes]:
     """Returns how costs, and where there are peers ratios, spread over the views."""
-    drawn = {"costs": draw_figure(*_strips(timings, _costs, "microseconds per hypothesis, one dot per view"))}
+    label = "microseconds per hypothesis, one dot per view"
+    costs = _strips(timings, lambda some: [(t.name, t.us.to_numpy(), t.mean) for t in some], label)
+    drawn = {"costs": draw_figure(*costs)}
     if any(t.is_peer for t in timings):
         label = "times faster than the peer, one dot per view"
         drawn["ratios"] = draw_figure(*_strips(timings, _ratios, label))
@@ -162,10 +157,6 @@ def _pictures(timings: list[Timing]) -> dict[str, bytes]:
 
 # For each column of dots a name, a number per view, and the report's number for all of them.
 Columns = list[tuple[str, Any, float]]
-
-
-def _costs(timings: list[Timing]) -> Columns:
-    return [(t.name, t.us.to_numpy(), t.mean) for t in timings]
 
 
 def _ratios(timings: list[Timing]) -> Columns:
@@ -180,7 +171,6 @@ def _ratios(timings: list[Timing]) -> Columns:
 def _strips(
     timings: list[Timing], columns: Callable[[list[Timing]], Columns], label: str
 ) -> tuple[float, float, Callable[[Canvas], None]]:
-    """Returns the width, the height and the drawing of a panel for each size and kind of views."""
     groups = list(dict.fromkeys((t.size, t.views) for t in timings))
 
     def draw(canvas: Canvas) -> None:
@@ -200,7 +190,6 @@ def _strips(
 
 
 def _draw_dots(axis: Axes, columns: Columns) -> None:
-    """Draws a column of dots for each name, with a bar at the report's number."""
     for i, (_, values, overall) in enumerate(columns):
         colour = SERIES[i % len(SERIES)]
         places = i + 0.28 * (np.argsort(np.argsort(values)) / max(1, len(values) - 1) - 0.5)
@@ -212,12 +201,7 @@ def _draw_dots(axis: Axes, columns: Columns) -> None:
     axis.set_xlim(-0.6, len(columns) - 0.4)
 
 
-Floats = NDArray[np.float64]
-
 ENGINE = "silhouette"
-
-# Pitch of the views, degrees from nadir, by kind.
-PITCHES = {STEEP: (20.0, 60.0), HORIZON: (60.0, 75.0)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,15 +250,6 @@ class SilhouetteOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Swarm:
-    """One view and the hypotheses around it."""
-
-    pose: Pose  # the view
-    rotations: Floats  # (N, 3, 3) cam_from_world
-    centers: Floats  # (N, 3) metres
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Contender:
     """A renderer to time."""
 
@@ -305,7 +280,11 @@ def measure_silhouettes(
     scene = open_scene(city)
     engine = make_renderer(ENGINE, scene, 1)
     kinds = PITCHES if options.num_horizon else (STEEP,)
-    sets = {kind: make_swarms(scene, engine, options, kind) for kind in kinds}
+    counts = {STEEP: options.num_views, HORIZON: options.num_horizon}
+    sets = {
+        kind: make_swarms(scene, engine, counts[kind], options.hypotheses, options.seed, kind)
+        for kind in kinds
+    }
     contenders, absent = _contenders(scene, options)
     jobs = [
         (kind, size) for kind in sets for size in options.sizes if kind == STEEP or size == options.sizes[0]
@@ -356,29 +335,6 @@ def _time_statistics(
     return [Figure(f"render and {name}, {where}", float(np.mean(us)), "us") for name, us in taken.items()]
 
 
-def make_swarms(
-    scene: Scene, engine: Scorer, options: SilhouetteOptions, kind: str = STEEP
-) -> tuple[list[Swarm], int]:
-    """Returns seeded views of a kind with their hypotheses, and how many draws of views were rejected."""
-    camera = RGB_CAMERA.scaled(*FINE_SIZE)
-    sampling = ViewSampling(seed=options.seed, pitch_deg=PITCHES[kind])
-    count = options.num_views if kind == STEEP else options.num_horizon
-    names = ["silhouettes"] if kind == STEEP else ["silhouettes", kind]
-    views = sample_views(scene, engine, camera, sampling, count, *names)
-    return [make_swarm(pose, i, options) for i, pose in enumerate(views.poses)], views.rejections
-
-
-def make_swarm(pose: Pose, index: int, options: SilhouetteOptions) -> Swarm:
-    """Returns a view with hypotheses around it, which depend on the seed and the view's number only."""
-    spread = UniformPrior()
-    half = np.array([spread.x_m, spread.y_m, spread.z_m, spread.yaw_deg])
-    stream = random_stream(options.seed, "silhouettes", index)
-    offsets = stream.uniform(-half, half, size=(options.hypotheses, 4))
-    pitch_deg, roll_deg, yaw_deg = pose.euler
-    rotations = rotations_at_yaws(pitch_deg, roll_deg, yaw_deg + offsets[:, 3])
-    return Swarm(pose, rotations, pose.center + offsets[:, :3])
-
-
 def _contenders(scene: Scene, options: SilhouetteOptions) -> tuple[list[Contender], dict[str, str]]:
     """Returns the engine at each thread count and the peers there are; and why others are absent."""
     contenders = [
@@ -406,10 +362,7 @@ def _time_views(
     repeats: int,
     step: Callable[[], None],
 ) -> list[dict[str, Any]]:
-    """Times every contender on every view at one size; the first one makes the masks.
-
-    Returns rows as ``report_silhouettes`` wants them.
-    """
+    """Returns rows of every contender on every view at one size; the first one makes the masks."""
     rows = []
     for swarm in swarms:
         mask = contenders[0].scorer.render(camera, swarm.pose)

@@ -1,4 +1,4 @@
-"""Sweeps of `lodbench run dataset=views`: what methods make of seeded views of a city, in one table."""
+"""Seeded views of a city: runs of `lodbench run dataset=views` in one table; hypotheses around each view."""
 
 from __future__ import annotations
 
@@ -9,23 +9,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.bench.report import Progress, no_progress
+from lodbench.citymodel import Scene
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError
 from lodbench.evaluation.pose_errors import PROBABILITY_THRESHOLD, hits_of, pose_error
+from lodbench.geometry import Pose, rotations_at_yaws
 from lodbench.harness.runs.artefacts import Run
 from lodbench.harness.runs.run import RunSettings, run_method
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsPriorWidth
 from lodbench.plugins import blaming
+from lodbench.rendering import Scorer
 from lodbench.segmentation.masks import MaskFiles, MasksParams
-from lodbench.synthesis.views import FINE_SIZE
+from lodbench.storage import random_stream
+from lodbench.synthesis.views import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 from lodbench.synthesis.views_dataset import ViewsParams, drawing_facts, open_views
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 # The two blocks: pitch and roll of the prior true, or drawn with an error.
 TILTS = ("truth", "prior")
@@ -142,3 +148,45 @@ def _is_any_found(dataset: Dataset, run: Run, key: str) -> bool:
 def _stream_names(entry: Entry) -> tuple[str, ...]:
     """Returns names that know neither the tilt nor the dataset's own: all blocks try the same moves."""
     return "accuracy", Path(entry.name).stem
+
+
+# Kinds of views, named by their pitch from nadir.
+STEEP = "pitch 20 to 60"
+
+
+HORIZON = "pitch 60 to 75"
+
+
+# Pitch of the views, degrees from nadir, by kind.
+PITCHES = {STEEP: (20.0, 60.0), HORIZON: (60.0, 75.0)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Swarm:
+    """One view and the hypotheses around it."""
+
+    pose: Pose  # the view
+    rotations: NDArray[np.float64]  # (N, 3, 3) cam_from_world
+    centers: NDArray[np.float64]  # (N, 3) metres
+
+
+def make_swarms(
+    scene: Scene, engine: Scorer, count: int, hypotheses: int, seed: int, kind: str = STEEP
+) -> tuple[list[Swarm], int]:
+    """Returns seeded views of a kind with their hypotheses, and how many draws of views were rejected."""
+    camera = RGB_CAMERA.scaled(*FINE_SIZE)
+    sampling = ViewSampling(seed=seed, pitch_deg=PITCHES[kind])
+    names = ["silhouettes"] if kind == STEEP else ["silhouettes", kind]
+    views = sample_views(scene, engine, camera, sampling, count, *names)
+    return [make_swarm(pose, i, hypotheses, seed) for i, pose in enumerate(views.poses)], views.rejections
+
+
+def make_swarm(pose: Pose, index: int, hypotheses: int, seed: int) -> Swarm:
+    """Returns a view with hypotheses around it, which depend on the seed and the view's number only."""
+    spread = UniformPrior()
+    half = np.array([spread.x_m, spread.y_m, spread.z_m, spread.yaw_deg])
+    stream = random_stream(seed, "silhouettes", index)
+    offsets = stream.uniform(-half, half, size=(hypotheses, 4))
+    pitch_deg, roll_deg, yaw_deg = pose.euler
+    rotations = rotations_at_yaws(pitch_deg, roll_deg, yaw_deg + offsets[:, 3])
+    return Swarm(pose, rotations, pose.center + offsets[:, :3])

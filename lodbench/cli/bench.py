@@ -10,12 +10,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lodbench.bench.city import CityOptions, measure_city
-from lodbench.bench.evaluation import EvaluationOptions, WorkerOptions, measure_evaluation, measure_workers
+from lodbench.bench.commands import StartupOptions, WorkerOptions, measure_startup, measure_workers
 from lodbench.bench.maps import MapsOptions, measure_maps
 from lodbench.bench.report import Report
 from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
-from lodbench.bench.startup import StartupOptions, measure_startup
-from lodbench.bench.training_data import TrainingDataOptions, measure_training_data
+from lodbench.bench.throughput import (
+    EvaluationOptions,
+    TrainingDataOptions,
+    measure_evaluation,
+    measure_training_data,
+)
 from lodbench.cli.bench_photos import (
     REAL_EXAMPLES,
     SEGMENTATION_EXAMPLES,

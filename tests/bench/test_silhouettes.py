@@ -1,5 +1,4 @@
 import json
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -7,14 +6,8 @@ import pandas as pd
 import pytest
 
 from lodbench.bench import silhouettes
-from lodbench.bench.silhouettes import (
-    HORIZON,
-    STEEP,
-    SilhouetteOptions,
-    make_swarms,
-    measure_silhouettes,
-    report_silhouettes,
-)
+from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes, report_silhouettes
+from lodbench.bench.views import HORIZON, STEEP, make_swarms
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.rendering import make_renderer
@@ -25,7 +18,7 @@ QUICK = SilhouetteOptions(num_views=2, num_horizon=1, hypotheses=6, threads=(1, 
 class TestSwarms:
     def test_lie_round_their_views(self, city):
         scene = open_scene(city)
-        swarms, _ = make_swarms(scene, make_renderer("silhouette", scene, 1), QUICK)
+        swarms, _ = make_swarms(scene, make_renderer("silhouette", scene, 1), 2, 6, 0)
         assert len(swarms) == 2
         for swarm in swarms:
             assert swarm.rotations.shape == (6, 3, 3)
@@ -63,11 +56,10 @@ class TestMeasure:
     def test_views_are_of_their_kind(self, city):
         scene = open_scene(city)
         engine = make_renderer("silhouette", scene, 1)
-        options = SilhouetteOptions(num_views=3, num_horizon=4, hypotheses=2)
         for kind, count, low, high in ((STEEP, 3, 20, 60), (HORIZON, 4, 60, 75)):
-            swarms, rejections = make_swarms(scene, engine, options, kind)
+            swarms, rejections = make_swarms(scene, engine, count, 6, 0, kind)
             assert len(swarms) == count
-            fewer, before = make_swarms(scene, engine, replace(options, num_views=1, num_horizon=1), kind)
+            fewer, before = make_swarms(scene, engine, 1, 6, 0, kind)
             np.testing.assert_array_equal(fewer[0].pose.cam_from_world, swarms[0].pose.cam_from_world)
             assert 0 <= before <= rejections
             assert all(low <= swarm.pose.euler.pitch_deg <= high for swarm in swarms)

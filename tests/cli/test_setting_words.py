@@ -1,12 +1,15 @@
-"""Settings of a run: one grammar and vocabulary, `source=`, the scene cache."""
+"""Settings as they are typed: quoted, misspelt, of another choice, and composed by Hydra."""
 
 import json
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import hydra
 import pytest
 
 from lodbench.citymodel import open_scene
+from lodbench.cli.hydra_app import plain, register_config_sources, single_job
 from lodbench.cli.parts import option_pairs
 from lodbench.cli.run_dataset import with_date
 from lodbench.cli.settings import Setting, settings_in, settings_of
@@ -305,3 +308,22 @@ def test_date_is_an_option_of_every_command_that_reads_a_city(lodbench, tmp_path
     assert (done.returncode, "--date 2015-06-30" in done.stderr) == (2, True)
     for command in ("localize", "georeference", "track"):
         assert "--date" in lodbench(command, "--help").stdout
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["method=region", "dataset=views", "dataset.city_model=a.obj", "seed=3", "split=[a,b]"],
+        ["+note=${hydra:runtime.choices.method}", "++source.options.q=1", "tilt=truth"],
+    ],
+    ids=["as it stands", "choices", "what Hydra knows"],
+)
+def test_it_is_that_of_hydra_s_own_entry(monkeypatch, words):
+    register_config_sources()
+    expected = []
+    monkeypatch.setattr(sys, "argv", ["lodbench run", *words])
+    entry = hydra.main(config_path="pkg://lodbench.conf", config_name="run", version_base="1.3")
+    entry(lambda config: expected.append(plain(config)))()
+    assert plain(single_job("run", words)) == expected[0]
+    assert not words or plain(single_job("run", [])) != expected[0]

@@ -22,7 +22,8 @@ from lodbench.estimation.outline import (
     outline_noise,
 )
 from lodbench.estimation.outline_alignment import Aligner, OutlineModel
-from lodbench.kernels import add_products, measure_distances, whiten
+from lodbench.kernels.edges import measure_distances
+from lodbench.kernels.estimation import add_products, whiten
 
 Floats = NDArray[np.float64]
 

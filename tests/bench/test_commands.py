@@ -1,4 +1,4 @@
-"""`lodbench bench startup`: whole commands of two builds in turns."""
+"""Whole commands of two builds in turns; whole runs in three ways, their bytes compared."""
 
 import json
 import sys
@@ -6,8 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from lodbench.bench import startup
-from lodbench.bench.startup import Build, Cost, Row, StartupOptions, measure_startup
+from lodbench.bench import commands
+from lodbench.bench.commands import (
+    Build,
+    Cost,
+    Row,
+    StartupOptions,
+    WorkerOptions,
+    measure_startup,
+    measure_workers,
+)
 from lodbench.cli import main
 from lodbench.errors import ConfigError, LodbenchError
 
@@ -27,9 +35,9 @@ def asked(monkeypatch):
         slow = 10.0 if environment or once_more == 1 else 1.0 + 0.5 * (once_more == 2)
         return Cost(slow * (3.0 if self.name == "beside" else 1.0), slow, 100.0)
 
-    commands = [("--help", ["--help"]), ("doctor", ["doctor"]), ("localize PHOTO --city", ["localize", "P"])]
+    whole = [("--help", ["--help"]), ("doctor", ["doctor"]), ("localize PHOTO --city", ["localize", "P"])]
     monkeypatch.setattr(Build, "run", run)
-    monkeypatch.setattr(startup, "_commands", lambda options, scratch: iter(commands))
+    monkeypatch.setattr(commands, "_commands", lambda options, scratch: iter(whole))
     return words_of
 
 
@@ -65,7 +73,7 @@ def test_a_command_of_this_build_that_fails_ends_it(monkeypatch):
         raise LodbenchError("this build: lodbench --help: broken")
 
     monkeypatch.setattr(Build, "run", run)
-    monkeypatch.setattr(startup, "_commands", lambda options, scratch: iter([("--help", ["--help"])]))
+    monkeypatch.setattr(commands, "_commands", lambda options, scratch: iter([("--help", ["--help"])]))
     with pytest.raises(LodbenchError, match="broken"):
         measure_startup(StartupOptions(repeats=1))
 
@@ -112,3 +120,51 @@ def test_the_command_tells_all_rows(capsys):
     names = [each["figure"] for each in figures]
     assert len(names) == len(set(names)) == 3 * 7
     assert all(each["value"] > 0 for each in figures)
+
+
+@pytest.mark.slow
+def test_three_ways_to_run(capsys) -> None:
+    asked = ["--queries", "9", "--method", "prior_only", "--repeats", "1", "--json"]
+    assert main(["bench", "workers", *asked]) == 0
+    figures = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(figures) == 4
+    assert all(each["value"] > 0 for each in figures if "whole" in each["figure"])
+    assert figures[0]["ratio"] == pytest.approx(figures[0]["peer_value"] / figures[0]["value"])
+
+
+def fake_run(monkeypatch, content) -> None:
+    """Replaces commands by ones that write results and take no time."""
+
+    def seconds(command):
+        from pathlib import Path
+
+        folder = Path(command[-1].partition("=")[2]) / "demo" / "lodlocv2" / "0"
+        again = folder.exists()
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in ("poses.txt", "queries.csv", "summary.json"):
+            (folder / name).write_text(content(command))
+        whole_s = 5.0 if "executor=process" in command else 8.0 if "executor.threads=2" in command else 9.0
+        return 1.0 if again else whole_s
+
+    monkeypatch.setattr(commands, "_seconds", seconds)
+
+
+def test_the_queries_are_the_command_less_what_it_takes_when_all_is_there(monkeypatch) -> None:
+    fake_run(monkeypatch, lambda command: "same")
+    report = measure_workers(WorkerOptions(2))
+    ratios = {each.figure: each.ratio for each in report.figures}
+    assert ratios["2 workers of 1 thread, the whole command, beside serial, 1 thread"] == 9 / 5
+    assert ratios["2 workers of 1 thread, its queries, beside serial, 1 thread"] == 8 / 4
+    assert ratios["2 workers of 1 thread, its queries, beside serial, 2 threads"] == 7 / 4
+    assert "2.00x" in report.text
+
+
+def test_other_bytes_are_a_fault(monkeypatch) -> None:
+    fake_run(monkeypatch, lambda command: "other" if "executor=process" in command else "same")
+    with pytest.raises(LodbenchError, match="other bytes"):
+        measure_workers(WorkerOptions(2))
+
+
+def test_one_worker_is_none() -> None:
+    with pytest.raises(ConfigError, match="workers at least 2"):
+        WorkerOptions(workers=1)

@@ -1,5 +1,6 @@
-"""`lodbench report`: one page of a run, verified on the way, in a real browser."""
+"""`lodbench report`, `status`, and commands given several runs."""
 
+import json
 import re
 from pathlib import Path
 
@@ -7,6 +8,8 @@ import numpy as np
 import pytest
 
 from lodbench.datasets.pose_text import format_pose, read_poses
+from lodbench.evaluation.predictions import Prediction
+from lodbench.harness.runs.predict import open_predictions
 from tests.reporting.browser import PHONE, column_texts, fits, opened, press
 from tests.town import box_obj, write_dataset
 
@@ -246,3 +249,102 @@ def test_each_flight_of_a_run_has_a_page_with_imagery_and_links(lodbench, tmp_pa
         assert told.returncode == 2
         assert "flights-flight_00.json" in told.stderr
         assert "Traceback" not in told.stderr
+
+
+@pytest.fixture(scope="module")
+def three(tmp_path_factory) -> tuple[Path, Path]:
+    return write_dataset(tmp_path_factory.mktemp("town"), count=3)
+
+
+@pytest.mark.attack
+def test_a_run_is_finished_then_torn_then_unreadable(lodbench, tmp_path, three):
+    (three[0] / "masks" / "view_02.png").unlink()
+    words = ["run", "dataset=folder", f"dataset.root={three[0]}", f"dataset.city_model={three[1]}"]
+    done = lodbench(*words, "method.steps=2", "executor.threads=1")
+    folder = tmp_path / re.search(r"results:\s+(\S+)", done.stdout)[1]
+    said = lodbench("status", str(folder)).stdout
+    assert "3 of 3 queries, finished" in said
+    assert "1 x no mask in the masks folder" in said
+    ledger = folder / "predictions.jsonl"
+    torn = ledger.read_bytes().splitlines(keepends=True)[0] + b'{"key": "half'
+    ledger.write_bytes(torn)
+    said = lodbench("status", str(folder)).stdout
+    assert re.search(r"1 of 3 queries, unfinished, about \d+ s of work left", said)
+    assert ledger.read_bytes() == torn
+    (folder / "plan.json").unlink()
+    done = lodbench("status", str(folder))
+    assert (done.returncode, "holds no run" in done.stderr) == (2, True)
+    for keys in (5, None, [[1]]):
+        (folder / "plan.json").write_text(json.dumps({"queries": keys}))
+        assert lodbench("status", str(folder)).returncode in (0, 2)
+
+
+@pytest.mark.attack
+def test_an_answer_of_another_form_is_one_line(lodbench, tmp_path):
+    (tmp_path / "plan.json").write_text('{"queries": ["a"]}')
+    ledger = open_predictions(tmp_path)
+    ledger.record("a", {**Prediction(None, "no mask").to_json(), "failure": [[]]})
+    done = lodbench("status", str(tmp_path))
+    assert (done.returncode, "a is no prediction" in done.stderr) == (2, True)
+
+
+@pytest.mark.attack
+def test_a_damaged_run_does_not_hide_those_after_it(lodbench, tmp_path):
+    for name, text in (("a", "{"), ("b", '{"queries": ["x"]}')):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        (tmp_path / "runs" / name / "plan.json").write_text(text)
+    done = lodbench("status", str(tmp_path / "runs"))
+    assert done.returncode == 2
+    assert "a holds no run" in done.stderr
+    assert "b: 0 of 1 query, unfinished" in done.stdout
+
+
+@pytest.fixture
+def runs(lodbench, tmp_path) -> list[str]:
+    """Two runs, a folder that is none and a file, as a pattern names them."""
+    root, city = write_dataset(tmp_path / "town", count=2)
+    words = ["run", "dataset=folder", f"dataset.root={root}", f"city={city}", "method=prior_only"]
+    made = [re.search(r"results:\s+(\S+)", lodbench(*words, f"seed={n}").stdout)[1] for n in (0, 1)]
+    other, note = Path(made[0]).parent / "pictures", Path(made[0]).parent / "notes.txt"
+    (tmp_path / other).mkdir()
+    (tmp_path / note).write_text("the second is better")
+    return [made[0], str(other), str(note), made[1]]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["report"], ["export", "--format", "csv"], ["compare"], ["leaderboard", "add"]],
+    ids=lambda words: words[0],
+)
+def test_what_is_no_run_is_passed_over_with_a_note(lodbench, tmp_path, runs, words):
+    at = 2 if words[0] == "leaderboard" else 1
+    done = lodbench(*words[:at], *runs, *words[at:])
+    assert done.returncode == 0, done.stderr
+    assert [line for line in done.stderr.splitlines() if "skipped" in line] == [
+        f"lodbench: skipped, not a finished run: {path}" for path in runs[1:3]
+    ]
+    files = {"report": "report.html", "export": "export/poses.csv"}
+    if words[0] in files:
+        for run in (runs[0], runs[3]):
+            assert (tmp_path / run / files[words[0]]).is_file()
+            assert f"{run}/{files[words[0]]}" in done.stdout
+    if words[0] == "leaderboard":
+        assert len(list((tmp_path / "leaderboard" / "entries").rglob("*.json"))) == 2
+
+
+@pytest.mark.parametrize("command", ["report", "export"])
+def test_one_out_is_not_for_several_runs(lodbench, runs, command):
+    form = ["--format", "csv"] if command == "export" else []
+    done = lodbench(command, *runs, *form, "--out", "one.html")
+    assert done.returncode == 2
+    assert "--out one.html is one place, and there are 2 runs" in done.stderr
+    # A pattern that names one run is one run.
+    assert lodbench(command, *runs[:3], *form, "--out", "one.html").returncode == 0
+
+
+@pytest.mark.parametrize("command", ["report", "compare"])
+def test_where_nothing_is_a_run_the_first_says_why(lodbench, runs, command):
+    done = lodbench(command, *runs[1:3])
+    assert done.returncode == 2
+    assert "pictures is not a run folder" in done.stderr
+    assert lodbench(command, runs[0], "nowhere").returncode == 2
