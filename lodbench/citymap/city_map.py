@@ -17,8 +17,8 @@ from lodbench.citymodel.model import take_segments
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
+from lodbench.kernels import visible_buildings
 from lodbench.kernels.arguments import EdgeFaces
-from lodbench.kernels.projection import visible_buildings
 from lodbench.rendering import (
     DepthRenderer,
     Fit,

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene, floors_and_rises
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.pose import pose_from_vector, rotation_derivatives
+from lodbench.kernels import error_covariance, sample_edges, visible_buildings
 from lodbench.kernels.arguments import EdgeArrays
-from lodbench.kernels.edges import sample_edges
-from lodbench.kernels.estimation import error_covariance
-from lodbench.kernels.projection import visible_buildings
 from lodbench.rendering.edges import edge_table
 from lodbench.rendering.projection import bounding_spheres, view_planes
 

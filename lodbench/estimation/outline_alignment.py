@@ -24,9 +24,8 @@ from lodbench.estimation.state_vector import Prior, shortened
 from lodbench.geometry import Camera
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.geometry.signed_distance import signed_distance
+from lodbench.kernels import building_sums, measure_distances, visible_buildings
 from lodbench.kernels.arguments import EdgeArrays
-from lodbench.kernels.edges import building_sums, measure_distances
-from lodbench.kernels.projection import visible_buildings
 from lodbench.rendering.projection import view_planes
 from lodbench.segmentation import binary_mask
 from lodbench.segmentation.masks import mapped_overlap

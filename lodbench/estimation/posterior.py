@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from lodbench.estimation.outline import OutlinePoints
 from lodbench.estimation.state_vector import Gaussian
-from lodbench.kernels.estimation import error_covariance
+from lodbench.kernels import error_covariance
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera
+from lodbench.kernels import cut_and_test
 from lodbench.kernels.arguments import EdgeFaces
-from lodbench.kernels.edges import cut_and_test
 
 
 @dataclass(frozen=True, slots=True)

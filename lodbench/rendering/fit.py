@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import ROOF, WALL
 from lodbench.errors import RenderingError
-from lodbench.kernels.masks import (
+from lodbench.kernels import (
     code_lengths_saved,
     count_bits,
     count_overlaps,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.kernels.masks import count_bits
+from lodbench.kernels import count_bits
 
 Words = NDArray[np.uint64]
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import RenderingError
+from lodbench.kernels import looked_up
 from lodbench.kernels.arguments import DIRECTIONS, EDGE_LEVELS, FINE_STEPS, FINEST
-from lodbench.kernels.photo_edges import looked_up
 
 # A mean changes slowly: it is taken of a picture so small that its kernel is this wide, pixels. At the
 # borders it is then the exact one to a fiftieth of the picture's deviation, elsewhere to a five-hundredth.

@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-from lodbench.kernels.arguments import MAX_CORNERS, Appearance, Band, Buffer, Mesh, Planes
-from lodbench.kernels.depth import (
+from lodbench.kernels import (
     draw_band,
     resolve_buildings,
     resolve_depth,
     resolve_layers,
     resolve_normals,
+    visible_buildings,
 )
-from lodbench.kernels.projection import visible_buildings
+from lodbench.kernels.arguments import MAX_CORNERS, Appearance, Band, Buffer, Mesh, Planes
 from lodbench.rendering.projection import (
     bounding_spheres,
     pose_arrays,

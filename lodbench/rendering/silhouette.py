@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-from lodbench.kernels import draw_views
+from lodbench.kernels import count_bits, draw_instances, draw_views, score_views
 from lodbench.kernels.arguments import LANES, Scratch, View
-from lodbench.kernels.masks import count_bits
-from lodbench.kernels.silhouettes import draw_instances, score_views
 from lodbench.rendering.engine_arrays import blank_scratch, moved_arrays, open_arrays
 from lodbench.rendering.fit import Fit, IouFit, fit_values
 from lodbench.rendering.masks import Instances, Words, pack_mask, unpack_mask, words_per_row

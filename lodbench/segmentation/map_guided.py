@@ -22,7 +22,7 @@ from lodbench.errors import QueryFault, require_numbers, require_within
 from lodbench.geometry import AxisRange, Camera, Pose, PoseGrid
 from lodbench.geometry.angles import rotations_at_yaws
 from lodbench.geometry.signed_distance import signed_distance
-from lodbench.kernels.estimation import least_total
+from lodbench.kernels import least_total
 from lodbench.rendering import ContourFit, RegionFit, appearance_bins, edge_bins
 from lodbench.rendering.masks import pack_mask
 from lodbench.segmentation.masks import read_photo

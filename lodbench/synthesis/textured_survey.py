@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
+from lodbench.kernels import bake, light_corners
 from lodbench.kernels.looks import Shading, SurfaceClass
-from lodbench.kernels.shading import bake, light_corners
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import random_stream, write_bytes
 from lodbench.synthesis.objects import MeshBuilder, SceneProps

@@ -22,7 +22,7 @@ from lodbench.estimation.outline import (
 )
 from lodbench.estimation.outline_alignment import Residuals
 from lodbench.estimation.state_vector import CAMERAS
-from lodbench.kernels.estimation import whiten
+from lodbench.kernels import whiten
 from lodbench.methods.contour_alignment.params import ContourAlignmentParams
 
 Floats = NDArray[np.float64]

@@ -22,8 +22,7 @@ from lodbench.estimation.outline import (
     outline_noise,
 )
 from lodbench.estimation.outline_alignment import Aligner, OutlineModel
-from lodbench.kernels.edges import measure_distances
-from lodbench.kernels.estimation import add_products, whiten
+from lodbench.kernels import add_products, measure_distances, whiten
 
 Floats = NDArray[np.float64]
 

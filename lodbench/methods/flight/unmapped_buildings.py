@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.estimation.model_lines import project
-from lodbench.kernels.estimation import add_votes
+from lodbench.kernels import add_votes
 from lodbench.methods.flight.demolished_buildings import APART_DEG, View, apart_deg
 from lodbench.methods.flight.roof_edges import SweepPicture
 from lodbench.methods.flight.roof_sweep import sweep_place

@@ -20,8 +20,8 @@ from lodbench.estimation.state_vector import ALL, BESIDE_POSE, POSE, ROOFS, Gaus
 from lodbench.geometry import Camera
 from lodbench.geometry.angles import rotations_from_euler
 from lodbench.geometry.pose import pose_from_vector
+from lodbench.kernels import count_along_lines, sum_along_lines
 from lodbench.kernels.arguments import EDGE_LEVELS, LinePoints, LinePoses
-from lodbench.kernels.photo_edges import count_along_lines, sum_along_lines
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import PosePosterior
 from lodbench.methods.region.params import RegionParams
