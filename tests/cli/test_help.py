@@ -261,7 +261,7 @@ HEAVY = (
     "numba", "scipy", "pandas", "cv2", "hydra", "omegaconf", "matplotlib", "shapely", "torch", "pyarrow",
     "jinja2", "trimesh", "lodbench.kernels.compiled",
 )  # fmt: skip
-COMMANDS = {
+LIGHT = {
     "--help": ("--help",),
     "run --help": ("run", "--help"),
     "run method=region --help": ("run", "method=region", "--help"),
@@ -293,11 +293,11 @@ def loaded(code: str, folder: Path) -> str:
     return done.stderr.strip().splitlines()[-1]
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", LIGHT)
 def test_a_light_command_loads_nothing_heavy(command, tmp_path):
     (tmp_path / "tile.gml").write_text(box_city())
     code = (
-        f"from lodbench.cli import main\ntry:\n    code = main({COMMANDS[command]!r})\n"
+        f"from lodbench.cli import main\ntry:\n    code = main({LIGHT[command]!r})\n"
         "except SystemExit as end:\n    code = end.code\nassert code == 0"
     )
     assert loaded(code, tmp_path) == "loaded: []"
