@@ -1,4 +1,4 @@
-"""From the best pose to the answer: the mean of what the photo leaves, roofs that err alike, lines."""
+"""The answer from the modes of the search: by lines, the mean of the posterior, its covariance."""
 
 from __future__ import annotations
 
@@ -9,52 +9,62 @@ from typing import NamedTuple, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.estimation.posterior import covariance_under_map_errors, curvature_around, posterior_mean
-from lodbench.estimation.state_vector import BESIDE_POSE, CAMERAS, LENS, POSE, POSES, RAISED, ROOFS, TILT
+from lodbench.estimation.posterior import covariance_under_map_errors, information_at, posterior_mean
+from lodbench.estimation.state_vector import (
+    ALL_ROOFS,
+    FOCAL,
+    NUM_AFTER_POSE,
+    NUM_POSE,
+    NUM_POSE_AND_FOCAL,
+    NUM_WITH_ROOFS,
+    POSE,
+    TILT,
+)
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.evidence import StatePosterior
 from lodbench.methods.region.line_alignment import LineAligner, LineAlignment
 from lodbench.methods.region.params import RegionParams
-from lodbench.methods.region.search import Mode, Problem
+from lodbench.methods.region.posteriors import StatePosterior
+from lodbench.methods.region.search import Mode, QueryContext
 from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES, LineFeatures
 
 Floats = NDArray[np.float64]
-# How far apart outlines of cameras lie that curvature and mean are of, pixels of the fine size: beyond the
-# stairs of single pixels, within the mode.
-_APART_PX = 1.5
-# How much of the range of tilts an answer has to take for the range to be doubted.
-_PULLED = 0.7
-# The deviation of a lens, percent, at which the trust model was fitted.
+# How far apart the outlines of the poses lie that the likelihood's information is fitted to, pixels of the
+# fine size: farther than its steps of single pixels, within the mode.
+_SPACING_PX = 1.5
+# A wider tilt is tried where pitch or roll takes more than this fraction of the half width of its range.
+_TILT_DOUBT_FRACTION = 0.7
+# The standard deviation of focal lengths, percent, at which the trust model was fitted.
 _FITTED_PERCENT = 0.2
-# Where roofs alone are less likely by so many nats, lines where walls end lead astray.
-_CONTRADICTED = 5.0
-# Of (N, 10) vectors, and of a share of the photo's nats.
+# Lines at bases are used if they lower the log-posterior without them by less than this.
+_MAX_LOSS_BY_BASES_NATS = 5.0
+# From (N, 10) state vectors and a tempering exponent to the (N,) tempered log-likelihood.
 LogLikelihood = Callable[[Floats, float], Floats]
 
 
 class Answer(NamedTuple):
-    """A pose, (6,), and what the trust in it depends on.
+    """A pose, and the quantities that its probability depends on.
 
     Attributes:
-        vector: (6,) the mean of the poses around the best one, or by lines around theirs.
-        covariance: (6, 6) of the answer's error.
-        if_map_is_right: (6, 6) the same if the map had no errors.
-        apart_m: How far the place by the model's lines is from the best by regions and outlines.
-        lines: Nats by which edges along them are likelier than anywhere; 0 where there are none.
-        sharpness: Whether edges lie on them or beside them, as of ``LineLikelihood``.
-        evidence: (M,) the logarithm of what speaks for each mode of the search, up to a constant: lines, or
-            where there are none its posterior; -inf of those not followed. The vector comes from the best.
-        lens_percent: How much longer the lens is than declared.
+        vector: (6,) the mean of the posterior near the best mode, or near its alignment by lines.
+        covariance: (6, 6) covariance of its error.
+        covariance_if_map_is_right: (6, 6) the same if the map had no errors.
+        apart_m: distance between the position by the model's lines and that of the search's mode, metres.
+        line_log_ratio_nats: log-ratio of the photo's edges on the lines to edges anywhere; 0 without lines.
+        sharpness: sharpness of the edges, as returned by ``LineLikelihood.sharpness``.
+        log_posteriors: (M,) log-posterior of each mode of the search, up to a constant: by lines and regions,
+            or without lines by regions and edges; -inf for modes that were not followed. The vector comes from
+            the best.
+        focal_error_percent: by how much the focal length is estimated longer than declared, percent.
     """
 
     vector: Floats
     covariance: Floats
-    if_map_is_right: Floats
+    covariance_if_map_is_right: Floats
     apart_m: float
-    lines: float
+    line_log_ratio_nats: float
     sharpness: float
-    evidence: Floats
-    lens_percent: float = 0.0
+    log_posteriors: Floats
+    focal_error_percent: float = 0.0
 
 
 class PoseFinalizer:
@@ -63,143 +73,154 @@ class PoseFinalizer:
     Vectors of ten numbers are state vectors (``estimation.state_vector``).
     """
 
-    def __init__(self, problem: Problem, params: RegionParams) -> None:
-        self._problem, self._params = problem, params
-        self._roofs, self._jacobian = problem.roofs, problem.jacobian
-        self._fit = problem.photo.fit(params.fine_width, is_coarse=False)
+    def __init__(self, context: QueryContext, params: RegionParams) -> None:
+        self._context, self._params = context, params
+        self._roofs, self._outlines = context.roofs, context.outlines
+        self._fit = context.photo.fit(params.fine_width, is_coarse=False)
 
     def answer(self, modes: list[Mode], streams: Streams) -> Answer:
-        """Returns the answer near the best of some modes, by lines where edges are sharp beside them.
+        """Returns the answer near the best of some modes: by lines where edges on them are sharp enough.
 
         Args:
-            modes: Best first by regions and outlines; lines choose among them.
-            streams: Of random numbers.
+            modes: the modes of the search, best first by regions and edges; lines choose among them.
+            streams: random streams.
         """
         params = self._params
-        starts = np.array([np.append(mode.gaussian.mean, np.zeros(BESIDE_POSE)) for mode in modes])
-        searched = np.array([mode.log_posterior for mode in modes])
+        starts = np.array([np.append(mode.gaussian.mean, np.zeros(NUM_AFTER_POSE)) for mode in modes])
+        by_search = np.array([mode.log_posterior for mode in modes])
         if params.lines_weight <= 0:
-            return self._by_regions(starts[0], TYPICAL_LINES, searched)
+            return self._by_regions(starts[0], TYPICAL_LINES, by_search)
         aligned = self._best_aligned(starts, streams)
         if aligned is None:
-            return self._by_regions(starts[0], NO_LINES, searched)
-        start = starts[int(aligned.evidence.argmax())]
+            return self._by_regions(starts[0], NO_LINES, by_search)
+        start = starts[int(aligned.log_posteriors.argmax())]
         apart_m = float(np.linalg.norm((aligned.vector - start)[:3]))
-        lines = float(aligned.lines(aligned.vector[None])[0])
-        features = LineFeatures(apart_m, lines, aligned.sharpness)
+        log_ratio_nats = float(aligned.line_likelihood(aligned.vector[None])[0])
+        features = LineFeatures(apart_m, log_ratio_nats, aligned.sharpness)
         if aligned.sharpness < params.least_sharpness:
-            return self._by_regions(start, features, aligned.evidence)
-        covariances = self._certainty(aligned.log_likelihood, aligned.vector, aligned.regions)
-        mean = self._mean(aligned.log_likelihood, aligned.vector, covariances[0], aligned.regions)
-        return Answer(mean[POSE], *covariances, *features, aligned.evidence, float(mean[LENS]))
+            return self._by_regions(start, features, aligned.log_posteriors)
+        posterior = aligned.region_posterior
+        covariances = self._covariances(aligned.log_likelihood, aligned.vector, posterior)
+        mean = self._mean(aligned.log_likelihood, aligned.vector, covariances[0], posterior)
+        return Answer(mean[POSE], *covariances, *features, aligned.log_posteriors, float(mean[FOCAL]))
 
     def _best_aligned(self, starts: Floats, streams: Streams) -> LineAlignment | None:
-        """Returns lines on edges, with tilt and lens as declared, or others where these are plainly likelier.
+        """Returns the alignment under the declared tilt and lens, or others where lines are clearly likelier.
 
-        Where walls end counts only as far as roofs, which nothing hides, do not contradict it
-        (docs/adr/0012, point 6); another tilt only where the photo disagrees with the stated one (point 8);
-        another lens only beside an exact map: elsewhere roofs make up for it (point 7).
+        Lines at bases are used only as far as roofs, which nothing hides, do not contradict them
+        (docs/adr/0012, point 6); another tilt only where the photo contradicts the declared one (point 8);
+        another lens only over an exact map: elsewhere errors of roofs have the same effect (point 7).
         """
         params = self._params
-        found = self._alignment(params, streams).from_best(starts, self._roofs)
-        if found is None:
+        best = self._aligner(params, streams).from_best(starts, self._roofs)
+        if best is None:
             return None
-        with_bases = self._alignment(params, streams, has_bases=True).from_aligned(found, self._roofs)
-        if with_bases is not None and found.worse_by(with_bases.vector) < _CONTRADICTED:
-            found = with_bases
-        if self._pulls_at_tilt(found):
+        with_bases = self._aligner(params, streams, has_bases=True).from_aligned(best, self._roofs)
+        if with_bases is not None and best.worse_by(with_bases.vector) < _MAX_LOSS_BY_BASES_NATS:
+            best = with_bases
+        if self._is_tilt_doubtful(best):
             wide = replace(params, range_tilt_deg=2.0 * params.tilt_doubt_deg)
-            other = self._alignment(wide, streams).from_aligned(found, self._roofs, is_far=True)
-            if self._is_plain(other, found):
-                found, params = other, wide
-        if params.lens_doubt_percent > params.lens_percent and found.sharpness >= params.least_sharpness:
+            other = self._aligner(wide, streams).from_aligned(best, self._roofs, is_far=True)
+            if self._is_clearly_better(other, best):
+                best, params = other, wide
+        if params.lens_doubt_percent > params.lens_percent and best.sharpness >= params.least_sharpness:
             wide = replace(params, lens_percent=params.lens_doubt_percent)
-            other = self._alignment(wide, streams).from_aligned(found, self._roofs)
-            if self._is_plain(other, found):
-                found = other
-        return found
+            other = self._aligner(wide, streams).from_aligned(best, self._roofs)
+            if self._is_clearly_better(other, best):
+                best = other
+        return best
 
-    def _pulls_at_tilt(self, found: LineAlignment) -> bool:
-        """Returns whether pitch or roll ends so near the end of its range that both may err more."""
+    def _is_tilt_doubtful(self, aligned: LineAlignment) -> bool:
+        """Returns whether pitch or roll is so near the end of its declared range that both may err more."""
         range_deg = self._params.range_tilt_deg
         if not 0.0 < range_deg < 2.0 * self._params.tilt_doubt_deg:
             return False
-        tilt_deg = found.regions.at(0.0).prior.offsets(found.vector[POSE])[TILT]
-        return bool(np.abs(tilt_deg).max() > _PULLED * 0.5 * range_deg)
+        prior = aligned.region_posterior.of_poses(0.0).prior
+        tilt_deg = prior.offsets(aligned.vector[POSE])[TILT]
+        return bool(np.abs(tilt_deg).max() > _TILT_DOUBT_FRACTION * 0.5 * range_deg)
 
-    def _is_plain(self, other: LineAlignment | None, found: LineAlignment) -> TypeGuard[LineAlignment]:
-        return other is not None and other.lead_over(found) >= self._params.doubt_nats
+    def _is_clearly_better(self, other: LineAlignment | None, best: LineAlignment) -> TypeGuard[LineAlignment]:
+        return other is not None and other.lead_over(best) >= self._params.doubt_nats
 
-    def _alignment(self, params: RegionParams, streams: Streams, has_bases: bool = False) -> LineAligner:
-        """Returns what aligns the model's lines with the photo's edges, tilt and lens known so well."""
-        # Edges are in the lines' likelihood: that of regions is without.
-        return LineAligner(self._problem, self._fit.with_edges(0.0), params, streams, has_bases)
+    def _aligner(self, params: RegionParams, streams: Streams, has_bases: bool = False) -> LineAligner:
+        """Returns an aligner of lines with edges under the prior of some parameters."""
+        # Edges are part of the lines' likelihood: that of regions has none.
+        return LineAligner(self._context, self._fit.with_edges(0.0), params, streams, has_bases)
 
-    def _by_regions(self, vector: Floats, features: LineFeatures, evidence: Floats) -> Answer:
-        """Returns the mean of what regions and outlines leave around (10,), of a wider photo."""
-        params, of_map = self._params, (self._problem.query, self._roofs)
+    def _by_regions(self, vector: Floats, features: LineFeatures, log_posteriors: Floats) -> Answer:
+        """Returns the answer near (10,) by regions and edges of the photo at ``mean_width``, without lines."""
+        params, of_map = self._params, (self._context.query, self._roofs)
         fine = StatePosterior(*of_map, self._fit, params)
-        covariances = self._certainty(_of_share(fine), vector, fine)
+        covariances = self._covariances(_tempered(fine), vector, fine)
         if params.place_sigma_m <= 0:
-            return Answer(vector[POSE], *covariances, *features, evidence)
-        wide = StatePosterior(*of_map, self._problem.photo.fit(params.mean_width, is_coarse=False), params)
-        mean = self._mean(_of_share(wide), vector, covariances[0], wide)
-        return Answer(mean[POSE], *covariances, *features, evidence)
+            return Answer(vector[POSE], *covariances, *features, log_posteriors)
+        fit = self._context.photo.fit(params.mean_width, is_coarse=False)
+        finest = StatePosterior(*of_map, fit, params)
+        mean = self._mean(_tempered(finest), vector, covariances[0], finest)
+        return Answer(mean[POSE], *covariances, *features, log_posteriors)
 
-    def _certainty(
-        self, log_likelihood: LogLikelihood, vector: Floats, regions: StatePosterior
+    def _covariances(
+        self, log_likelihood: LogLikelihood, vector: Floats, posterior: StatePosterior
     ) -> tuple[Floats, Floats]:
-        """Returns the covariance (6, 6) of an answer's error, and the same if the map had none."""
-        pose, evidence = vector[POSE], regions.at(float(vector[ROOFS]))
+        """Returns the covariance (6, 6) of the error at (10,), and the same if the map had no errors."""
+        pose, of_poses = vector[POSE], posterior.of_poses(float(vector[ALL_ROOFS]))
 
-        def of_poses(poses: Floats) -> Floats:
-            return log_likelihood(np.column_stack([poses, np.tile(vector[POSES:], (len(poses), 1))]), 1.0)
+        def pose_log_likelihood(poses: Floats) -> Floats:
+            return log_likelihood(np.column_stack([poses, np.tile(vector[NUM_POSE:], (len(poses), 1))]), 1.0)
 
-        spread = self._jacobian.spread(pose, evidence, _APART_PX)
-        information = np.zeros((6, 6)) if spread is None else curvature_around(of_poses, spread)
-        prior, outline = evidence.prior.information(), self._jacobian.outline(pose, evidence)
+        near = self._outlines.initial_gaussian(pose, of_poses, _SPACING_PX)
+        likelihood_information = (
+            np.zeros((NUM_POSE, NUM_POSE)) if near is None else information_at(pose_log_likelihood, near)
+        )
+        prior, outline = of_poses.prior.information(), self._outlines.outline(pose, of_poses)
         lens_percent = self._params.lens_percent
-        covariance = covariance_under_map_errors(information, prior, outline, lens_percent)
-        if_right = np.linalg.inv(information + prior)
+        covariance = covariance_under_map_errors(likelihood_information, prior, outline, lens_percent)
+        if_map_is_right = np.linalg.inv(likelihood_information + prior)
         if lens_percent > _FITTED_PERCENT:
-            _, ridge = self._lens_ridge(vector, regions)
-            if_right += (lens_percent**2 - _FITTED_PERCENT**2) * np.outer(ridge[POSE], ridge[POSE])
-        return covariance, np.asarray(if_right)
+            _, ridge = self._focal_ridge(vector, posterior)
+            variance = lens_percent**2 - _FITTED_PERCENT**2
+            if_map_is_right += variance * np.outer(ridge[POSE], ridge[POSE])
+        return covariance, np.asarray(if_map_is_right)
 
     def _mean(
-        self, log_likelihood: LogLikelihood, vector: Floats, covariance: Floats, regions: StatePosterior
+        self, log_likelihood: LogLikelihood, vector: Floats, covariance: Floats, posterior: StatePosterior
     ) -> Floats:
-        """Returns the posterior's mean around (10,), bases and eaves held; or the point itself."""
+        """Returns the posterior's mean near (10,), bases and overhangs fixed; (10,) itself without a width."""
         least_m = self._params.place_sigma_m
         if least_m <= 0:
             return vector
 
-        def whole(vectors: Floats) -> Floats:
-            return np.column_stack([vectors, np.tile(vector[RAISED:], (len(vectors), 1))])
+        def states(vectors: Floats) -> Floats:
+            return np.column_stack([vectors, np.tile(vector[NUM_WITH_ROOFS:], (len(vectors), 1))])
 
+        proposal_covariance = posterior.with_prior_of_rest(self._with_focal(vector, covariance, posterior))
         return posterior_mean(
-            lambda vectors, share: log_likelihood(whole(vectors), share),
-            lambda vectors: regions.log_prior(whole(vectors)),
-            vector[:RAISED],
-            regions.widened(self._with_lens(vector, covariance, regions))[:RAISED, :RAISED],
+            lambda vectors, temper: log_likelihood(states(vectors), temper),
+            lambda vectors: posterior.log_prior(states(vectors)),
+            vector[:NUM_WITH_ROOFS],
+            proposal_covariance[:NUM_WITH_ROOFS, :NUM_WITH_ROOFS],
             least_m,
         )
 
-    def _with_lens(self, vector: Floats, covariance: Floats, regions: StatePosterior) -> Floats:
-        """Returns the covariance (7, 7) of cameras around (10,), given that of poses, (6, 6)."""
-        variance, ridge = self._lens_ridge(vector, regions)
+    def _with_focal(self, vector: Floats, covariance: Floats, posterior: StatePosterior) -> Floats:
+        """Returns the covariance (7, 7) of pose and focal length at (10,), given that of the pose, (6, 6)."""
+        variance, ridge = self._focal_ridge(vector, posterior)
         whole = variance * np.outer(ridge, ridge)
         whole[POSE, POSE] += covariance
         return np.asarray(whole)
 
-    def _lens_ridge(self, vector: Floats, regions: StatePosterior) -> tuple[float, Floats]:
-        """Returns the variance of the lens around (10,), and (7,) how like cameras go with it."""
-        evidence = regions.at(float(vector[ROOFS]))
-        prior = regions.prior_information()[:CAMERAS, :CAMERAS]
-        cloud = self._jacobian.spread(vector[:CAMERAS], evidence, _APART_PX, prior)
-        along = np.eye(CAMERAS)[LENS] / prior[LENS, LENS] if cloud is None else cloud.covariance[:, LENS]
-        return float(along[LENS]), along / along[LENS]
+    def _focal_ridge(self, vector: Floats, posterior: StatePosterior) -> tuple[float, Floats]:
+        """Returns the variance of the focal length at (10,), and (7,) the change per percent of it.
+
+        Along this direction the outline changes least.
+        """
+        of_poses, camera = posterior.of_poses(float(vector[ALL_ROOFS])), vector[:NUM_POSE_AND_FOCAL]
+        prior = posterior.prior_information()[:NUM_POSE_AND_FOCAL, :NUM_POSE_AND_FOCAL]
+        near = self._outlines.initial_gaussian(camera, of_poses, _SPACING_PX, prior)
+        alone = np.eye(NUM_POSE_AND_FOCAL)[FOCAL] / prior[FOCAL, FOCAL]
+        along = alone if near is None else near.covariance[:, FOCAL]
+        return float(along[FOCAL]), along / along[FOCAL]
 
 
-def _of_share(evidence: StatePosterior) -> LogLikelihood:
-    return lambda vectors, share: share * evidence.log_likelihood(vectors)
+def _tempered(posterior: StatePosterior) -> LogLikelihood:
+    return lambda vectors, temper: temper * posterior.log_likelihood(vectors)

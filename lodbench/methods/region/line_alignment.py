@@ -1,7 +1,7 @@
-"""The model's lines aligned with the photo's edges, round by round; each roof's own height is estimated, too.
+"""The model's lines aligned with the photo's edges in rounds; the height of each roof is estimated as well.
 
-Lines also choose among the modes of the search: regions take a lawn for a roof of the right size, but no
-edges lie along it (docs/adr/0011, point 7).
+Lines also choose among the modes of the search: regions mistake a lawn for a roof of the same size, but no
+edges lie along its outline (docs/adr/0011, point 7).
 """
 
 from __future__ import annotations
@@ -14,184 +14,200 @@ from numpy.typing import NDArray
 
 from lodbench.citymap.laser import range_log_densities
 from lodbench.estimation.optimization import maximize
-from lodbench.estimation.state_vector import BASE_OFFSET, EAVE_OFFSET, OUTLINES, ROOFS, Gaussian
+from lodbench.estimation.state_vector import (
+    ALL_BASES,
+    ALL_OVERHANGS,
+    ALL_ROOFS,
+    NUM_WITH_BASES,
+    Gaussian,
+)
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.evidence import PhotoFit, StatePosterior
 from lodbench.methods.region.line_likelihood import LineLikelihood
 from lodbench.methods.region.params import RegionParams
+from lodbench.methods.region.posteriors import PhotoFit, StatePosterior
 from lodbench.methods.region.roofs import RaisedRoofs
-from lodbench.methods.region.search import Problem
+from lodbench.methods.region.search import QueryContext
 
 Floats = NDArray[np.float64]
 
-# The photo's blur in each round, pixels, and how far outlines lie apart as it begins, of the fine size.
+# By round: the photo's blur, and how far apart outlines lie in the first generation, pixels of the fine size.
 _ROUNDS = ((3.0, 2.5), (1.5, 1.5), (1.0, 1.0))
 BLURS_PX = tuple(blur_px for blur_px, _ in _ROUNDS)
 _GENERATIONS = 14
-# The most that roofs, bases and eaves lie apart as a round begins, metres.
-_ROOFS_APART_M = 0.5
-# What a region's nat counts beside one of lines where one of the starts is chosen, and how many of them are
-# aligned before.
-_REGIONS_SHARE, _FOLLOWED = 0.25, 3
+# The largest standard deviation of roofs, bases and overhangs in a first generation, metres.
+_MOST_SIGMA_M = 0.5
+# The exponent of the regions' likelihood, next to that of lines, where one of the starts is chosen.
+_REGION_EXPONENT = 0.25
+# The number of starts that go through the first round.
+_NUM_FOLLOWED = 3
 
 
 class LineAlignment(NamedTuple):
-    """A state vector that has the model's lines on the photo's edges.
+    """A state vector at which the model's lines lie on the photo's edges.
 
     Attributes:
-        vector: (10,).
-        lines: Likelihood of the edges, around it.
-        regions: Posterior by regions, with each roof at a height of its own.
-        sharpness: As of ``LineLikelihood``: whether the map is exact enough for lines to count.
-        evidence: (M,) log-posterior of each start by lines and regions, up to a constant; -inf of those that
-            were not followed. The vector comes from the best.
+        vector: (10,) the state vector.
+        line_likelihood: likelihood of the edges near it.
+        region_posterior: posterior by regions, each roof drawn at its own height.
+        sharpness: sharpness of the edges, as returned by ``LineLikelihood.sharpness``.
+        log_posteriors: (M,) log-posterior of each start by lines and regions, (R13), up to a constant; -inf
+            for starts that were not followed. The vector comes from the best.
     """
 
     vector: Floats
-    lines: LineLikelihood
-    regions: StatePosterior
+    line_likelihood: LineLikelihood
+    region_posterior: StatePosterior
     sharpness: float
-    evidence: Floats
+    log_posteriors: Floats
 
-    def log_likelihood(self, vectors: Floats, share: float = 1.0) -> Floats:
-        """Returns the (N,) log-likelihood of state vectors (N, 10), of a share of the photo's nats."""
-        return _log_likelihood(self.lines, self.regions, vectors, share)
+    def log_likelihood(self, vectors: Floats, temper: float = 1.0) -> Floats:
+        """Returns the (N,) log-likelihood of state vectors (N, 10), tempered by an exponent."""
+        return _log_likelihood(self.line_likelihood, self.region_posterior, vectors, temper)
 
     def worse_by(self, vector: Floats) -> float:
-        """Returns by how many nats lines, regions and prior are less likely at a vector, (10,), than here."""
+        """Returns by how many nats the posterior by lines and regions is lower at a vector, (10,), than here."""
         both = np.stack([self.vector, vector])
-        whole = self.log_likelihood(both) + self.regions.log_prior(both)
-        return float(whole[0] - whole[1])
+        log_posterior = self.log_likelihood(both) + self.region_posterior.log_prior(both)
+        return float(log_posterior[0] - log_posterior[1])
 
     def lead_over(self, other: LineAlignment) -> float:
-        """Returns by how many nats its lines are likelier than another's, by the fit of either.
+        """Returns by how many nats its lines are likelier than another's, the smaller by either's lines.
 
         Eq. (R15) of docs/methods/region.md.
         """
         both = np.stack([self.vector, other.vector])
-        return min(float(lines(both) @ (1.0, -1.0)) for lines in (self.lines, other.lines))
+        by_lines_of = self.line_likelihood, other.line_likelihood
+        return min(float(line_likelihood(both) @ (1.0, -1.0)) for line_likelihood in by_lines_of)
 
 
 def _log_likelihood(
-    lines: LineLikelihood, regions: StatePosterior, vectors: Floats, share: float = 1.0
+    line_likelihood: LineLikelihood, region_posterior: StatePosterior, vectors: Floats, temper: float = 1.0
 ) -> Floats:
-    # Beside each other: neither keeps two cores busy by itself.
-    of_lines = lines.submit(vectors, share)
-    return share * regions.log_likelihood(vectors) + of_lines()
+    # Concurrently: neither keeps two cores busy by itself.
+    by_lines = line_likelihood.submit(vectors, temper)
+    return temper * region_posterior.log_likelihood(vectors) + by_lines()
 
 
 class _Round(NamedTuple):
-    """A round of the alignment: where it begins or ends, likelihoods there, and how widely it searches."""
+    """The beginning or end of a round: a vector, (10,), the likelihoods there, and the first generation."""
 
     vector: Floats
-    lines: LineLikelihood
-    regions: StatePosterior
-    spread: Gaussian
+    line_likelihood: LineLikelihood
+    region_posterior: StatePosterior
+    initial_gaussian: Gaussian
 
-    def evidence(self) -> float:
+    def log_posterior(self) -> float:
         """Returns the log-posterior by lines and regions, up to a constant that all starts share.
 
-        Eq. (R13) of docs/methods/region.md.
+        Eq. (R13) of docs/methods/region.md, its first half without the laser's range.
         """
-        here = self.vector[None]
-        regions = _REGIONS_SHARE * self.regions.log_likelihood(here) + self.regions.log_prior(here)
-        return float((self.lines(here) + regions)[0])
+        here, regions = self.vector[None], self.region_posterior
+        by_regions = _REGION_EXPONENT * regions.log_likelihood(here) + regions.log_prior(here)
+        return float((self.line_likelihood(here) + by_regions)[0])
 
 
 class LineAligner:
     """Aligns the model's lines with the edges of one photo.
 
     Args:
-        problem: The query, its photo and the map.
-        fit: Of the photo's regions.
-        params: The method's.
-        streams: Of random numbers.
-        has_bases: Whether lines where walls end count too.
+        context: the query, its photo and the map.
+        fit: the fit of the photo's regions.
+        params: the method's parameters.
+        streams: random streams.
+        has_bases: whether lines at bases of walls are used as well.
     """
 
     def __init__(
         self,
-        problem: Problem,
+        context: QueryContext,
         fit: PhotoFit,
         params: RegionParams,
         streams: Streams,
         has_bases: bool = False,
     ) -> None:
-        self._problem, self._fit, self._has_bases = problem, fit, has_bases
+        self._context, self._fit, self._has_bases = context, fit, has_bases
         self._params, self._streams = params, streams
 
     def from_best(self, starts: Floats, roofs: RaisedRoofs) -> LineAlignment | None:
         """Returns the alignment from the best of some starts, (M, 10); None without lines in view.
 
-        The first rounds maximise the likelihood of lines, after each of which every roof is drawn where they
-        have it; in the last, regions count, too. A few starts go through the first round, one goes on.
+        The first two rounds maximise the posterior by lines. Before each round but the first, every roof is
+        drawn at the height that lines give it. In the last round regions are used as well. A few starts go
+        through the first round, one through the others.
         """
-        rounds = self._first_of(0, starts, roofs)
+        rounds = self._beginnings(0, starts, roofs)
         if not rounds:
             return None
-        evidence = np.full(len(starts), -np.inf)
-        ranges = range_log_densities(self._problem.query, self._problem.city_map, starts)
-        for k in sorted(rounds, key=lambda k: -(rounds[k].evidence() + ranges[k]))[:_FOLLOWED]:
+        log_posteriors = np.full(len(starts), -np.inf)
+        ranges = range_log_densities(self._context.query, self._context.city_map, starts)
+        for k in sorted(rounds, key=lambda k: -(rounds[k].log_posterior() + ranges[k]))[:_NUM_FOLLOWED]:
             rounds[k] = self._maximized(0, rounds[k])
-            evidence[k] = rounds[k].evidence() + ranges[k]
-        best = rounds[int(evidence.argmax())]
-        return self._through_rounds(1, best.vector, best.lines, roofs, evidence)
+            log_posteriors[k] = rounds[k].log_posterior() + ranges[k]
+        best = rounds[int(log_posteriors.argmax())]
+        return self._through_rounds(1, best.vector, best.line_likelihood, roofs, log_posteriors)
 
     def from_aligned(
         self, other: LineAlignment, roofs: RaisedRoofs, is_far: bool = False
     ) -> LineAlignment | None:
-        """Returns the alignment from the end of one under other priors or lines; None without lines in view.
+        """Returns the alignment from the end of another one; None without lines in view.
 
         Args:
-            other: That one.
-            roofs: As in the map.
-            is_far: Whether it may move by metres, through all rounds, or a little, in the last.
+            other: an alignment under another prior, or without lines at bases.
+            roofs: the map without offsets.
+            is_far: whether the vector may move by metres: through all rounds, not the last alone.
         """
         first = 0 if is_far else len(_ROUNDS) - 1
-        return self._through_rounds(first, other.vector, other.lines, roofs, other.evidence)
+        return self._through_rounds(first, other.vector, other.line_likelihood, roofs, other.log_posteriors)
 
     def _through_rounds(
-        self, first: int, vector: Floats, lines: LineLikelihood, roofs: RaisedRoofs, evidence: Floats
+        self,
+        first: int,
+        vector: Floats,
+        line_likelihood: LineLikelihood,
+        roofs: RaisedRoofs,
+        log_posteriors: Floats,
     ) -> LineAlignment | None:
         """Returns the alignment after the rounds from ``first`` on, from (10,)."""
         for number in range(first, len(_ROUNDS)):
             roofs = roofs.with_offsets(
-                lines.own_roofs_m(vector), float(vector[BASE_OFFSET]), float(vector[EAVE_OFFSET])
+                line_likelihood.building_roof_offsets_m(vector),
+                float(vector[ALL_BASES]),
+                float(vector[ALL_OVERHANGS]),
             )
-            rounds = self._first_of(number, vector[None], roofs)
+            rounds = self._beginnings(number, vector[None], roofs)
             if not rounds:
                 return None
-            vector, lines, regions, _ = self._maximized(number, rounds[0])
-        return LineAlignment(vector, lines, regions, lines.sharpness(vector), evidence)
+            vector, line_likelihood, regions, _ = self._maximized(number, rounds[0])
+        sharpness = line_likelihood.sharpness(vector)
+        return LineAlignment(vector, line_likelihood, regions, sharpness, log_posteriors)
 
-    def _first_of(self, number: int, starts: Floats, roofs: RaisedRoofs) -> dict[int, _Round]:
-        """Returns the beginning of a round from each of (M, 10), but for those without lines in view."""
-        blur_px, spread_px = _ROUNDS[number]
-        levels, query = self._problem.photo.levels(blur_px), self._problem.query
+    def _beginnings(self, number: int, starts: Floats, roofs: RaisedRoofs) -> dict[int, _Round]:
+        """Returns the beginnings of a round, by index of (M, 10) starts; none for those without lines in view."""
+        blur_px, spacing_px = _ROUNDS[number]
+        levels, query = self._context.photo.levels(blur_px), self._context.query
         regions = StatePosterior(query, roofs, self._fit, self._params)
 
         def begin(start: Floats) -> _Round | None:
             lines = LineLikelihood(levels, query, roofs, start, self._params, self._has_bases)
-            prior = regions.prior_information(_ROOFS_APART_M)
-            spread = self._problem.jacobian.spread(
-                start[:OUTLINES], regions.at(start[ROOFS]), spread_px, prior
-            )
-            return _Round(start, lines, regions, spread) if len(lines) and spread is not None else None
+            prior, posterior = regions.prior_information(_MOST_SIGMA_M), regions.of_poses(start[ALL_ROOFS])
+            outlined = start[:NUM_WITH_BASES]
+            initial = self._context.outlines.initial_gaussian(outlined, posterior, spacing_px, prior)
+            return _Round(start, lines, regions, initial) if len(lines) and initial is not None else None
 
-        # The first makes what all share.
+        # The first start alone: it prepares what all share.
         first = [begin(start) for start in starts[:1]]
         rounds = dict(enumerate([*first, *roofs.parallel_map(begin, list(starts[1:]))]))
         return {k: each for k, each in rounds.items() if each is not None}
 
     def _maximized(self, number: int, start: _Round) -> _Round:
-        """Returns the end of a round: the maximum of the posterior near where it begins."""
-        vector, lines, regions, spread = start
+        """Returns the end of a round: the maximum of the posterior near its beginning."""
+        vector, lines, regions, initial = start
         log_likelihood = partial(_log_likelihood, lines, regions) if number == len(_ROUNDS) - 1 else lines
 
-        def posterior(vectors: Floats) -> Floats:
+        def log_posterior(vectors: Floats) -> Floats:
             return log_likelihood(vectors) + regions.log_prior(vectors)
 
-        wide = Gaussian(vector, regions.widened(spread.covariance, _ROOFS_APART_M))
-        generator = self._streams("lines", number)
-        found = maximize(posterior, wide, _GENERATIONS, self._params.population, generator)
-        return start._replace(vector=found.mean)
+        covariance = regions.with_prior_of_rest(initial.covariance, _MOST_SIGMA_M)
+        first, generator = Gaussian(vector, covariance), self._streams("lines", number)
+        end = maximize(log_posterior, first, _GENERATIONS, self._params.population, generator)
+        return start._replace(vector=end.mean)

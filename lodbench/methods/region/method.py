@@ -16,22 +16,23 @@ from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.estimation.edge_alignment import EdgeAlignment, EdgeLikelihood
 from lodbench.estimation.outline import edges_of, scene_in_reach
-from lodbench.estimation.posterior import shares_of
+from lodbench.estimation.posterior import mode_probabilities
 from lodbench.estimation.state_vector import TILT, TRUSTED, beyond_range, probability_within
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region.answer import Answer, PoseFinalizer
-from lodbench.methods.region.evidence import Photo, PosePosterior
 from lodbench.methods.region.line_alignment import BLURS_PX
 from lodbench.methods.region.line_likelihood import line_starts
 from lodbench.methods.region.params import RegionParams
+from lodbench.methods.region.posteriors import Photo, PosePosterior
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.search import (
-    OutlineJacobian,
-    Problem,
+    Mode,
+    OutlineSampler,
+    QueryContext,
     grid_starts,
+    local_searches,
     modes_at,
-    refine_candidates,
     rescore,
 )
 from lodbench.methods.region.trust import SIGNS_STAGE, ConfidenceFeatures, success_probability
@@ -39,19 +40,25 @@ from lodbench.methods.search import photo_edges, query_photo
 
 Floats = NDArray[np.float64]
 
-# Edges that are likelier than background by fewer nats may lie there by chance.
-_LEAST_EVIDENCE = 10.0
-# So many half widths from the prior's tilt, the photo has overruled it (docs/adr/0012, point 8).
-_OVERRULED = 2.0
-# A lens so many deviations from the declared one is worth a note.
-_NEWS = 3.0
-# Modes lower by so many nats after a few generations of refinement are given up: of those that 44 answers
-# came from one was, and a third of all are (docs/adr/0011, point 10).
+# The least log-ratio of roof edges to background that is not chance, nats.
+_LEAST_EDGE_NATS = 10.0
+# The largest tilt from the prior's at which roof edges are used, half widths of its range: beyond, the photo
+# contradicts the declared range (docs/adr/0012, point 8).
+_MAX_TILT_HALF_WIDTHS = 2.0
+# The least error of the focal length that counts as a wrong declaration, standard deviations.
+_WRONG_FOCAL_SIGMAS = 3.0
+# Refinements whose log-posterior is lower than the best by more after four generations end, nats: one of the
+# modes that 44 answers came from was one of these, and a third of all are (docs/adr/0011, point 10).
 _PRUNE_BELOW_NATS = 100.0
 
 
 class Region:
-    """Finds the pose whose silhouette splits the photo into two regions that look most unlike each other."""
+    """Estimates the pose from a photo's regions and edges, without a mask.
+
+    A search finds poses whose silhouette splits the photo into two regions of different appearance; the
+    answer is the mean of the posterior near the best of them, by lines where the map is exact enough,
+    refined by roof edges (docs/methods/region.md).
+    """
 
     params_type = RegionParams
     name = "region"
@@ -61,94 +68,91 @@ class Region:
         self.params = params or RegionParams()
 
     def params_for_prior(self, prior: UniformPrior) -> RegionParams:
-        """Returns the parameters that search all that such a prior leaves open, tilt included."""
+        """Returns the parameters whose search covers the range of a prior, tilt included."""
         return self.params.for_prior(prior)
 
     def params_for_true_tilt(self) -> RegionParams:
-        """Returns the parameters for priors of the true pitch and roll: a range of 0 holds them."""
+        """Returns the parameters for priors with the true pitch and roll: their range is 0."""
         return replace(self.params, range_tilt_deg=0.0)
 
     def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
-        """Returns the mean of the poses around the most probable one, weighed by photo and prior.
+        """Returns the mean of the posterior near its best mode, with covariance and probability.
 
-        Where that is not to be trusted, a second search begins from more samples (docs/adr/0011, point 7),
-        and from where the map's lines lie along edges (point 8). Edges of roofs refine it (point 11).
+        Where its probability is below one half, a second search starts from more poses of the grid
+        (docs/adr/0011, point 7) and from poses at which the map's lines lie along edges (point 8). Roof edges
+        refine the more probable answer (point 11).
 
         Raises:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
         """
         params = self.params.with_lens(query.lens_percent).over_measured(query.measured)
-        problem = _problem(query, city_map, params)
-        first = _searched(problem, params, streams)
+        context = _query_context(query, city_map, params)
+        first = _search(context, params, streams)
         if first.probability >= TRUSTED or params.more_starts == 1:
-            return _refined_by_edges(first, problem, params)
+            return _refine_by_edges(first, context, params)
 
         def other_streams(stage: str, step: int) -> np.random.Generator:
             return streams(f"{stage} again", step)
 
-        second = _searched(problem, params.with_more_starts(), other_streams, by_lines=True)
+        second = _search(context, params.with_more_starts(), other_streams, by_lines=True)
         best = max(first, second, key=lambda answer: answer.probability)
         spent, more = first.estimate.seconds, second.estimate.seconds
         seconds = {stage: spent[stage] + taken for stage, taken in more.items()}
         best = best._replace(estimate=replace(best.estimate, seconds=seconds))
-        return _refined_by_edges(best, problem, params)
+        return _refine_by_edges(best, context, params)
 
 
-def _problem(query: Query, city_map: CityMap, params: RegionParams) -> Problem:
+def _query_context(query: Query, city_map: CityMap, params: RegionParams) -> QueryContext:
     photo = Photo(query_photo(query), query.camera, params, city_map.threads, BLURS_PX)
-    # The rest of the city, however large, is looked at this once.
+    # The only step whose cost depends on the size of the city.
     part = scene_in_reach(city_map.scene, query.camera, query.prior, *params.reach())
-    jacobian = OutlineJacobian(edges_of(part), city_map, params)
-    return Problem(query, photo, city_map, RaisedRoofs(city_map, part, params.pitched_lower_m), jacobian)
+    outlines = OutlineSampler(edges_of(part), city_map, params)
+    return QueryContext(query, photo, city_map, RaisedRoofs(city_map, part, params.pitched_lower_m), outlines)
 
 
 class _Candidate(NamedTuple):
-    """An answer, and what its probability comes from.
+    """The answer of one search.
 
     Attributes:
-        estimate: The answer.
-        features: Of the trust model.
-        share: Of the posterior that its mode has.
-        is_lens_overruled: Whether the photo shows another focal length than declared.
+        estimate: the answer.
+        features: features of the trust model.
+        mode_probability: probability of its mode among the modes that were followed.
+        is_focal_wrong: whether the focal length is estimated clearly different from the declared one.
     """
 
     estimate: Estimate
     features: ConfidenceFeatures
-    share: float
-    is_lens_overruled: bool
+    mode_probability: float
+    is_focal_wrong: bool
 
     @property
     def probability(self) -> float:
         return self.estimate.probability or 0.0
 
 
-def _searched(problem: Problem, params: RegionParams, streams: Streams, by_lines: bool = False) -> _Candidate:
-    """Returns the answer that one search leads to; its starts come from regions, or from lines as well."""
-    started, query, jacobian = time.perf_counter(), problem.query, problem.jacobian
-    coarse = problem.posterior(params, params.coarse_width, is_coarse=True)
+def _search(
+    context: QueryContext, params: RegionParams, streams: Streams, by_lines: bool = False
+) -> _Candidate:
+    """Returns the answer of one search, which starts from regions, or from regions and lines."""
+    started, query = time.perf_counter(), context.query
+    coarse = context.posterior(params, params.coarse_width, is_coarse=True)
     starts, best_fit = grid_starts(query, coarse, params)
-    candidates = refine_candidates(
-        starts, coarse, jacobian, params.coarse_generations, params.coarse_spread_px, streams
+    candidates = local_searches(
+        starts, coarse, context.outlines, params.coarse_generations, params.coarse_spread_px, streams
     )
     searched = time.perf_counter()
-    fine = problem.posterior(params, params.fine_width, is_coarse=False)
-    means = np.array([mode.gaussian.mean for mode in candidates[: params.modes]])
-    modes = refine_candidates(
-        means, fine, jacobian, params.fine_generations, params.fine_spread_px, streams, _PRUNE_BELOW_NATS
-    )
-    if by_lines and params.lines_weight > 0:
-        modes += modes_at(line_starts(problem, fine, params, streams), fine)
-    if not modes:
-        raise QueryFault("no outline of a building is in view of any pose that fits")
-    by_edges = fine.with_edges(params.judging_edge_weight)
-    modes = problem.weighed_by_range(rescore(modes, by_edges))
-    answer = PoseFinalizer(problem, params).answer(modes, streams)
-    ranked = [k for k in np.argsort(-answer.evidence, kind="stable") if np.isfinite(answer.evidence[k])]
+    fine = context.posterior(params, params.fine_width, is_coarse=False)
+    modes = _refined_modes(candidates, context, fine, params, streams, by_lines)
+    with_edges = fine.with_edges(params.judging_edge_weight)
+    modes = context.with_laser_range(rescore(modes, with_edges))
+    answer = PoseFinalizer(context, params).answer(modes, streams)
+    order = np.argsort(-answer.log_posteriors, kind="stable")
+    ranked = [k for k in order if np.isfinite(answer.log_posteriors[k])]
     best, *others = (modes[k].gaussian.mean for k in ranked)
-    features = _confidence_features(answer, by_edges, best, params)
-    share = float(shares_of(answer.evidence).max())
+    features = _confidence_features(answer, with_edges, best, params)
+    mode_probability = float(mode_probabilities(answer.log_posteriors).max())
     out_of_range = beyond_range(
-        fine.prior.offsets(answer.vector), answer.if_map_is_right, params.half_widths()
+        fine.prior.offsets(answer.vector), answer.covariance_if_map_is_right, params.half_widths()
     )
     estimate = Estimate(
         pose=pose_from_vector(answer.vector),
@@ -156,61 +160,84 @@ def _searched(problem: Problem, params: RegionParams, streams: Streams, by_lines
         seconds={"coarse": searched - started, "fine": time.perf_counter() - searched},
         trace={
             "coarse": (best_fit,),
-            "evidence [nats]": tuple(answer.evidence[ranked]),
+            "evidence [nats]": tuple(answer.log_posteriors[ranked]),
             SIGNS_STAGE: tuple(features),
         },
         covariance=answer.covariance,
-        probability=share * success_probability(features),
+        probability=mode_probability * success_probability(features),
         alternatives=tuple(pose_from_vector(other) for other in others),
-        notes=(*_lens_notes(answer.lens_percent, params), *out_of_range),
+        notes=(*_focal_notes(answer.focal_error_percent, params), *out_of_range),
     )
-    return _Candidate(estimate, features, share, _is_overruled(answer.lens_percent, params))
+    return _Candidate(
+        estimate, features, mode_probability, _is_focal_wrong(answer.focal_error_percent, params)
+    )
+
+
+def _refined_modes(
+    candidates: list[Mode],
+    context: QueryContext,
+    fine: PosePosterior,
+    params: RegionParams,
+    streams: Streams,
+    by_lines: bool,
+) -> list[Mode]:
+    """Returns the best candidates refined at the fine size, and modes at the starts by lines, if requested."""
+    means = np.array([mode.gaussian.mean for mode in candidates[: params.modes]])
+    schedule = params.fine_generations, params.fine_spread_px
+    modes = local_searches(means, fine, context.outlines, *schedule, streams, _PRUNE_BELOW_NATS)
+    if by_lines and params.lines_weight > 0:
+        modes += modes_at(line_starts(context, fine, params, streams), fine)
+    if not modes:
+        raise QueryFault("no outline of a building is in view of any pose that fits")
+    return modes
 
 
 def _confidence_features(
     answer: Answer, posterior: PosePosterior, mode: Floats, params: RegionParams
 ) -> ConfidenceFeatures:
-    """Returns the trust model's features of an answer, which comes from a mode of the search, (6,)."""
+    """Returns the five features of the trust model, of an answer and its mode of the search, (6,)."""
     beyond = float(abs(posterior.prior.offsets(mode)[2]) / params.half_widths()[2]) - 1.0
     return ConfidenceFeatures(
-        probability_within(answer.if_map_is_right, answer.vector),
+        probability_within(answer.covariance_if_map_is_right, answer.vector),
         answer.apart_m,
-        answer.lines,
+        answer.line_log_ratio_nats,
         answer.sharpness,
         max(0.0, beyond),
     )
 
 
-def _lens_notes(percent: float, params: RegionParams) -> tuple[str, ...]:
-    """Returns a sentence on a lens that is plainly not as declared, or nothing."""
-    if not _is_overruled(percent, params):
+def _focal_notes(error_percent: float, params: RegionParams) -> tuple[str, ...]:
+    """Returns a sentence on a focal length that is clearly not as declared, or nothing."""
+    if not _is_focal_wrong(error_percent, params):
         return ()
-    longer = "longer" if percent > 0 else "shorter"
-    return (f"the focal length was estimated {abs(percent):.1f} % {longer} than stated",)
+    longer = "longer" if error_percent > 0 else "shorter"
+    return (f"the focal length was estimated {abs(error_percent):.1f} % {longer} than stated",)
 
 
-def _is_overruled(percent: float, params: RegionParams) -> bool:
-    return abs(percent) >= _NEWS * params.lens_percent
+def _is_focal_wrong(error_percent: float, params: RegionParams) -> bool:
+    return abs(error_percent) >= _WRONG_FOCAL_SIGMAS * params.lens_percent
 
 
-def _refined_by_edges(found: _Candidate, problem: Problem, params: RegionParams) -> Estimate:
-    """Returns an answer refined by the edges of roofs where these are surer, as probable as that makes it.
+def _refine_by_edges(candidate: _Candidate, context: QueryContext, params: RegionParams) -> Estimate:
+    """Returns the estimate of a candidate, refined by roof edges if that has the smaller variance.
 
-    They are laid with the declared lens: an answer with another one stays.
+    Edges are compared at the declared focal length: a candidate with another one is returned unchanged.
     """
-    estimate, started = found.estimate, time.perf_counter()
-    if not params.edges or estimate.covariance is None or found.is_lens_overruled:
+    estimate, started = candidate.estimate, time.perf_counter()
+    if not params.edges or estimate.covariance is None or candidate.is_focal_wrong:
         return estimate
     answer = vector_from_pose(estimate.pose), estimate.covariance
-    refined = _edge_alignment(*answer, problem.query, problem.city_map, params)
+    refined = _edge_alignment(*answer, context.query, context.city_map, params)
     if refined is not None:
-        within = max(found.features.probability, probability_within(refined.covariance, refined.vector))
-        probability = found.share * success_probability(found.features._replace(probability=within))
+        within = max(
+            candidate.features.probability, probability_within(refined.covariance, refined.vector)
+        )
+        features = candidate.features._replace(probability=within)
         estimate = replace(
             estimate,
             pose=pose_from_vector(refined.vector),
             covariance=refined.covariance,
-            probability=probability,
+            probability=candidate.mode_probability * success_probability(features),
         )
     return replace(estimate, seconds=estimate.seconds | {"edges": time.perf_counter() - started})
 
@@ -218,25 +245,23 @@ def _refined_by_edges(found: _Candidate, problem: Problem, params: RegionParams)
 def _edge_alignment(
     vector: Floats, covariance: Floats, query: Query, city_map: CityMap, params: RegionParams
 ) -> EdgeAlignment | None:
-    """Returns where the edges of roofs have an answer, (6,); None where they are no surer of the place.
+    """Returns the alignment of roof edges near an answer, (6,), or None where the answer is kept.
 
-    Eq. (R24) of docs/methods/region.md.
-
-    Edges have to be likelier there, plainly likelier than background, and leave the smaller variance; the
-    answer's tilt must not have overruled the prior's.
+    Eq. (R24) of docs/methods/region.md: edges have to be likelier at the new pose, clearly likelier than
+    background, and leave the smaller variance; the answer's tilt must not contradict the declared range.
     """
     half_widths, prior = np.array(params.half_widths()), vector_from_pose(query.prior)
-    if np.any(np.abs(vector - prior)[TILT] > _OVERRULED * half_widths[TILT]):
+    if np.any(np.abs(vector - prior)[TILT] > _MAX_TILT_HALF_WIDTHS * half_widths[TILT]):
         return None
     k1 = 0.0 if query.camera_sigmas is None else query.camera_sigmas.k1
-    of_prior = half_widths / np.sqrt(3.0)
+    prior_sigmas = half_widths / np.sqrt(3.0)
     if query.measured is not None:
-        of_prior = query.measured.over(of_prior)
-    sigmas = np.array([*of_prior, 0.01 * params.lens_percent, k1, 0.0, 0.0])
+        prior_sigmas = query.measured.over(prior_sigmas)
+    sigmas = np.array([*prior_sigmas, 0.01 * params.lens_percent, k1, 0.0, 0.0])
     edges = photo_edges(query)
     if edges is None:
         return None
-    found = EdgeLikelihood(edges, query.camera, city_map, prior, sigmas).refined(vector)
-    if found is None or found.gain <= 0.0 or found.evidence < _LEAST_EVIDENCE:
+    aligned = EdgeLikelihood(edges, query.camera, city_map, prior, sigmas).refined(vector)
+    if aligned is None or aligned.gain <= 0.0 or aligned.log_ratio_to_background < _LEAST_EDGE_NATS:
         return None
-    return found if np.trace(found.covariance[:3, :3]) < np.trace(covariance[:3, :3]) else None
+    return aligned if np.trace(aligned.covariance[:3, :3]) < np.trace(covariance[:3, :3]) else None

@@ -1,4 +1,4 @@
-"""From a wide prior to a few distinct poses: a grid, searches from its best samples, refinement."""
+"""From a wide prior to a few distinct modes: a grid of poses, and local searches from its best ones."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lodbench.geometry import Pose, PoseGrid, wrap_deg
 from lodbench.geometry.pose import pose_from_vector
 from lodbench.kernels.arguments import EdgeArrays
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.evidence import Photo, PosePosterior
+from lodbench.methods.region.posteriors import Photo, PosePosterior
 from lodbench.methods.region.params import RegionParams
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.search import nothing_fits
@@ -26,9 +26,9 @@ from lodbench.rendering import Scorer
 
 Floats = NDArray[np.float64]
 
-# Modes nearer to each other than this are the same one: metres, degrees.
+# Modes whose positions and angles differ by no more count as one: metres, degrees.
 _SAME_M, _SAME_DEG = 3.0, 3.0
-# Distance between the points of an outline that say how it moves with the pose, pixels.
+# Distance between the points of an outline at which its derivative by the pose is taken, pixels.
 _SPACING_PX = 4.0
 
 
@@ -36,8 +36,8 @@ class Mode(NamedTuple):
     """A mode of the posterior.
 
     Attributes:
-        gaussian: Its pose, and the shape of the posterior around it.
-        log_posterior: At the pose, up to a constant.
+        gaussian: its pose, and the shape of the posterior around it.
+        log_posterior: the log-posterior at the pose, up to a constant.
     """
 
     gaussian: Gaussian
@@ -45,13 +45,13 @@ class Mode(NamedTuple):
 
 
 def grid_starts(query: Query, posterior: PosePosterior, params: RegionParams) -> tuple[Floats, float]:
-    """Returns the local maxima of the grid, best first, (N, 6), and the best fit.
+    """Returns the (N, 6) local maxima of the fit on the grid, best first, and the best fit, nats per pixel.
 
     Raises:
-        QueryFault: The photo fits no sample at all.
+        QueryFault: The photo fits no pose of the grid.
     """
     grid = params.grid()
-    vectors = samples(grid, query.prior)
+    vectors = grid_poses(grid, query.prior)
     fits = posterior.fits(vectors)
     best = float(fits.max())
     if best <= 0:
@@ -59,7 +59,7 @@ def grid_starts(query: Query, posterior: PosePosterior, params: RegionParams) ->
     return vectors[local_maxima(fits, grid, params.turns_around(), params.num_starts())], best
 
 
-def samples(grid: PoseGrid, prior: Pose) -> Floats:
+def grid_poses(grid: PoseGrid, prior: Pose) -> Floats:
     """Returns the (N, 6) poses of a grid around a prior, in the grid's order; metres and degrees."""
     centers, yaws = grid.around(prior)
     pitch, roll, _ = prior.euler
@@ -67,15 +67,15 @@ def samples(grid: PoseGrid, prior: Pose) -> Floats:
 
 
 def local_maxima(fits: Floats, grid: PoseGrid, turns_around: bool, most: int) -> list[int]:
-    """Returns which samples of a grid to start from, best first, none another's neighbour.
+    """Returns the indices of the poses of a grid to start from, best first, none another's neighbour.
 
-    Local maxima come first, so that a broad wrong mode does not take every start; then the best besides.
+    Local maxima come first, so that a broad wrong mode does not take every start; then the best of the rest.
 
     Args:
-        fits: (N,) of the samples.
-        grid: They are of.
-        turns_around: Whether the first heading is the last one's neighbour.
-        most: How many at most.
+        fits: (N,) fit of each pose of the grid.
+        grid: the grid.
+        turns_around: whether the first yaw is a neighbour of the last.
+        most: largest number of indices.
     """
     values = fits.reshape([axis.count for axis in (grid.yaw, grid.x, grid.y, grid.z)])
     highest = values
@@ -84,10 +84,10 @@ def local_maxima(fits: Floats, grid: PoseGrid, turns_around: bool, most: int) ->
         padded = np.pad(highest, around, mode="wrap" if turns_around and axis == 0 else "edge")
         highest = np.lib.stride_tricks.sliding_window_view(padded, 3, axis).max(axis=-1)
     is_maximum = (values >= highest).ravel()
-    places = np.stack(np.unravel_index(np.arange(len(fits)), values.shape), axis=1)
+    grid_indices = np.stack(np.unravel_index(np.arange(len(fits)), values.shape), axis=1)
     chosen: list[int] = []
     for i in np.lexsort([-fits, ~is_maximum]):
-        gaps = np.abs(places[chosen] - places[i])
+        gaps = np.abs(grid_indices[chosen] - grid_indices[i])
         if turns_around:
             gaps[:, 0] = np.minimum(gaps[:, 0], grid.yaw.count - gaps[:, 0])
         if (gaps.max(axis=1, initial=0) > 1).all():
@@ -97,31 +97,31 @@ def local_maxima(fits: Floats, grid: PoseGrid, turns_around: bool, most: int) ->
     return chosen
 
 
-def refine_candidates(
+def local_searches(
     starts: Floats,
     posterior: PosePosterior,
-    jacobian: OutlineJacobian,
+    outlines: OutlineSampler,
     generations: int,
-    spread_px: float,
+    spacing_px: float,
     streams: Streams,
     prune_gap: float = math.inf,
 ) -> list[Mode]:
-    """Returns the distinct modes that local searches from some poses (N, 6) end at, best first.
+    """Returns the distinct modes that local searches from some poses end at, best first.
 
     Args:
-        starts: The poses.
-        posterior: What is maximised.
-        jacobian: How the outline moves.
-        generations: Of each search.
-        spread_px: How far outlines lie apart in the first, pixels.
-        streams: Of random numbers.
-        prune_gap: Searches so many nats behind the best after four generations are given up.
+        starts: (N, 6) the poses.
+        posterior: the posterior that is maximised.
+        outlines: gives the shape of each first generation.
+        generations: number of generations of each search.
+        spacing_px: how far apart the outlines of a first generation lie, pixels.
+        streams: random streams.
+        prune_gap: searches whose log-posterior is lower than the best by more after four generations end.
     """
-    spreads = {k: jacobian.spread(start, posterior, spread_px) for k, start in enumerate(starts)}
-    first = {k: spread for k, spread in spreads.items() if spread is not None}
-    generators = [streams(f"climb {spread_px:g}", k) for k in first]
+    initial = [outlines.initial_gaussian(start, posterior, spacing_px) for start in starts]
+    first = {k: gaussian for k, gaussian in enumerate(initial) if gaussian is not None}
+    generators = [streams(f"climb {spacing_px:g}", k) for k in first]
     ends = maximize_abreast(
-        posterior.log_posterior, list(first.values()), generations, jacobian.population, generators, prune_gap
+        posterior.log_posterior, list(first.values()), generations, outlines.population, generators, prune_gap
     )
     distinct: list[Mode] = []
     for mode in modes_at(ends, posterior):
@@ -137,12 +137,12 @@ def _is_same(one: Floats, other: Floats) -> bool:
 
 
 def rescore(modes: list[Mode], posterior: PosePosterior) -> list[Mode]:
-    """Returns the same modes by another posterior, best first."""
+    """Returns the same modes with their log-posteriors by another posterior, best first."""
     return modes_at([mode.gaussian for mode in modes], posterior)
 
 
 def modes_at(gaussians: list[Gaussian], posterior: PosePosterior) -> list[Mode]:
-    """Returns modes at the means of some Gaussians, best first."""
+    """Returns the modes at the means of some Gaussians, best first."""
     if not gaussians:
         return []
     logs = posterior.log_posterior(np.array([gaussian.mean for gaussian in gaussians]))
@@ -150,32 +150,30 @@ def modes_at(gaussians: list[Gaussian], posterior: PosePosterior) -> list[Mode]:
     return sorted(modes, key=lambda mode: -mode.log_posterior)
 
 
-class OutlineJacobian:
-    """How the outline moves with the state vector, which shapes the first generation of a search."""
+class OutlineSampler:
+    """Points of the outline that a pose shows, and the Gaussian of poses whose outlines lie near it."""
 
     def __init__(self, edges: EdgeArrays, scorer: Scorer, params: RegionParams) -> None:
         self.population = params.population
         self._edges, self._scorer = edges, scorer
 
     def outline(self, vector: Floats, posterior: PosePosterior) -> OutlinePoints:
-        """Returns points of the outline that a pose shows, at the posterior's working size."""
+        """Returns points of the outline that a pose, (6,), shows, at the posterior's working size."""
         silhouette = self._scorer.render(posterior.camera, pose_from_vector(vector))
         return sample_outline(self._edges, posterior.camera, vector, silhouette, _SPACING_PX)
 
-    def spread(
-        self, vector: Floats, posterior: PosePosterior, spread_px: float, prior: Floats | None = None
+    def initial_gaussian(
+        self, vector: Floats, posterior: PosePosterior, spacing_px: float, prior: Floats | None = None
     ) -> Gaussian | None:
-        """Returns a Gaussian of poses whose outlines lie about ``spread_px`` apart, or as the prior allows.
+        """Returns a Gaussian of vectors whose outlines lie about ``spacing_px`` apart, or as the prior allows.
 
-        Eq. (R8) of docs/methods/region.md.
-
-        None where no outline is in view.
+        Eq. (R8) of docs/methods/region.md; None where no outline is in view.
 
         Args:
-            vector: (6,) the pose in the middle; or more of the state vector, as far as (9,): bases of walls.
-            posterior: Knows the prior of poses and the working size.
-            spread_px: How far apart.
-            prior: Information of the prior, of as many.
+            vector: (N,) its mean: a pose, (6,), or the first numbers of a state vector, up to (9,).
+            posterior: gives the working size, and the prior of poses.
+            spacing_px: distance between outlines, pixels.
+            prior: (N, N) information of the prior; for (6,) that of the posterior's by default.
         """
         points = self.outline(vector[POSE], posterior)
         if not len(points):
@@ -184,37 +182,37 @@ class OutlineJacobian:
             prior = posterior.prior.information()
         slopes = points.slopes(len(vector))
         weights = points.lengths / points.lengths.sum()
-        information = (slopes * weights[:, None]).T @ slopes / spread_px**2 + prior
+        information = (slopes * weights[:, None]).T @ slopes / spacing_px**2 + prior
         covariance = np.linalg.inv(information)
         return Gaussian(vector, np.asarray(0.5 * (covariance + covariance.T)))
 
 
-class Problem(NamedTuple):
-    """A query, and what is made of photo and map once.
+class QueryContext(NamedTuple):
+    """A query, and what is computed once from its photo and its map.
 
     Attributes:
-        query: The query.
-        photo: Its photo, in some sizes.
-        city_map: The map.
-        roofs: The part of it in reach.
-        jacobian: How its outline moves.
+        query: the query.
+        photo: its photo, at several sizes.
+        city_map: the map.
+        roofs: the buildings of the map in reach, whose roofs can be raised.
+        outlines: samples their outline.
     """
 
     query: Query
     photo: Photo
     city_map: CityMap
     roofs: RaisedRoofs
-    jacobian: OutlineJacobian
+    outlines: OutlineSampler
 
-    def weighed_by_range(self, modes: list[Mode]) -> list[Mode]:
-        """Returns modes with what a laser's range says of each, best first."""
+    def with_laser_range(self, modes: list[Mode]) -> list[Mode]:
+        """Returns modes with the log-density of a laser's range added, (M9), best first."""
         poses = np.array([mode.gaussian.mean for mode in modes])
         logs = range_log_densities(self.query, self.city_map, poses)
-        weighed = [
+        with_range = [
             m._replace(log_posterior=m.log_posterior + log) for m, log in zip(modes, logs, strict=True)
         ]
-        return sorted(weighed, key=lambda mode: -mode.log_posterior)
+        return sorted(with_range, key=lambda mode: -mode.log_posterior)
 
     def posterior(self, params: RegionParams, width: int, is_coarse: bool) -> PosePosterior:
-        """Returns the posterior of poses by silhouettes of a width, pixels."""
+        """Returns the posterior of poses by silhouettes of a width, pixels, of the map as it is."""
         return PosePosterior(self.query, self.city_map, self.photo.fit(width, is_coarse), params)

@@ -1,4 +1,4 @@
-"""How far to trust an answer: signs that it is right, and the one model that weighs them."""
+"""The trust model: features of an answer, and the probability that it is right, by logistic regression."""
 
 from __future__ import annotations
 
@@ -8,77 +8,86 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-# Probabilities by the covariance are not believed beyond this; what places are apart by chance, metres;
-# what lines say by chance, nats; how far beyond the range of heights counts, of its half width.
-_LEAST_PROBABILITY, _APART_M, _LEAST_LINES, _MOST_BEYOND = 0.02, 0.3, 10.0, 0.5
-# Lines say no more than this: towards the horizon thousands of short ones find edges anywhere.
-_MOST_LINES = 300.0
+# Probabilities by the covariance are kept this far from 0 and 1.
+_LEAST_PROBABILITY = 0.02
+# Added to the distance before its logarithm, metres: distances below are chance.
+_DISTANCE_OFFSET_M = 0.3
+# Added to the lines' log-ratio before its logarithm, nats: less is chance.
+_LINE_OFFSET_NATS = 10.0
+# The largest log-ratio of lines that counts, nats: towards the horizon thousands of short lines meet edges.
+_MOST_LINE_NATS = 300.0
+# The largest distance of the height from the prior's range that counts, half widths.
+_MOST_BEYOND_HALF_WIDTHS = 0.5
 # Logistic regression on 684 answers, 531 of them within (2 m, 2 deg): drawn photos in the look `hard`, seeds
 # 103 and 104, over thirteen files; thermal query, labelled and traced real photos, 122 of these from priors
 # of +-50 m and +-30 deg. Labelled photos weigh three times as much. Each weight was held to one sign.
 # docs/adr/0013, point 3 says what it does on other answers.
-_CONSTANT = -18.62
-_OF_ODDS, _OF_AGREEMENT, _OF_LINES, _OF_SHARPNESS, _OF_BEYOND = 0.63, 0.19, 3.2, 7.06, 44.39
+_INTERCEPT, _WEIGHT_LOGIT, _WEIGHT_LOG_DISTANCE, _WEIGHT_LOG_NATS = -18.62, 0.63, 0.19, 3.2
+_WEIGHT_SHARPNESS, _WEIGHT_BEYOND_HALF_WIDTHS = 7.06, 44.39
 
 
-# What an answer's trace calls its signs; where lines say another place, few edges, or edges beside them.
+# The trace of an answer stores its features under this key, which runs hold.
 SIGNS_STAGE = "signs [as of trust_of]"
-_FAR_APART_M, _FEW_NATS, _BLUNT = 2.0, 50.0, 0.2
+# Beyond these, ``contradictions`` names a feature: distance in metres, log-ratio in nats, sharpness.
+_FAR_APART_M, _FEW_LINE_NATS, _LOW_SHARPNESS = 2.0, 50.0, 0.2
 
 
 class ConfidenceFeatures(NamedTuple):
     """The features of the trust model.
 
     Attributes:
-        probability: Of (2 m, 2 deg) by the posterior's curvature: how well the photo says the pose, if it is
-            the one and the map is right.
-        apart_m: How far the place by the model's lines is from the best by regions and outlines.
-        lines: Nats by which the photo's edges along the lines are likelier than anywhere.
-        sharpness: Whether edges lie on the lines or beside them (R14): whether the map is exact.
-        beyond: How far the height is beyond the prior's range, in half widths of it; 0 within.
+        probability: probability of (2 m, 2 deg) by the covariance if the mode and the map are right.
+        apart_m: distance between the position by the model's lines and that of the search's mode, metres.
+        line_log_ratio_nats: log-ratio of the photo's edges on the lines to edges anywhere, nats.
+        sharpness: whether edges lie on the lines, 1, or next to them, 0 or less: whether the map is exact.
+        beyond: how far the height is beyond the prior's range, half widths of it; 0 within.
     """
 
     probability: float
     apart_m: float
-    lines: float
+    line_log_ratio_nats: float
     sharpness: float
     beyond: float
 
 
 class LineFeatures(NamedTuple):
-    """Three of the features, which the model's lines give."""
+    """The three features that come from the model's lines; see ``ConfidenceFeatures``."""
 
     apart_m: float
-    lines: float
+    line_log_ratio_nats: float
     sharpness: float
 
 
-# Of an answer that no line was laid over: as the median answer has it; and where none is in view.
+# Features where lines are not used: those of the median answer; and where no line is in view.
 TYPICAL_LINES, NO_LINES = LineFeatures(1.1, 150.0, 0.5), LineFeatures(3.0, 0.0, 0.0)
 
 
 def success_probability(features: ConfidenceFeatures) -> float:
-    """Returns the probability that an answer is within (2 m, 2 deg). Eq. (R20) of docs/methods/region.md."""
+    """Returns the probability that an answer is within (2 m, 2 deg), given that its mode is the right one.
+
+    Eq. (R20) of docs/methods/region.md.
+    """
     probability = np.clip(features.probability, _LEAST_PROBABILITY, 1.0 - _LEAST_PROBABILITY)
+    line_nats = np.clip(features.line_log_ratio_nats, 0.0, _MOST_LINE_NATS)
     return float(
         scipy.special.expit(
-            _CONSTANT
-            + _OF_ODDS * scipy.special.logit(probability)
-            - _OF_AGREEMENT * np.log(features.apart_m + _APART_M)
-            + _OF_LINES * np.log(np.clip(features.lines, 0.0, _MOST_LINES) + _LEAST_LINES)
-            + _OF_SHARPNESS * np.clip(features.sharpness, 0.0, 1.0)
-            - _OF_BEYOND * np.clip(features.beyond, 0.0, _MOST_BEYOND)
+            _INTERCEPT
+            + _WEIGHT_LOGIT * scipy.special.logit(probability)
+            - _WEIGHT_LOG_DISTANCE * np.log(features.apart_m + _DISTANCE_OFFSET_M)
+            + _WEIGHT_LOG_NATS * np.log(line_nats + _LINE_OFFSET_NATS)
+            + _WEIGHT_SHARPNESS * np.clip(features.sharpness, 0.0, 1.0)
+            - _WEIGHT_BEYOND_HALF_WIDTHS * np.clip(features.beyond, 0.0, _MOST_BEYOND_HALF_WIDTHS)
         )
     )
 
 
 def contradictions(features: ConfidenceFeatures) -> Iterator[str]:
-    """Yields what speaks against an answer, in words."""
+    """Yields a sentence on each feature that makes an answer doubtful."""
     if features.apart_m > _FAR_APART_M:
         yield f"edges along the map's lines fit best {features.apart_m:.1f} m away"
-    if features.lines < _FEW_NATS:
+    if features.line_log_ratio_nats < _FEW_LINE_NATS:
         yield "few edges in the photo along the map's lines"
-    elif features.sharpness < _BLUNT:
+    elif features.sharpness < _LOW_SHARPNESS:
         yield "edges in the photo lie beside the map's lines"
     if features.beyond > 0:
         yield "the height is outside the range of the prior"
