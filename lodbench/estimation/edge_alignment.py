@@ -1,8 +1,8 @@
-"""A pose refined by a photo's own edges: Gauss-Newton on roof lines that may each lie on any parallel edge.
+"""A pose refined by a photo's own edges: Gauss-Newton on distances of roof lines to parallel edges.
 
-Each point of a model's line shows an edge of the photo nearby, or none. Which of the edges across it is the
-line's is a mixture with a uniform background, whose density is measured on the photo itself (expectation and
-maximisation over a narrowing deviation; docs/adr/0011, point 11).
+A point of a model's line shows one of the photo's edges nearby, or none. Its edge is unknown: the likelihood
+is a mixture over all edges across the line and a uniform background, whose density is measured on the photo
+(expectation and maximisation over a narrowing deviation; docs/adr/0011, point 11).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.citymodel.extrude import pitched_blocks
 from lodbench.estimation.model_lines import (
-    CAMERA,
+    NUM_POSE_AND_LENS,
     LensErrors,
     ModelLines,
     Projected,
@@ -25,24 +25,25 @@ from lodbench.estimation.model_lines import (
     project_lines,
 )
 from lodbench.estimation.optimization import Quadratic
-from lodbench.estimation.state_vector import POSES, differences
+from lodbench.estimation.state_vector import NUM_POSE, differences
 from lodbench.geometry import Camera
 from lodbench.geometry.pose import pose_from_vector
 from lodbench.rendering.photo_bins import gradient_forms
 
 Floats = NDArray[np.float64]
 
-# The least mean strength of a photo's changes, of CIE Lab's 0 to 100.
+# The least mean strength of a photo's gradient, CIE Lab units (0 to 100) per pixel.
 _LEAST_MEAN = 0.05
-# Distance of samples across a line, pixels: between pixels interpolation flattens an edge by as much at each,
-# which moves no top (half of that moves it by up to a quarter of a pixel).
+# Distance of samples across a line, pixels: at whole pixels interpolation flattens all samples alike and does
+# not move a maximum (at half pixels it moves it by up to a quarter of a pixel).
 _STEP_PX = 1.0
-# An edge is stronger than this, mean strengths around it, and no stronger one counts for more; most of its
-# change goes across the line: within 26 degrees of it.
-_WEAKEST, _STRONGEST, _PARALLEL = 0.8, 4.0, 0.8
+# The least strength of an edge, and the largest that counts, in mean strengths around it.
+_WEAKEST, _STRONGEST = 0.8, 4.0
+# The least fraction of its squared gradient across the line: within 26 degrees of the line's normal.
+_PARALLEL = 0.8
 # Rows of a picture that OpenCV interpolates in one call.
 _MOST_ROWS = 30_000
-# What a point of a line weighs that shows no edge: an edge of middling strength two deviations off.
+# The weight of "no edge" of a point: that of an edge of mean strength, two standard deviations off.
 _NO_EDGE = float(np.exp(-2.0))
 
 
@@ -50,9 +51,9 @@ class Candidates(NamedTuple):
     """Edges of the photo that points of lines may show.
 
     Attributes:
-        points: (M,) numbers of the points.
-        distances: (M,) from the point along its normal, pixels.
-        strengths: (M,) mean strengths of the photo around, at most 4.
+        points: (M,) indices of the points.
+        distances: (M,) distances from the point along its normal, pixels.
+        strengths: (M,) strengths, in mean strengths of the photo around, at most 4.
     """
 
     points: NDArray[np.int64]
@@ -99,8 +100,8 @@ class PhotoEdges:
         """
         steps = int(np.ceil(reach_px / _STEP_PX)) + 1
         offsets = _STEP_PX * np.arange(-steps, steps + 1)
-        places = (pixels[:, None] + offsets[:, None] * normals[:, None] - 0.5).astype(np.float32)
-        forms = self._forms_at(places)
+        positions = (pixels[:, None] + offsets[:, None] * normals[:, None] - 0.5).astype(np.float32)
+        forms = self._forms_at(positions)
         x, y = normals[:, None, 0], normals[:, None, 1]
         squares = forms[..., 0] * x**2 + 2.0 * forms[..., 1] * x * y + forms[..., 2] * y**2
         is_parallel = squares > _PARALLEL * (forms[..., 0] + forms[..., 2])
@@ -109,66 +110,71 @@ class PhotoEdges:
         is_peak = (here >= before) & (here > after) & (here > _WEAKEST) & is_parallel[:, 1:-1]
         points, peaks = np.nonzero(is_peak)
         one, middle, other = (part[points, peaks] for part in (before, here, after))
-        # The top of the parabola through three samples.
+        # The maximum of the parabola through three samples.
         shift = 0.5 * (one - other) / np.minimum(one - 2.0 * middle + other, -1e-12)
         distances = offsets[peaks + 1] + _STEP_PX * np.clip(shift, -0.5, 0.5)
         return Candidates(points, distances, np.minimum(middle, _STRONGEST))
 
-    def _forms_at(self, places: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _forms_at(self, positions: NDArray[np.float32]) -> NDArray[np.float32]:
         """Returns (N, S, 3) the forms at (N, S, 2), pixel centres whole; OpenCV takes no N of 0 or 2^15."""
-        forms = np.empty((*places.shape[:2], 3), dtype=np.float32)
-        for first in range(0, len(places), _MOST_ROWS):
-            columns, rows = (np.ascontiguousarray(places[first : first + _MOST_ROWS, :, k]) for k in (0, 1))
+        forms = np.empty((*positions.shape[:2], 3), dtype=np.float32)
+        for first in range(0, len(positions), _MOST_ROWS):
+            columns, rows = (
+                np.ascontiguousarray(positions[first : first + _MOST_ROWS, :, k]) for k in (0, 1)
+            )
             forms[first : first + _MOST_ROWS] = cv2.remap(
                 self._forms, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
             )
         return forms
 
 
-# Points of lines are so far apart; none is taken so near the border, pixels.
+# The distance between points along lines, and the least distance of points from the border, pixels.
 _SPACING_PX, _BORDER_PX = 6.0, 3.0
 # Standard deviations of an edge about its line, pixels: from an answer's error to that of map and edges.
 _SIGMAS_PX = (8.0, 6.0, 4.0, 3.0, 2.0, 1.5, 1.5, 1.5)
+# Gauss-Newton steps at each; how far edges are looked for, standard deviations; the least number of points.
 _STEPS, _REACH, _FEWEST_POINTS = 2, 3.0, 12
-# How many points of lines show an edge; over which length their errors, the map's among them, go together.
-_SHOWN, _TOGETHER_PX = 0.7, 120.0
-# Maps and edges err together over more than that: squared errors of 29 answers are 1.8 times what is left.
-_SPREAD = 1.7
-# In a dense city not all points are compared: towards the horizon lines have tens of thousands.
+# The probability that a point shows an edge.
+_SHOWN = 0.7
+# The length of line over which errors of edges and map are correlated, pixels.
+_TOGETHER_PX = 120.0
+# Some are correlated over more: squared errors of 29 answers are 1.8 times the variance without this factor.
+_VARIANCE_INFLATION = 1.7
+# The largest number of points: towards the horizon of a dense city lines have tens of thousands.
 _MOST_POINTS = 3000
-# How far beside lines the background is measured, pixels.
-_BESIDE_PX = 30.0
-# Bases of walls are no evidence (docs/adr/0012, point 6).
-_LOWEST_RISE = 0.2
+# The distance from lines within which the background is measured, pixels.
+_BACKGROUND_PX = 30.0
+# Lines below this relative height are left out: bases of walls are hidden (docs/adr/0012, point 6).
+_LOWEST_RELATIVE_HEIGHT = 0.2
 
 
 class EdgeAlignment(NamedTuple):
     """A pose refined by edges.
 
     Attributes:
-        vector: (6,) metres and degrees.
-        covariance: (6, 6) of its error, what the lens leaves open included.
-        evidence: Nats by which edges and prior are likelier than the photo's background.
-        gain: Nats by which they are likelier than where it began.
+        vector: (6,) the pose, metres and degrees.
+        covariance: (6, 6) covariance of its error, that by the lens included.
+        log_ratio_to_background: log-ratio of its edges to the photo's background, prior included, nats.
+        gain: difference of that from the value at the start, nats.
     """
 
     vector: Floats
     covariance: Floats
-    evidence: float
+    log_ratio_to_background: float
     gain: float
 
 
 class EdgeLikelihood:
-    """The likelihood of the edges of one photo, beside priors of pose and lens.
+    """The likelihood of the edges of one photo, times a Gaussian prior of pose and lens.
 
-    Blocks of pitched roofs are left out: their drawn edges are not where roofs end.
+    Blocks whose source states a pitched roof are left out: edges of the block are not those of the roof.
 
     Args:
-        edges: The photo's.
-        camera: Pinhole, of any size.
-        city_map: Whose roof lines are compared.
-        prior: (6,) metres and degrees.
-        sigmas: (10,) standard deviations of the prior, none 0, and of ``LensErrors``, held where 0.
+        edges: the photo's edges.
+        camera: pinhole, of any size.
+        city_map: the map whose roof lines are compared.
+        prior: (6,) the prior pose, metres and degrees.
+        sigmas: (10,) standard deviations of the pose, none 0, and of ``LensErrors``, fixed where 0.
     """
 
     def __init__(
@@ -176,13 +182,14 @@ class EdgeLikelihood:
     ) -> None:
         self._camera, self._size, self._edges = camera.scaled(*edges.size), np.array(edges.size), edges
         self._map, self._is_flat = city_map, ~pitched_blocks(city_map.scene)
-        self._prior, self._free = np.append(prior, np.zeros(CAMERA - POSES)), np.flatnonzero(sigmas > 0)
+        self._prior = np.append(prior, np.zeros(NUM_POSE_AND_LENS - NUM_POSE))
+        self._free = np.flatnonzero(sigmas > 0)
         self._sigmas = sigmas[self._free]
         self._background = self._measured_background()
 
     def refined(self, vector: Floats) -> EdgeAlignment | None:
         """Returns the pose that edges and priors make most probable near (6,); None where few lines show."""
-        start = np.append(vector, np.zeros(CAMERA - POSES))
+        start = np.append(vector, np.zeros(NUM_POSE_AND_LENS - NUM_POSE))
         refined, information = start, np.diag(self._sigmas**-2.0)
         for sigma_px in _SIGMAS_PX:
             lines = self._lines(refined)
@@ -190,12 +197,13 @@ class EdgeLikelihood:
                 return None
             for _ in range(_STEPS):
                 refined, information = self._step(lines, refined, sigma_px)
-        covariance = np.asarray(_SPREAD * np.linalg.inv(information)[:POSES, :POSES])
-        evidence = self.log_posterior(refined)
-        return EdgeAlignment(refined[:POSES], covariance, evidence, evidence - self.log_posterior(start))
+        covariance = np.asarray(_VARIANCE_INFLATION * np.linalg.inv(information)[:NUM_POSE, :NUM_POSE])
+        log_ratio = self.log_ratio_to_background(refined)
+        gain = log_ratio - self.log_ratio_to_background(start)
+        return EdgeAlignment(refined[:NUM_POSE], covariance, log_ratio, gain)
 
-    def log_posterior(self, vector: Floats) -> float:
-        """Returns how much likelier the lines of a pose and lens, (10,), are than background; with priors.
+    def log_ratio_to_background(self, vector: Floats) -> float:
+        """Returns the log-ratio of edges at a pose and lens, (10,), to background, prior included, nats.
 
         Eq. (R22) of docs/methods/region.md.
         """
@@ -205,7 +213,7 @@ class EdgeLikelihood:
         return prior + float((lines.lengths_px * np.log(1.0 - _SHOWN + ratios)).sum()) / _TOGETHER_PX
 
     def _step(self, lines: ModelLines, vector: Floats, sigma_px: float) -> tuple[Floats, Floats]:
-        """Returns the next (10,), and the information on what is free of it.
+        """Returns the next (10,), and the posterior's information on those of its numbers that are free.
 
         Eq. (R23) of docs/methods/region.md.
         """
@@ -222,7 +230,7 @@ class EdgeLikelihood:
         return stepped, posterior.information
 
     def _ratios(self, laid: Projected, sigma_px: float) -> tuple[Floats, Floats]:
-        """Returns (N,) how much likelier an edge of the line is than background, and its (N,) distance.
+        """Returns the (N,) ratio of a point's edges to background, r - 0.3, and their (N,) expected distance.
 
         Eq. (R21) of docs/methods/region.md.
         """
@@ -235,18 +243,18 @@ class EdgeLikelihood:
         return np.asarray(ratios, dtype=np.float64), means
 
     def _measured_background(self) -> tuple[float, float]:
-        """Returns how many edges a pixel across lines shows, and their mean strength, about the prior."""
+        """Returns the number of edges per pixel across lines, and their mean strength, near the prior."""
         lines = self._lines(self._prior)
         laid = self._laid(lines, self._prior)
-        edges = self._edges.across(laid.pixels, laid.normals, _BESIDE_PX)
+        edges = self._edges.across(laid.pixels, laid.normals, _BACKGROUND_PX)
         if not len(edges.points):
-            return 1.0 / _BESIDE_PX, 1.0
-        return len(edges.points) / (2.0 * _BESIDE_PX * len(lines)), float(edges.strengths.mean())
+            return 1.0 / _BACKGROUND_PX, 1.0
+        return len(edges.points) / (2.0 * _BACKGROUND_PX * len(lines)), float(edges.strengths.mean())
 
     def _lines(self, vector: Floats) -> ModelLines:
         """Returns points on roof lines that (10,) shows inside the photo."""
-        lines = lines_in_view(self._map, self._camera, pose_from_vector(vector[:POSES]), _SPACING_PX)
-        lines = lines.of((lines.rises > _LOWEST_RISE) & self._is_flat[lines.buildings])
+        lines = lines_in_view(self._map, self._camera, pose_from_vector(vector[:NUM_POSE]), _SPACING_PX)
+        lines = lines.of((lines.relative_heights > _LOWEST_RELATIVE_HEIGHT) & self._is_flat[lines.buildings])
         pixels = self._laid(lines, vector).pixels
         is_inside = (pixels > _BORDER_PX) & (pixels < self._size - _BORDER_PX)
         lines = lines.of(np.asarray(is_inside.all(axis=1)))
@@ -257,9 +265,9 @@ class EdgeLikelihood:
         return replace(lines, lengths_px=every * lines.lengths_px)
 
     def _laid(self, lines: ModelLines, vector: Floats) -> Projected:
-        lens = LensErrors(*(float(v) for v in vector[POSES:]))
-        return project_lines(lines.points, lines.along, self._camera, vector[:POSES], lens)
+        lens = LensErrors(*(float(v) for v in vector[NUM_POSE:]))
+        return project_lines(lines.points, lines.along, self._camera, vector[:NUM_POSE], lens)
 
     def _away(self, vector: Floats) -> Floats:
-        """Returns how far the free ones of (10,) are from the priors."""
+        """Returns the differences of the free numbers of (10,) from the prior."""
         return np.asarray(differences(vector, self._prior)[self._free])

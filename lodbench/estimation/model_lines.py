@@ -92,8 +92,8 @@ class ModelLines:
     Attributes:
         points: (N, 3) scene metres.
         along: (N, 3) from where its line begins to where it ends, metres.
-        rises: (N,) by how much of a metre it moves up where its building's roof is a metre higher; where its
-            walls end a metre higher it moves by the rest.
+        relative_heights: (N,) heights as fractions of the building's height: 0 base, 1 ridge. Also how much
+            a point moves up if roofs are 1 m higher; if bases are, it moves by the rest.
         buildings: (N,) rows of the scene.
         lines: (N,) numbers of the lines.
         lengths_px: (N,) what length of line each stands for.
@@ -102,7 +102,7 @@ class ModelLines:
 
     points: Floats
     along: Floats
-    rises: Floats
+    relative_heights: Floats
     buildings: NDArray[np.int64]
     lines: NDArray[np.int64]
     lengths_px: Floats
@@ -131,7 +131,7 @@ def lines_in_view(city_map: CityMap, camera: Camera, pose: Pose, spacing_px: flo
     return ModelLines(
         points=points,
         along=along,
-        rises=rise_shares(city_map.scene, points[:, 2], buildings),
+        relative_heights=relative_heights(city_map.scene, points[:, 2], buildings),
         buildings=buildings,
         lines=which,
         lengths_px=lengths[rows] / counts[which],
@@ -139,16 +139,16 @@ def lines_in_view(city_map: CityMap, camera: Camera, pose: Pose, spacing_px: flo
     )
 
 
-def rise_shares(scene: Scene, heights_m: Floats, buildings: NDArray[np.int64]) -> Floats:
+def relative_heights(scene: Scene, heights_m: Floats, buildings: NDArray[np.int64]) -> Floats:
     """Returns (N,) at which share of its building's height each height lies; 1 for what is flat."""
     floors, rises = (each[buildings] for each in floors_and_rises(scene))
     tall = rises > _FLAT_M
-    shares = (heights_m - floors) / np.where(tall, rises, 1.0)
-    return np.asarray(np.where(tall, np.clip(shares, 0.0, 1.0), 1.0))
+    relative = (heights_m - floors) / np.where(tall, rises, 1.0)
+    return np.asarray(np.where(tall, np.clip(relative, 0.0, 1.0), 1.0))
 
 
 # Columns of slopes: x, y, z (metres), pitch, roll, yaw (degrees), then ``LensErrors`` in its order.
-CAMERA = 10
+NUM_POSE_AND_LENS = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,7 +158,7 @@ class Projected:
     Attributes:
         pixels: (N, 2) pixels; pixel centres at +0.5.
         normals: (N, 2) unit, across their lines.
-        by_camera: (N, 10) how far each moves along its normal per unit of ``CAMERA``.
+        by_camera: (N, 10) how far each moves along its normal per unit of the pose and ``LensErrors``.
         by_place: (N, 3) the same per metre that the point itself moves, scene axes.
     """
 

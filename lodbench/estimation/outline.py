@@ -1,4 +1,4 @@
-"""The outline of a city's silhouette as points on its edges, with how each moves when the pose does."""
+"""Points of the outline of a city's silhouette, with derivatives by pose, focal length, roof and base."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ from lodbench.rendering.projection import bounding_spheres, view_planes
 
 Floats = NDArray[np.float64]
 
-# Points of a first try; a view with more is sampled again with room for all.
+# Columns of an outline's derivatives after the pose and the focal length: roof and base of a point's own
+# building. State vectors have the offsets of all buildings there.
+OWN_ROOF, OWN_BASE = 7, 8
+# Number of points that fit at first; a view with more is sampled again with room for all.
 _ROOM = 1 << 14
 
 
@@ -26,13 +29,13 @@ class OutlinePoints:
     """N points spread evenly along the outline of a silhouette.
 
     Attributes:
-        pixels: (N, 2) where they are seen.
-        normals: (N, 2) unit, pointing out of the silhouette.
-        lengths: (N,) pixels of outline each stands for.
-        moves: (N, 9, 2) pixels per metre of x, y, z, per degree of pitch, roll, yaw, per percent of a
-            longer lens, and per metre that the building's roof is higher and that its base is.
-        buildings: (N,) index into the arrays' buildings.
-        places: (N, 2) where they are east and north, scene metres.
+        pixels: (N, 2) their pixels.
+        normals: (N, 2) unit normals, pointing out of the silhouette.
+        lengths: (N,) length of outline that each stands for, pixels.
+        moves: (N, 9, 2) derivatives of the pixels: per metre of x, y, z, per degree of pitch, roll, yaw, per
+            percent of focal length, and per metre that roof and base of the point's own building are higher.
+        buildings: (N,) indices of their buildings in the edge arrays.
+        east_north: (N, 2) their horizontal position, scene metres.
     """
 
     pixels: Floats
@@ -40,34 +43,34 @@ class OutlinePoints:
     lengths: Floats
     moves: Floats
     buildings: NDArray[np.int64]
-    places: Floats
+    east_north: Floats
 
     def __len__(self) -> int:
         return len(self.lengths)
 
     def slopes(self, count: int = 9) -> Floats:
-        """Returns (N, count) how far each point moves along its normal per unit of the first of ``moves``."""
+        """Returns (N, count) derivatives of each point along its normal, by the first numbers."""
         return np.asarray((self.moves[:, :count] * self.normals[:, None, :]).sum(axis=2))
 
 
 def edges_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float) -> EdgeArrays:
-    """Returns the edges of the buildings that may be visible from anywhere near a prior.
+    """Returns the edges of the buildings that may be visible from near a prior.
 
-    The camera's centre may be off by ``reach_m``, and turned by ``turn_deg``.
+    The camera's centre may differ from it by ``reach_m``, its rotation by ``turn_deg``.
     """
     rows = _in_reach(scene, camera, prior, reach_m, turn_deg)
     return edges_of(_part(scene, rows))._replace(rows=rows)
 
 
 def scene_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float) -> Scene:
-    """Returns the buildings that may be seen from anywhere near a prior; see ``edges_in_reach``."""
+    """Returns the scene of the buildings that may be visible from near a prior; see ``edges_in_reach``."""
     return _part(scene, _in_reach(scene, camera, prior, reach_m, turn_deg))
 
 
 def _in_reach(
     scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float
 ) -> NDArray[np.int64]:
-    """Returns which buildings may be seen from near a prior."""
+    """Returns the indices of the buildings that may be visible from near a prior."""
     wider = bounding_spheres(scene)
     away = np.linalg.norm(wider[:, :3] - prior.center, axis=1)
     chord = 2.0 * np.sin(np.radians(min(turn_deg, 180.0)) / 2.0)
@@ -84,16 +87,16 @@ def sample_outline(
     silhouette: NDArray[np.bool_],
     spacing_px: float,
 ) -> OutlinePoints:
-    """Returns points along those edges that separate a silhouette from what is not covered.
+    """Returns points along the occluding edges: those with a silhouette on one side and none on the other.
 
     Eq. (M3) of docs/methods/index.md.
 
     Args:
-        edges: Of the buildings in reach.
-        camera: Pinhole of the silhouette's size.
-        vector: (6,) the pose that the silhouette is drawn from; what follows is not used.
-        silhouette: (H, W).
-        spacing_px: Distance between points.
+        edges: edges of the buildings in reach.
+        camera: pinhole of the silhouette's size.
+        vector: (6,) the pose that the silhouette is drawn from; numbers after it are not used.
+        silhouette: (H, W) the silhouette.
+        spacing_px: distance between points, pixels.
     """
     pose, derivatives = pose_from_vector(vector), rotation_derivatives(vector)
     rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
@@ -162,26 +165,26 @@ def edges_of(scene: Scene) -> EdgeArrays:
     )
 
 
-# The noise is estimated from points nearer than this, and is never less or more than that, pixels.
+# The largest distance of points that the noise is estimated from, and the least and largest noise, pixels.
 FAR_PX = 20.0
 NOISE_PX = (0.5, 6.0)
-# Points that agree less with the mask's direction say nothing about its noise.
+# The least agreement with the mask's direction of points that its noise is estimated from.
 _AGREES = 0.3
-# Share of the outline's variance that each point has for itself.
-_OWN_SHARE = 0.3
-# A point that weighs less than this has a variance that no factorisation feels.
+# The fraction of the outline's variance that is independent at each point.
+_OWN_FRACTION = 0.3
+# The least weight of a point: of less, its variance is too large for a factorisation.
 LEAST_WEIGHT = 1e-8
 
 
 def near_distances(distances: Floats, agreement: Floats) -> Floats:
-    """Returns those distances that the noise of an outline is estimated from; both are (N,)."""
+    """Returns the distances, of (N,), that the noise of an outline is estimated from; agreement is (N,)."""
     return np.asarray(distances[(agreement > _AGREES) & (np.abs(distances) < FAR_PX)])
 
 
 def outline_noise(near: Floats) -> float:
     """Returns the standard deviation of a mask's outline in pixels, from the median distance.
 
-    Eq. (C8) of docs/methods/contour_alignment.md; (N,) ``near_distances``, less what is known to be shared.
+    Eq. (C8) of docs/methods/contour_alignment.md; (N,) ``near_distances``, less errors known to be common.
     """
     low, high = NOISE_PX
     return float(np.clip(1.4826 * np.median(np.abs(near)), low, high)) if len(near) else high
@@ -202,18 +205,18 @@ def outline_covariance(
 
     Args:
         pixels: (N, 2) the points.
-        by_roof: (N,) how distances change per metre that the building's roof is higher.
-        by_base: (N,) the same of its base.
-        buildings: (N,) which.
-        noise_px: Standard deviation of the outline.
-        lengths_px: Over which its errors go together, and those of a roof.
-        errors_m2: Variances of a roof as a whole, by parts, and of a base.
+        by_roof: (N,) derivatives of distances per metre that the building's roof is higher.
+        by_base: (N,) the same for its base.
+        buildings: (N,) their buildings.
+        noise_px: standard deviation of the outline, pixels.
+        lengths_px: distances over which errors of the outline, and of a roof, are correlated, pixels.
+        errors_m2: variances of a roof as a whole, of its parts, and of a base, square metres.
     """
-    noise = (1.0 - _OWN_SHARE) * noise_px**2, _OWN_SHARE * noise_px**2
+    noise = (1.0 - _OWN_FRACTION) * noise_px**2, _OWN_FRACTION * noise_px**2
     slopes = np.ascontiguousarray(by_roof), np.ascontiguousarray(by_base)
     return np.asarray(error_covariance(pixels, *slopes, buildings, noise, lengths_px, errors_m2))
 
 
 def add_outliers(covariance: Floats, noise_px: float, weights: Floats) -> None:
-    """Adds the own errors of outliers to the diagonal of a covariance, for weights (N,) in (0, 1]."""
+    """Adds the independent errors of outliers to the diagonal of a covariance, for weights (N,) in (0, 1]."""
     covariance[np.diag_indices(len(covariance))] += noise_px**2 * (1.0 / weights - 1.0)

@@ -1,17 +1,15 @@
-"""The posterior of the pose: its mean, its covariance, and what errors of the map add.
+"""The posterior of the pose: its mean, its covariance, and what errors of the map add to that.
 
-The mean of the poses that a photo leaves, instead of the one that fits it best. The fit has steps of its
-own below a pixel, and ridges along which tilt and place make up for each other: its maximum is one of many
-local ones, metres apart on a ridge. Their mean, weighed by the posterior, is nearer to the truth
-(docs/adr/0011, point 9).
+The answer is the posterior's mean, not its maximum: the objective has steps below a pixel, and ridges along
+which the effects of tilt and position cancel. Its maximum is one of many local ones, metres apart on a
+ridge; the mean is nearer to the truth (docs/adr/0011, point 9).
 
-How much a photo's nats count follows from the photo (docs/adr/0013, point 2). Hundreds of lines seem to fix a
-place to a decimetre, but err together; a few say no more than they know.
+The likelihood is tempered by an exponent that depends on the photo (docs/adr/0013, point 2): hundreds of
+lines seem to fix a position to a decimetre, but their errors are correlated.
 
-How far a map's own errors may have led an answer astray: its covariance. The curvature of a likelihood says
-how well a photo separates poses if the map is right. Houses stand half a metre beside where the map has
-them, and roofs are higher or lower, each building's outline as a whole: few buildings leave much open that
-thousands of pixels seem to say (docs/adr/0013, point 1).
+The curvature of a likelihood is the information of a photo on the pose if the map is right. Buildings of
+maps are half a metre off, and their roofs higher or lower, each outline as a whole: few buildings constrain
+a pose less than thousands of their pixels suggest (docs/adr/0013, point 1).
 """
 
 from __future__ import annotations
@@ -24,29 +22,29 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lodbench.estimation.outline import OutlinePoints
-from lodbench.estimation.state_vector import Gaussian
+from lodbench.estimation.outline import OWN_BASE, OWN_ROOF, OutlinePoints
+from lodbench.estimation.state_vector import FOCAL, POSE, Gaussian
 from lodbench.kernels import error_covariance
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
 
-# Poses that the curvature is read from: a quadratic of six numbers has 28 coefficients.
-_SAMPLES = 192
+# Number of poses that the quadratic is fitted to; one of six numbers has 28 coefficients.
+_NUM_DRAWS = 192
 _PAIRS = np.triu_indices(6)
 
 
-def curvature_around(log_likelihood: Callable[[Floats], Floats], spread: Gaussian) -> Floats:
-    """Returns the curvature (6, 6) of the likelihood at a mode: what the photo says if the map is right.
+def information_at(log_likelihood: Callable[[Floats], Floats], near: Gaussian) -> Floats:
+    """Returns the information (6, 6) of the likelihood at a mode: that of the photo if the map is right.
 
     Eq. (R18) of docs/methods/region.md. A quadratic is fitted to the (N,) log-likelihood of (N, 6) poses
-    spread about the mode. What curves upwards there says nothing.
+    drawn from a Gaussian about the mode. Directions in which it has no maximum have no information.
     """
-    roots = spread.root()
+    roots = near.root()
     # The same draws for every query: the answer is a function of the mode alone.
-    draws = random_stream(0, "curvature of the region fit").standard_normal((_SAMPLES // 2, 6))
+    draws = random_stream(0, "curvature of the region fit").standard_normal((_NUM_DRAWS // 2, 6))
     draws = np.concatenate([draws, -draws])
-    values = log_likelihood(spread.mean + draws @ roots.T)
+    values = log_likelihood(near.mean + draws @ roots.T)
     design = np.column_stack([np.ones(len(draws)), draws, draws[:, _PAIRS[0]] * draws[:, _PAIRS[1]]])
     coefficients = np.linalg.lstsq(design, values, rcond=None)[0]
     hessian = np.zeros((6, 6))
@@ -57,130 +55,126 @@ def curvature_around(log_likelihood: Callable[[Floats], Floats], spread: Gaussia
     return np.asarray(0.5 * (information + information.T))
 
 
-def shares_of(evidence: Floats) -> Floats:
-    """Returns (M,) the posterior shares of some modes or hypotheses, given (M,) log evidence of each.
+def mode_probabilities(log_posteriors: Floats) -> Floats:
+    """Returns (M,) the probabilities of some modes or hypotheses, given (M,) the log-posterior of each.
 
-    Eq. (R13) of docs/methods/region.md, where the widths of modes are taken to be alike.
+    Eq. (R13) of docs/methods/region.md, its second half, where modes are assumed to be equally wide.
     """
-    weights = np.exp(evidence - evidence.max())
+    weights = np.exp(log_posteriors - log_posteriors.max())
     return np.asarray(weights / weights.sum())
 
 
-# Standard deviations, metres: where a building stands, how high its roof is as a whole and by parts, how high
-# all roofs are, where walls end.
-_PLACE_M, _ROOF_M, _PART_M, _ROOFS_M, _BASE_M = 0.5, 0.7, 0.7, 0.35, 0.1
-# Pixels of the fine size: how far outlines of a photo err together with what is near them, and each point by
-# itself; over which distance they do, and parts of a roof.
-_TOGETHER_PX, _OWN_PX, _NEAR_PX, _PART_PX = 1.0, 1.0, 12.0, 20.0
-# Columns of an outline's slopes: the pose, the lens, then its building's roof and base.
-_POSE, _EAST_NORTH, _LENS, _ROOF, _BASE = slice(0, 6), slice(0, 2), 6, 7, 8
-# More points say no more; fewer say nothing.
+# Standard deviations of the map, metres: the position of a building, the height of its roof as a whole and by
+# parts, of all roofs, of its base.
+_POSITION_M, _ROOF_M, _PART_M, _ROOFS_M, _BASE_M = 0.5, 0.7, 0.7, 0.35, 0.1
+# Standard deviations of a photo's outline, pixels of the fine size: correlated, and of each point.
+_TOGETHER_PX, _OWN_PX = 1.0, 1.0
+# Distances over which these errors, and those of parts of a roof, are correlated, pixels of the fine size.
+_NEAR_PX, _PART_PX = 12.0, 20.0
+_EAST_NORTH = slice(0, 2)
+# The largest number of points that are used, and the least that a covariance is computed from.
 _MOST_POINTS, _LEAST_POINTS = 600, 6
-# So that directions that no outline fixes can be divided by, as a share of the others.
-_UNSEEN = 1e-6
+# Added to the outline's information, as a fraction of its mean eigenvalue, so that it can be inverted.
+_REGULARIZATION = 1e-6
 
 
 def covariance_under_map_errors(
-    information: Floats, prior_information: Floats, points: OutlinePoints, lens_percent: float
+    likelihood_information: Floats, prior_information: Floats, points: OutlinePoints, lens_percent: float
 ) -> Floats:
     """Returns the covariance (6, 6) of an answer's error, metres and degrees.
 
     Eq. (R19) of docs/methods/region.md.
 
-    An answer is where the slopes of likelihood and prior cancel; each error of the map adds to the former in
-    the way in which it moves the outline. So the curvature is that of outlines whose every pixel is worth the
-    same, and the error is the sandwich of that curvature and the variance of its slope (White, "Maximum
-    likelihood estimation of misspecified models", 1982).
+    At an answer the slopes of likelihood and prior cancel; each error of the map changes the former as it
+    moves the outline. The likelihood's information is taken as that of an outline whose pixels are worth the
+    same, and the covariance is the sandwich of the posterior's information and the variance of the slope
+    (White, "Maximum likelihood estimation of misspecified models", 1982).
 
     Args:
-        information: (6, 6) curvature of the likelihood: how much a photo says if the map is right.
-        prior_information: (6, 6) the same of the prior.
-        points: The outline from the answer, at the fine size.
-        lens_percent: Standard deviation of the focal length, percent.
+        likelihood_information: (6, 6) information of the photo if the map is right.
+        prior_information: (6, 6) information of the prior.
+        points: points of the outline at the answer, at the fine size.
+        lens_percent: standard deviation of the focal length, percent.
     """
     if len(points) < _LEAST_POINTS:
         return np.asarray(np.linalg.inv(prior_information))
-    # Every so many-th point stands for those that are left out.
+    # Each point that is used stands for those that are left out.
     stride = math.ceil(len(points) / _MOST_POINTS)
     lengths = points.lengths[::stride] * stride
     slopes = points.slopes()[::stride]
-    pulls = slopes[:, _POSE] * lengths[:, None]
-    outline = pulls.T @ slopes[:, _POSE]
-    outline += _UNSEEN * np.trace(outline) / len(outline) * np.eye(len(outline))
-    worth = max(float(np.median(scipy.linalg.eigh(information, outline, eigvals_only=True))), 0.0)
+    pulls = slopes[:, POSE] * lengths[:, None]
+    outline = pulls.T @ slopes[:, POSE]
+    outline += _REGULARIZATION * np.trace(outline) / len(outline) * np.eye(len(outline))
+    per_pixel = max(
+        float(np.median(scipy.linalg.eigh(likelihood_information, outline, eigvals_only=True))), 0.0
+    )
     variance = _variance_of_pulls(pulls, slopes, points.pixels[::stride], points.buildings[::stride])
-    for column, sigma in ((_ROOF, _ROOFS_M), (_LENS, lens_percent)):
+    for column, sigma in ((OWN_ROOF, _ROOFS_M), (FOCAL, lens_percent)):
         of_all = pulls.T @ slopes[:, column]
         variance += sigma**2 * np.outer(of_all, of_all)
-    curvature = worth * outline + prior_information
-    back = np.linalg.inv(curvature)
-    covariance = back @ (curvature + worth**2 * variance) @ back
+    posterior_information = per_pixel * outline + prior_information
+    back = np.linalg.inv(posterior_information)
+    covariance = back @ (posterior_information + per_pixel**2 * variance) @ back
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
 def _variance_of_pulls(pulls: Floats, slopes: Floats, pixels: Floats, buildings: NDArray[np.int64]) -> Floats:
-    """Returns (6, 6) how the sum of N points' pulls on the pose, (N, 6) per pixel, varies with buildings."""
+    """Returns (6, 6) the variance, by map and photo, of the summed slopes of N points by the pose, (N, 6)."""
     lower = error_covariance(
         np.ascontiguousarray(pixels),
-        np.ascontiguousarray(slopes[:, _ROOF]),
-        np.ascontiguousarray(slopes[:, _BASE]),
+        np.ascontiguousarray(slopes[:, OWN_ROOF]),
+        np.ascontiguousarray(slopes[:, OWN_BASE]),
         np.ascontiguousarray(buildings),
         (_TOGETHER_PX**2, _OWN_PX**2),
         (_NEAR_PX, _PART_PX),
         (_ROOF_M**2, _PART_M**2, _BASE_M**2),
     )
-    # Not by a library whose sums depend on how many threads it has.
+    # einsum: sums of BLAS depend on the number of its threads.
     half = np.einsum("ia,ib->ab", pulls, np.einsum("ij,jb->ib", lower, pulls))
     own = np.einsum("ia,i,ib->ab", pulls, np.diagonal(lower), pulls)
     variance = half + half.T - own
-    # A building that stands elsewhere moves as the camera does, the other way.
+    # A displaced building moves in the picture as for the opposite displacement of the camera.
     of_buildings = np.zeros((int(buildings.max()) + 1, 6, 2))
     np.add.at(of_buildings, buildings, pulls[:, :, None] * slopes[:, None, _EAST_NORTH])
-    return np.asarray(variance + _PLACE_M**2 * np.einsum("kai,kbi->ab", of_buildings, of_buildings))
+    return np.asarray(variance + _POSITION_M**2 * np.einsum("kai,kbi->ab", of_buildings, of_buildings))
 
 
-# Poses of a round, even, and how many rounds there are.
-_POSES, _ROUNDS = 128, 12
-# Draws lie a little wider than what they stand for, and part of each round's width stays from the one before:
-# tails that no draw reaches are lost.
-_WIDTH, _KEPT = 1.1, 0.3
-# The share of the nats that counts in the first draw, the least, and how exactly its logarithm is found.
-_FIRST_SHARE, _LEAST_SHARE, _SHARE_STEP = 0.25, 0.05, 0.01
-_PLACE = slice(0, 3)
-# The least difference of places, as a share of them.
+# Number of draws of a round, even, and of rounds.
+_NUM_DRAWS_PER_ROUND, _NUM_ROUNDS = 128, 12
+# The variance of proposals over that of all draws, and the fraction of the former covariance that is kept:
+# tails that no draw reaches would be lost.
+_VARIANCE_INFLATION, _KEPT = 1.1**2, 0.3
+# The tempering exponent of the first round, the least one, and the precision of its logarithm.
+_FIRST_TEMPER, _LEAST_TEMPER, _LOG_TEMPER_STEP = 0.25, 0.05, 0.01
+_POSITION = slice(0, 3)
+# The least relative difference of abscissae.
 _EPSILON = 8.881784197001252e-16
-# The least variance: what is known exactly, as the tilt of priors of the true one.
-_LEAST_SQUARE = 1e-18
+# The least variance of a proposal: of what is known exactly, as a tilt that is declared true.
+_LEAST_VARIANCE = 1e-18
 
 
 class _Proposal(NamedTuple):
-    """A Gaussian that poses are drawn from, by its axes.
-
-    Attributes:
-        mean: (D,).
-        axes: (D, D) its own, a column each.
-        deviations: (D,) along them.
-    """
+    """A Gaussian that poses are drawn from: mean (D,), axes (D, D) by column, deviations (D,) along them."""
 
     mean: Floats
     axes: Floats
-    deviations: Floats
+    axis_sigmas: Floats
 
     @classmethod
     def of(cls, mean: Floats, covariance: Floats) -> _Proposal:
         squares, axes = np.linalg.eigh(covariance)
-        return cls(mean, axes, np.sqrt(np.maximum(squares, _LEAST_SQUARE)))
+        return cls(mean, axes, np.sqrt(np.maximum(squares, _LEAST_VARIANCE)))
 
     def drawn(self, generator: np.random.Generator) -> Floats:
         """Returns the poses of a round, each with its mirror image, (N, D)."""
-        half = generator.standard_normal((_POSES // 2, len(self.mean)))
-        # The symmetric root: it does not depend on the signs that a library of linear algebra gives axes.
-        return self.mean + np.concatenate([half, -half]) @ ((self.axes * self.deviations) @ self.axes.T)
+        half = generator.standard_normal((_NUM_DRAWS_PER_ROUND // 2, len(self.mean)))
+        # The symmetric root does not depend on the signs that LAPACK gives axes.
+        return self.mean + np.concatenate([half, -half]) @ ((self.axes * self.axis_sigmas) @ self.axes.T)
 
     def log_density(self, poses: Floats) -> Floats:
-        """Returns the (N,) logarithm of the density at poses, up to a constant that all Gaussians share."""
-        away = (poses - self.mean) @ self.axes / self.deviations
-        return np.asarray(-0.5 * (away**2).sum(axis=1) - np.log(self.deviations).sum())
+        """Returns the (N,) log-density at poses, up to a constant that all Gaussians share."""
+        away = (poses - self.mean) @ self.axes / self.axis_sigmas
+        return np.asarray(-0.5 * (away**2).sum(axis=1) - np.log(self.axis_sigmas).sum())
 
 
 def posterior_mean(
@@ -190,66 +184,61 @@ def posterior_mean(
     covariance: Floats,
     least_m: float,
 ) -> Floats:
-    """Returns the mean of the posterior around a point, (D,): a pose, and what else is not known.
+    """Returns the mean of the posterior near a point, (D,): a pose, and other numbers that are estimated.
 
-    Eq. (R16) of docs/methods/region.md.
-
-    By adaptive multiple importance sampling: poses are drawn from a Gaussian, the next Gaussian is that of
-    all poses so far, and each weighs what the posterior is there over the mean density of all Gaussians
-    (Cornuet et al., "Adaptive multiple importance sampling", 2012; docs/adr/0011, point 10).
-    The likelihood is tempered as far as the place needs to be ``least_m`` wide.
+    Eq. (R16) of docs/methods/region.md, by adaptive multiple importance sampling (Cornuet et al., "Adaptive
+    multiple importance sampling", 2012; docs/adr/0011, point 10). The likelihood is tempered until the
+    position's standard deviation is ``least_m``.
 
     Args:
-        log_likelihood: (N, D) points and a share to the (N,) log-likelihood of such a share of the
-            photo's evidence, up to a constant of that share.
-        log_prior: (N, D) points to the (N,) logarithm of their prior, up to a constant.
+        log_likelihood: from (N, D) points and a tempering exponent to the (N,) tempered log-likelihood, up to
+            a constant of that exponent.
+        log_prior: from (N, D) points to their (N,) log-prior, up to a constant.
         vector: (D,) the best point.
-        covariance: (D, D) how far the mean may be from it.
-        least_m: Least deviation of the place, over its three numbers together, metres.
+        covariance: (D, D) covariance of the first proposal.
+        least_m: root of the summed variances of x, y and z, metres, that is reached at least.
     """
     # The same draws for every query: the answer is a function of photo, prior and map.
     generator = random_stream(0, "posterior mean of the region fit")
-    mean, spread, share = vector, covariance, _FIRST_SHARE
-    gaussians: list[_Proposal] = []
-    poses, whole, priors = np.zeros((0, len(vector))), np.zeros(0), np.zeros(0)
-    for _ in range(_ROUNDS):
-        gaussians.append(_Proposal.of(mean, _WIDTH**2 * spread))
-        drawn = gaussians[-1].drawn(generator)
+    mean, proposal_covariance, temper = vector, covariance, _FIRST_TEMPER
+    proposals: list[_Proposal] = []
+    # Of all draws: log-likelihood by unit of the exponent, relative to the best point, and log-prior.
+    poses, relative, priors = np.zeros((0, len(vector))), np.zeros(0), np.zeros(0)
+    for _ in range(_NUM_ROUNDS):
+        proposals.append(_Proposal.of(mean, _VARIANCE_INFLATION * proposal_covariance))
+        drawn = proposals[-1].drawn(generator)
         poses = np.concatenate([poses, drawn])
-        # Against the best point at the same share: what a share alone adds is no pose's (docs/adr/0011,
-        # point 10).
-        *logs, level = log_likelihood(np.concatenate([drawn, vector[None]]), share) / share
-        whole = np.append(whole, np.array(logs) - level)
+        # Relative, since the constant depends on the exponent (docs/adr/0011, point 10).
+        *logs, at_best = log_likelihood(np.concatenate([drawn, vector[None]]), temper) / temper
+        relative = np.append(relative, np.array(logs) - at_best)
         priors = np.append(priors, log_prior(drawn))
-        rest = priors - scipy.special.logsumexp(
-            [gaussian.log_density(poses) for gaussian in gaussians], axis=0
-        )
-        share = _share_that_leaves(least_m, poses, whole, rest)
-        mean, own = _moments(poses, share * whole + rest)
-        spread = _KEPT * spread + (1.0 - _KEPT) * own
+        rest = priors - scipy.special.logsumexp([each.log_density(poses) for each in proposals], axis=0)
+        temper = _temper_for_width(least_m, poses, relative, rest)
+        mean, weighted = _moments(poses, temper * relative + rest)
+        proposal_covariance = _KEPT * proposal_covariance + (1.0 - _KEPT) * weighted
     return mean
 
 
-def _share_that_leaves(least_m: float, poses: Floats, log_likelihood: Floats, rest: Floats) -> float:
-    """Returns which share of the nats leaves the place so wide, metres; all where they do.
+def _temper_for_width(least_m: float, poses: Floats, log_likelihood: Floats, rest: Floats) -> float:
+    """Returns the largest tempering exponent, up to 1, at which the position is ``least_m`` wide.
 
-    Eq. (R17) of docs/methods/region.md.
+    Eq. (R17) of docs/methods/region.md; the least exponent where none is.
     """
 
-    def excess(log_share: float) -> float:
-        _, covariance = _moments(poses, math.exp(log_share) * log_likelihood + rest)
-        return math.sqrt(float(np.trace(covariance[_PLACE, _PLACE]))) - least_m
+    def excess(log_temper: float) -> float:
+        _, covariance = _moments(poses, math.exp(log_temper) * log_likelihood + rest)
+        return math.sqrt(float(np.trace(covariance[_POSITION, _POSITION]))) - least_m
 
-    least = math.log(_LEAST_SHARE)
+    least = math.log(_LEAST_TEMPER)
     if excess(0.0) >= 0.0:
         return 1.0
-    return math.exp(_root(excess, least, 0.0, _SHARE_STEP)) if excess(least) > 0.0 else _LEAST_SHARE
+    return math.exp(_root(excess, least, 0.0, _LOG_TEMPER_STEP)) if excess(least) > 0.0 else _LEAST_TEMPER
 
 
 def _root(value: Callable[[float], float], low: float, high: float, step: float) -> float:
-    """Returns where a function that changes its sign between two places is 0, to a step (Brent 1973, ch. 4).
+    """Returns the root of a function between two abscissae of different sign, to a step (Brent 1973, ch. 4).
 
-    As ``scipy.optimize.brentq`` has it, whose import takes a sixth of a second.
+    The steps are those of ``scipy.optimize.brentq``, whose import takes a sixth of a second.
     """
     before, now = (low, value(low)), (high, value(high))
     beyond, last = before, high - low
@@ -271,14 +260,14 @@ def _root(value: Callable[[float], float], low: float, high: float, step: float)
         else:
             last = moved = half
         before = now
-        place = now[0] + (moved if abs(moved) > least else math.copysign(least, half))
-        now = place, value(place)
+        abscissa = now[0] + (moved if abs(moved) > least else math.copysign(least, half))
+        now = abscissa, value(abscissa)
 
 
 def _interpolated(
     before: tuple[float, float], now: tuple[float, float], beyond: tuple[float, float]
 ) -> float:
-    """Returns how far from the present place (x, y) a line, or a hyperbola through three, is 0."""
+    """Returns the distance from the present point to the root of a line, or a hyperbola through three."""
     rise = (before[1] - now[1]) / (before[0] - now[0])
     if before[0] == beyond[0]:
         return -now[1] * (now[0] - before[0]) / (now[1] - before[1])
@@ -287,7 +276,7 @@ def _interpolated(
 
 
 def _moments(poses: Floats, logs: Floats) -> tuple[Floats, Floats]:
-    """Returns mean (D,) and covariance (D, D) of poses of some weights, given by logarithms."""
+    """Returns mean (D,) and covariance (D, D) of poses (N, D), given (N,) logarithms of their weights."""
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     mean = weights @ poses

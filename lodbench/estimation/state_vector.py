@@ -1,8 +1,8 @@
-"""What is estimated of a photo, as one vector: its columns, its prior, and the probability that it is right.
+"""The state vector that is estimated from a photo: its columns, its prior, the probability that it is right.
 
-A vector is a pose (metres, degrees), by how many percent the lens is longer than declared, then metres: how
-much higher than in the map all roofs are and where all walls end, and how much farther all eaves stand out.
-Shorter vectors begin alike; it is also the order in which an outline says how it moves.
+A state vector is a pose (metres, degrees), by how many percent the focal length is longer than declared, and
+three offsets of the map, metres: all roofs and all bases (higher), all overhangs of eaves (farther out).
+Shorter vectors are its beginning. Derivatives of outlines have their columns in the same order.
 """
 
 from __future__ import annotations
@@ -20,66 +20,64 @@ from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
 
-POSE, LENS, ROOFS, BASE_OFFSET, EAVE_OFFSET = slice(0, 6), 6, 7, 8, 9
-# Of a pose: pitch and roll.
-TILT = slice(3, 5)
-# How many numbers a vector has: a pose, a camera, one with roofs, one with all that outlines show, all.
-POSES, CAMERAS, RAISED, OUTLINES, ALL = range(6, 11)
-# What a pose alone leaves out.
-BESIDE_POSE = ALL - POSES
-# The longest step of an optimizer: a linearisation says little beyond it (metres, degrees, percent).
+# Columns: the pose, the focal length, the offsets of all roofs, bases and overhangs; pitch and roll.
+POSE, FOCAL, ALL_ROOFS, ALL_BASES, ALL_OVERHANGS, TILT = slice(0, 6), 6, 7, 8, 9, slice(3, 5)
+# Numbers of columns up to the pose, the focal length, all roofs, all bases, and all; and after the pose.
+NUM_POSE, NUM_POSE_AND_FOCAL, NUM_WITH_ROOFS, NUM_WITH_BASES, NUM_STATE = range(6, 11)
+NUM_AFTER_POSE = NUM_STATE - NUM_POSE
+# The longest step of an optimizer (metres, degrees, percent): a linearisation is inexact beyond it.
 _LONGEST_STEP = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0, 2.0])
 
 
 def differences(vectors: Floats, origin: Floats) -> Floats:
-    """Returns (..., N) vectors less another one or others, yaw within half a turn."""
+    """Returns (..., N) the differences of vectors from an origin or origins, yaw within half a turn."""
     away = np.asarray(vectors - origin)
     away[..., 5] = wrap_deg(away[..., 5])
     return away
 
 
 def shortened(step: Floats) -> Floats:
-    """Returns steps of poses or cameras, (..., 6 or 7), none longer than a linearisation is good for."""
+    """Returns steps of pose, or pose and focal length, (..., 6 or 7), none longer than the longest step."""
     longest = _LONGEST_STEP[: step.shape[-1]]
     too_long = np.max(np.abs(step) / longest, axis=-1, keepdims=True, initial=0.0)
     return np.asarray(step * (1.0 / np.maximum(1.0, too_long)))
 
 
 def views_of(vectors: Floats) -> tuple[Floats, Floats]:
-    """Returns the rotations (N, 3, 3) and centres (N, 3), metres, that show what some cameras see.
+    """Returns rotations (N, 3, 3) and centres (N, 3), metres, for drawing with the declared focal length.
 
-    A longer lens stretches what a camera sees across and down, and so do the first two rows of a rotation
-    that are stretched: cameras of many lenses are drawn as if they had the declared one. Vectors are (N, 6)
-    poses, or longer with the lens.
+    A longer focal length scales the picture's x and y, and so do the first two rows of the rotation when they
+    are scaled: views of many focal lengths are drawn with the declared one. Vectors are (N, 6) poses, or
+    longer, with the focal length.
     """
     rotations = rotations_from_euler(vectors[:, 3:6])
-    # Of poses the slice is empty, and its sum 0.
-    rotations[:, :2] *= 1.0 + 0.01 * vectors[:, LENS:CAMERAS].sum(axis=1)[:, None, None]
+    # For poses alone the slice is empty, and its sum 0.
+    rotations[:, :2] *= 1.0 + 0.01 * vectors[:, FOCAL:NUM_POSE_AND_FOCAL].sum(axis=1)[:, None, None]
     return rotations, np.ascontiguousarray(vectors[:, :3])
 
 
-# How softly a declared range ends, as a share of its half width: x, y, z, pitch, roll and yaw. Softly in what
-# is often declared narrower than it is.
-_EDGE_SHARES = np.array([1.0, 1.0, 0.1, 0.1, 0.1, 0.5])
-# And where it ends for good, in half widths, and how softly there: evidence of pixels that are not
-# independent outweighs any softer end, and from far below nearly every photo is parted well by some roof.
-_WALLS, _WALL_SHARE = np.array([np.inf, np.inf, 1.3, 5.0, 5.0, 2.5]), 0.02
+# Standard deviations beyond the end of the declared range, of x, y, z, pitch, roll and yaw, in half widths of
+# it: larger for numbers whose range is often declared too narrow.
+_SOFT_END_SIGMAS = np.array([1.0, 1.0, 0.1, 0.1, 0.1, 0.5])
+# Hard bounds of the same, and the standard deviation beyond them, in half widths: the likelihood of dependent
+# pixels outweighs any softer end, and from far below some roof splits nearly every photo well.
+_HARD_BOUNDS, _HARD_BOUND_SIGMA = np.array([np.inf, np.inf, 1.3, 5.0, 5.0, 2.5]), 0.02
 
 
 class Prior:
-    """A Gaussian about a state vector of N numbers, with independent errors.
+    """A Gaussian of vectors of N numbers with independent errors.
 
     Args:
-        mean: (N,) metres, degrees and what else is estimated.
+        mean: (N,) its mean: a pose, and other numbers that are estimated.
         sigmas: (N,) standard deviations, none 0.
-        half_widths: (6,) of the range of poses that was declared, where its ends count; N is 6 then.
+        half_widths: (6,) half widths of the declared range of poses, if its ends count; N is 6 then.
     """
 
     def __init__(self, mean: Floats, sigmas: Floats, half_widths: Floats | None = None) -> None:
         self.mean, self.sigmas, self._range = mean, sigmas, half_widths
 
     def offsets(self, vectors: Floats) -> Floats:
-        """Returns (..., N) how far vectors are from its mean; yaw within half a turn."""
+        """Returns (..., N) the differences of vectors from its mean; yaw within half a turn."""
         return differences(vectors, self.mean)
 
     @property
@@ -92,41 +90,37 @@ class Prior:
         return np.diag(self.precision)
 
     def log_density(self, vectors: Floats) -> Floats:
-        """Returns the (M,) logarithm of its density at vectors (M, N), up to a constant.
+        """Returns the (M,) log-density at vectors (M, N), up to a constant.
 
         Eq. (R7) of docs/methods/region.md.
         """
         away = self.offsets(vectors)
         squares = (away / self.sigmas) ** 2
         if self._range is not None:
-            beyond = np.maximum(np.abs(away) - self._range, 0.0) / (_EDGE_SHARES * self._range)
-            through = np.maximum(np.abs(away) - _WALLS * self._range, 0.0) / (_WALL_SHARE * self._range)
-            squares = squares + beyond**2 + through**2
+            bounds, bound_sigmas = _HARD_BOUNDS * self._range, _HARD_BOUND_SIGMA * self._range
+            beyond_range = np.maximum(np.abs(away) - self._range, 0.0) / (_SOFT_END_SIGMAS * self._range)
+            beyond_bounds = np.maximum(np.abs(away) - bounds, 0.0) / bound_sigmas
+            squares = squares + beyond_range**2 + beyond_bounds**2
         return np.asarray(-0.5 * squares.sum(axis=-1))
 
 
-# What the probability is of.
+# The errors that a stated probability is about: metres, degrees.
 WITHIN_M, WITHIN_DEG = 2.0, 2.0
-# An answer less probable than this is more likely wrong.
+# Answers of a lower probability are more likely wrong than right.
 TRUSTED = 0.5
-# Draws of the error: enough for a probability to a percent or two.
+# Number of draws of an error: a probability is exact to a percent or two.
 DRAWS = 2048
 _NUMBERS = (("x", "m"), ("y", "m"), ("z", "m"), ("pitch", "deg"), ("roll", "deg"), ("yaw", "deg"))
 
 
 class Gaussian(NamedTuple):
-    """A Gaussian of state vectors.
-
-    Attributes:
-        mean: (N,).
-        covariance: (N, N).
-    """
+    """A Gaussian of the first N numbers of a state vector: mean (N,), covariance (N, N)."""
 
     mean: Floats
     covariance: Floats
 
     def root(self) -> Floats:
-        """Returns (N, N) a square root of the covariance: it times its transpose is that."""
+        """Returns (N, N) a square root of the covariance: its product with its transpose."""
         squares, axes = np.linalg.eigh(self.covariance)
         return np.asarray(axes * np.sqrt(np.maximum(squares, 0.0)))
 
@@ -137,7 +131,7 @@ def probability_within(covariance_6: Floats, vector: Floats) -> float:
     Eq. (M4) of docs/methods/index.md; (6, 6) of x, y, z (metres), pitch, roll and yaw (degrees).
     """
     errors = fixed_draws(covariance_6, DRAWS)
-    return share_within(errors, np.full(DRAWS, 1.0 / DRAWS), turn_per_angle(vector))
+    return weight_within(errors, np.full(DRAWS, 1.0 / DRAWS), turn_per_angle(vector))
 
 
 def beyond_range(offset: Floats, covariance: Floats, half_widths: Sequence[float]) -> tuple[str, ...]:
@@ -146,7 +140,7 @@ def beyond_range(offset: Floats, covariance: Floats, half_widths: Sequence[float
     Its offset from the prior, (6,) metres and degrees, its covariance and the range's half widths go alike.
     """
     beyond = np.abs(offset) - np.asarray(half_widths)
-    # Twice what the answer may be wrong by: on the edge of the range it is no news.
+    # Two standard deviations of the answer: less may be chance.
     is_out = beyond > np.maximum(2.0 * np.sqrt(np.diagonal(covariance)), (1.0, 1.0, 1.0, 0.5, 0.5, 0.5))
     out = [f"{name} {offset[k]:+.1f} {unit}" for k, (name, unit) in enumerate(_NUMBERS) if is_out[k]]
     if not out:
@@ -155,19 +149,19 @@ def beyond_range(offset: Floats, covariance: Floats, half_widths: Sequence[float
 
 
 def fixed_draws(covariance_6: Floats, count: int) -> Floats:
-    """Returns (count, 6) draws of a Gaussian error without mean; at most 2,056, the same each time."""
+    """Returns (count, 6) draws of a Gaussian error of mean 0; at most 2,056, the same each time."""
     # The same draws for every query: the answer is a function of the covariances alone.
     standard = random_stream(0, "probability within").standard_normal((DRAWS + 8, 6))[:count]
     return np.asarray(standard @ Gaussian(np.zeros(6), covariance_6).root().T)
 
 
-def share_within(errors: Floats, shares: Floats, turn: Floats) -> float:
-    """Returns the share of errors, (N, 6), within 2 m and 2 degrees; ``turn`` of ``turn_per_angle``."""
+def weight_within(errors: Floats, weights: Floats, turn: Floats) -> float:
+    """Returns the weight of errors, (N, 6), within 2 m and 2 degrees; ``turn`` is from ``turn_per_angle``."""
     away = np.linalg.norm(errors[:, :3], axis=1)
     turned = np.linalg.norm(errors[:, 3:] @ turn.T, axis=1)
-    return min(1.0, float(shares[(away < WITHIN_M) & (turned < WITHIN_DEG)].sum()))
+    return min(1.0, float(weights[(away < WITHIN_M) & (turned < WITHIN_DEG)].sum()))
 
 
 def is_near(error: Floats, turn: Floats) -> bool:
-    """Returns whether an error, (6,), is within 2 m and 2 degrees; ``turn`` as of ``share_within``."""
+    """Returns whether an error, (6,), is within 2 m and 2 degrees; ``turn`` is from ``turn_per_angle``."""
     return bool(np.linalg.norm(error[:3]) < WITHIN_M and np.linalg.norm(turn @ error[3:]) < WITHIN_DEG)

@@ -101,7 +101,7 @@ def assessed(
 def _lines_at(city_map: CityMap, camera: Camera, pose: Pose) -> tuple[ModelLines, Projected]:
     """Returns the model's lines above the ground that a pose shows, and where they lie."""
     lines = lines_in_view(city_map, camera, pose, _SPACING_PX)
-    lines = lines.of(lines.rises > _LOWEST_RISE)
+    lines = lines.of(lines.relative_heights > _LOWEST_RISE)
     return lines, project_lines(lines.points, lines.along, camera, vector_from_pose(pose), LensErrors())
 
 

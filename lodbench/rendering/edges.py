@@ -147,7 +147,7 @@ class ViewEdges:
         kind: (S,) uint8 ``EdgeKind``.
         building: (S,) int64 index into ``scene.building_ids``.
         corners: (S, 2) int32 the vertices of the scene between which the whole edge runs.
-        shares: (S, 2) float64 where on that edge the piece begins and ends, 0 to 1.
+        edge_fractions: (S, 2) float64 where on that edge the piece begins and ends, 0 to 1.
     """
 
     points: Floats
@@ -156,7 +156,7 @@ class ViewEdges:
     kind: NDArray[np.uint8]
     building: NDArray[np.int64]
     corners: NDArray[np.int32]
-    shares: Floats
+    edge_fractions: Floats
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -190,14 +190,14 @@ def edges_in_view(
     room, count = _ROOM, _ROOM + 1
     while count > room:
         room = max(room, count)
-        shares, pixels, rows = (
+        edge_fractions, pixels, rows = (
             np.empty((room, 2)),
             np.empty((room, 2, 2)),
             np.empty((room, 4), dtype=np.int64),
         )
-        count = cut_and_test(edges, buildings, *view, shares, pixels, rows)
-    shares, pixels, rows = shares[:count], pixels[:count], rows[:count]
+        count = cut_and_test(edges, buildings, *view, edge_fractions, pixels, rows)
+    edge_fractions, pixels, rows = edge_fractions[:count], pixels[:count], rows[:count]
     ends = edges.ends[rows[:, 0]]
-    points = ends[:, :1] + shares[:, :, None] * (ends[:, 1:] - ends[:, :1])
+    points = ends[:, :1] + edge_fractions[:, :, None] * (ends[:, 1:] - ends[:, :1])
     is_visible, kind = rows[:, 1] == 1, rows[:, 2].astype(np.uint8)
-    return ViewEdges(points, pixels, is_visible, kind, rows[:, 3], edges.corners[rows[:, 0]], shares)
+    return ViewEdges(points, pixels, is_visible, kind, rows[:, 3], edges.corners[rows[:, 0]], edge_fractions)

@@ -168,7 +168,7 @@ def test_an_answer_metres_off_is_refined_to_the_edges(city_map, truth, seed):
     start = vector_from_pose(truth) + away
     found = EdgeLikelihood(edges_of(photo_of(city_map, truth)), WIDE, city_map, start, SIGMAS).refined(start)
     assert metres(found.vector, truth) < 0.3 * metres(start, truth)
-    assert found.evidence > 10.0
+    assert found.log_ratio_to_background > 10.0
     assert found.gain > 5.0
     missed = found.vector - vector_from_pose(truth)
     # Six numbers: more than 22 is less likely than one in a thousand.
@@ -185,7 +185,7 @@ def test_a_focal_length_in_doubt_is_refined_along(city_map, truth):
         for sigmas in (np.append(free[:6], np.zeros(4)), free)
     )
     one, other = held.refined(start), refined.refined(start)
-    assert other.evidence > one.evidence + 5.0
+    assert other.log_ratio_to_background > one.log_ratio_to_background + 5.0
     assert metres(other.vector, truth) < metres(one.vector, truth)
     # What the focal length leaves open is part of the covariance.
     assert np.trace(other.covariance) > np.trace(one.covariance)
@@ -195,7 +195,7 @@ def test_a_photo_of_nothing_proves_nothing(city_map, truth):
     noise = np.random.default_rng(0).integers(0, 256, (900, 1200, 3), dtype=np.uint8)
     start = vector_from_pose(truth)
     found = EdgeLikelihood(edges_of(noise), WIDE, city_map, start, SIGMAS).refined(start)
-    assert found is None or found.evidence < 10.0
+    assert found is None or found.log_ratio_to_background < 10.0
 
 
 def test_pitched_roofs_drawn_as_blocks_are_left_out(city_map, truth):

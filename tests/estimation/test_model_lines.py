@@ -14,7 +14,7 @@ from lodbench.estimation.model_lines import (
     project,
     project_lines,
     projection_slopes,
-    rise_shares,
+    relative_heights,
 )
 from lodbench.geometry import Camera
 from lodbench.geometry.pose import vector_from_pose
@@ -134,8 +134,8 @@ def test_points_lie_evenly_on_lines_that_the_view_shows(lines, city_map, scene, 
     # A normal is across its line.
     steps = laid.pixels[together + 1] - laid.pixels[together]
     assert np.abs((steps * laid.normals[together]).sum(axis=1)).max() < 1e-3
-    some = lines.of(lines.rises > 0.5)
-    assert 0 < len(some) == np.count_nonzero(lines.rises > 0.5)
+    some = lines.of(lines.relative_heights > 0.5)
+    assert 0 < len(some) == np.count_nonzero(lines.relative_heights > 0.5)
 
 
 def test_points_rise_by_their_share_of_the_height_and_flat_outlines_with_the_roof(scene):
@@ -145,7 +145,7 @@ def test_points_rise_by_their_share_of_the_height_and_flat_outlines_with_the_roo
     shares = np.tile([-0.2, 0.0, 0.25, 1.0], len(boxes))
     heights = low[buildings] + shares * (high - low)[buildings]
     expected = np.where((high > low)[buildings], np.clip(shares, 0.0, 1.0), 1.0)
-    np.testing.assert_allclose(rise_shares(scene, heights, buildings), expected, atol=1e-6)
+    np.testing.assert_allclose(relative_heights(scene, heights, buildings), expected, atol=1e-6)
 
 
 def test_lines_far_away_are_none(city_map, pose):

@@ -25,7 +25,7 @@ class Independent:
     def mean(self, vector=MODE, covariance=COVARIANCE):
         """Returns what is found."""
         return posterior_mean(
-            lambda poses, share: share * self.log_density(poses).sum(axis=1),
+            lambda poses, temper: temper * self.log_density(poses).sum(axis=1),
             no_prior,
             vector,
             covariance,
@@ -75,13 +75,13 @@ def test_a_direction_that_is_held_stays():
 
 
 def test_what_a_share_alone_adds_is_no_pose_s():
-    def with_level(poses, share):
-        return share * bumpy(poses).sum(axis=1) + 50.0 * share**2
+    def with_level(poses, temper):
+        return temper * bumpy(poses).sum(axis=1) + 50.0 * temper**2
 
     # Tempered, so that rounds are drawn at different shares.
     found = posterior_mean(with_level, no_prior, MODE, COVARIANCE, 2.8)
     without = posterior_mean(
-        lambda poses, share: share * bumpy(poses).sum(axis=1), no_prior, MODE, COVARIANCE, 2.8
+        lambda poses, temper: temper * bumpy(poses).sum(axis=1), no_prior, MODE, COVARIANCE, 2.8
     )
     np.testing.assert_allclose(found, without, atol=1e-9)
 
@@ -108,16 +108,16 @@ def test_sharp_evidence_is_tempered_until_the_place_is_wide_enough(least_m, expe
     seen, before, prior_m = np.array([0.3, 0.0, 0.0]), np.array([2.0, 0.0, 0.0]), 2.0
     sharp_m = 0.3 / np.sqrt(3.0)
 
-    def log_likelihood(poses, share):
-        return -0.5 * share * ((poses - seen) ** 2).sum(axis=1) / sharp_m**2
+    def log_likelihood(poses, temper):
+        return -0.5 * temper * ((poses - seen) ** 2).sum(axis=1) / sharp_m**2
 
     def log_prior(poses):
         return -0.5 * ((poses - before) ** 2).sum(axis=1) / prior_m**2
 
     found = posterior_mean(log_likelihood, log_prior, seen, np.eye(3), least_m)
     each_m = expected_m / np.sqrt(3.0)
-    share = (each_m**-2 - prior_m**-2) / sharp_m**-2
-    expected = seen + (before - seen) * (prior_m**-2 / (share / sharp_m**2 + prior_m**-2))
+    temper = (each_m**-2 - prior_m**-2) / sharp_m**-2
+    expected = seen + (before - seen) * (prior_m**-2 / (temper / sharp_m**2 + prior_m**-2))
     np.testing.assert_allclose(found, expected, atol=0.03)
 
 
@@ -214,7 +214,7 @@ def test_more_buildings_say_more_however_sharp_the_photo():
 
 def test_an_exact_map_leaves_the_curvature(monkeypatch):
     points = outline_of(9)
-    for name in ("_PLACE_M", "_ROOF_M", "_PART_M", "_ROOFS_M", "_BASE_M", "_TOGETHER_PX", "_OWN_PX"):
+    for name in ("_POSITION_M", "_ROOF_M", "_PART_M", "_ROOFS_M", "_BASE_M", "_TOGETHER_PX", "_OWN_PX"):
         monkeypatch.setattr(map_errors, name, 1e-6)
     plain = np.sqrt(np.diagonal(np.linalg.inv(information_of(points, 1.0) + PRIOR)))
     np.testing.assert_allclose(sigmas(points, lens_percent=1e-6), plain, rtol=5e-3)

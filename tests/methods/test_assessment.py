@@ -22,7 +22,7 @@ from lodbench.methods.flight.photo_terms import RoofParts
 from lodbench.methods.localize import localize_query
 from lodbench.methods.protocol import Estimate
 from lodbench.methods.region import RegionParams
-from lodbench.methods.region.evidence import PosePosterior
+from lodbench.methods.region.posteriors import PosePosterior
 from lodbench.photos.measurements import Measurements
 from lodbench.photos.xmp import LaserRange
 from lodbench.storage import random_stream
@@ -59,7 +59,7 @@ def answer(pose, covariance=SURE, probability=0.99, **rest):
 
 def at_answer(city_map, pose, camera=CAMERA):
     lines = lines_in_view(city_map, camera, pose, 4.0)
-    lines = lines.of(lines.rises > 0.2)
+    lines = lines.of(lines.relative_heights > 0.2)
     return lines, project_lines(lines.points, lines.along, camera, vector_from_pose(pose), LensErrors())
 
 

@@ -20,7 +20,7 @@ from lodbench.geometry.pose import vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.localize import localize_query
 from lodbench.methods.region import Region, RegionParams
-from lodbench.methods.region.evidence import PhotoFit, PosePosterior
+from lodbench.methods.region.posteriors import PhotoFit, PosePosterior
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.search import grid_starts
 from lodbench.methods.registry import make_method

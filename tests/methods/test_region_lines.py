@@ -12,15 +12,15 @@ import scipy.ndimage
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.estimation.outline import edges_in_reach
-from lodbench.estimation.state_vector import ALL, BASE_OFFSET, BESIDE_POSE
+from lodbench.estimation.state_vector import ALL_BASES, NUM_AFTER_POSE, NUM_STATE
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.region import Region, RegionParams
 from lodbench.methods.region import line_likelihood as line_search
-from lodbench.methods.region.evidence import Photo, PosePosterior
 from lodbench.methods.region.line_alignment import LineAligner
 from lodbench.methods.region.line_likelihood import LineLikelihood, points_on_lines
-from lodbench.methods.region.search import OutlineJacobian, Problem, local_maxima
+from lodbench.methods.region.posteriors import Photo, PosePosterior
+from lodbench.methods.region.search import OutlineSampler, QueryContext, local_maxima
 from lodbench.storage import random_stream
 from tests.town import BOXES, CAMERA, prior_of, true_poses
 
@@ -43,7 +43,7 @@ def shaded(city_map, truths):
 
 def with_roofs(truth):
     """Returns (10,) a pose, the lens as told, roofs and feet as the map has them."""
-    return np.append(vector_from_pose(truth), np.zeros(BESIDE_POSE))
+    return np.append(vector_from_pose(truth), np.zeros(NUM_AFTER_POSE))
 
 
 def line_fit(photo, query, roofs, vector):
@@ -58,14 +58,14 @@ def fit_of(photo, query, roofs, truth):
 
 def test_lines_fit_best_at_the_truth(roofs, queries, truths, shaded):
     far = [1.5, 1.5, 4.0, 1.0, 1.0, 1.0, 3.0, 1.5, 4.0, 1.5]
-    moves = np.concatenate([d * np.eye(ALL) * far for d in (-1.0, 1.0)])
+    moves = np.concatenate([d * np.eye(NUM_STATE) * far for d in (-1.0, 1.0)])
     for photo, query, truth in zip(shaded, queries, truths, strict=True):
         fit, vector = fit_of(photo, query, roofs, truth), with_roofs(truth)
         assert len(fit) > 100
-        worse = (fit(vector[None]) - fit(vector + moves)).reshape(2, ALL)
-        assert (np.delete(worse, BASE_OFFSET, axis=1) > 1.0).all()
+        worse = (fit(vector[None]) - fit(vector + moves)).reshape(2, NUM_STATE)
+        assert (np.delete(worse, ALL_BASES, axis=1) > 1.0).all()
         # Where walls end is not looked at: hedges and cars hide it.
-        assert (np.abs(worse[:, BASE_OFFSET]) < 3.0).all()
+        assert (np.abs(worse[:, ALL_BASES]) < 3.0).all()
 
 
 @pytest.mark.parametrize("width", [32, 320])
@@ -130,16 +130,16 @@ def test_lines_choose_among_the_search_s_tops(city_map, scene, roofs, queries, t
     moves = np.array([[14, 0, 0], [0, -12, 4], [0, 0, 40], [-20, 9, -8], [0, 0, 0]], dtype=np.float64)
     for number, (photo, query, truth) in enumerate(zip(shaded, queries, truths, strict=True)):
         reach = scene, query.camera, query.prior, 60.0, 20.0
-        around = OutlineJacobian(edges_in_reach(*reach), city_map, params)
+        around = OutlineSampler(edges_in_reach(*reach), city_map, params)
         seen = Photo(photo, query.camera, params)
         streams = partial(random_stream, 0, "test", number)
-        starts = with_roofs(truth) + np.roll(np.pad(moves, ((0, 0), (0, ALL - 3))), number, axis=0)
-        problem = Problem(query, seen, city_map, roofs, around)
-        found = LineAligner(problem, seen.fit(200, False), params, streams).from_best(starts, roofs)
-        assert int(found.evidence.argmax()) == (len(moves) - 1 + number) % len(moves)
+        starts = with_roofs(truth) + np.roll(np.pad(moves, ((0, 0), (0, NUM_STATE - 3))), number, axis=0)
+        context = QueryContext(query, seen, city_map, roofs, around)
+        found = LineAligner(context, seen.fit(200, False), params, streams).from_best(starts, roofs)
+        assert int(found.log_posteriors.argmax()) == (len(moves) - 1 + number) % len(moves)
         assert np.linalg.norm(found.vector[:3] - truth.center) < 1.0
         # Hopeless ones are not followed.
-        assert 1 <= np.isfinite(found.evidence).sum() < len(moves)
+        assert 1 <= np.isfinite(found.log_posteriors).sum() < len(moves)
 
 
 def test_a_wider_prior_has_more_starts():
@@ -154,7 +154,7 @@ def test_a_wider_prior_has_more_starts():
 
 
 def test_a_pose_without_lines_in_view_counts_nothing(roofs, queries, truths, shaded):
-    away = with_roofs(truths[0]) + np.array([5000.0, *np.zeros(ALL - 1)])
+    away = with_roofs(truths[0]) + np.array([5000.0, *np.zeros(NUM_STATE - 1)])
     fit = line_fit(shaded[0], queries[0], roofs, away)
     assert len(fit) == 0
     assert fit.sharpness(away) == 0.0
@@ -190,8 +190,8 @@ def drawn(city_map, queries, truths, tmp_path_factory):
 def starts_of(query, city_map, roofs, params):
     photo = Photo(cv2.imread(str(query.image)), query.camera, params, roofs.threads)
     posterior = PosePosterior(query, city_map, photo.fit(params.fine_width, is_coarse=False), params)
-    problem = Problem(query, photo, city_map, roofs, None)
-    return line_search.line_starts(problem, posterior, params, STREAMS)
+    context = QueryContext(query, photo, city_map, roofs, None)
+    return line_search.line_starts(context, posterior, params, STREAMS)
 
 
 @pytest.mark.slow

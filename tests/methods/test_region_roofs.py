@@ -14,12 +14,12 @@ from shapely import Polygon
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import SceneBuilder
 from lodbench.datasets.query import Query
-from lodbench.estimation.state_vector import ALL, BASE_OFFSET, BESIDE_POSE
+from lodbench.estimation.state_vector import ALL_BASES, NUM_AFTER_POSE, NUM_STATE
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose import vector_from_pose
 from lodbench.methods.region import Region, RegionParams
-from lodbench.methods.region.evidence import PhotoFit, PosePosterior, StatePosterior
-from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, outward_moves, step_of
+from lodbench.methods.region.posteriors import PhotoFit, PosePosterior, StatePosterior
+from lodbench.methods.region.roofs import ROOF_LEVEL_STEP_M, RaisedRoofs, outward_moves, roof_level_of
 from lodbench.rendering.edges import edge_faces
 from lodbench.storage import random_stream
 from lodbench.synthesis.views_dataset import Perturbation
@@ -40,8 +40,8 @@ def photo_of(drawn, truth, number):
 @pytest.mark.parametrize("roofs_m", [-2.0, -0.5, 0.0, 1.5])
 def test_raised_roofs_are_those_of_a_town_so_much_higher(scene, roofs, truths, roofs_m):
     """Against the worlds of ``dataset=views``, which were written for another purpose."""
-    step = int(step_of(np.array(roofs_m)))
-    assert step * STEP_M == roofs_m
+    step = int(roof_level_of(np.array(roofs_m)))
+    assert step * ROOF_LEVEL_STEP_M == roofs_m
     expected = CityMap(Perturbation(shared_roofs_m=roofs_m).perturbed(scene), threads=1)
     for truth in truths:
         np.testing.assert_array_equal(roofs.at(step).render(CAMERA, truth), expected.render(CAMERA, truth))
@@ -55,7 +55,7 @@ def test_no_roof_is_lowered_below_two_metres(scene, city_map):
     owner = np.repeat(np.arange(scene.num_buildings), np.diff(starts))
     low = scene.vertices.copy()
     low[:, 2] = np.minimum(low[:, 2], (floors + heights)[owner])
-    lowered = RaisedRoofs(city_map, replace(scene, vertices=low)).at(int(step_of(np.array(-3.0)))).scene
+    lowered = RaisedRoofs(city_map, replace(scene, vertices=low)).at(int(roof_level_of(np.array(-3.0)))).scene
     modes_found = np.maximum.reduceat(lowered.vertices[:, 2], starts[:-1])
     before = np.maximum.reduceat(low[:, 2], starts[:-1])
     np.testing.assert_allclose(
@@ -75,7 +75,7 @@ def test_points_move_by_their_share_of_the_height(scene, roofs):
     owner = np.repeat(np.arange(scene.num_buildings), np.diff(scene.vertex_starts))
     for start, stop in ((0, 3), (2, -1)):
         before, after = (roofs.at(step).scene.vertices[:, 2].astype(float) for step in (start, stop))
-        moved = before + roofs.shares(before, owner, start) * (stop - start) * STEP_M
+        moved = before + roofs.relative_heights(before, owner, start) * (stop - start) * ROOF_LEVEL_STEP_M
         np.testing.assert_allclose(moved, after, atol=1e-4)
 
 
@@ -158,9 +158,9 @@ def test_lines_tell_each_roof_s_height(roofs, uneven, queries, truths):
     town, own_m = uneven
     found, true = [], []
     for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
-        vector = np.append(vector_from_pose(truth), np.zeros(BESIDE_POSE))
+        vector = np.append(vector_from_pose(truth), np.zeros(NUM_AFTER_POSE))
         fit = line_fit(photo_of(town.at(0), truth, number), query, roofs, vector)
-        told = fit.own_roofs_m(vector)
+        told = fit.building_roof_offsets_m(vector)
         is_told = np.abs(told) > 0.3
         found.extend(told[is_told])
         true.extend(own_m[is_told])
@@ -253,7 +253,7 @@ def test_eaves_that_the_map_lacks_lead_no_answer_astray(scene, city_map, roofs, 
 
 
 def lifted(roofs, feet_m):
-    return roofs.with_offsets(roofs.own_m, feet_m, 0.0)
+    return roofs.with_offsets(roofs.building_roof_offsets_m, feet_m, 0.0)
 
 
 @pytest.mark.parametrize("feet_m", [0.5, 2.0])
@@ -278,7 +278,7 @@ def test_points_of_walls_move_by_their_share(scene, roofs):
         modes_found = np.maximum.reduceat(after, scene.vertex_starts[:-1])
         np.testing.assert_allclose(
             modes_found,
-            np.maximum.reduceat(scene.vertices[:, 2], scene.vertex_starts[:-1]) + step * STEP_M,
+            np.maximum.reduceat(scene.vertices[:, 2], scene.vertex_starts[:-1]) + step * ROOF_LEVEL_STEP_M,
             atol=1e-4,
         )
 
@@ -303,9 +303,9 @@ def test_walls_hidden_below_do_not_drag_cameras_that_lines_place(roofs, queries,
     for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
         photo, pose = shaded_photo(town.at(0), truth, number), with_roofs(truth)
         fit = line_fit(photo, query, roofs, pose)
-        higher, lower = (pose + np.eye(ALL)[BASE_OFFSET] * feet_m for feet_m in (3.0, -1.0))
+        higher, lower = (pose + np.eye(NUM_STATE)[ALL_BASES] * feet_m for feet_m in (3.0, -1.0))
         assert np.ptp(fit(np.stack([pose, higher, lower]))) < 3.0
-        found.append(heights_m[int(fit(pose + np.outer(heights_m, np.eye(ALL)[2])).argmax())])
+        found.append(heights_m[int(fit(pose + np.outer(heights_m, np.eye(NUM_STATE)[2])).argmax())])
     assert np.abs(found).max() <= 0.5
 
 

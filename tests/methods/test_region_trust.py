@@ -18,8 +18,8 @@ from lodbench.errors import QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.region import Region, RegionParams
-from lodbench.methods.region import evidence as photo_module
-from lodbench.methods.region.evidence import Photo
+from lodbench.methods.region import posteriors as photo_module
+from lodbench.methods.region.posteriors import Photo
 from lodbench.methods.region.trust import ConfidenceFeatures, success_probability
 from lodbench.methods.search import query_photo
 from lodbench.rendering.photo_bins import directed_edge_levels
@@ -82,13 +82,14 @@ some_signs = st.builds(
     st.floats(-1.0, 1.5),
     st.floats(0.0, 9.0),
 )
-BETTER = {"probability": 1, "apart_m": -1, "lines": 1, "sharpness": 1, "beyond": -1}
+BETTER = {"probability": 1, "apart_m": -1, "line_log_ratio_nats": 1, "sharpness": 1, "beyond": -1}
 
 
 @given(some_signs, st.sampled_from(sorted(BETTER)), st.floats(0.0, 5.0))
 def test_a_better_sign_never_lowers_it(features, name, step):
     value = max(
-        getattr(features, name) + BETTER[name] * step, {"lines": -50.0, "sharpness": -1.0}.get(name, 0.0)
+        getattr(features, name) + BETTER[name] * step,
+        {"line_log_ratio_nats": -50.0, "sharpness": -1.0}.get(name, 0.0),
     )
     assert success_probability(features._replace(**{name: value})) >= success_probability(features)
 
@@ -104,7 +105,7 @@ def test_no_sign_alone_makes_an_answer_sure():
     # Far below the prior's range, or where no edges lie along the lines: not trusted. Far from the best by
     # regions: less.
     assert success_probability(good._replace(beyond=0.4)) < 0.1
-    assert success_probability(good._replace(lines=0.0)) < 0.5
+    assert success_probability(good._replace(line_log_ratio_nats=0.0)) < 0.5
     assert success_probability(good._replace(apart_m=30.0)) < success_probability(good)
     # Edges beside the lines, not on them: another map than this.
     assert success_probability(good._replace(sharpness=0.1)) < 0.8
@@ -114,7 +115,7 @@ def test_thousands_of_nats_outweigh_nothing_else():
     """Towards the horizon lines find edges anywhere: what all else speaks against stays untrusted."""
     lost = ConfidenceFeatures(0.07, 7.5, 7500.0, 0.12, 0.0)
     assert success_probability(lost) < 0.5
-    assert success_probability(lost) == success_probability(lost._replace(lines=300.0))
+    assert success_probability(lost) == success_probability(lost._replace(line_log_ratio_nats=300.0))
 
 
 PARAMS = RegionParams(coarse_width=60, fine_width=100, lines_width=160)

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 
 from lodbench.estimation.optimization import Quadratic
 from lodbench.estimation.outline_alignment import Aligner
-from lodbench.estimation.posterior import shares_of
+from lodbench.estimation.posterior import mode_probabilities
 from lodbench.estimation.state_vector import (
-    CAMERAS,
     DRAWS,
-    POSES,
+    NUM_POSE,
+    NUM_POSE_AND_FOCAL,
     WITHIN_M,
     fixed_draws,
     is_near,
-    share_within,
     shortened,
+    weight_within,
 )
 from lodbench.geometry import Pose
 from lodbench.geometry.pose import pose_from_vector, turn_per_angle
@@ -130,7 +130,7 @@ def _mixture(aligner: Aligner, tracks: list[_Track]) -> Refined:
             if known is None or known.evidence < each.evidence:
                 found[each.key] = replace(each, step=each.step + apart)
     hypotheses = sorted(found.values(), key=lambda each: -each.evidence)
-    weights = shares_of(np.array([each.evidence for each in hypotheses]))
+    weights = mode_probabilities(np.array([each.evidence for each in hypotheses]))
     return Refined(best.vector, tuple(hypotheses), weights, aligner.overlap(best.vector))
 
 
@@ -146,7 +146,7 @@ def _weigh(aligner: Aligner, track: _Track, params: ContourAlignmentParams, step
         for world, shared in track.shared.items()
     }
     prior = aligner.prior
-    known = prior.offsets(track.vector), prior.sigmas[:POSES]
+    known = prior.offsets(track.vector), prior.sigmas[:NUM_POSE]
     track.hypotheses = [
         each
         for world, likelihood in likelihoods.items()
@@ -157,7 +157,7 @@ def _weigh(aligner: Aligner, track: _Track, params: ContourAlignmentParams, step
     is_free = step < _FREE_STEPS
     needs_tilt, needs_lens = is_free and not track.is_lens_free, is_free or track.is_lens_free
     allowed = (m for m in track.hypotheses if m.is_tilt_free >= needs_tilt and m.is_lens_free >= needs_lens)
-    move = shortened(max(allowed, key=lambda each: each.evidence).step[:CAMERAS])
+    move = shortened(max(allowed, key=lambda each: each.evidence).step[:NUM_POSE_AND_FOCAL])
     track.shared = {
         world: track.shared[world] + _shared_step(world, track.shared[world], likelihood, move)
         for world, likelihood in likelihoods.items()
@@ -202,9 +202,12 @@ def _hypotheses(
 
 def _shared_step(world: WorldErrors, shared: Floats, likelihood: Quadratic, move: Floats) -> Floats:
     """Returns (3,) the step of the shared errors to their optimum, given the camera's, (7,)."""
-    of_shared = Quadratic(likelihood.information[CAMERAS:, CAMERAS:], likelihood.gradient[CAMERAS:])
+    of_shared = Quadratic(
+        likelihood.information[NUM_POSE_AND_FOCAL:, NUM_POSE_AND_FOCAL:],
+        likelihood.gradient[NUM_POSE_AND_FOCAL:],
+    )
     posterior = of_shared.times_prior(world.shared_sigmas**-2.0, shared - world.shared_mean)
-    gradient = posterior.gradient + likelihood.information[CAMERAS:, :CAMERAS] @ move
+    gradient = posterior.gradient + likelihood.information[NUM_POSE_AND_FOCAL:, :NUM_POSE_AND_FOCAL] @ move
     return posterior._replace(gradient=gradient).step()
 
 
@@ -248,7 +251,7 @@ def answer_of(refined: Refined) -> Answer:
     errors, shares = np.concatenate(drawn), np.repeat(weights / counts, counts)
     turn = turn_per_angle(refined.vector)
     means = [each.step[:6] for each in hypotheses]
-    chances = [share_within(errors - mean, shares, turn) for mean in (*means, shares @ errors)]
+    chances = [weight_within(errors - mean, shares, turn) for mean in (*means, shares @ errors)]
     best = int(np.argmax(chances))
     center = (*means, shares @ errors)[best]
     spread = (shares[:, None] * (errors - center)).T @ (errors - center)

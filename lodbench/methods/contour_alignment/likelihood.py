@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from lodbench.estimation.optimization import Quadratic
 from lodbench.estimation.outline import (
     LEAST_WEIGHT,
+    OWN_BASE,
+    OWN_ROOF,
     add_outliers,
     near_distances,
     outline_covariance,
     outline_noise,
 )
 from lodbench.estimation.outline_alignment import Residuals
-from lodbench.estimation.state_vector import CAMERAS
 from lodbench.kernels import whiten
 from lodbench.methods.contour_alignment.params import ContourAlignmentParams
 
@@ -120,7 +121,7 @@ class Outline:
         errors_m2: tuple[float, float, float],
     ) -> Floats:
         """Returns half of the covariance of a chunk's distances; see ``outline_covariance``."""
-        by_map = self.slopes[chunk, CAMERAS], self.slopes[chunk, CAMERAS + 1]
+        by_map = self.slopes[chunk, OWN_ROOF], self.slopes[chunk, OWN_BASE]
         buildings = self.here.points.buildings[chunk]
         return outline_covariance(self.pixels[chunk], *by_map, buildings, noise_px, lengths_px, errors_m2)
 
@@ -204,7 +205,7 @@ def _reweighted(
     outline: Outline, world: WorldErrors, shared: Floats, params: ContourAlignmentParams
 ) -> tuple[Floats, float, Floats]:
     """Returns distances less what is shared, (N,), the outline's noise in pixels and weights, (N,)."""
-    distances = outline.here.distances + outline.slopes[:, CAMERAS:] @ shared
+    distances = outline.here.distances + outline.slopes[:, OWN_ROOF:] @ shared
     noise_px = outline_noise(near_distances(distances, outline.here.agreement))
     weights = _weights(outline.here, outline.slopes, distances, noise_px, world, params)
     return distances, noise_px, weights
@@ -222,8 +223,8 @@ def _weights(
 
     Eq. (C9) of docs/methods/contour_alignment.md.
     """
-    expected = max(noise_px, 1.0) ** 2 + (slopes[:, CAMERAS] ** 2) * (world.roof_m**2 + world.part_m**2)
-    expected += (slopes[:, CAMERAS + 1] * world.base_m) ** 2
+    expected = max(noise_px, 1.0) ** 2 + (slopes[:, OWN_ROOF] ** 2) * (world.roof_m**2 + world.part_m**2)
+    expected += (slopes[:, OWN_BASE] * world.base_m) ** 2
     rough = float(np.clip((noise_px - _FINE_PX) / (_ROUGH_PX - _FINE_PX), 0.0, 1.0))
     hidden_sigmas = (1.0 - rough) * params.outlier_sigmas + rough * params.hidden_sigmas
     sigmas = np.where(distances < 0, hidden_sigmas, params.outlier_sigmas)

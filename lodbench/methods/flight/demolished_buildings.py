@@ -99,7 +99,7 @@ def _standing(
         has_edges = True
         camera = errors.pinhole(photo.camera)
         lines = lines_in_view(city_map, camera, pose_from_vector(vectors[k]), _SPACING_PX)
-        lines = lines.of(lines.rises > _LOWEST_RISE)
+        lines = lines.of(lines.relative_heights > _LOWEST_RISE)
         shows = _excess(photo, lines, vectors[k], errors, 0.0) is not None
         for row in np.intersect1d(lines.buildings, list(claims)).tolist():
             own = lines.of(lines.buildings == row)
@@ -142,7 +142,7 @@ def _excesses(
     """
     if higher_m is not None:
         laid = project_lines(lines.points, lines.along, photo.camera, vector, errors)
-        lines = lines.of(np.abs(laid.by_place[:, 2] * lines.rises * higher_m) > _MOVED_PX)
+        lines = lines.of(np.abs(laid.by_place[:, 2] * lines.relative_heights * higher_m) > _MOVED_PX)
     mapped = _excess(photo, lines, vector, errors, 0.0)
     claimed = 0.0 if higher_m is None else _excess(photo, lines, vector, errors, higher_m)
     return None if mapped is None or claimed is None else (mapped, claimed)
@@ -152,7 +152,7 @@ def _excess(
     photo: EdgePhoto, lines: ModelLines, vector: Floats, errors: LensErrors, higher_m: float
 ) -> float | None:
     points = lines.points.copy()
-    points[:, 2] += lines.rises * higher_m
+    points[:, 2] += lines.relative_heights * higher_m
     laid = project_lines(points, lines.along, photo.camera, vector, errors)
     inside = ((laid.pixels > 0) & (laid.pixels < (photo.camera.width, photo.camera.height))).all(axis=1)
     parts = {name: getattr(laid, name)[inside] for name in laid.__slots__}

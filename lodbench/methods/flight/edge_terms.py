@@ -88,7 +88,7 @@ def edge_terms(
             return None
         camera = errors.pinhole(photo.camera)
         lines = lines_in_view(photo.city_map, camera, pose_from_vector(vectors[k]), _SPACING_PX)
-        lines = lines.of(lines.rises > _LOWEST_RISE)
+        lines = lines.of(lines.relative_heights > _LOWEST_RISE)
         few = -(-len(lines) // _MOST_POINTS)
         return lines.of(np.arange(len(lines)) % few == 0) if few > 1 else lines
 
@@ -123,7 +123,7 @@ def _terms(
     # Lines are of roofs as drawn: they are laid where the heights found so far have them.
     points = lines.points.copy()
     lifted_m = roofs.heights_m[tops] - roofs.drawn_m[lines.buildings]
-    points[:, 2] += lines.rises * lifted_m + (1.0 - lines.rises) * roofs.heights_m[feet]
+    points[:, 2] += lines.relative_heights * lifted_m + (1.0 - lines.relative_heights) * roofs.heights_m[feet]
     laid = project_lines(points, lines.along, photo.camera, vector, errors)
     size = np.array([photo.camera.width, photo.camera.height])
     inside = ((laid.pixels > _BORDER_PX) & (laid.pixels < size - _BORDER_PX)).all(axis=1)
@@ -132,7 +132,7 @@ def _terms(
     pixels, normals = laid.pixels[inside], laid.normals[inside]
     candidates = photo.edges.across(pixels, normals, _SIGMAS * sigma_px)
     distances, chances = candidates.expected(len(pixels), sigma_px)
-    rises, up = lines.rises[inside], laid.by_place[inside, 2]
+    rises, up = lines.relative_heights[inside], laid.by_place[inside, 2]
     camera, none = laid.by_camera[inside], np.zeros(len(pixels))
     slopes = np.column_stack([camera[:, :6], none, up * rises, up * (1.0 - rises), camera[:, 6:], none])
     seen = Residuals(pixels, -distances, slopes, chances, lines.buildings[inside], lines.points[inside, :2])

@@ -339,7 +339,9 @@ def _through_lens(aligner: Aligner, points: OutlinePoints, lens: Floats, size: t
     measure_distances(pixels, normals, moves, level.distance, distances, slopes, agreement)
     slopes = np.column_stack([slopes, -np.ones(count)])
     distances = distances - lens[4]
-    return Residuals(pixels, distances, slopes, agreement, points.buildings[inside], points.places[inside])
+    return Residuals(
+        pixels, distances, slopes, agreement, points.buildings[inside], points.east_north[inside]
+    )
 
 
 def _outline_noise(seen: Residuals, reach_px: float | None) -> tuple[float, Floats]:

@@ -52,7 +52,7 @@ class Answer(NamedTuple):
         line_log_ratio_nats: log-ratio of the photo's edges on the lines to edges anywhere; 0 without lines.
         sharpness: sharpness of the edges, as returned by ``LineLikelihood.sharpness``.
         log_posteriors: (M,) log-posterior of each mode of the search, up to a constant: by lines and regions,
-            or without lines by regions and edges; -inf for modes that were not followed. The vector comes from
+            or without lines by regions and edges; -inf for modes that were not followed. The vector is near
             the best.
         focal_error_percent: by how much the focal length is estimated longer than declared, percent.
     """
@@ -139,7 +139,9 @@ class PoseFinalizer:
         tilt_deg = prior.offsets(aligned.vector[POSE])[TILT]
         return bool(np.abs(tilt_deg).max() > _TILT_DOUBT_FRACTION * 0.5 * range_deg)
 
-    def _is_clearly_better(self, other: LineAlignment | None, best: LineAlignment) -> TypeGuard[LineAlignment]:
+    def _is_clearly_better(
+        self, other: LineAlignment | None, best: LineAlignment
+    ) -> TypeGuard[LineAlignment]:
         return other is not None and other.lead_over(best) >= self._params.doubt_nats
 
     def _aligner(self, params: RegionParams, streams: Streams, has_bases: bool = False) -> LineAligner:
@@ -148,7 +150,7 @@ class PoseFinalizer:
         return LineAligner(self._context, self._fit.with_edges(0.0), params, streams, has_bases)
 
     def _by_regions(self, vector: Floats, features: LineFeatures, log_posteriors: Floats) -> Answer:
-        """Returns the answer near (10,) by regions and edges of the photo at ``mean_width``, without lines."""
+        """Returns the answer near (10,) by regions and edges, without lines, at ``mean_width``."""
         params, of_map = self._params, (self._context.query, self._roofs)
         fine = StatePosterior(*of_map, self._fit, params)
         covariances = self._covariances(_tempered(fine), vector, fine)
@@ -185,7 +187,7 @@ class PoseFinalizer:
     def _mean(
         self, log_likelihood: LogLikelihood, vector: Floats, covariance: Floats, posterior: StatePosterior
     ) -> Floats:
-        """Returns the posterior's mean near (10,), bases and overhangs fixed; (10,) itself without a width."""
+        """Returns the posterior's mean near (10,), bases and overhangs fixed; (10,) for no least width."""
         least_m = self._params.place_sigma_m
         if least_m <= 0:
             return vector

@@ -65,7 +65,7 @@ class LineAlignment(NamedTuple):
         return _log_likelihood(self.line_likelihood, self.region_posterior, vectors, temper)
 
     def worse_by(self, vector: Floats) -> float:
-        """Returns by how many nats the posterior by lines and regions is lower at a vector, (10,), than here."""
+        """Returns by how many nats the log-posterior by lines and regions is lower at (10,) than here."""
         both = np.stack([self.vector, vector])
         log_posterior = self.log_likelihood(both) + self.region_posterior.log_prior(both)
         return float(log_posterior[0] - log_posterior[1])
@@ -182,7 +182,7 @@ class LineAligner:
         return LineAlignment(vector, line_likelihood, regions, sharpness, log_posteriors)
 
     def _beginnings(self, number: int, starts: Floats, roofs: RaisedRoofs) -> dict[int, _Round]:
-        """Returns the beginnings of a round, by index of (M, 10) starts; none for those without lines in view."""
+        """Returns the beginnings of a round by index of its (M, 10) starts, of those with lines in view."""
         blur_px, spacing_px = _ROUNDS[number]
         levels, query = self._context.photo.levels(blur_px), self._context.query
         regions = StatePosterior(query, roofs, self._fit, self._params)

@@ -29,8 +29,8 @@ from lodbench.geometry.pose import pose_from_vector
 from lodbench.kernels import count_along_lines, sum_along_lines
 from lodbench.kernels.arguments import EDGE_LEVELS, LinePoints, LinePoses
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.posteriors import PosePosterior
 from lodbench.methods.region.params import RegionParams
+from lodbench.methods.region.posteriors import PosePosterior
 from lodbench.methods.region.roofs import ROOF_LEVEL_STEP_M, RaisedRoofs, roof_level_of
 from lodbench.methods.region.search import QueryContext, grid_poses, local_maxima
 from lodbench.rendering.photo_bins import Levels
@@ -195,7 +195,7 @@ class LineLikelihood:
         )
 
     def _of_buildings(self, vectors: Floats, temper: float) -> Floats:
-        """Returns (N, B, D) the log of tempered likelihood times prior, by building and offset of its roof."""
+        """Returns (N, B, D) the log of tempered likelihood times prior, by building and roof offset."""
         sums = np.zeros((len(vectors), len(self.buildings), len(self._roof_offsets_m)))
         view, ratios = (line_poses(*self._views(vectors)), self._intrinsics), _RATIOS[self._strengths]
         levels = self._levels.ravel(), self._levels.shape
@@ -203,7 +203,7 @@ class LineLikelihood:
         return np.asarray(temper * self._weight * sums + self._log_prior)
 
     def _counts(self, vector: Floats, offsets_m: Floats, across_px: float = 0.0) -> NDArray[np.int64]:
-        """Returns (2, B, D, 16) the numbers of points at each level, by kind, building and offset of its roof."""
+        """Returns (2, B, D, 16) the numbers of points by kind, building, roof offset and edge level."""
         counts = np.zeros((2, len(self.buildings), len(offsets_m), EDGE_LEVELS), dtype=np.int64)
         view = line_poses(*self._views(vector[None])), self._intrinsics
         levels = self._levels.ravel(), self._levels.shape
@@ -211,7 +211,7 @@ class LineLikelihood:
         return counts
 
     def _views(self, vectors: Floats) -> tuple[Floats, Floats, Floats]:
-        """Returns rotations and centres of (N, 10), and their (N, 3) offsets of the map beyond those drawn."""
+        """Returns rotations and centres of (N, 10), and (N, 3) the map's offsets beyond those drawn."""
         return *views_of(vectors), vectors[:, ALL_ROOFS:] - self._drawn_offsets_m
 
 
@@ -355,7 +355,7 @@ def line_poses(rotations: Floats, centers: Floats, offsets_m: Floats) -> LinePos
 
 
 def _some_points(roofs: RaisedRoofs, camera: Camera, vector: Floats) -> tuple[LinePoints, float]:
-    """Returns some points of the lines in a wider view, and the length of line that each stands for, pixels."""
+    """Returns some points of the lines in a wider view, and the length that each stands for, pixels."""
     margins = (round(0.5 * (_VIEW_FACTOR - 1.0) * size) for size in (camera.width, camera.height))
     points, spacing_px = points_on_lines(roofs, 0, camera.with_margins(*margins), vector)
     every = max(1, -(-len(points.kinds) // _MOST_START_POINTS))

@@ -181,7 +181,7 @@ def _refined_modes(
     streams: Streams,
     by_lines: bool,
 ) -> list[Mode]:
-    """Returns the best candidates refined at the fine size, and modes at the starts by lines, if requested."""
+    """Returns the best candidates refined at the fine size, and if requested modes by lines."""
     means = np.array([mode.gaussian.mean for mode in candidates[: params.modes]])
     schedule = params.fine_generations, params.fine_spread_px
     modes = local_searches(means, fine, context.outlines, *schedule, streams, _PRUNE_BELOW_NATS)
@@ -229,9 +229,7 @@ def _refine_by_edges(candidate: _Candidate, context: QueryContext, params: Regio
     answer = vector_from_pose(estimate.pose), estimate.covariance
     refined = _edge_alignment(*answer, context.query, context.city_map, params)
     if refined is not None:
-        within = max(
-            candidate.features.probability, probability_within(refined.covariance, refined.vector)
-        )
+        within = max(candidate.features.probability, probability_within(refined.covariance, refined.vector))
         features = candidate.features._replace(probability=within)
         estimate = replace(
             estimate,

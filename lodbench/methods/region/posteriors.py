@@ -1,4 +1,4 @@
-"""Posteriors of poses and of state vectors by a photo's regions and occluding edges; the photo at several sizes."""
+"""Posteriors of poses and state vectors by a photo's regions and edges; the photo at several sizes."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class StatePosterior:
         return log_likelihood
 
     def log_prior(self, vectors: Floats) -> Floats:
-        """Returns the (N,) log-prior of state vectors, up to a constant. Eq. (R12) of docs/methods/region.md."""
+        """Returns the (N,) log-prior, up to a constant. Eq. (R12) of docs/methods/region.md."""
         poses, overhangs = self._at_level(0).prior.log_density(vectors[:, POSE]), vectors[:, ALL_OVERHANGS]
         roof_sigma_m, base_sigma_m, overhang_sigma_m = self._sigmas_m
         exact_m = np.minimum(_EXACT_OVERHANG_M, overhang_sigma_m)
@@ -243,7 +243,7 @@ class Photo:
         return self._begin(self._make_levels, width or self._params.lines_width, blur_px).result()
 
     def _begin(self, make: Callable[..., Prepared], *what: Any) -> Future[Prepared]:
-        # Called by the query's own thread only. Keys have the name: a bound method would keep the photo alive.
+        # Called by the query's own thread only. A bound method as key would keep the photo alive.
         key = (make.__name__, *what)
         if key not in self._begun:
             self._begun[key] = self._pool.submit(make, *what)

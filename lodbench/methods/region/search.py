@@ -18,8 +18,8 @@ from lodbench.geometry import Pose, PoseGrid, wrap_deg
 from lodbench.geometry.pose import pose_from_vector
 from lodbench.kernels.arguments import EdgeArrays
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.posteriors import Photo, PosePosterior
 from lodbench.methods.region.params import RegionParams
+from lodbench.methods.region.posteriors import Photo, PosePosterior
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.search import nothing_fits
 from lodbench.rendering import Scorer
@@ -165,7 +165,7 @@ class OutlineSampler:
     def initial_gaussian(
         self, vector: Floats, posterior: PosePosterior, spacing_px: float, prior: Floats | None = None
     ) -> Gaussian | None:
-        """Returns a Gaussian of vectors whose outlines lie about ``spacing_px`` apart, or as the prior allows.
+        """Returns a Gaussian of vectors whose outlines lie about ``spacing_px`` apart, if the prior allows.
 
         Eq. (R8) of docs/methods/region.md; None where no outline is in view.
 
