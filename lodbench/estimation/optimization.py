@@ -1,4 +1,4 @@
-"""Least squares: a quadratic and its step, sparse normal equations, groups of errors of one scale.
+"""Optimization: quadratics, sparse normal equations, groups of errors of one scale, and CMA-ES.
 
 Errors may be declared too large by one unknown factor, which a flight itself shows (variance components). A
 flight says how far roofs of the map differ from each other, and how far photos lie from where a
@@ -189,7 +189,7 @@ class ErrorGroup:
         self.count += len(residuals)
 
 
-# Generations after which searches that are far behind are given up.
+# The generation after which searches that are far behind end.
 _PRUNE_AFTER = 4
 
 
@@ -200,14 +200,14 @@ def maximize(
     population: int,
     generator: np.random.Generator,
 ) -> Gaussian:
-    """Returns the Gaussian of the last of some generations; its mean is the estimate.
+    """Returns the Gaussian of the last generation of a maximisation by CMA-ES; its mean is the estimate.
 
     Args:
-        value: (M, N) points to (M,) values, higher is better.
-        start: Where to begin, and how widely.
-        generations: How many.
-        population: Points in each, even: every draw is used with both signs.
-        generator: Of random numbers.
+        value: from (M, N) points to (M,) values, higher is better.
+        start: the Gaussian of the first generation.
+        generations: number of generations.
+        population: number of points in each, even: every draw is used with both signs.
+        generator: the random generator.
     """
     (found,) = maximize_abreast(value, [start], generations, population, [generator])
     return found
@@ -221,10 +221,10 @@ def maximize_abreast(
     generators: Sequence[np.random.Generator],
     prune_gap: float = math.inf,
 ) -> list[Gaussian]:
-    """Returns what ``maximize`` does from some starts, evaluated together: of those not given up, in order.
+    """Returns the results of ``maximize`` from some starts, whose values are evaluated together, in order.
 
-    Searches whose best is lower than the highest by more than ``prune_gap``, in units of the value, after
-    four generations are given up.
+    Searches end, and have no result, if after four generations their best value is lower than the highest of
+    all by more than ``prune_gap``.
 
     Raises:
         ValueError: There are not as many generators as starts.
@@ -233,20 +233,20 @@ def maximize_abreast(
         raise ValueError(f"{len(starts)} starts need as many generators, not {len(generators)}.")
     if not starts:
         return []
-    searches = _Searches(starts, population)
+    searches = _CmaEs(starts, population)
     for generation in range(generations):
         values = value(searches.draw(generators).reshape(-1, searches.size)).reshape(len(generators), -1)
         searches.update(values)
         if generation + 1 == _PRUNE_AFTER and not math.isinf(prune_gap):
             best = values.max(axis=1)
-            # This way round none is given up where a value is no number.
+            # In this form no search ends because of a value that is not a number.
             kept = np.flatnonzero(~(best < best.max() - prune_gap))
             searches, generators = searches.selected(kept), [generators[int(k)] for k in kept]
     return searches.gaussians()
 
 
-class _Searches:
-    """Some searches, W of them, a generation at a time."""
+class _CmaEs:
+    """W searches by CMA-ES (Hansen 2016, with mirrored draws), a generation at a time."""
 
     def __init__(self, starts: Sequence[Gaussian], population: int) -> None:
         self._means = np.stack([start.mean for start in starts])
@@ -271,7 +271,7 @@ class _Searches:
         self._generation = 0
 
     def draw(self, generators: Sequence[np.random.Generator]) -> Floats:
-        """Draws the next generation of each, (W, M, N)."""
+        """Returns the next generation of each search, (W, M, N)."""
         squares, self._axes = np.linalg.eigh(self._shapes)
         self._spreads = np.sqrt(np.maximum(squares, 1e-20))
         half = np.stack([each.standard_normal((self._parents, self.size)) for each in generators])
@@ -280,7 +280,7 @@ class _Searches:
         return np.asarray(self._means[:, None] + self._scales[:, None, None] * self._moves)
 
     def update(self, values: Floats) -> None:
-        """Moves each towards the better half of its last generation by (W, M) values, and learns its shape.
+        """Updates mean, shape and step size of each search by (W, M) values of its last generation.
 
         Eq. (R9) of docs/methods/region.md.
         """
@@ -308,14 +308,14 @@ class _Searches:
         )
         self._scales = self._scales * np.exp(path_rate / self._damping * (norms / self._length - 1.0))
 
-    def selected(self, which: NDArray[np.int64]) -> _Searches:
-        """Returns some of them, between generations."""
+    def selected(self, which: NDArray[np.int64]) -> _CmaEs:
+        """Returns some of the searches."""
         others = copy(self)
         for name in ("_means", "_shapes", "_scales", "_paths", "_shape_paths"):
             setattr(others, name, getattr(self, name)[which])
         return others
 
     def gaussians(self) -> list[Gaussian]:
-        """Returns where each has come to."""
+        """Returns the present Gaussian of each search."""
         shapes = self._scales[:, None, None] ** 2 * self._shapes
         return [Gaussian(mean, shape) for mean, shape in zip(self._means, shapes, strict=True)]

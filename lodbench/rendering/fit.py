@@ -282,24 +282,30 @@ class RegionFit:
 class ContourFit:
     """Code length saved by describing the photo's edges along a silhouette's outline apart, nats per pixel.
 
-    Where the outline is upright, changes of the photo from left to right are looked at, else those from top
-    to bottom: two ``RegionFit`` of outlines, added.
+    Two ``RegionFit`` are added: of the horizontal gradient where the outline is vertical, and of the vertical
+    gradient where it is level.
 
     Args:
-        beside: (H, W) how strongly the photo changes from left to right, in ``num_bins`` levels.
-        upright: (H, W) the same from top to bottom.
-        num_bins: How many levels there are.
+        horizontal_gradient: (H, W) change of the photo from left to right, in ``num_bins`` levels.
+        vertical_gradient: (H, W) its change from top to bottom.
+        num_bins: number of levels.
 
     Raises:
         RenderingError: As for ``RegionFit``.
     """
 
-    def __init__(self, beside: NDArray[np.integer], upright: NDArray[np.integer], num_bins: int) -> None:
-        self._beside, self._upright = RegionFit(beside, num_bins), RegionFit(upright, num_bins)
-        self.size = self._beside.size
+    def __init__(
+        self,
+        horizontal_gradient: NDArray[np.integer],
+        vertical_gradient: NDArray[np.integer],
+        num_bins: int,
+    ) -> None:
+        self._horizontal = RegionFit(horizontal_gradient, num_bins)
+        self._vertical = RegionFit(vertical_gradient, num_bins)
+        self.size = self._horizontal.size
 
     def __call__(self, words: Words) -> Floats:
         """Returns the (N,) fit of N silhouettes. Eq. (R4) of docs/methods/region.md."""
-        beside, upright = np.empty_like(words), np.empty_like(words)
-        outline_sides(words, self.size[0], beside, upright)
-        return np.asarray(self._beside(beside) + self._upright(upright))
+        vertical_outline, level_outline = np.empty_like(words), np.empty_like(words)
+        outline_sides(words, self.size[0], vertical_outline, level_outline)
+        return np.asarray(self._horizontal(vertical_outline) + self._vertical(level_outline))

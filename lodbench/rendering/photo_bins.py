@@ -96,13 +96,13 @@ class EdgeBins(NamedTuple):
     """How strongly a photo changes, in levels.
 
     Attributes:
-        beside: (H, W) uint16 level of the change from left to right.
-        upright: (H, W) uint16 the same from top to bottom.
+        horizontal_gradient: (H, W) uint16 level of the change from left to right.
+        vertical_gradient: (H, W) uint16 level of the change from top to bottom.
         num_bins: How many levels there are.
     """
 
-    beside: NDArray[np.uint16]
-    upright: NDArray[np.uint16]
+    horizontal_gradient: NDArray[np.uint16]
+    vertical_gradient: NDArray[np.uint16]
     num_bins: int
 
 
@@ -114,10 +114,10 @@ def edge_bins(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Edg
     blur's standard deviation is in pixels of that size.
     """
     lab = _blurred_lab(photo, size, blur_px)
-    beside, upright = (np.abs(cv2.Sobel(lab, cv2.CV_32F, *axis)).sum(axis=2) for axis in ((1, 0), (0, 1)))
-    around = mean_around(beside + upright, size[0] / _AROUND_SHARE) + np.float32(1e-3)
-    first, second = (_levels(edges / around, _EDGE_LEVELS).astype(np.uint16) for edges in (beside, upright))
-    return EdgeBins(first, second, _EDGE_LEVELS)
+    gradients = [np.abs(cv2.Sobel(lab, cv2.CV_32F, *axis)).sum(axis=2) for axis in ((1, 0), (0, 1))]
+    around = mean_around(gradients[0] + gradients[1], size[0] / _AROUND_SHARE) + np.float32(1e-3)
+    across, down = (_levels(gradient / around, _EDGE_LEVELS).astype(np.uint16) for gradient in gradients)
+    return EdgeBins(across, down, _EDGE_LEVELS)
 
 
 def _blurred_lab(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Picture:

@@ -7,7 +7,7 @@ import pytest
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
-from lodbench.estimation.model_lines import CAMERA as COLUMNS
+from lodbench.estimation.model_lines import NUM_POSE_AND_LENS as COLUMNS
 from lodbench.estimation.model_lines import (
     LensErrors,
     lines_in_view,

@@ -156,8 +156,7 @@ class PoseFinalizer:
         covariances = self._covariances(_tempered(fine), vector, fine)
         if params.place_sigma_m <= 0:
             return Answer(vector[POSE], *covariances, *features, log_posteriors)
-        fit = self._context.photo.fit(params.mean_width, is_coarse=False)
-        finest = StatePosterior(*of_map, fit, params)
+        finest = StatePosterior(*of_map, self._context.photo.fit(params.mean_width, False), params)
         mean = self._mean(_tempered(finest), vector, covariances[0], finest)
         return Answer(mean[POSE], *covariances, *features, log_posteriors)
 
@@ -167,21 +166,18 @@ class PoseFinalizer:
         """Returns the covariance (6, 6) of the error at (10,), and the same if the map had no errors."""
         pose, of_poses = vector[POSE], posterior.of_poses(float(vector[ALL_ROOFS]))
 
-        def pose_log_likelihood(poses: Floats) -> Floats:
+        def of_pose(poses: Floats) -> Floats:
             return log_likelihood(np.column_stack([poses, np.tile(vector[NUM_POSE:], (len(poses), 1))]), 1.0)
 
         near = self._outlines.initial_gaussian(pose, of_poses, _SPACING_PX)
-        likelihood_information = (
-            np.zeros((NUM_POSE, NUM_POSE)) if near is None else information_at(pose_log_likelihood, near)
-        )
+        likelihood_information = np.zeros((6, 6)) if near is None else information_at(of_pose, near)
         prior, outline = of_poses.prior.information(), self._outlines.outline(pose, of_poses)
         lens_percent = self._params.lens_percent
         covariance = covariance_under_map_errors(likelihood_information, prior, outline, lens_percent)
         if_map_is_right = np.linalg.inv(likelihood_information + prior)
         if lens_percent > _FITTED_PERCENT:
             _, ridge = self._focal_ridge(vector, posterior)
-            variance = lens_percent**2 - _FITTED_PERCENT**2
-            if_map_is_right += variance * np.outer(ridge[POSE], ridge[POSE])
+            if_map_is_right += (lens_percent**2 - _FITTED_PERCENT**2) * np.outer(ridge[POSE], ridge[POSE])
         return covariance, np.asarray(if_map_is_right)
 
     def _mean(
@@ -212,10 +208,7 @@ class PoseFinalizer:
         return np.asarray(whole)
 
     def _focal_ridge(self, vector: Floats, posterior: StatePosterior) -> tuple[float, Floats]:
-        """Returns the variance of the focal length at (10,), and (7,) the change per percent of it.
-
-        Along this direction the outline changes least.
-        """
+        """Returns the variance of the focal length at (10,), and (7,) the mean change per percent of it."""
         of_poses, camera = posterior.of_poses(float(vector[ALL_ROOFS])), vector[:NUM_POSE_AND_FOCAL]
         prior = posterior.prior_information()[:NUM_POSE_AND_FOCAL, :NUM_POSE_AND_FOCAL]
         near = self._outlines.initial_gaussian(camera, of_poses, _SPACING_PX, prior)

@@ -14,13 +14,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap.laser import range_log_densities
 from lodbench.estimation.optimization import maximize
-from lodbench.estimation.state_vector import (
-    ALL_BASES,
-    ALL_OVERHANGS,
-    ALL_ROOFS,
-    NUM_WITH_BASES,
-    Gaussian,
-)
+from lodbench.estimation.state_vector import ALL_BASES, ALL_OVERHANGS, ALL_ROOFS, NUM_WITH_BASES, Gaussian
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.line_likelihood import LineLikelihood
 from lodbench.methods.region.params import RegionParams
@@ -144,7 +138,7 @@ class LineAligner:
             rounds[k] = self._maximized(0, rounds[k])
             log_posteriors[k] = rounds[k].log_posterior() + ranges[k]
         best = rounds[int(log_posteriors.argmax())]
-        return self._through_rounds(1, best.vector, best.line_likelihood, roofs, log_posteriors)
+        return self._through_rounds(1, best, roofs, log_posteriors)
 
     def from_aligned(
         self, other: LineAlignment, roofs: RaisedRoofs, is_far: bool = False
@@ -157,23 +151,17 @@ class LineAligner:
             is_far: whether the vector may move by metres: through all rounds, not the last alone.
         """
         first = 0 if is_far else len(_ROUNDS) - 1
-        return self._through_rounds(first, other.vector, other.line_likelihood, roofs, other.log_posteriors)
+        return self._through_rounds(first, other, roofs, other.log_posteriors)
 
     def _through_rounds(
-        self,
-        first: int,
-        vector: Floats,
-        line_likelihood: LineLikelihood,
-        roofs: RaisedRoofs,
-        log_posteriors: Floats,
+        self, first: int, start: _Round | LineAlignment, roofs: RaisedRoofs, log_posteriors: Floats
     ) -> LineAlignment | None:
-        """Returns the alignment after the rounds from ``first`` on, from (10,)."""
+        """Returns the alignment after the rounds from ``first`` on."""
+        vector, line_likelihood = start.vector, start.line_likelihood
         for number in range(first, len(_ROUNDS)):
-            roofs = roofs.with_offsets(
-                line_likelihood.building_roof_offsets_m(vector),
-                float(vector[ALL_BASES]),
-                float(vector[ALL_OVERHANGS]),
-            )
+            base_and_overhang_m = float(vector[ALL_BASES]), float(vector[ALL_OVERHANGS])
+            own_m = line_likelihood.building_roof_offsets_m(vector)
+            roofs = roofs.with_offsets(own_m, *base_and_overhang_m)
             rounds = self._beginnings(number, vector[None], roofs)
             if not rounds:
                 return None

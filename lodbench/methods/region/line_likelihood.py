@@ -16,13 +16,7 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.query import Query
 from lodbench.estimation.optimization import maximize
-from lodbench.estimation.state_vector import (
-    ALL_ROOFS,
-    NUM_AFTER_POSE,
-    POSE,
-    Gaussian,
-    views_of,
-)
+from lodbench.estimation.state_vector import ALL_ROOFS, NUM_AFTER_POSE, POSE, Gaussian, views_of
 from lodbench.geometry import Camera
 from lodbench.geometry.angles import rotations_from_euler
 from lodbench.geometry.pose import pose_from_vector
@@ -290,18 +284,15 @@ def line_starts(
     covariance = np.diag(np.square([half_m, half_m, half_z_m, *tilts_deg, 0.5 * coarse.stride_yaw_deg]))
     ends = []
     for k, start in enumerate(best):
-        line_likelihood = LineLikelihood(
-            levels, query, roofs, np.append(start, np.zeros(NUM_AFTER_POSE)), coarse
-        )
+        vector = np.append(start, np.zeros(NUM_AFTER_POSE))
+        line_likelihood = LineLikelihood(levels, query, roofs, vector, coarse)
         if len(line_likelihood):
-            value, first = _log_posterior_by_lines(line_likelihood, posterior), Gaussian(start, covariance)
+            value, first = _log_posterior(line_likelihood, posterior), Gaussian(start, covariance)
             ends.append(maximize(value, first, _GENERATIONS, params.population, streams("line start", k)))
     return ends
 
 
-def _log_posterior_by_lines(
-    line_likelihood: LineLikelihood, posterior: PosePosterior
-) -> Callable[[Floats], Floats]:
+def _log_posterior(line_likelihood: LineLikelihood, posterior: PosePosterior) -> Callable[[Floats], Floats]:
     """Returns the log-posterior of poses (N, 6) by lines, roofs as in the map."""
 
     def value(vectors: Floats) -> Floats:

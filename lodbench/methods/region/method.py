@@ -53,12 +53,7 @@ _PRUNE_BELOW_NATS = 100.0
 
 
 class Region:
-    """Estimates the pose from a photo's regions and edges, without a mask.
-
-    A search finds poses whose silhouette splits the photo into two regions of different appearance; the
-    answer is the mean of the posterior near the best of them, by lines where the map is exact enough,
-    refined by roof edges (docs/methods/region.md).
-    """
+    """Estimates the posterior's mean near the best mode by a photo's regions, lines and edges."""
 
     params_type = RegionParams
     name = "region"
@@ -78,9 +73,8 @@ class Region:
     def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
         """Returns the mean of the posterior near its best mode, with covariance and probability.
 
-        Where its probability is below one half, a second search starts from more poses of the grid
-        (docs/adr/0011, point 7) and from poses at which the map's lines lie along edges (point 8). Roof edges
-        refine the more probable answer (point 11).
+        If its probability is below one half, a second search starts from more poses (docs/adr/0011, point 7),
+        and from those at which lines lie along edges (point 8). Roof edges refine the answer (point 11).
 
         Raises:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
@@ -146,11 +140,11 @@ def _search(
     with_edges = fine.with_edges(params.judging_edge_weight)
     modes = context.with_laser_range(rescore(modes, with_edges))
     answer = PoseFinalizer(context, params).answer(modes, streams)
-    order = np.argsort(-answer.log_posteriors, kind="stable")
-    ranked = [k for k in order if np.isfinite(answer.log_posteriors[k])]
+    logs = answer.log_posteriors
+    ranked = [k for k in np.argsort(-logs, kind="stable") if np.isfinite(logs[k])]
     best, *others = (modes[k].gaussian.mean for k in ranked)
     features = _confidence_features(answer, with_edges, best, params)
-    mode_probability = float(mode_probabilities(answer.log_posteriors).max())
+    mode_probability = float(mode_probabilities(logs).max())
     out_of_range = beyond_range(
         fine.prior.offsets(answer.vector), answer.covariance_if_map_is_right, params.half_widths()
     )
@@ -160,7 +154,7 @@ def _search(
         seconds={"coarse": searched - started, "fine": time.perf_counter() - searched},
         trace={
             "coarse": (best_fit,),
-            "evidence [nats]": tuple(answer.log_posteriors[ranked]),
+            "evidence [nats]": tuple(logs[ranked]),
             SIGNS_STAGE: tuple(features),
         },
         covariance=answer.covariance,
@@ -168,9 +162,8 @@ def _search(
         alternatives=tuple(pose_from_vector(other) for other in others),
         notes=(*_focal_notes(answer.focal_error_percent, params), *out_of_range),
     )
-    return _Candidate(
-        estimate, features, mode_probability, _is_focal_wrong(answer.focal_error_percent, params)
-    )
+    is_focal_wrong = _is_focal_wrong(answer.focal_error_percent, params)
+    return _Candidate(estimate, features, mode_probability, is_focal_wrong)
 
 
 def _refined_modes(

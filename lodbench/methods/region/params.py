@@ -15,17 +15,15 @@ _CIRCLE_DEG = 360.0
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
 _AT_LEAST_0 = (
     *("beyond_m", "beyond_yaw_deg", "effective_pixels", "edge_weight", "coarse_edge_weight"),
+    *("judging_edge_weight", "roofs_m", "pitched_lower_m", "own_roofs_m", "feet_m", "eaves_m"),
     *(
-        "judging_edge_weight",
-        "roofs_m",
-        "pitched_lower_m",
-        "own_roofs_m",
-        "feet_m",
-        "eaves_m",
         "place_sigma_m",
         "lines_weight",
+        "least_sharpness",
+        "tilt_doubt_deg",
+        "lens_doubt_percent",
+        "doubt_nats",
     ),
-    *("least_sharpness", "tilt_doubt_deg", "lens_doubt_percent", "doubt_nats"),
 )
 _POSITIVE = (
     *("stride_m", "stride_z_m", "stride_yaw_deg", "coarse_spread_px", "fine_spread_px", "edge_blur_px"),
@@ -35,63 +33,61 @@ _POSITIVE = (
 
 @dataclass(frozen=True, slots=True)
 class RegionParams(SearchRange):
-    """The settings of ``method=region``.
+    """The settings of ``method=region``; standard deviations of the map are of all buildings in common.
 
     Attributes:
-        name: Name to report.
-        coarse_width: Width of silhouettes in the search, pixels; their height follows from the photo's.
-        fine_width: Width of silhouettes where the best modes are refined, pixels.
-        range_x_m: Full width of the prior's error in x, metres; likewise y and z.
-        range_y_m: See range_x_m.
-        range_z_m: See range_x_m.
-        range_yaw_deg: Full width in yaw, degrees.
-        range_tilt_deg: Full width in pitch and in roll, degrees.
-        beyond_m: How much farther than the prior's error the search looks to either side in x and in y,
-            metres, but never more than half the range: priors are often declared narrower than they are.
-        beyond_yaw_deg: How much farther than the prior's error the search looks in yaw, degrees.
-        stride_m: Largest distance between samples of the grid along x and y, metres.
-        stride_z_m: Largest distance between samples of the grid in height, metres.
-        stride_yaw_deg: Largest distance between samples of the grid in yaw, degrees.
-        starts: Distinct samples of the grid to start from, for a grid of the published priors' range;
-            more for wider ones.
-        modes: Distinct modes of those that are refined.
-        more_starts: How many times as many a second search begins from, where the first one's answer is not
-            to be trusted; 1 for no second one.
-        coarse_generations: Generations of each search.
-        fine_generations: Generations of each refinement.
-        population: Poses in a generation, even.
-        coarse_spread_px: How far outlines lie apart in the first generation, pixels of the coarse size.
-        fine_spread_px: How far outlines lie apart in the first generation of a refinement, pixels of the fine
-            size.
-        effective_pixels: How many independent pixels a photo is worth against the prior.
-        edge_weight: Weight of the photo's edges along the outline beside its regions; 0 leaves them out.
-        coarse_edge_weight: Weight of the photo's edges in the search.
-        judging_edge_weight: Weight of the photo's edges where one mode is chosen: one large silhouette
-            parts a photo well in many wrong places, but no edges lie along it.
-        edge_blur_px: Blur of the photo before edges are looked for, pixels of the fine size.
-        roofs_m: How far all roofs may be higher or lower than in the map, all alike: a standard deviation,
-            metres; 0 for a map whose roofs do not err.
-        pitched_lower_m: How much lower than in the map the roofs of blocks are beforehand where its source
-            states that they are pitched, metres. The search for the best poses takes the map as it is.
-        own_roofs_m: How far each roof may be higher or lower by itself, as of ``roofs_m``.
-        feet_m: How much higher or lower than in the map all walls may end, all alike, at slopes, hedges or
-            cars: a standard deviation, metres; 0 for a map whose walls end where photos show them to.
-        eaves_m: How much farther or less far than in the map all eaves may stand out, all alike, if they do
-            at all, which is as likely as not: a standard deviation, metres; 0 for a map of roof outlines.
-        lens_percent: Standard deviation of the focal length, percent.
-        lens_doubt_percent: Standard deviation of the focal length where the photo speaks against the one that
-            is declared, percent; 0 believes that anyway.
-        tilt_doubt_deg: How far pitch and roll may be off where the photo speaks against the range that is
-            declared, degrees; 0 believes that anyway, and so does a range of 0.
-        doubt_nats: By how many nats lines must be likelier with another tilt or lens for it to be believed.
-        mean_width: Width of silhouettes where the answer becomes the mean of the posterior, pixels.
-        place_sigma_m: How wide the posterior leaves the place there at least, a standard deviation, metres:
-            so far maps and edges err together; 0 leaves the answer at the best pose.
-        lines_width: Width of the photo where the model's lines are laid over its edges, pixels.
-        lines_weight: What a pixel of line is worth, independent pixels; 0 leaves lines out.
-        least_sharpness: How sharply edges must fall off beside the lines for lines to count, 0 to 1: where a
-            map is far from what the photo shows they lead astray.
-        edges: Whether the edges of roofs refine the answer where they are surer of the place.
+        name: name to report.
+        coarse_width: width of silhouettes in the search, pixels; their height follows from the photo's.
+        fine_width: width of silhouettes where the best modes are refined, pixels.
+        range_x_m: full width of the prior's range in x, metres; likewise y and z.
+        range_y_m: see range_x_m.
+        range_z_m: see range_x_m.
+        range_yaw_deg: full width in yaw, degrees.
+        range_tilt_deg: full width in pitch and in roll, degrees.
+        beyond_m: how much farther than the range the grid extends to either side in x and in y, metres, but
+            by half the range at most: ranges are often declared too narrow.
+        beyond_yaw_deg: how much farther than the range the grid extends to either side in yaw, degrees.
+        stride_m: largest distance between poses of the grid along x and y, metres.
+        stride_z_m: largest distance between poses of the grid in height, metres.
+        stride_yaw_deg: largest distance between poses of the grid in yaw, degrees.
+        starts: number of poses of the grid to start from; more for ranges wider than the published priors'.
+        modes: largest number of distinct modes that are refined.
+        more_starts: by how much starts and modes are multiplied for the second search, which follows where
+            the first answer's probability is below one half; 1 for no second search.
+        coarse_generations: number of generations of each local search.
+        fine_generations: number of generations of each refinement.
+        population: number of poses in a generation, even.
+        coarse_spread_px: how far apart the outlines of a local search's first generation lie, pixels of the
+            coarse size.
+        fine_spread_px: the same for a refinement, pixels of the fine size.
+        effective_pixels: number of independent pixels that a photo is worth against the prior.
+        edge_weight: weight of the photo's edges along the outline relative to its regions; 0 for none.
+        coarse_edge_weight: the same weight in the search.
+        judging_edge_weight: the same weight where modes are compared: a large silhouette splits a photo well
+            in many wrong places, but no edges lie along it.
+        edge_blur_px: standard deviation of the blur before edges are extracted, pixels of the fine size.
+        roofs_m: standard deviation of the height of all roofs from the map's, metres; 0 for an exact map.
+        pitched_lower_m: how much lower than in the map blocks are drawn whose source states a pitched roof,
+            metres; not in the search for modes.
+        own_roofs_m: standard deviation of each roof's height from that of all roofs, metres.
+        feet_m: standard deviation of the height of all bases from the map's, metres: slopes, hedges and cars
+            hide bases; 0 for a map whose bases are those that photos show.
+        eaves_m: standard deviation of the overhang of all eaves beyond the map's, metres, if there is any,
+            which has a probability of one half; 0 for a map of roof outlines.
+        lens_percent: standard deviation of the focal length, percent.
+        lens_doubt_percent: standard deviation of the focal length where the photo contradicts the declared
+            one, percent; 0 never replaces that.
+        tilt_doubt_deg: largest error of pitch and of roll where the photo contradicts the declared range,
+            degrees; 0 never widens that, and neither does a range of 0.
+        doubt_nats: by how many nats lines must be likelier under another tilt or lens than the declared one.
+        mean_width: width of silhouettes for the posterior's mean without lines, pixels.
+        place_sigma_m: least root of the summed posterior variances of x, y and z, metres, since errors of map
+            and edges are correlated; 0 gives the best pose instead of the mean.
+        lines_width: width of the photo to whose edges lines are compared, pixels.
+        lines_weight: number of independent pixels that a pixel of line is worth; 0 leaves lines out.
+        least_sharpness: least sharpness of edges on the lines, 0 to 1, for lines to be used: over a map that
+            is not exact they would bias the pose.
+        edges: whether roof edges refine the answer where they give the smaller variance of the position.
     """
 
     name: str = "region"
@@ -148,9 +144,9 @@ class RegionParams(SearchRange):
             raise ConfigError(f"method.population is even and at least 8, not {self.population}.")
 
     def grid(self) -> PoseGrid:
-        """Returns the grid of the search: samples at most a stride apart, ends included.
+        """Returns the grid of the search: poses at most a stride apart, ends included.
 
-        In height it ends where the prior does; see ``beyond_m`` for the rest.
+        In height it ends where the prior's range does; for the rest see ``beyond_m``.
         """
         return PoseGrid(
             _axis(_widened(self.range_x_m, self.beyond_m), self.stride_m),
@@ -160,10 +156,9 @@ class RegionParams(SearchRange):
         )
 
     def num_starts(self) -> int:
-        """Returns how many samples of the grid searches start from: more modes lie in a wider one.
+        """Returns the number of poses of the grid that searches start from.
 
-        As many as set for the published priors' range and less, and by the cube root of its size more for
-        a wider grid.
+        It is ``starts``, times the cube root of the grid's size where that exceeds the published priors'.
         """
         usual = self.for_prior(UniformPrior())
         wider = max(1.0, len(self.grid()) / len(usual.grid()))
@@ -174,7 +169,7 @@ class RegionParams(SearchRange):
         return replace(self, starts=self.more_starts * self.starts, modes=self.more_starts * self.modes)
 
     def turns_around(self) -> bool:
-        """Returns whether the search looks in all directions."""
+        """Returns whether the grid covers all yaws."""
         return _widened(self.range_yaw_deg, self.beyond_yaw_deg) >= _CIRCLE_DEG
 
     def _yaw_axis(self) -> AxisRange:
@@ -184,16 +179,16 @@ class RegionParams(SearchRange):
         return AxisRange(_CIRCLE_DEG * (count - 1) / count, count)
 
     def prior_sigmas(self) -> tuple[float, ...]:
-        """Returns the standard deviations of the prior's x, y, z, pitch, roll and yaw.
+        """Returns the standard deviations of the prior's x, y, z, pitch, roll and yaw; see (R7).
 
-        The tilt has that of its uniform range; for place and yaw, which the photo says, a weak hold will do:
-        the half width.
+        Those of the tilt are of its uniform range; of position and yaw, which the photo determines, they are
+        the half widths, so that the prior is weak.
         """
         x, y, z, pitch, roll, yaw = self.half_widths()
         return x, y, z, pitch / math.sqrt(3.0), roll / math.sqrt(3.0), yaw
 
     def with_lens(self, percent: float | None) -> RegionParams:
-        """Returns these parameters for a lens that is known no better than so, percent, where declared."""
+        """Returns the parameters with a standard deviation of the focal length of at least this, percent."""
         return self if percent is None else replace(self, lens_percent=max(self.lens_percent, percent))
 
 

@@ -174,9 +174,7 @@ class StatePosterior:
     def with_prior_of_rest(self, covariance: Floats, most_m: float = math.inf) -> Floats:
         """Returns a covariance (10, 10): the given one of the first numbers, the prior's of the others.
 
-        Args:
-            covariance: (N, N) of the pose, the focal length and more.
-            most_m: largest standard deviation of roofs, bases and overhangs, metres.
+        Standard deviations of roofs, bases and overhangs are ``most_m`` at most.
         """
         count = len(covariance)
         variances = np.minimum(self._sigmas_m, most_m) ** 2
@@ -187,8 +185,7 @@ class StatePosterior:
     def prior_information(self, most_m: float = math.inf) -> Floats:
         """Returns (9, 9) the inverse of the prior's covariance of all numbers but the overhang.
 
-        Args:
-            most_m: largest standard deviation of roofs and bases, metres.
+        Standard deviations of roofs and bases are ``most_m`` at most.
         """
         sigmas = [self._lens_percent, *np.minimum(self._sigmas_m[:-1], most_m)]
         information = np.zeros((NUM_WITH_BASES, NUM_WITH_BASES))
