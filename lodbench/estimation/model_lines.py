@@ -21,7 +21,7 @@ _NEAREST_M = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class LensErrors:
-    """What a camera may be wrong about beside its pose.
+    """Errors of a camera's declared intrinsics.
 
     Attributes:
         focal: By which share the focal length is longer than declared.
@@ -81,7 +81,7 @@ def projection_slopes(local: Floats, camera: Camera, lens: LensErrors = EXACT) -
 _CREASE_DEG, _SHORTEST_PX = 25.0, 6.0
 # What is lower than this has no height that could err, metres.
 _FLAT_M = 0.1
-# Along a line its direction is that of a point so far on, share of its length.
+# The distance along a line to the point that gives its direction in the picture, fraction of its length.
 _FURTHER = 1e-3
 
 
@@ -96,7 +96,7 @@ class ModelLines:
             a point moves up if roofs are 1 m higher; if bases are, it moves by the rest.
         buildings: (N,) rows of the scene.
         lines: (N,) numbers of the lines.
-        lengths_px: (N,) what length of line each stands for.
+        lengths_px: (N,) length of line that each stands for, pixels.
         is_contour: (N,) whether the building ends there as the view shows it.
     """
 
@@ -118,7 +118,7 @@ class ModelLines:
 
 
 def lines_in_view(city_map: CityMap, camera: Camera, pose: Pose, spacing_px: float) -> ModelLines:
-    """Returns points, so many pixels apart, on the lines of a map that are visible from a pose."""
+    """Returns points on the lines of a map that are visible from a pose, ``spacing_px`` pixels apart."""
     (view,) = city_map.edges(camera, pose.rotation[None], pose.center[None], _CREASE_DEG)
     lengths = np.linalg.norm(view.pixels[:, 1] - view.pixels[:, 0], axis=1)
     rows = np.flatnonzero(view.is_visible & (lengths > _SHORTEST_PX))

@@ -1,10 +1,9 @@
 """Optimization: quadratics, sparse normal equations, groups of errors of one scale, and CMA-ES.
 
-Errors may be declared too large by one unknown factor, which a flight itself shows (variance components). A
-flight says how far roofs of the map differ from each other, and how far photos lie from where a
-reconstruction has them. Where that is less than was declared beforehand, expectation maximisation lowers what
-was declared: squares of the residuals, and what is left open of them, are what their variance should be
-(Dempster, Laird and Rubin 1977, section 4.4).
+The errors of a group may be declared too large by one unknown factor (variance components): those of roofs
+of the map, or of positions in a reconstruction. A flight determines it. Where residuals are smaller than
+declared, expectation maximisation lowers the declared standard deviation until its square is the mean square
+of the residuals plus their posterior variance (Dempster, Laird and Rubin 1977, section 4.4).
 """
 
 from __future__ import annotations
@@ -85,7 +84,7 @@ class NormalEquations:
         self.add(unknowns, weighted @ jacobian, weighted @ residuals)
 
     def add_differences(self, these: Rows, those: Rows, gaps: Floats, precisions: Floats) -> None:
-        """Adds that some unknowns are alike to others: (N,) differences now, and how precisely."""
+        """Adds that some unknowns equal others: (N,) present differences, and the precisions of equality."""
         for rows, columns, sign in (
             (these, these, 1.0),
             (those, those, 1.0),
@@ -104,8 +103,9 @@ class NormalEquations:
         matrix = scipy.sparse.csc_matrix(
             scipy.sparse.coo_matrix((np.concatenate(self._values), where), (self._size, self._size))
         )
-        # Positive definite: no pivots. Photos come first, each tied to few others, what all share last: for
-        # many photos no order is much better, and to look for one takes 30 times as long as all else (500).
+        # Positive definite: no pivots. Unknowns of photos, each tied to few others, come first, common ones
+        # last: for many photos no order is much better, and finding one takes 30 times as long as the rest
+        # (500 photos).
         order = "NATURAL" if 2 * photos > self._size else "MMD_AT_PLUS_A"
         factorised = scipy.sparse.linalg.splu(
             matrix, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True}
@@ -113,26 +113,26 @@ class NormalEquations:
         return factorised, -factorised.solve(self._gradient)
 
 
-# Random signs of which so many tell the trace of what is left open (Hutchinson 1990).
+# Number of random sign vectors that estimate the trace of the posterior covariance (Hutchinson 1990).
 _PROBES = 24
-# Errors are never so small a share of what was declared, and never larger.
-_LEAST = 0.1
-# What was declared counts as so many errors.
-_AS_TOLD = 5.0
-# Steps are lengthened by no more than this.
+# The least scale of errors, relative to the declared one; the largest is 1.
+_LEAST_SCALE = 0.1
+# The number of errors that the declared scale counts for.
+_DECLARED_COUNT = 5.0
+# The largest factor by which a step of expectation maximisation is lengthened.
 _LONGEST = 4.0
-# Information is taken for no less along any direction than this share of all, and than this.
-_SINGULAR, _NOTHING = 1e-12, 1e-30
+# The least information along any direction, as a fraction of the trace and absolute.
+_SINGULAR, _LEAST_INFORMATION = 1e-12, 1e-30
 
 
 @dataclass(slots=True, eq=False)
 class ErrorGroup:
-    """Residuals of the normal equations that all err by a share of what is declared.
+    """Residuals of the normal equations whose standard deviations share one unknown scale.
 
     Attributes:
-        equations: To which they are added.
-        scale: The share as it is thought to be.
-        count: Residuals so far.
+        equations: the normal equations that they are added to.
+        scale: present estimate of their standard deviation, relative to the declared one.
+        count: number of residuals so far.
     """
 
     equations: NormalEquations
@@ -146,14 +146,14 @@ class ErrorGroup:
     def add_residuals(self, unknowns: Rows, jacobian: Floats, residuals: Floats, information: Floats) -> None:
         """Adds (M,) residuals with an (M, N) Jacobian in N unknowns and (M, M) information at the scale."""
         self.equations.add_residuals(unknowns, jacobian, residuals, information)
-        # Photos from one place say nothing of the direction between them: what is singular keeps a root.
-        least = max(_SINGULAR * float(np.trace(information)), _NOTHING)
+        # Photos from one position do not determine the direction between them: singular matrices need a root.
+        least = max(_SINGULAR * float(np.trace(information)), _LEAST_INFORMATION)
         root = np.linalg.cholesky(information + least * np.eye(len(information))).T
         rows = np.repeat(self.count + np.arange(len(residuals)), len(unknowns))
         self._record(rows, np.tile(unknowns, len(residuals)), (root @ jacobian).ravel(), root @ residuals)
 
     def add_differences(self, these: Rows, those: Rows, gaps: Floats, precisions: Floats) -> None:
-        """Adds that unknowns are alike to others: (N,) differences now, and how precisely at the scale."""
+        """Adds that unknowns equal others: (N,) present differences, and precisions at the scale."""
         self.equations.add_differences(these, those, gaps, precisions)
         roots, rows = np.sqrt(precisions), self.count + np.arange(len(gaps))
         columns, slopes = np.concatenate([these, those]), np.concatenate([roots, -roots])
@@ -171,7 +171,7 @@ class ErrorGroup:
             scipy.sparse.coo_matrix((np.concatenate(self._slopes), where), (self.count, len(step)))
         )
         residuals = np.concatenate(self._residuals) + whitened @ step
-        # The same signs each time: an answer does not depend on chance.
+        # The same signs each time: the answer is deterministic.
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (self.count, _PROBES))
         probes = whitened.T @ signs
         left_open = float((probes * factorised.solve(probes)).sum()) / _PROBES / self.count
@@ -179,7 +179,7 @@ class ErrorGroup:
         # Expectation maximisation goes a share of the way, less the more is left open: the rest is added.
         power = 0.5 / max(1.0 - left_open**2, 1.0 / _LONGEST)
         found = self.scale * square**power
-        return float(np.clip(found ** (members / (members + _AS_TOLD)), _LEAST, 1.0))
+        return float(np.clip(found ** (members / (members + _DECLARED_COUNT)), _LEAST_SCALE, 1.0))
 
     def _record(self, rows: Rows, columns: Rows, slopes: Floats, residuals: Floats) -> None:
         self._rows.append(rows)

@@ -191,8 +191,7 @@ def posterior_mean(
     position's standard deviation is ``least_m``.
 
     Args:
-        log_likelihood: from (N, D) points and a tempering exponent to the (N,) tempered log-likelihood, up to
-            a constant of that exponent.
+        log_likelihood: from (N, D) points and a tempering exponent to (N,), up to a constant per exponent.
         log_prior: from (N, D) points to their (N,) log-prior, up to a constant.
         vector: (D,) the best point.
         covariance: (D, D) covariance of the first proposal.

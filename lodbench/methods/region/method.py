@@ -131,9 +131,8 @@ def _search(
     started, query = time.perf_counter(), context.query
     coarse = context.posterior(params, params.coarse_width, is_coarse=True)
     starts, best_fit = grid_starts(query, coarse, params)
-    candidates = local_searches(
-        starts, coarse, context.outlines, params.coarse_generations, params.coarse_spread_px, streams
-    )
+    schedule = params.coarse_generations, params.coarse_spread_px
+    candidates = local_searches(starts, coarse, context.outlines, *schedule, streams)
     searched = time.perf_counter()
     fine = context.posterior(params, params.fine_width, is_coarse=False)
     modes = _refined_modes(candidates, context, fine, params, streams, by_lines)
