@@ -190,17 +190,17 @@ class EdgeLikelihood:
     def refined(self, vector: Floats) -> EdgeAlignment | None:
         """Returns the pose that edges and priors make most probable near (6,); None where few lines show."""
         start = np.append(vector, np.zeros(NUM_POSE_AND_LENS - NUM_POSE))
-        refined, information = start, np.diag(self._sigmas**-2.0)
+        refined, posterior_information = start, np.diag(self._sigmas**-2.0)
         for sigma_px in _SIGMAS_PX:
             lines = self._lines(refined)
             if len(lines) < _FEWEST_POINTS:
                 return None
             for _ in range(_STEPS):
-                refined, information = self._step(lines, refined, sigma_px)
-        covariance = np.asarray(_VARIANCE_INFLATION * np.linalg.inv(information)[:NUM_POSE, :NUM_POSE])
+                refined, posterior_information = self._step(lines, refined, sigma_px)
+        covariance = _VARIANCE_INFLATION * np.linalg.inv(posterior_information)[:NUM_POSE, :NUM_POSE]
         log_ratio = self.log_ratio_to_background(refined)
         gain = log_ratio - self.log_ratio_to_background(start)
-        return EdgeAlignment(refined[:NUM_POSE], covariance, log_ratio, gain)
+        return EdgeAlignment(refined[:NUM_POSE], np.asarray(covariance), log_ratio, gain)
 
     def log_ratio_to_background(self, vector: Floats) -> float:
         """Returns the log-ratio of edges at a pose and lens, (10,), to background, prior included, nats.

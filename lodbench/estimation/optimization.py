@@ -273,9 +273,9 @@ class _CmaEs:
     def draw(self, generators: Sequence[np.random.Generator]) -> Floats:
         """Returns the next generation of each search, (W, M, N)."""
         squares, self._axes = np.linalg.eigh(self._shapes)
-        self._spreads = np.sqrt(np.maximum(squares, 1e-20))
+        self._axis_sigmas = np.sqrt(np.maximum(squares, 1e-20))
         half = np.stack([each.standard_normal((self._parents, self.size)) for each in generators])
-        moves = (half * self._spreads[:, None]) @ self._axes.transpose(0, 2, 1)
+        moves = (half * self._axis_sigmas[:, None]) @ self._axes.transpose(0, 2, 1)
         self._moves = np.concatenate([moves, -moves], axis=1)
         return np.asarray(self._means[:, None] + self._scales[:, None, None] * self._moves)
 
@@ -289,7 +289,7 @@ class _CmaEs:
         best = np.take_along_axis(self._moves, order[..., None], axis=1)
         steps = self._weights @ best
         self._means = self._means + self._scales[:, None] * steps
-        along = np.einsum("wij,wi->wj", self._axes, steps) / self._spreads
+        along = np.einsum("wij,wi->wj", self._axes, steps) / self._axis_sigmas
         whitened = np.einsum("wij,wj->wi", self._axes, along)
         self._paths = (1.0 - path_rate) * self._paths
         self._paths += math.sqrt(path_rate * (2.0 - path_rate) * effective) * whitened

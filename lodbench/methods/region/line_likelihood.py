@@ -175,11 +175,11 @@ class LineLikelihood:
         Each is maximised given the other, twice.
         """
         # (S, B, D) each: sums of log-ratios by strength, building and offset of its roof.
-        creases, outlines = np.moveaxis(self._counts(vector, self._roof_offsets_m) @ _RATIOS.T, -1, 1)
+        creases, occluding = np.moveaxis(self._counts(vector, self._roof_offsets_m) @ _RATIOS.T, -1, 1)
         best = np.full(2, len(_STRENGTHS) // 2)
         for _ in range(2):
-            best[0] = self._likeliest(creases + outlines[best[1]])
-            best[1] = self._likeliest(creases[best[0]] + outlines)
+            best[0] = self._likeliest(creases + occluding[best[1]])
+            best[1] = self._likeliest(creases[best[0]] + occluding)
         return best
 
     def _likeliest(self, sums: Floats) -> int:
