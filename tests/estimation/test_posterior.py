@@ -55,10 +55,10 @@ def one_sided(vectors):
 
 @pytest.mark.parametrize("density", [gaussian, bumpy, one_sided])
 def test_it_is_the_integral_s(density):
-    evidence = Independent(density)
-    found = evidence.mean()
+    independent = Independent(density)
+    found = independent.mean()
     spread = np.sqrt(np.diagonal(COVARIANCE))
-    assert (np.abs(found - evidence.means()) < 0.2 * spread).all()
+    assert (np.abs(found - independent.means()) < 0.2 * spread).all()
 
 
 def test_the_mean_of_a_bumpy_hill_is_not_its_top():
@@ -74,11 +74,11 @@ def test_a_direction_that_is_held_stays():
     np.testing.assert_allclose(found[3:5], MODE[3:5], atol=1e-5)
 
 
-def test_what_a_share_alone_adds_is_no_pose_s():
+def test_a_constant_of_the_exponent_does_not_count():
     def with_level(poses, temper):
         return temper * bumpy(poses).sum(axis=1) + 50.0 * temper**2
 
-    # Tempered, so that rounds are drawn at different shares.
+    # Tempered, so that rounds are drawn at different exponents.
     found = posterior_mean(with_level, no_prior, MODE, COVARIANCE, 2.8)
     without = posterior_mean(
         lambda poses, temper: temper * bumpy(poses).sum(axis=1), no_prior, MODE, COVARIANCE, 2.8
@@ -103,7 +103,7 @@ def test_it_draws_the_same_every_time():
 
 
 @pytest.mark.parametrize(("least_m", "expected_m"), [(0.1, 0.3), (0.3, 0.3), (0.8, 0.8)])
-def test_sharp_evidence_is_tempered_until_the_place_is_wide_enough(least_m, expected_m):
+def test_a_sharp_likelihood_is_tempered_until_the_position_is_wide_enough(least_m, expected_m):
     """Of a sharp Gaussian likelihood and a wide prior around another place: their weighted mean."""
     seen, before, prior_m = np.array([0.3, 0.0, 0.0]), np.array([2.0, 0.0, 0.0]), 2.0
     sharp_m = 0.3 / np.sqrt(3.0)

@@ -170,9 +170,9 @@ class TestTheMethod:
     def test_starts_are_tops_of_different_hills(self, city_map, photographed):
         query, params = photographed[0], RegionParams(starts=8)
         photo = cv2.imread(str(query.image))
-        evidence = PosePosterior(query, city_map, PhotoFit(photo, (151, 113), params, True), params)
-        starts, best = grid_starts(query, evidence, params)
-        fits = evidence.fits(starts)
+        posterior = PosePosterior(query, city_map, PhotoFit(photo, (151, 113), params, True), params)
+        starts, best = grid_starts(query, posterior, params)
+        fits = posterior.fits(starts)
         assert fits[0] == fits.max() == best
         grid = params.grid()
         steps = [axis.width / (axis.count - 1) for axis in (grid.x, grid.y, grid.z, grid.yaw)]
@@ -317,13 +317,13 @@ def test_another_lens_is_drawn_by_the_told_one(city_map, truths, percent):
 
 def test_a_pose_is_a_camera_with_the_lens_as_told(city_map, queries, truths, shaded_photos):
     params = RegionParams()
-    evidence = PosePosterior(
+    posterior = PosePosterior(
         queries[0], city_map, PhotoFit(shaded_photos[0], (200, 150), params, False), params
     )
     poses = vector_from_pose(truths[0]) + random_stream(0, "poses").normal(0.0, 0.5, (5, 6))
     cameras = np.column_stack([poses, np.zeros(5)])
-    np.testing.assert_array_equal(evidence.fits(poses), evidence.fits(cameras))
-    assert (evidence.fits(np.column_stack([poses, np.full(5, 3.0)])) != evidence.fits(poses)).all()
+    np.testing.assert_array_equal(posterior.fits(poses), posterior.fits(cameras))
+    assert (posterior.fits(np.column_stack([poses, np.full(5, 3.0)])) != posterior.fits(poses)).all()
 
 
 @pytest.fixture(scope="module")

@@ -79,13 +79,13 @@ def test_points_move_by_their_share_of_the_height(scene, roofs):
         np.testing.assert_allclose(moved, after, atol=1e-4)
 
 
-def test_evidence_is_that_of_the_map_with_those_roofs(scene, roofs, queries, truths):
+def test_the_posterior_is_that_of_the_map_with_those_roofs(scene, roofs, queries, truths):
     params = RegionParams()
     fit = PhotoFit(photo_of(roofs.at(0), truths[0], 0), (200, 150), params, False)
-    evidence = StatePosterior(queries[0], roofs, fit, params)
+    posterior = StatePosterior(queries[0], roofs, fit, params)
     poses = vector_from_pose(truths[0]) + random_stream(0, "poses").normal(0.0, 0.5, (6, 6))
     heights = np.array([-1.5, 0.0, 0.2, 0.9, 1.0, 7.0])
-    log_likelihood = evidence.log_likelihood(
+    log_likelihood = posterior.log_likelihood(
         np.column_stack([poses, np.zeros(6), heights, np.full((6, 2), 0.4)])
     )
     for i, roofs_m in enumerate([-1.5, 0.0, 0.0, 1.0, 1.0, 3.0]):
