@@ -175,6 +175,18 @@ def test_parts_of_kernels_are_called_by_kernels_alone():
     assert not wrong
 
 
+def test_kernels_are_imported_from_their_package_which_loads_numba_late():
+    free = {"arguments", "looks", "raster_rule", "cache"}
+    wrong = [
+        f"{name_of(path)} imports {other}"
+        for path in MODULES
+        if layer_of(path) != "kernels"
+        for other in imported(path)
+        if other.startswith("lodbench.kernels.") and other.split(".")[2] not in free | set(kernels.HOMES)
+    ]
+    assert not wrong
+
+
 def test_kernels_are_where_their_callers_are_sent():
     for name, home in kernels.HOMES.items():
         assert callable(getattr(import_module(f"lodbench.kernels.{home}"), name))

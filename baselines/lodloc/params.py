@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import require_within
 from lodbench.geometry import AxisRange, PoseGrid
-from lodbench.methods.search import ranges_of
+from lodbench.methods.fits import ranges_of
 
 _BOUNDS = {
     "size": (64, 4096),

@@ -13,8 +13,8 @@ from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import rotations_at_yaws
 from lodbench.methods import Estimate, Input, Streams
+from lodbench.methods.fits import Particles, PoseScorer, Scoring, fit_input
 from lodbench.methods.lodlocv2 import search
-from lodbench.methods.search import Particles, PoseScorer, Scoring, fit_input
 
 from .instance_fit import InstanceFit
 from .params import LodLocV3Params

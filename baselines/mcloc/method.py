@@ -13,8 +13,8 @@ from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import rotations_at_yaws
 from lodbench.methods import Estimate, Input, Streams
+from lodbench.methods.fits import Particles
 from lodbench.methods.lodlocv2 import search
-from lodbench.methods.search import Particles
 from lodbench.segmentation.masks import read_photo
 
 from ..render_and_match import resized_photo, shaded_views

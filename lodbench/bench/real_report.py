@@ -22,8 +22,8 @@ from lodbench.evaluation.queries import ERROR
 from lodbench.evaluation.statistics import bootstrap_ratio
 from lodbench.geometry import Pose
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
+from lodbench.methods.fits import photo_edges
 from lodbench.methods.protocol import Estimate, Streams
-from lodbench.methods.search import photo_edges
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.figures import SERIES, draw_figure
 

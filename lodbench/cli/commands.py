@@ -17,17 +17,20 @@ COMMANDS = {
         "lodbench.cli.locate",
         "map coordinates of pixels, or mask regions, of a localised photo",
     ),
-    "track": ("lodbench.cli.flights:main_track", "localise each frame of a video or of a folder of frames"),
+    "track": (
+        "lodbench.cli.track_georeference:main_track",
+        "localise each frame of a video or of a folder of frames",
+    ),
     "georeference": (
-        "lodbench.cli.flights:main_georeference",
+        "lodbench.cli.track_georeference:main_georeference",
         "georeference a COLMAP model by its buildings, without ground control points",
     ),
     "mask": (
-        "lodbench.cli.drawing:main_mask",
+        "lodbench.cli.mask_trace:main_mask",
         "make or correct a photo's building mask by hand; LabelMe, COCO, QGIS",
     ),
     "trace": (
-        "lodbench.cli.drawing:main_trace",
+        "lodbench.cli.mask_trace:main_trace",
         "trace a map of roofs in the photos of a COLMAP model; make a benchmark",
     ),
     "run": ("lodbench.cli.run", "localise the photos of a dataset with one method, and score the poses"),

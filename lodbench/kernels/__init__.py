@@ -14,15 +14,16 @@ from typing import Any
 
 # What is called from elsewhere, by module.
 _KERNELS = {
+    "decimal_text": "scan",
     "depth": "draw_band fill_rays resolve_buildings resolve_depth resolve_layers resolve_normals",
     "edges": "building_sums cut_and_test measure_distances sample_edges",
     "estimation": "add_products add_votes error_covariance least_total whiten",
-    "heights": "draw_from_above",
+    "heights": "draw_from_above grow_planes",
     "masks": "code_lengths_saved count_bits count_overlaps distance_sums fill_padded grow outline_of"
     " outline_sides padded_stride sum_under",
     "photo_edges": "count_along_lines looked_up sum_along_lines",
     "projection": "select_buildings visible_buildings",
-    "shading": "bake light_corners",
+    "shading": "bake expose light_corners resolve_photo",
     "silhouettes": "draw_instances draw_views score_views",
     "textures": "resolve_textured",
 }

@@ -21,6 +21,12 @@ EDGE_LEVELS, DIRECTIONS = 16, 12
 # Steps of strength per mean strength, and how many are distinguished.
 FINE_STEPS, FINEST = 256.0, 4095
 
+# Steps of tone per unit of linear light, and where light is cut off, units.
+TONE_STEPS, BRIGHTEST = 2048, 4
+# A cell that belongs to no piece.
+FREE = 0
+POWERS: NDArray[np.float64] = 10.0 ** np.arange(23, dtype=np.float64)  # all exact in float64
+
 Floats = NDArray[np.float64]
 Indices = NDArray[np.uint32]
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.kernels.arguments import FREE
 from lodbench.kernels.compiled import checked
-
-# Cells of ``labels`` that belong to no piece yet.
-FREE = 0
 
 
 @checked

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lodbench.kernels.arguments import BRIGHTEST, TONE_STEPS
 from lodbench.kernels.compiled import kernel, per_pixel, uncounted
 from lodbench.kernels.looks import TEXTURED
 from lodbench.kernels.patterns import dot, mix, plus, scaled, unit_hash
@@ -163,9 +164,6 @@ def resolve_photo(band, buffer, rotation, center, shading, out):
                 green += 0.25 * count * colour[1]
                 blue += 0.25 * count * colour[2]
             out[row, column, 0], out[row, column, 1], out[row, column, 2] = red, green, blue
-
-
-TONE_STEPS, BRIGHTEST = 2048, 4
 
 
 @kernel

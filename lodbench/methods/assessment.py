@@ -23,8 +23,8 @@ from lodbench.estimation.state_vector import probability_within
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.camera import UNKNOWN, CameraSigmas
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
+from lodbench.methods.fits import EDGES_WIDTH, SearchRange, photo_edges
 from lodbench.methods.protocol import Estimate
-from lodbench.methods.search import EDGES_WIDTH, SearchRange, photo_edges
 
 Floats = NDArray[np.float64]
 

@@ -19,9 +19,9 @@ from lodbench.estimation.state_vector import TRUSTED
 from lodbench.geometry import Pose
 from lodbench.methods.assessment import assessed
 from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
+from lodbench.methods.fits import SearchRange
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region import Region, RegionParams
-from lodbench.methods.search import SearchRange
 
 # Two answers within 2 m and 2 degrees of the truth are no farther from each other than this.
 _TOGETHER_M, _TOGETHER_DEG = 4.0, 4.0

@@ -19,8 +19,8 @@ from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, require_choice, require_numbers, require_within
 from lodbench.geometry import AxisRange, Pose, PoseGrid, rotations_at_yaws
+from lodbench.methods.fits import Particles, PoseScorer, Scoring, fit_input, nothing_fits, set_sizes
 from lodbench.methods.protocol import Estimate, Streams
-from lodbench.methods.search import Particles, PoseScorer, Scoring, fit_input, nothing_fits, set_sizes
 from lodbench.plugins import load_plugin
 
 VARIANTS = ("full", "no_refine", "no_select")

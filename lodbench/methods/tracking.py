@@ -21,8 +21,8 @@ from lodbench.estimation.state_vector import probability_within
 from lodbench.geometry import Pose
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
+from lodbench.methods.fits import set_sizes
 from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
-from lodbench.methods.search import set_sizes
 
 Floats = NDArray[np.float64]
 

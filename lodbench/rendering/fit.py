@@ -172,7 +172,7 @@ class SemanticIouFit:
         classes: (H, W) query, of ``ROOF``, ``WALL`` and 0.
     """
 
-    # What ``lodbench.methods.search`` makes it from.
+    # What ``lodbench.methods.fits`` makes it from.
     input = "classes"
 
     def __init__(self, classes: NDArray[np.uint8]) -> None:

@@ -14,7 +14,7 @@ from shapely import Polygon
 
 from lodbench.citymodel.read import read_city_model
 from lodbench.cli import main
-from lodbench.cli.drawing import describe_map
+from lodbench.cli.mask_trace import describe_map
 from lodbench.datasets.exchange.colmap import read_colmap_points
 from lodbench.datasets.pose_text import read_poses
 from lodbench.errors import DatasetError

@@ -13,9 +13,9 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.harness.runs.requirements import made_inputs
 from lodbench.methods import Input, Method
+from lodbench.methods.fits import PoseScorer
 from lodbench.methods.localize import localize_query
 from lodbench.methods.lodlocv2 import LodLocV2, LodLocV2Params, select
-from lodbench.methods.search import PoseScorer
 from lodbench.storage import random_stream
 
 SMALL = {"coarse_size": (160, 120), "fine_size": (320, 240)}

@@ -17,11 +17,11 @@ from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
+from lodbench.methods.fits import query_photo
 from lodbench.methods.region import Region, RegionParams
 from lodbench.methods.region import posteriors as photo_module
 from lodbench.methods.region.posteriors import Photo
 from lodbench.methods.region.trust import ConfidenceFeatures, success_probability
-from lodbench.methods.search import query_photo
 from lodbench.rendering.photo_bins import directed_edge_levels
 from lodbench.storage import random_stream
 from tests.methods.test_region import WIDE

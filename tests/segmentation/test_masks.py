@@ -259,7 +259,7 @@ def test_class_maps_and_their_fit_go_through_the_map(town):
     query = Preparation(dataset, scene, ClassFiles(ClassFilesParams()), "prior", NEEDS).query(
         dataset.entries[0]
     )
-    from lodbench.methods.search import make_fit
+    from lodbench.methods.fits import make_fit
 
     fit = make_fit("semantic_iou", query, (CAMERA.width, CAMERA.height))
     # Forty poses take two rounds.

@@ -21,7 +21,7 @@ _SEPARATOR = b";"
 # Numbers of all texts of a process up to which no kernel is loaded: Python reads these in 0.2 s, and
 # numba takes 0.4 to load.
 _FEW_NUMBERS = 1_000_000
-# Plain decimals between white space, as ``kernels.city.scan`` takes them.
+# Plain decimals between white space, as ``kernels.scan`` takes them.
 _DECIMAL = rb"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 _NUMBER = re.compile(_DECIMAL)
 _NUMBERS = re.compile(rb"\s*(?:%s(?:\s+|\Z))*" % _DECIMAL)
@@ -53,7 +53,8 @@ def parse_rings(texts: list[bytes]) -> tuple[NDArray[np.float64], NDArray[np.int
         texts, joined = clean, _SEPARATOR.join(clean)
     if is_few(len(joined) // 8):  # a number has seven characters and a blank at least, mostly
         return _parse_few(texts)
-    from lodbench.kernels.city import POWERS, scan
+    from lodbench.kernels import scan
+    from lodbench.kernels.arguments import POWERS
 
     if not texts:
         return np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.bool_)

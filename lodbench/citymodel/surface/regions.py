@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.surface.grid import BLOCK, Floats, SurfaceGrid
 from lodbench.citymodel.surface.ground import Ground
-from lodbench.kernels.heights import FREE, grow_planes
+from lodbench.kernels import grow_planes
+from lodbench.kernels.arguments import FREE
 
 # What rises less over the ground is a car or a hedge, metres; smaller regions are none, square metres.
 LEAST_RISE_M, LEAST_AREA_M2 = 2.0, 10.0

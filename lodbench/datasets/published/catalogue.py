@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.published import anyvisloc, egeniouss, ortholoc
-from lodbench.datasets.published.drone_photos import SEMCITYLOCKED, TOKYO_LODV3, UAVD4L
 from lodbench.datasets.published.layout import Download, Part, PublishedSpec
 from lodbench.datasets.published.lodloc import LODLOC
+from lodbench.datasets.published.uavd4l_tokyo_semcity import SEMCITYLOCKED, TOKYO_LODV3, UAVD4L
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.storage.disk import disk, make_folder
 

@@ -33,10 +33,10 @@ from lodbench.harness.photo.prepare import (
 )
 from lodbench.harness.tracebacks import reported_as_fault
 from lodbench.methods import Estimate, Method
+from lodbench.methods.fits import NothingFits
 from lodbench.methods.localize import localize
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.protocol import SupportsPriorWidth
-from lodbench.methods.search import NothingFits
 from lodbench.photos.map_frame import GeoPose, MapFrame
 from lodbench.photos.measurements import place_notes, refused_notes, xmp_note
 from lodbench.rendering import Renderer, make_renderer

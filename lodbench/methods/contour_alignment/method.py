@@ -23,8 +23,8 @@ from lodbench.geometry import PoseGrid
 from lodbench.geometry.pose import pose_from_vector
 from lodbench.methods.contour_alignment.hypotheses import RIVAL_IOU, among_rivals, answer_of, refine
 from lodbench.methods.contour_alignment.params import ContourAlignmentParams
+from lodbench.methods.fits import PoseScorer, nothing_fits
 from lodbench.methods.protocol import Estimate, Streams
-from lodbench.methods.search import PoseScorer, nothing_fits
 
 # Of every map once; None where it stays as it is, since a map that holds itself is never freed.
 _EXPECTED: WeakKeyDictionary[CityMap, dict[float, CityMap | None]] = WeakKeyDictionary()

@@ -11,7 +11,7 @@ import numpy as np
 from lodbench.errors import require_choice, require_numbers, require_within
 from lodbench.estimation.outline_alignment import OutlineModel
 from lodbench.geometry import AxisRange, PoseGrid
-from lodbench.methods.search import SearchRange, set_sizes
+from lodbench.methods.fits import SearchRange, set_sizes
 from lodbench.photos.measurements import Measurements
 
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")

@@ -19,6 +19,7 @@ from lodbench.estimation.outline import edges_of, scene_in_reach
 from lodbench.estimation.posterior import mode_probabilities
 from lodbench.estimation.state_vector import TILT, TRUSTED, beyond_range, probability_within
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
+from lodbench.methods.fits import photo_edges, query_photo
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region.answer import Answer, PoseFinalizer
 from lodbench.methods.region.line_alignment import BLURS_PX
@@ -36,7 +37,6 @@ from lodbench.methods.region.search import (
     rescore,
 )
 from lodbench.methods.region.trust import SIGNS_STAGE, ConfidenceFeatures, success_probability
-from lodbench.methods.search import photo_edges, query_photo
 
 Floats = NDArray[np.float64]
 

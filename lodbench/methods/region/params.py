@@ -9,7 +9,7 @@ from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, require_numbers
 from lodbench.geometry import AxisRange, PoseGrid
 from lodbench.kernels.raster_rule import GUARD_PX
-from lodbench.methods.search import SearchRange
+from lodbench.methods.fits import SearchRange
 
 _CIRCLE_DEG = 360.0
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")

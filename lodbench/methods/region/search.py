@@ -17,11 +17,11 @@ from lodbench.estimation.state_vector import POSE, Gaussian
 from lodbench.geometry import Pose, PoseGrid, wrap_deg
 from lodbench.geometry.pose import pose_from_vector
 from lodbench.kernels.arguments import EdgeArrays
+from lodbench.methods.fits import nothing_fits
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.params import RegionParams
 from lodbench.methods.region.posteriors import Photo, PosePosterior
 from lodbench.methods.region.roofs import RaisedRoofs
-from lodbench.methods.search import nothing_fits
 from lodbench.rendering import Scorer
 
 Floats = NDArray[np.float64]

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-from lodbench.kernels.arguments import Band, Buffer
+from lodbench.kernels import expose, resolve_photo
+from lodbench.kernels.arguments import BRIGHTEST, TONE_STEPS, Band, Buffer
 from lodbench.kernels.looks import (
     LAND_COVER,
     TEXTURED,
@@ -24,7 +25,6 @@ from lodbench.kernels.looks import (
     SunMap,
     SurfaceClass,
 )
-from lodbench.kernels.shading import BRIGHTEST, TONE_STEPS, expose, resolve_photo
 from lodbench.photos.pictures import encoded
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.textured import grouped_scene, make_charts, triangle_groups

@@ -14,7 +14,7 @@ SHAKE = """
 from dataclasses import dataclass
 import numpy as np
 from lodbench.errors import QueryFault
-from lodbench.methods.search import nothing_fits
+from lodbench.methods.fits import nothing_fits
 from lodbench.methods import Estimate
 from lodbench.rendering import IouFit
 from lodbench.segmentation import binary_mask
