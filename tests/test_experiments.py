@@ -69,7 +69,7 @@ def test_it_prints_its_figures(name, city, tmp_path, monkeypatch, capsys):
     words, expected = EXPERIMENTS[name]
     monkeypatch.setattr(sys, "argv", [name, *words.replace("CITY", str(city)).split(), "--json"])
     with pytest.raises(SystemExit) as left:
-        runpy.run_module(f"experiments.{name}", run_name="__main__")
+        runpy.run_module(f"experiments.{name}", run_name="__main__", alter_sys=True)
     assert left.value.code == 0
     figures = {
         each["figure"]: each["value"] for each in map(json.loads, capsys.readouterr().out.splitlines())
@@ -83,7 +83,7 @@ def test_it_prints_its_figures(name, city, tmp_path, monkeypatch, capsys):
 def test_a_fault_is_one_line_and_a_hint(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["causes", "--limit", "3"])
     with pytest.raises(SystemExit) as left:
-        runpy.run_module("experiments.causes", run_name="__main__")
+        runpy.run_module("experiments.causes", run_name="__main__", alter_sys=True)
     assert left.value.code == 2
     assert "hint: Write --limit 200." in capsys.readouterr().err
 
@@ -95,7 +95,7 @@ def experiment(monkeypatch):
     def run(name, *words):
         monkeypatch.setattr(sys, "argv", [name, *words])
         with pytest.raises(SystemExit) as left:
-            runpy.run_module(f"experiments.{name}", run_name="__main__")
+            runpy.run_module(f"experiments.{name}", run_name="__main__", alter_sys=True)
         return left.value.code
 
     return run

@@ -164,9 +164,9 @@ OPTIONS = {"localize": LocalizeOptions}
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
+    options = options_of(parser().parse_args(argv), LocalizeOptions)
     from lodbench.harness.photo.localize import LocalizedPhoto
 
-    options = options_of(parser().parse_args(argv), LocalizeOptions)
     found = localized(options)
     if not isinstance(found, LocalizedPhoto):
         return _tell_many(found, options)

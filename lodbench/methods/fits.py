@@ -12,17 +12,15 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, Self, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
-from lodbench.estimation.edge_alignment import PhotoEdges
 from lodbench.geometry import Camera, rotations_at_yaws
 from lodbench.kernels.raster_rule import GUARD_PX
 from lodbench.photos.measurements import Measurements
@@ -30,6 +28,10 @@ from lodbench.photos.pictures import read_picture
 from lodbench.plugins import load_plugin
 from lodbench.rendering import BoundaryFit, Fit, IouFit, SoftIouFit
 from lodbench.segmentation import BUILDING_THRESHOLD, resized, resized_classes
+
+if TYPE_CHECKING:
+    from lodbench.citymap import CityMap
+    from lodbench.estimation.edge_alignment import PhotoEdges
 
 Probability = NDArray[np.float32]
 Photo = NDArray[Any]
@@ -156,7 +158,11 @@ def photo_edges(query: Query) -> PhotoEdges | None:
 @lru_cache(1)
 def _photo_edges(path: Path, stamp: tuple[int, int], size: tuple[int, int]) -> PhotoEdges | None:
     picture = read_picture(path)
-    return None if picture is None else PhotoEdges(picture, size)
+    if picture is None:
+        return None
+    from lodbench.estimation.edge_alignment import PhotoEdges
+
+    return PhotoEdges(picture, size)
 
 
 class Particles(NamedTuple):

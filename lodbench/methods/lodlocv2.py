@@ -9,11 +9,11 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
@@ -22,6 +22,9 @@ from lodbench.geometry import AxisRange, Pose, PoseGrid, rotations_at_yaws
 from lodbench.methods.fits import Particles, PoseScorer, Scoring, fit_input, nothing_fits, set_sizes
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.plugins import load_plugin
+
+if TYPE_CHECKING:
+    from lodbench.citymap import CityMap
 
 VARIANTS = ("full", "no_refine", "no_select")
 

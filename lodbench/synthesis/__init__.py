@@ -34,5 +34,5 @@ Where something new goes:
   ``town/props.py``;
 - something that networks take for a building and is none: a function and a line in ``CLUTTER`` of
   ``surroundings.py``; a colour of roofs or walls: the palettes of ``photo/light.py``;
-- an error of masks: a field of ``MaskErrors``, used in ``mask_degradation.py``.
+- an error of masks: a field of ``_Errors``, used in ``mask_degradation.py``.
 """
