@@ -4,6 +4,7 @@ import importlib.util
 import re
 from collections import Counter
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
@@ -178,6 +179,20 @@ def test_the_steps_in_the_picture_are_those_of_the_lists():
         )
         numbered = {number for row in drawing.ROWS for number in re.findall(r"\d+", getattr(row, column))}
         assert numbered == set(steps)
+
+
+def test_what_pages_import_is_there():
+    """In code and in entry points of pages: names move, and a reader's copy must run."""
+    found = 0
+    for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
+        text = page.read_text("utf-8")
+        names = re.findall(r"^from (lodbench[\w.]*) import ([\w, ]+)$", text, re.MULTILINE)
+        names += re.findall(r'"(lodbench(?:\.\w+)+):(\w+)"', text)
+        for module, imported in names:
+            for name in imported.replace(" ", "").split(","):
+                assert hasattr(import_module(module), name), (page.name, module, name)
+                found += 1
+    assert found > 20
 
 
 @pytest.mark.parametrize("page", ["docs/architecture.md", *(f"docs/methods/{page.name}" for page in PAGES)])

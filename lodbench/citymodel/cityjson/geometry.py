@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+from collections.abc import Sequence
 from itertools import chain
 from typing import Any
 
@@ -10,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.attributes import ObjectTable
-from lodbench.citymodel.cityjson.polygons import PolygonCollector, TextureReader
 from lodbench.citymodel.codes import BAD_INDEX, GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED, SEMANTICS_MISFIT
+from lodbench.citymodel.collector import PolygonCollector
 from lodbench.citymodel.gml.names import INTERIOR_NAMES, SURFACE_KINDS
 from lodbench.citymodel.json_documents import points_of
-from lodbench.citymodel.model import SurfaceKind
+from lodbench.citymodel.model import NO_PICTURE, SurfaceKind
+from lodbench.citymodel.pictures import PictureTable
 from lodbench.errors import CityModelError
+
+Json = dict[str, Any]
 
 # How many lists of lists stand around a surface.
 DEPTHS = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2, "CompositeSolid": 2}
@@ -283,3 +287,82 @@ def lod_name(value: Any) -> str:
     """
     text = "" if value is None else str(value).strip()
     return text.removeprefix(text[:3] if text[:3].lower() == "lod" else "").strip().removesuffix(".0")
+
+
+class TextureReader:
+    """Reads which pictures lie on the surfaces of geometries, of the default theme or else the first.
+
+    Raises:
+        CityModelError: The places on the pictures are no pairs of numbers.
+    """
+
+    def __init__(self, appearance: Json, pictures: PictureTable, source: str) -> None:
+        self._pictures = pictures
+        self._theme = appearance.get("default-theme-texture")
+        textures = appearance.get("textures")
+        self._images = [
+            (str(texture.get("image", "")), str(texture.get("wrapMode") or ""))
+            if isinstance(texture, dict)
+            else ("", "")
+            for texture in (textures if isinstance(textures, list) else ())
+        ]
+        try:
+            self._places = np.asarray(appearance.get("vertices-texture") or [], np.float64).reshape(-1, 2)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise CityModelError(
+                f"{source} has malformed vertices of textures ({error}).",
+                "Mend them, or leave out `--textures`.",
+            ) from None
+        if appearance.get("materials"):
+            pictures.notes["list of materials: colours of surfaces"] += 1
+
+    def read(
+        self, geometry: Json, surfaces: Sequence[Any], depth: int
+    ) -> dict[int, tuple[int, NDArray[np.float64]]]:
+        """Returns the picture of surfaces that have one, and the places of all their corners on it.
+
+        Args:
+            geometry: With a member ``texture``.
+            surfaces: Its surfaces, in their order.
+            depth: How many lists stand around a surface.
+        """
+        themes = geometry["texture"]
+        if not isinstance(themes, dict) or not themes:
+            return {}
+        theme = self._theme if self._theme in themes else next(iter(themes))
+        if len(themes) > 1:
+            self._pictures.notes[f"theme of pictures besides {str(theme)[:60]!r}"] += len(themes) - 1
+        values = themes[theme].get("values") if isinstance(themes[theme], dict) else None
+        try:
+            for _ in range(depth):
+                values = list(chain.from_iterable(values or ()))
+            if values is None or len(values) != len(surfaces):
+                raise ValueError("another number of surfaces")
+            found = {n: self._surface(*pair) for n, pair in enumerate(zip(surfaces, values, strict=True))}
+        except (TypeError, ValueError, LookupError):
+            self._pictures.notes["geometry with textures nested otherwise than its surfaces"] += 1
+            return {}
+        return {n: one for n, one in found.items() if one is not None}
+
+    def _surface(self, surface: list[Any], labels: Any) -> tuple[int, NDArray[np.float64]] | None:
+        """Returns the picture of a surface and (P, 2) places of its corners, NaN on rings without any."""
+        if not labels or not labels[0] or type(labels[0][0]) is not int:
+            return None
+        image = labels[0][0]
+        picture = (
+            self._pictures.number(*self._images[image]) if 0 <= image < len(self._images) else NO_PICTURE
+        )
+        if picture == NO_PICTURE:
+            self._pictures.notes["surface whose picture is not there"] += 1
+            return None
+        places = [np.full((len(ring), 2), np.nan) for ring in surface]
+        for own, label in zip(places, labels, strict=False):
+            corners = label[1:] if label else []
+            if not label or label[0] != image or len(corners) != len(own):
+                continue
+            if all(type(k) is int and 0 <= k < len(self._places) for k in corners):
+                own[:] = self._places[corners]
+        if not np.isfinite(places[0]).all():
+            self._pictures.notes["surface whose places on its picture do not fit its corners"] += 1
+            return None
+        return picture, np.concatenate(places)

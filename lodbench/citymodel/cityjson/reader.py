@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.attributes import Lifespans, ObjectTable, overall_height, roof_type_of
-from lodbench.citymodel.cityjson.geometry import GeometryReader
-from lodbench.citymodel.cityjson.polygons import PolygonCollector, TextureReader
+from lodbench.citymodel.cityjson.geometry import GeometryReader, TextureReader
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
+from lodbench.citymodel.collector import PolygonCollector
 from lodbench.citymodel.crs import crs_label, is_in_degrees
 from lodbench.citymodel.gml.names import INTERIOR_NAMES, STOREYS
 from lodbench.citymodel.json_documents import (
