@@ -55,6 +55,7 @@ def tell(story: str, folder: Path, binaries: Path | None = None, less: dict[str,
     return done.stdout
 
 
+@pytest.mark.nightly
 def test_a_flight_of_one_s_own(tmp_path, shared_data):
     city = shared_data / "city/germany_lod2/LoD2_32_280_5657_1_NW.gml"
     shutil.copy(city, tmp_path / "city.gml")
@@ -112,6 +113,7 @@ def test_a_new_method(tmp_path, environment):
     assert "1. contour" in (tmp_path / "board" / "demo.md").read_text()
 
 
+@pytest.mark.nightly
 def test_a_new_network(tmp_path, shared_data):
     shutil.copy(shared_data / "city/plateau/53395404_bldg_6697_op.gml", tmp_path / "city.gml")
     said = tell("network", tmp_path, less={"schedule.epochs=3": "schedule.epochs=1"})

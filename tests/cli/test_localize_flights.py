@@ -214,7 +214,7 @@ def test_photos_of_one_wall_are_not_trusted_and_the_rest_of_the_command_works(ca
         assert all(row["trust"] == UNTRUSTED for row in csv.DictReader(stream))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_answers_do_not_depend_on_the_number_of_processes(capsys, flight, tmp_path):
     photos = tmp_path / "photos"
     shutil.copytree(flight.photos, photos / "a")

@@ -309,7 +309,7 @@ def test_walls_hidden_below_do_not_drag_cameras_that_lines_place(roofs, queries,
     assert np.abs(found).max() <= 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_hidden_feet_lead_no_answer_far_astray(city_map, roofs, tmp_path):
     """Photos of a town without its lowest three metres: under the belief that all is seen they cost more."""
     told = [replace(FAST, feet_m=feet_m) for feet_m in (0.0, 1.0)]

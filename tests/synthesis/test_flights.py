@@ -219,7 +219,7 @@ def test_a_reconstruction_in_the_folder_is_read(city, tmp_path):
     np.testing.assert_allclose(known[found[0].name].center, found[0].pose.center, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_colmap_s_reconstruction_is_the_truth_but_for_a_similarity(city):
     pytest.importorskip("pycolmap")
     dataset = open_flights(params(city, look="plain", num_flights=1, num_photos=8, reconstruct=True))

@@ -199,7 +199,7 @@ def test_what_is_made_on_demand_is_made_for_who_asks_only(tmp_path):
     assert with_inputs(dataset, {Input.TEXTURED_MAP}).textured_map == tmp_path / "map.glb"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_map_is_the_town_as_it_was_the_same_each_time(tmp_path, monkeypatch):
     from lodbench.citymap import CityMap
     from lodbench.citymodel import open_scene

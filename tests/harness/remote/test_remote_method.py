@@ -280,7 +280,7 @@ def test_check_method_there_takes_the_settings_that_a_method_has_for_the_trial(c
     assert "cadloc conforms to the protocol" in printed
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_method_that_counts_poses_itself_answers_there_too():
     assert main(["check-method", "lodloc", "method.rounds=1", f"runner.python={sys.executable}"]) == 0
 
