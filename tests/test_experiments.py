@@ -32,6 +32,7 @@ EXPERIMENTS = {
         {"median error of a height, orbit 0", "heights measured, orbit 0"},
     ),
     "city_make": ("--buildings 90 --side-m 100", {"city make", "buildings made", "heights within 0.5 m"}),
+    "files_run": ("--city CITY", {"open_scene: files whose functions are called"}),
     "flight_workers": ("--photos 2", {"photos a minute"}),
     "scale": (
         "--buildings 2300 --views 2 --hypotheses 14",
