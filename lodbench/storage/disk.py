@@ -178,9 +178,10 @@ def write_chunks(
                 disk().write(stream, chunk, path)
             if survives_power_cut:
                 disk().sync(stream, path)
-        # mkstemp makes files private; a result is as readable as any other file of the user.
-        temporary.chmod(0o666 & ~_umask() if mode is None else mode)
-        disk().rename(temporary, path)
+            # mkstemp makes files private; a result is as readable as any other file of the user.
+            temporary.chmod(0o666 & ~_umask() if mode is None else mode)
+            # Before it is closed: no longer locked, it would be swept up by a process that begins here.
+            disk().rename(temporary, path)
         if survives_power_cut:
             disk().sync_folder(path.parent)
     except BaseException:

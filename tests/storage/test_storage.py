@@ -34,7 +34,7 @@ from lodbench.storage.digest import (
     remember_contents,
     remembered_contents,
 )
-from lodbench.storage.disk import disk
+from lodbench.storage.disk import Disk, another_disk, disk
 from lodbench.storage.json_text import parse_json
 from lodbench.storage.paths import cache_limit_bytes, cache_root, data_root, mark_used, prune_cache
 
@@ -209,6 +209,19 @@ class TestNewFolderUnderKills:
             assert partial.is_dir()
             (partial / "a").write_text("ours")
         assert (tmp_path / "x/a").read_text() == "ours"
+
+
+def test_a_file_that_is_about_to_get_its_name_is_left_alone_by_who_sweeps_up(tmp_path):
+    """Another worker that began to write in the folder took it for a killed process's."""
+
+    class Swept(Disk):
+        def rename(self, source: Path, target: Path) -> None:
+            remove_leftovers(target.parent)
+            super().rename(source, target)
+
+    with another_disk(Swept()):
+        write_bytes(tmp_path / "a", b"whole")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a", b"whole")]
 
 
 def test_a_full_disk_is_told_with_the_file(tmp_path):
