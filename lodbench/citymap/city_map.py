@@ -339,14 +339,14 @@ def corrected_map(
     chosen = np.flatnonzero((np.abs(heights_m) > least_m) & (counts > 0))
     rows, starts = take_segments(scene.vertex_starts, chosen)
     heights = scene.vertices[rows, 2].astype(np.float64)
-    floors, tops = (each.reduceat(heights, starts[:-1]) if len(chosen) else heights for each in _ENDS)
-    rises = tops - floors
+    lowest, highest = (each.reduceat(heights, starts[:-1]) if len(chosen) else heights for each in _ENDS)
+    rises = highest - lowest
     moved = np.where(rises > 0, np.maximum(heights_m[chosen], np.minimum(_LOWEST_M - rises, 0.0)), 0.0)
     changed = np.zeros(len(counts))
     changed[chosen] = moved
     if not changed.any():
         return city_map, changed
-    floor, stretch = (np.repeat(v, counts[chosen]) for v in (floors, 1.0 + moved / np.maximum(rises, 1e-6)))
+    floor, stretch = (np.repeat(v, counts[chosen]) for v in (lowest, 1.0 + moved / np.maximum(rises, 1e-6)))
     vertices = scene.vertices.copy()
     vertices[rows, 2] = floor + (heights - floor) * stretch
     if isinstance(city_map, CityMap) and city_map.name == SilhouetteRenderer.name:

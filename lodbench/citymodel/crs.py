@@ -327,8 +327,8 @@ _MAX_KEPT_SCALE_ERROR = 1e-2
 def is_true_to_scale(known: KnownCrs, middle: NDArray[np.float64], findings: Findings) -> bool:
     """Returns whether the metres of a system are metres at a place (east, north), to a hundredth.
 
-    What is off by more than a thousandth is told, and what is off by a hundredth, as Mercator of the whole
-    world is, does for no measuring: it is projected anew.
+    A scale that errs by more than a thousandth becomes a finding. One that errs by more than a hundredth, as
+    that of world Mercator, is not usable for measuring: the caller projects the city anew.
     """
     scales = _scales(known, middle)
     worst = max(abs(scale - 1.0) for scale in scales)

@@ -246,7 +246,7 @@ Floats = NDArray[np.float64]
 SHAPES = ("flat", "gabled", "hipped", "pyramidal")
 # Footprints fill at least this share of the rectangle around them.
 _LEAST_FILL = 0.8
-# Facets that are smaller than this share of the footprint are what rounding leaves.
+# Facets smaller than this share of the footprint's area come from rounding and are dropped.
 _LEAST_FACET = 1e-6
 
 
