@@ -11,7 +11,7 @@ trap 'rm -rf "$scratch" "$into" "build/lib/$into"' EXIT # setuptools would put i
 rm -rf "$into"
 levels=$("$python" -c "
 from llvmlite.binding import get_host_cpu_features
-from lodbench.kernels.cache import LEVELS
+from lodbench.kernels.compiled import LEVELS
 has = {name for name, is_there in get_host_cpu_features().items() if is_there}
 print(*(level for level, needs in LEVELS.items() if needs <= has))")
 for level in $levels; do

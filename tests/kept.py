@@ -14,7 +14,7 @@ import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
-from lodbench.kernels import cache as kernel_cache
+from lodbench.kernels import compiled
 
 ROOT = Path(__file__).resolve().parents[1]
 HOME = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lodbench-tests"
@@ -25,7 +25,7 @@ MOST = 3
 def places() -> dict[Path, Path]:
     """Returns where each lies in the cache, by where it is used."""
     package = ROOT / "lodbench" / "kernels"
-    code = kernel_cache.code_digest(package)
+    code = compiled.code_digest(package)
     pinned = [(ROOT / name).read_bytes() for name in ("constraints.txt", "pyproject.toml")]
     return {
         package / "__pycache__" / f"kernels-{code}": HOME / f"kernels-{_digest(code, 'numba', 'llvmlite')}",

@@ -15,7 +15,7 @@ def checkout(tmp_path, monkeypatch):
         (root / name).write_text(name)
     monkeypatch.setattr(kept, "ROOT", root)
     monkeypatch.setattr(kept, "HOME", tmp_path / "cache" / "lodbench-tests")
-    monkeypatch.setattr(kept.kernel_cache, "code_digest", kept.kernel_cache.code_digest.__wrapped__)
+    monkeypatch.setattr(kept.compiled, "code_digest", kept.compiled.code_digest.__wrapped__)
     return root
 
 

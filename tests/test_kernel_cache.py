@@ -16,7 +16,7 @@ import pytest
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-from lodbench.kernels import cache, compiled, silhouettes
+from lodbench.kernels import compiled, silhouettes
 from lodbench.rendering.silhouette import SilhouetteRenderer
 
 pytestmark = pytest.mark.attack
@@ -27,7 +27,7 @@ OUTER = (
     "@njit(cache=True)\ndef outer():\n    return inner()\n"
 )
 MAIN = """
-import pathlib, lodbench.kernels.cache as cache
+import pathlib, lodbench.kernels.compiled as cache
 class Locator(cache.KernelLocator):
     package = pathlib.Path("fake").resolve()
 cache.use_own_folder(Locator)
@@ -78,9 +78,9 @@ def test_a_constant_of_a_file_that_numba_does_not_compile_is_seen(package):
 
 
 def _own_folder(package):
-    cache.own_folder.cache_clear()
-    cache.code_digest.cache_clear()
-    return cache.own_folder(package)
+    compiled.own_folder.cache_clear()
+    compiled.code_digest.cache_clear()
+    return compiled.own_folder(package)
 
 
 def test_what_stands_outside_the_package_does_not_count(package):
@@ -220,15 +220,16 @@ def test_kernels_are_kept_by_the_digest_of_their_package_and_no_setting_of_the_p
     code = (
         "import os\nbefore = dict(os.environ)\n"
         "import numba, lodbench\nplace = numba.config.CACHE_DIR\n"
-        "import lodbench.rendering.silhouette\nfrom lodbench.kernels import cache, masks\n"
+        "import lodbench.rendering.silhouette\nfrom lodbench.kernels import compiled, masks\n"
         "assert dict(os.environ) == before and numba.config.CACHE_DIR == place\n"
-        "assert masks.count_bits._cache._impl.locator.get_source_stamp() == cache.code_digest(cache._HERE)\n"
+        "stamp = masks.count_bits._cache._impl.locator.get_source_stamp()\n"
+        "assert stamp == compiled.code_digest(compiled._HERE)\n"
         "print(masks.count_bits.stats.cache_path)"
     )
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == str(cache.own_folder(cache._HERE))
+    assert done.stdout.strip() == str(compiled.own_folder(compiled._HERE))
 
 
 def test_kernels_are_given_no_types_that_their_digest_does_not_know(tmp_path):
@@ -243,7 +244,7 @@ def test_kernels_are_given_no_types_that_their_digest_does_not_know(tmp_path):
 
 BROUGHT = """
 import pathlib, sys
-import lodbench.kernels.cache as cache
+import lodbench.kernels.compiled as cache
 from numba import njit
 from numba.core import event
 class Locator(cache.KernelLocator):
@@ -272,7 +273,7 @@ def _value_and_compiled(package, level="x86-64-v3", *needs, **environment):
 @pytest.fixture
 def with_objects(package):
     """A package whose wheel brought its function for processors of the level x86-64-v3."""
-    if "x86-64-v3" not in cache.LEVELS or not _has_v3():
+    if "x86-64-v3" not in compiled.LEVELS or not _has_v3():
         pytest.skip("compiles for a level that this processor does not have")
     built = package.parent / "built"
     cpu = {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(built)}
@@ -286,8 +287,8 @@ def with_objects(package):
 
 
 def _has_v3():
-    has = {name for name, is_there in cache.get_host_cpu_features().items() if is_there}
-    return cache.LEVELS["x86-64-v3"] <= has
+    has = {name for name, is_there in compiled.get_host_cpu_features().items() if is_there}
+    return compiled.LEVELS["x86-64-v3"] <= has
 
 
 def _note(folder):

@@ -59,7 +59,7 @@ def edges_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, tu
     The camera's centre may differ from it by ``reach_m``, its rotation by ``turn_deg``.
     """
     rows = _in_reach(scene, camera, prior, reach_m, turn_deg)
-    return edges_of(_part(scene, rows))._replace(rows=rows)
+    return edges_of(_part(scene, rows))._replace(buildings=rows)
 
 
 def scene_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float) -> Scene:
@@ -150,7 +150,7 @@ def edges_of(scene: Scene) -> EdgeArrays:
     a, b, c = (vertices[scene.triangles[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     offsets = -(normals * a).sum(axis=1)
-    floors, rises = floors_and_rises(scene)
+    base_heights, heights = floors_and_rises(scene)
     return EdgeArrays(
         vertices=vertices,
         corners=table.corners,
@@ -159,9 +159,9 @@ def edges_of(scene: Scene) -> EdgeArrays:
         starts=table.starts,
         planes=np.concatenate([normals, offsets[:, None]], axis=1),
         spheres=bounding_spheres(scene),
-        floors=floors,
-        rises=rises,
-        rows=np.arange(scene.num_buildings),
+        base_heights=base_heights,
+        heights=heights,
+        buildings=np.arange(scene.num_buildings),
     )
 
 

@@ -24,7 +24,7 @@ from lodbench.estimation.state_vector import Prior, shortened
 from lodbench.geometry import Camera
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.geometry.signed_distance import signed_distance
-from lodbench.kernels import building_sums, measure_distances, visible_buildings
+from lodbench.kernels import measure_distances, normal_equations, visible_buildings
 from lodbench.kernels.arguments import EdgeArrays
 from lodbench.rendering.projection import view_planes
 from lodbench.segmentation import binary_mask
@@ -184,8 +184,8 @@ class Aligner:
         lengths = here.points.lengths * here.agreement / here.scale
         kernel = 1.0 / (1.0 + (here.distances / reach_px) ** 2)
         weights = lengths * kernel**2 / (self.model.correlation_px * self.model.noise_px**2)
-        products, gradients = building_sums(
-            here.distances, here.slopes[:, :8], weights, here.points.buildings, len(self.edges.rises)
+        products, gradients = normal_equations(
+            here.distances, here.slopes[:, :8], weights, here.points.buildings, len(self.edges.heights)
         )
         likelihood = _without_roofs(products, gradients, self.model.roof_m)
         posterior = likelihood.times_prior(self.prior.precision, self.prior.offsets(vector))

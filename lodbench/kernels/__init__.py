@@ -1,7 +1,7 @@
 """All code that numba compiles, and nothing that calls it: no module here imports another part of lodbench.
 
-``compiled`` has the decorators, ``cache`` the place of what they made. ``arguments`` and ``looks`` say what
-kernels are given, ``raster_rule`` what they mean by a covered pixel; these three load without numba.
+``compiled`` has the decorators and the place of what they made. ``arguments`` and ``looks`` say what kernels
+are given, and what they mean by a covered pixel; these two load without numba.
 
 Callers import kernels from this package: numba takes a third of a second to load, which a command that
 computes nothing, as a finished run given again, does not spend.
@@ -14,18 +14,17 @@ from typing import Any
 
 # What is called from elsewhere, by module.
 _KERNELS = {
-    "decimal_text": "scan",
+    "decimal_text": "parse_decimals",
     "depth": "draw_band fill_rays resolve_buildings resolve_depth resolve_layers resolve_normals",
-    "edges": "building_sums cut_and_test measure_distances sample_edges",
-    "estimation": "add_products add_votes error_covariance least_total whiten",
+    "edges": "measure_distances normal_equations sample_edges split_edges",
+    "estimation": "add_products add_votes error_covariance minimise_total_variation whiten",
     "heights": "draw_from_above grow_planes",
-    "masks": "code_lengths_saved count_bits count_overlaps distance_sums fill_padded grow outline_of"
-    " outline_sides padded_stride sum_under",
-    "photo_edges": "count_along_lines looked_up sum_along_lines",
+    "masks": "code_lengths_saved count_bits count_overlaps dilate distance_sums fill_padded"
+    " outline_directions outline_of padded_stride sum_under",
+    "photo_edges": "count_along_lines quantise_edges sum_along_lines",
     "projection": "select_buildings visible_buildings",
-    "shading": "bake expose light_corners resolve_photo",
+    "shading": "bake expose light_corners resolve_photo resolve_textured",
     "silhouettes": "draw_instances draw_views score_views",
-    "textures": "resolve_textured",
 }
 HOMES = {name: module for module, names in _KERNELS.items() for name in names.split()}
 

@@ -1,4 +1,4 @@
-"""What kernels of geometry are given: arrays of a scene, a view, working memory.
+"""What kernels of geometry are given: the raster rule, arrays of a scene, a view, working memory.
 
 Named tuples are part of what numba compiles a function for: all that a kernel takes stand in this package, so
 that its digest knows them.
@@ -11,6 +11,29 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+# The raster rule: what "this pixel is covered" means, to the bit, in engine and reference alike.
+#
+# 1. A vertex goes to camera axes in float64: ``d = v - center``, then each row of the rotation as
+#    ``(r0 * dx + r1 * dy) + r2 * dz``. No matrix product, whose result may depend on the BLAS.
+# 2. A triangle with a corner nearer than ``NEAR_M`` or outside the guard band is clipped against
+#    the five planes (near, left, right, top, bottom), in that order, and fanned from its first
+#    corner. Each remaining piece is a triangle of its own.
+# 3. A corner is projected as ``u = (fx * x) * (1 / z) + cx`` and snapped: ``floor(u * 256 + 0.5)``.
+# 4. Pixel (column i, row j) has its centre at ``(256 i + 128, 256 j + 128)``. An edge meets column i
+#    if one end is at or left of the column's centre and the other right of it (half-open). A pixel
+#    is inside a triangle if an odd number of edges meet its column at or above its centre.
+# 5. The silhouette is the union of all triangles: front or back, open mesh or closed.
+
+# Sub-pixel steps per pixel, per axis.
+SUBPIXELS = 256
+
+# Triangles are cut at this distance in front of the camera, metres.
+NEAR_M = 0.1
+
+# Corners further than this from the image origin, in pixels, are clipped away: with it every
+# product of two snapped coordinates stays below 2**53 and is exact in float64.
+GUARD_PX = 8192.0
+
 # Hypotheses that are drawn side by side; columns of a strip of marks; children of a node of spheres.
 LANES, STRIP, BRANCH = 8, 64, 8
 # A triangle cut by five planes has at most 3 + 5 corners. Rounding can make a sliver look concave
@@ -18,14 +41,14 @@ LANES, STRIP, BRANCH = 8, 64, 8
 MAX_CORNERS = 20
 # Levels of an edge's strength, equally full over all pixels and directions, and directions over half a turn.
 EDGE_LEVELS, DIRECTIONS = 16, 12
-# Steps of strength per mean strength, and how many are distinguished.
-FINE_STEPS, FINEST = 256.0, 4095
+# Steps of an edge's strength per mean strength, and the last step.
+STRENGTH_STEPS, MAX_STRENGTH = 256.0, 4095
 
 # Steps of tone per unit of linear light, and where light is cut off, units.
-TONE_STEPS, BRIGHTEST = 2048, 4
-# A cell that belongs to no piece.
-FREE = 0
-POWERS: NDArray[np.float64] = 10.0 ** np.arange(23, dtype=np.float64)  # all exact in float64
+TONE_STEPS, MAX_LIGHT = 2048, 4
+# The label of a cell that belongs to no plane piece.
+UNLABELLED = 0
+POWERS_OF_TEN: NDArray[np.float64] = 10.0 ** np.arange(23, dtype=np.float64)  # all exact in float64
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.uint32]
@@ -115,20 +138,20 @@ class EdgeLists(NamedTuple):
         right: Likewise its right corner.
         counts: (8,) int64 lengths of the lists.
         weight: (capacity,) int32 what the sum changes by below an edge.
-        column: (capacity,) int32 first column an edge meets.
-        meets: (capacity,) int32 how many columns it meets.
-        row: (capacity,) float64 row at the first column.
-        step: (capacity,) float64 rows from one column to the next.
+        first_column: (capacity,) int32 first column an edge meets.
+        num_columns: (capacity,) int32 how many columns it meets.
+        first_row: (capacity,) float64 row at the first column.
+        row_step: (capacity,) float64 rows from one column to the next.
     """
 
     left: NDArray[np.int64]
     right: NDArray[np.int64]
     counts: NDArray[np.int64]
     weight: NDArray[np.int32]
-    column: NDArray[np.int32]
-    meets: NDArray[np.int32]
-    row: NDArray[np.float64]
-    step: NDArray[np.float64]
+    first_column: NDArray[np.int32]
+    num_columns: NDArray[np.int32]
+    first_row: NDArray[np.float64]
+    row_step: NDArray[np.float64]
 
 
 class Scratch(NamedTuple):
@@ -140,10 +163,10 @@ class Scratch(NamedTuple):
         v: (8 V,) int32 snapped rows, sub-pixels.
         extent: (4 * 8,) float64 least and greatest column, least and greatest row of a building.
         nearest: (8,) float64 least distance of a building along the optical axis, metres.
-        facing: (8 T,) int32, which way each triangle turns on the screen.
+        facing: (8 T,) int32, orientation of each triangle on the screen, +1, -1 or 0.
         lists: Outline edges gathered for each hypothesis.
         coverage: The marks of one view.
-        seen: (2, M + 8) int64, the buildings that a group of views may see, see ``select_nearby``.
+        candidates: (2, M + 8) int64, the buildings that a group of views may see, see ``select_nearby``.
         polygons: (2, MAX_CORNERS, 3) float64, a triangle that is clipped, and room to do so.
     """
 
@@ -155,7 +178,7 @@ class Scratch(NamedTuple):
     facing: NDArray[np.int32]
     lists: EdgeLists
     coverage: Coverage
-    seen: NDArray[np.int64]
+    candidates: NDArray[np.int64]
     polygons: Floats
 
 
@@ -215,14 +238,14 @@ class Buffer(NamedTuple):
 
     Attributes:
         inverse: (C, H or more) float64, 1 / metres along the optical axis, 0 where there is nothing.
-        winner: (C, H or more) int32 nearest triangle, -1 where there is nothing.
+        triangle: (C, H or more) int32 nearest triangle, -1 where there is nothing.
     """
 
     inverse: Floats
-    winner: NDArray[np.int32]
+    triangle: NDArray[np.int32]
 
 
-class Planes(NamedTuple):
+class LayerArrays(NamedTuple):
     """The arrays of ``Layers``, for the kernel."""
 
     depth: NDArray[np.float32]
@@ -251,22 +274,22 @@ class Appearance(NamedTuple):
 
 
 class EdgeFaces(NamedTuple):
-    """The edges of a scene with what lies beside them, for the kernel.
+    """The edges of a scene with the corners opposite to them, for the kernel.
 
     Attributes:
         corners: (E, 2) int32 vertices that they run between.
         ends: (E, 2, 3) float64 end points, scene metres.
-        beside: (E, 2, 3) float64 third corner of either face; of a lone one twice.
-        is_lone: (E,) whether there is one face only.
-        is_crowded: (E,) whether there are more than two.
+        opposite: (E, 2, 3) float64 third corner of either face; of a boundary edge twice.
+        is_boundary: (E,) whether there is one face only.
+        is_non_manifold: (E,) whether there are more than two.
         starts: (B + 1,) int64 offsets by building.
     """
 
     corners: NDArray[np.int32]
     ends: Floats
-    beside: Floats
-    is_lone: NDArray[np.bool_]
-    is_crowded: NDArray[np.bool_]
+    opposite: Floats
+    is_boundary: NDArray[np.bool_]
+    is_non_manifold: NDArray[np.bool_]
     starts: NDArray[np.int64]
 
 
@@ -281,9 +304,9 @@ class EdgeArrays(NamedTuple):
         starts: (B + 1,) int64 edges of each building.
         planes: (T, 4) float64 normal and offset of each triangle.
         spheres: (B, 4) float64 centre and radius.
-        floors: (B,) float64 lowest height of each building, metres.
-        rises: (B,) float64 height of each building from there, metres.
-        rows: (B,) int64 which of the scene's buildings they are.
+        base_heights: (B,) float64 lowest height of each building, scene metres.
+        heights: (B,) float64 height of each building above its base, metres.
+        buildings: (B,) int64 which of the scene's buildings they are.
     """
 
     vertices: Floats
@@ -293,9 +316,9 @@ class EdgeArrays(NamedTuple):
     starts: NDArray[np.int64]
     planes: Floats
     spheres: Floats
-    floors: Floats
-    rises: Floats
-    rows: NDArray[np.int64]
+    base_heights: Floats
+    heights: Floats
+    buildings: NDArray[np.int64]
 
 
 class LinePoses(NamedTuple):
@@ -304,15 +327,15 @@ class LinePoses(NamedTuple):
     Inner loops go along poses, so that several are worked on at a time.
 
     Attributes:
-        turns: The nine numbers of cam_from_world, row by row.
-        places: The three of the camera's centre, metres.
-        of_all: How much higher than the points say all roofs and the feet of all walls are taken to be, and
-            how much farther all eaves to stand out, metres.
+        rotations: The nine numbers of cam_from_world, row by row.
+        centers: The three of the camera's centre, metres.
+        map_offsets_m: How much higher than in ``LinePoints`` all roofs and all bases of walls are drawn, and
+            how much farther all overhangs reach, metres.
     """
 
-    turns: tuple[Floats, ...]
-    places: tuple[Floats, ...]
-    of_all: tuple[Floats, ...]
+    rotations: tuple[Floats, ...]
+    centers: tuple[Floats, ...]
+    map_offsets_m: tuple[Floats, ...]
 
 
 class LinePoints(NamedTuple):
@@ -320,16 +343,16 @@ class LinePoints(NamedTuple):
 
     Attributes:
         points: (P, 2, 3) float64 a point and another farther along its line, scene metres.
-        rises: (P, 2) float64 by how much either moves up where roofs are a metre higher, metres.
-        lifts: (P, 2) float64 by how much either moves up where walls end a metre higher, metres.
-        outward: (P, 2) float64 how far the first moves along x and y where eaves stand out a metre farther.
-        kinds: (P,) int64 its kind, by which levels are worth something or counted.
+        roof_shares: (P, 2) float64 by how much either moves up per metre that roofs are higher.
+        base_shares: (P, 2) float64 by how much either moves up per metre that bases of walls are higher.
+        overhang_slopes: (P, 2) float64 how far the first moves along x and y per metre of overhang.
+        kinds: (P,) int64 its kind, by which levels are scored or counted.
         buildings: (P,) int64 the building that it is summed up or counted for.
     """
 
     points: Floats
-    rises: Floats
-    lifts: Floats
-    outward: Floats
+    roof_shares: Floats
+    base_shares: Floats
+    overhang_slopes: Floats
     kinds: NDArray[np.int64]
     buildings: NDArray[np.int64]

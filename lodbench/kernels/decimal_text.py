@@ -39,15 +39,15 @@ def _decimal(mantissa: np.uint64, exponent: int, powers: NDArray[np.float64]) ->
 
 
 @checked
-def scan(  # noqa: C901 - one state machine; as three functions it takes a tenth longer
+def parse_decimals(  # noqa: C901 - one state machine; as three functions it takes a tenth longer
     data: NDArray[np.uint8],
     powers: NDArray[np.float64],
     values: NDArray[np.float64],
     counts: NDArray[np.int64],
     is_bad: NDArray[np.bool_],
-    spans: NDArray[np.int64],
+    long_numbers: NDArray[np.int64],
 ) -> tuple[int, int]:  # pragma: no cover
-    """Fills values, counts and is_bad; returns how many values, and how many long ones in spans."""
+    """Fills values, counts and is_bad; returns how many values, and how many long ones in long_numbers."""
     size = len(data)
     position = 0
     ring = 0
@@ -86,37 +86,37 @@ def scan(  # noqa: C901 - one state machine; as three functions it takes a tenth
             else:
                 break
             position += 1
-        is_clean = num_digits > 0
-        if is_clean and position < size and (data[position] == _LOWER_E or data[position] == _UPPER_E):
+        is_valid = num_digits > 0
+        if is_valid and position < size and (data[position] == _LOWER_E or data[position] == _UPPER_E):
             position += 1
             is_minus = position < size and data[position] == _MINUS
             if position < size and (is_minus or data[position] == _PLUS):
                 position += 1
-            written = 0
+            exponent_value = 0
             exponent_digits = 0
             while position < size and _ZERO <= data[position] <= _NINE:
-                if written < 100000:
-                    written = written * 10 + int(data[position] - _ZERO)
+                if exponent_value < 100000:
+                    exponent_value = exponent_value * 10 + int(data[position] - _ZERO)
                 exponent_digits += 1
                 position += 1
-            is_clean = exponent_digits > 0
-            exponent += -written if is_minus else written
+            is_valid = exponent_digits > 0
+            exponent += -exponent_value if is_minus else exponent_value
         if position < size:
             byte = data[position]
             if not (byte == _SEMICOLON or byte == 32 or 9 <= byte <= 13):
-                is_clean = False
+                is_valid = False
                 while position < size:
                     byte = data[position]
                     if byte == _SEMICOLON or byte == 32 or 9 <= byte <= 13:
                         break
                     position += 1
-        if not is_clean:
+        if not is_valid:
             values[num_values] = np.nan
             is_bad[ring] = True
         elif is_long or exponent < -22 or exponent > 22 or (exponent > 0 and mantissa > _MAX_EXACT):
-            if num_long < len(spans):
-                spans[num_long, 0] = num_values
-                spans[num_long, 1] = start
+            if num_long < len(long_numbers):
+                long_numbers[num_long, 0] = num_values
+                long_numbers[num_long, 1] = start
             num_long += 1
         else:
             value = _decimal(mantissa, exponent, powers)

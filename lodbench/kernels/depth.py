@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from lodbench.kernels.arguments import GUARD_PX, NEAR_M
 from lodbench.kernels.compiled import checked, inlined, part, uncounted
 from lodbench.kernels.projection import camera_axes, clip_polygon, is_outside, snap
-from lodbench.kernels.raster_rule import GUARD_PX, NEAR_M
 
 # A triangle whose snapped corners all stay this far inside the guard band needs no clipping.
 _SAFE_SUBPIXELS = (GUARD_PX - 2.0) * 256.0
 # Inverse depths closer than this, relative, are one depth: rounding differs between two copies of a
 # face that start at different corners, and the first copy is to win everywhere.
-_NEARER = 1.0 + 1e-9
+_NEARER_FACTOR = 1.0 + 1e-9
 
 
 @inlined
@@ -40,7 +40,7 @@ def _depth_plane(a, b, c, f):
 def _first_row(x, ua, va, ub, vb):
     """Returns the first row whose centre is at or below where an edge, ua < ub, crosses column centre x.
 
-    It is ``ceil(n / d)`` of integers, found exactly: see ``coverage.add_line``.
+    It is ``ceil(n / d)`` of integers, found exactly: see ``set_up_lines``.
     """
     du = ub - ua
     d = 256.0 * du
@@ -49,7 +49,7 @@ def _first_row(x, ua, va, ub, vb):
 
 
 @part
-def _fill(u, v, z, plane, triangle, band, buffer):
+def _fill_triangle(u, v, z, plane, triangle, band, buffer):
     """Draws a triangle of three snapped corners (raster rule 4); z bounds the depth.
 
     Rows and columns are bounded as integers, so no corner, however wrong, leads out of the buffer.
@@ -67,17 +67,17 @@ def _fill(u, v, z, plane, triangle, band, buffer):
     for column in range(first, stop):
         x = 256.0 * column + 128.0
         a, b = (left, middle) if x < u[middle] else (middle, right)
-        one = _first_row(x, u[left], v[left], u[right], v[right])
-        other = _first_row(x, u[a], v[a], u[b], v[b])
-        top, bottom = max(0, min(one, other)), min(band.height, max(one, other))
-        inverse, winner = buffer.inverse[column - band.first], buffer.winner[column - band.first]
+        first_row = _first_row(x, u[left], v[left], u[right], v[right])
+        second_row = _first_row(x, u[a], v[a], u[b], v[b])
+        top, bottom = max(0, min(first_row, second_row)), min(band.height, max(first_row, second_row))
+        inverse, triangles = buffer.inverse[column - band.first], buffer.triangle[column - band.first]
         start = plane[0] * (column + 0.5) + plane[2]
         for row in range(top, bottom):
             # Snapping may let a pixel in whose ray just misses the triangle: stay within its depths.
-            here = min(max(start + plane[1] * (row + 0.5), furthest), nearest)
-            is_nearer = here > inverse[row] * _NEARER
-            inverse[row] = here if is_nearer else inverse[row]
-            winner[row] = triangle if is_nearer else winner[row]
+            inverse_depth = min(max(start + plane[1] * (row + 0.5), furthest), nearest)
+            is_nearer = inverse_depth > inverse[row] * _NEARER_FACTOR
+            inverse[row] = inverse_depth if is_nearer else inverse[row]
+            triangles[row] = triangle if is_nearer else triangles[row]
 
 
 @part
@@ -93,7 +93,7 @@ def _fill_clipped(a, b, c, plane, triangle, band, buffer, polygon, scratch):
         u1, v1 = snap(p[i, 0], p[i, 1], p[i, 2], f)
         u2, v2 = snap(p[i + 1, 0], p[i + 1, 1], p[i + 1, 2], f)
         z = (p[0, 2], p[i, 2], p[i + 1, 2])
-        _fill((u0, u1, u2), (v0, v1, v2), z, plane, triangle, band, buffer)
+        _fill_triangle((u0, u1, u2), (v0, v1, v2), z, plane, triangle, band, buffer)
 
 
 @part
@@ -122,7 +122,7 @@ def _draw_triangle(a, b, c, triangle, band, buffer, polygon, scratch):
     if is_seen and bottom > 0.0 and top < 256.0 * band.height:
         plane = _depth_plane(a, b, c, f)
         u, v, z = (a[3], b[3], c[3]), (a[4], b[4], c[4]), (a[2], b[2], c[2])
-        _fill(u, v, z, plane, triangle, band, buffer)
+        _fill_triangle(u, v, z, plane, triangle, band, buffer)
 
 
 @uncounted
@@ -191,13 +191,13 @@ def resolve_depth(band, buffer, depth):
 @uncounted
 def resolve_normals(mesh, center, band, buffer, normal):
     """Writes a band's columns of (H, W, 3) float32 normals."""
-    known = np.int32(-1)
+    last_triangle = np.int32(-1)
     nx = ny = nz = 0.0
     for row in range(band.height):
         for column in range(band.first, band.stop):
-            triangle = buffer.winner[column - band.first, row]
-            if triangle != known:
-                known = triangle
+            triangle = buffer.triangle[column - band.first, row]
+            if triangle != last_triangle:
+                last_triangle = triangle
                 nx = ny = nz = 0.0
                 if triangle >= 0:
                     nx, ny, nz = _facing_normal(mesh, triangle, center)
@@ -207,46 +207,46 @@ def resolve_normals(mesh, center, band, buffer, normal):
 @uncounted
 def resolve_buildings(mesh, band, buffer, building):
     """Writes a band's columns of (H, W) int32 indices of buildings, -1 for none."""
-    known, number = np.int32(-1), np.int64(-1)
+    last_triangle, number = np.int32(-1), np.int64(-1)
     for row in range(band.height):
         for column in range(band.first, band.stop):
-            triangle = buffer.winner[column - band.first, row]
-            if triangle != known:
-                known, number = triangle, np.int64(-1)
+            triangle = buffer.triangle[column - band.first, row]
+            if triangle != last_triangle:
+                last_triangle, number = triangle, np.int64(-1)
                 if triangle >= 0:
                     number = np.searchsorted(mesh.triangle_starts, triangle, side="right") - 1
             building[row, column] = number
 
 
 @uncounted
-def resolve_layers(mesh, appearance, center, band, buffer, planes):
+def resolve_layers(mesh, appearance, center, band, buffer, layers):
     """Writes a band's columns of every layer.
 
     Pixels of a row mostly repeat their left neighbour's triangle, so what belongs to a triangle is
     worked out when it changes.
     """
-    resolve_depth(band, buffer, planes.depth)
-    known, building = np.int32(-1), np.int64(-1)
+    resolve_depth(band, buffer, layers.depth)
+    last_triangle, building = np.int32(-1), np.int64(-1)
     nx = ny = nz = 0.0
     red, green, blue = appearance.background[0], appearance.background[1], appearance.background[2]
     for row in range(band.height):
         for column in range(band.first, band.stop):
-            triangle = buffer.winner[column - band.first, row]
-            if triangle != known:
-                known, building = triangle, np.int64(-1)
+            triangle = buffer.triangle[column - band.first, row]
+            if triangle != last_triangle:
+                last_triangle, building = triangle, np.int64(-1)
                 nx = ny = nz = 0.0
                 red, green, blue = appearance.background
                 if triangle >= 0:
                     building = np.searchsorted(mesh.triangle_starts, triangle, side="right") - 1
                     nx, ny, nz = _facing_normal(mesh, triangle, center)
                     red, green, blue = _shade(appearance, building, nx, ny, nz)
-            planes.triangle[row, column], planes.building[row, column] = triangle, building
-            planes.normal[row, column, 0] = nx
-            planes.normal[row, column, 1] = ny
-            planes.normal[row, column, 2] = nz
-            planes.colour[row, column, 0] = red
-            planes.colour[row, column, 1] = green
-            planes.colour[row, column, 2] = blue
+            layers.triangle[row, column], layers.building[row, column] = triangle, building
+            layers.normal[row, column, 0] = nx
+            layers.normal[row, column, 1] = ny
+            layers.normal[row, column, 2] = nz
+            layers.colour[row, column, 0] = red
+            layers.colour[row, column, 1] = green
+            layers.colour[row, column, 2] = blue
 
 
 @checked

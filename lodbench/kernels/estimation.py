@@ -12,35 +12,38 @@ _BLOCK = 4
 
 
 @kernel
-def error_covariance(pixels, rises, feet, buildings, noise, lengths, errors):
+def error_covariance(
+    pixels, roof_slopes, base_slopes, buildings, mask_variances, correlation_px, map_variances
+):
     """Returns the lower half of the points' error covariance, (N, N) square pixels.
 
     The mask's outline errs alike at points near each other in the picture: a curve that bends, without
-    kinks (Matern's correlation of order 3/2). A building's roof errs as a
-    whole, and by parts: alike at points near each other. So does where its walls end, as a whole.
+    kinks (Matern's correlation of order 3/2). A building's roof errs as a whole, and by parts: alike at
+    points near each other. The base of its walls errs as a whole.
 
     Args:
         pixels: (N, 2) points.
-        rises: (N,) how a distance changes per metre that the roof is higher.
-        feet: (N,) how it changes per metre that the base is.
+        roof_slopes: (N,) change of a distance per metre that the roof is higher, pixels.
+        base_slopes: (N,) its change per metre that the base of walls is higher, pixels.
         buildings: (N,) which.
-        noise: Square pixels of the outline's error that goes together, and of its rest.
-        lengths: Pixels over which the outline's error goes together, and a roof's.
-        errors: Square metres of a roof's error as a whole, by parts, and of a base's.
+        mask_variances: Of the mask's outline, its correlated and its independent part, square pixels.
+        correlation_px: Correlation lengths of the outline's error and of a roof's by parts, pixels.
+        map_variances: Of a roof as a whole, of its parts, and of the base of walls, square metres.
     """
     count = len(pixels)
     matrix = np.zeros((count, count))
     for i in range(count):
         for j in range(i + 1):
             dx, dy = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
-            apart = np.sqrt(dx * dx + dy * dy)
-            lags = np.sqrt(3.0) * apart / lengths[0]
-            value = noise[0] * (1.0 + lags) * np.exp(-lags)
+            distance_px = np.sqrt(dx * dx + dy * dy)
+            scaled_px = np.sqrt(3.0) * distance_px / correlation_px[0]
+            value = mask_variances[0] * (1.0 + scaled_px) * np.exp(-scaled_px)
             if buildings[i] == buildings[j]:
-                value += rises[i] * rises[j] * (errors[0] + errors[1] * np.exp(-apart / lengths[1]))
-                value += feet[i] * feet[j] * errors[2]
+                roof = map_variances[0] + map_variances[1] * np.exp(-distance_px / correlation_px[1])
+                value += roof_slopes[i] * roof_slopes[j] * roof
+                value += base_slopes[i] * base_slopes[j] * map_variances[2]
             matrix[i, j] = value
-        matrix[i, i] += noise[1]
+        matrix[i, i] += mask_variances[1]
     return matrix
 
 
@@ -88,15 +91,15 @@ def _subtract(factor, row, start, target):
 @kernel
 def _subtract_four(factors, rows, start, target):
     """Takes four multiples of rows from a target in place, one after the other, from some place on."""
-    one, two, three, four = factors
-    first, second, third, fourth = rows[0][start:], rows[1][start:], rows[2][start:], rows[3][start:]
-    rest = target[start:]
+    f0, f1, f2, f3 = factors
+    r0, r1, r2, r3 = rows[0][start:], rows[1][start:], rows[2][start:], rows[3][start:]
+    tail = target[start:]
     # Loops from 0 on are vectorised.
-    for k in range(len(rest)):
-        value = rest[k] - one * first[k]
-        value -= two * second[k]
-        value -= three * third[k]
-        rest[k] = value - four * fourth[k]
+    for k in range(len(tail)):
+        value = tail[k] - f0 * r0[k]
+        value -= f1 * r1[k]
+        value -= f2 * r2[k]
+        tail[k] = value - f3 * r3[k]
 
 
 @kernel
@@ -122,26 +125,28 @@ def add_products(columns, share, products):
 
 
 @kernel
-def add_votes(places, ground, heights, rotation, center, lens, covered, shown, furthest_m, looks, hits):
-    """Counts where a photo sees places past the map's buildings, and where its mask holds them; in place.
+def add_votes(
+    positions, ground, heights, rotation, center, intrinsics, mapped, mask, max_range_m, num_views, num_hits
+):
+    """Counts where a photo sees positions past the map's buildings, and where its mask holds them; in place.
 
     Args:
-        places: (N, 2) east and north, scene metres.
+        positions: (N, 2) east and north, scene metres.
         ground: (N,) heights of the ground there, scene metres.
-        heights: (H,) above it at which each is looked for, metres.
+        heights: (H,) above the ground that are tried, metres.
         rotation: (3, 3) cam_from_world.
         center: (3,) of the camera.
-        lens: Focal lengths and principal point, fx, fy, cx, cy, pixels.
-        covered: (rows, columns) what the map explains.
-        shown: (rows, columns) the mask.
-        furthest_m: Places further off on the ground are left out.
-        looks: (H, N) added to where the place is seen.
-        hits: (H, N) added to where the mask holds it.
+        intrinsics: Focal lengths and principal point, fx, fy, cx, cy, pixels.
+        mapped: (rows, columns) pixels that the map's buildings cover.
+        mask: (rows, columns) the mask.
+        max_range_m: Positions further off on the ground are left out.
+        num_views: (H, N) counts to raise where the position is in view.
+        num_hits: (H, N) counts to raise where the mask holds it.
     """
-    rows, columns = covered.shape
-    for n in range(len(places)):
-        east, north = places[n, 0] - center[0], places[n, 1] - center[1]
-        if east * east + north * north >= furthest_m * furthest_m:
+    rows, columns = mapped.shape
+    for n in range(len(positions)):
+        east, north = positions[n, 0] - center[0], positions[n, 1] - center[1]
+        if east * east + north * north >= max_range_m * max_range_m:
             continue
         x = rotation[0, 0] * east + rotation[0, 1] * north
         y = rotation[1, 0] * east + rotation[1, 1] * north
@@ -151,37 +156,46 @@ def add_votes(places, ground, heights, rotation, center, lens, covered, shown, f
             depth = z + rotation[2, 2] * up
             if depth <= 1.0:
                 continue
-            u = lens[0] * (x + rotation[0, 2] * up) / depth + lens[2]
-            v = lens[1] * (y + rotation[1, 2] * up) / depth + lens[3]
-            if u < 0.0 or v < 0.0 or u >= columns or v >= rows or covered[int(v), int(u)]:
+            u = intrinsics[0] * (x + rotation[0, 2] * up) / depth + intrinsics[2]
+            v = intrinsics[1] * (y + rotation[1, 2] * up) / depth + intrinsics[3]
+            if u < 0.0 or v < 0.0 or u >= columns or v >= rows or mapped[int(v), int(u)]:
                 continue
-            looks[level, n] += 1.0
-            if shown[int(v), int(u)]:
-                hits[level, n] += 1.0
+            num_views[level, n] += 1.0
+            if mask[int(v), int(u)]:
+                num_hits[level, n] += 1.0
 
 
 @checked
-def least_total(against, beside, upright, iterations):
-    """Returns (H, W) in [0, 1] with the least sum of ``against`` times it and the costs of its steps."""
-    height, width = against.shape
+def minimise_total_variation(costs, column_costs, row_costs, iterations):
+    """Returns (H, W) labels in [0, 1] of the least sum of costs times labels and of weighted total variation.
+
+    By the primal-dual algorithm of Chambolle and Pock (2011).
+
+    Args:
+        costs: (H, W) float32 of a label of 1.
+        column_costs: (H, W) float32 of a step from a column to the next; likewise row_costs.
+        row_costs: See column_costs.
+        iterations: How many.
+    """
+    height, width = costs.shape
     step, one, zero = np.float32(0.35), np.float32(1), np.float32(0)
-    answer, ahead = np.zeros_like(against), np.zeros_like(against)
-    across, down = np.zeros_like(against), np.zeros_like(against)
+    labels, ahead = np.zeros_like(costs), np.zeros_like(costs)
+    column_dual, row_dual = np.zeros_like(costs), np.zeros_like(costs)
     for _ in range(iterations):
         for y in range(height):
             for x in range(width):
-                a = across[y, x] + step * (ahead[y, x + 1] - ahead[y, x]) if x < width - 1 else zero
-                b = down[y, x] + step * (ahead[y + 1, x] - ahead[y, x]) if y < height - 1 else zero
-                norm = max(one, np.sqrt((a / beside[y, x]) ** 2 + (b / upright[y, x]) ** 2))
-                across[y, x], down[y, x] = a / norm, b / norm
+                a = column_dual[y, x] + step * (ahead[y, x + 1] - ahead[y, x]) if x < width - 1 else zero
+                b = row_dual[y, x] + step * (ahead[y + 1, x] - ahead[y, x]) if y < height - 1 else zero
+                norm = max(one, np.sqrt((a / column_costs[y, x]) ** 2 + (b / row_costs[y, x]) ** 2))
+                column_dual[y, x], row_dual[y, x] = a / norm, b / norm
         for y in range(height):
             for x in range(width):
-                flow = across[y, x] + down[y, x]
+                divergence = column_dual[y, x] + row_dual[y, x]
                 if x > 0:
-                    flow -= across[y, x - 1]
+                    divergence -= column_dual[y, x - 1]
                 if y > 0:
-                    flow -= down[y - 1, x]
-                value = min(max(answer[y, x] + step * (flow - against[y, x]), zero), one)
-                ahead[y, x] = np.float32(2) * value - answer[y, x]
-                answer[y, x] = value
-    return answer
+                    divergence -= row_dual[y - 1, x]
+                value = min(max(labels[y, x] + step * (divergence - costs[y, x]), zero), one)
+                ahead[y, x] = np.float32(2) * value - labels[y, x]
+                labels[y, x] = value
+    return labels

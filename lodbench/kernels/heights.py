@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.kernels.arguments import FREE
+from lodbench.kernels.arguments import UNLABELLED
 from lodbench.kernels.compiled import checked
 
 
 @checked
-def _add(sums: NDArray[np.float64], r: float, c: float, z: float) -> None:  # pragma: no cover - compiled
+def _add_cell(sums: NDArray[np.float64], r: float, c: float, z: float) -> None:  # pragma: no cover - compiled
     """Adds a cell to the sums n, r, c, rr, rc, cc, z, rz, cz."""
     sums[0] += 1.0
     sums[1] += r
@@ -24,7 +24,7 @@ def _add(sums: NDArray[np.float64], r: float, c: float, z: float) -> None:  # pr
 
 
 @checked
-def _fit(sums: NDArray[np.float64], plane: NDArray[np.float64]) -> bool:  # pragma: no cover - compiled
+def _fit_plane(sums: NDArray[np.float64], plane: NDArray[np.float64]) -> bool:  # pragma: no cover - compiled
     """Fills the least squares plane of sums; False where there is none."""
     n, r, c, rr, rc, cc, z, rz, cz = sums
     a, b, d = rr - r * r / n, rc - r * c / n, cc - c * c / n
@@ -38,7 +38,7 @@ def _fit(sums: NDArray[np.float64], plane: NDArray[np.float64]) -> bool:  # prag
 
 
 @checked
-def _start(
+def _fit_seed(
     heights: NDArray[np.float32],
     labels: NDArray[np.int32],
     row0: int,
@@ -46,80 +46,80 @@ def _start(
     sums: NDArray[np.float64],
     plane: NDArray[np.float64],
 ) -> bool:  # pragma: no cover - compiled
-    """Fills the plane of the free cells next to a seed, in offsets from it; False where they are too few."""
+    """Fills the plane of the unlabelled cells next to a seed, in offsets from it; False where too few."""
     z0 = float(heights[row0, column0])
     sums[:] = 0.0
     for row in range(row0 - 1, row0 + 2):
         for column in range(column0 - 1, column0 + 2):
-            if labels[row, column] == FREE:
-                _add(sums, float(row - row0), float(column - column0), heights[row, column] - z0)
-    return bool(sums[0] >= 6 and _fit(sums, plane))
+            if labels[row, column] == UNLABELLED:
+                _add_cell(sums, float(row - row0), float(column - column0), heights[row, column] - z0)
+    return bool(sums[0] >= 6 and _fit_plane(sums, plane))
 
 
 @checked
-def _flood(
+def _grow_region(
     heights: NDArray[np.float32],
     labels: NDArray[np.int32],
     seed: int,
-    name: int,
-    tolerance: float,
+    label: int,
+    tolerance_m: float,
     queue: NDArray[np.int64],
     sums: NDArray[np.float64],
     plane: NDArray[np.float64],
 ) -> int:  # pragma: no cover - compiled
-    """Labels free cells within the tolerance of the plane, fitted again as they grow; returns how many."""
+    """Labels cells within the tolerance of the plane, fitted again as the region grows; returns how many."""
     rows, columns = heights.shape
     row0, column0 = seed // columns, seed % columns
     z0 = float(heights[row0, column0])
     sums[:] = 0.0
-    _add(sums, 0.0, 0.0, 0.0)
+    _add_cell(sums, 0.0, 0.0, 0.0)
     queue[0] = seed
-    labels[row0, column0] = name
-    size, taken, refit = 1, 0, 16
-    while taken < size:
-        row, column = queue[taken] // columns, queue[taken] % columns
-        taken += 1
+    labels[row0, column0] = label
+    size, position, refit = 1, 0, 16
+    while position < size:
+        row, column = queue[position] // columns, queue[position] % columns
+        position += 1
         for step in range(4):
             r, c = row + (step == 0) - (step == 1), column + (step == 2) - (step == 3)
-            if r < 0 or c < 0 or r >= rows or c >= columns or labels[r, c] != FREE:
+            if r < 0 or c < 0 or r >= rows or c >= columns or labels[r, c] != UNLABELLED:
                 continue
             dr, dc, dz = float(r - row0), float(c - column0), heights[r, c] - z0
-            if abs(plane[0] * dr + plane[1] * dc + plane[2] - dz) > tolerance:
+            if abs(plane[0] * dr + plane[1] * dc + plane[2] - dz) > tolerance_m:
                 continue
-            labels[r, c] = name
+            labels[r, c] = label
             queue[size] = r * columns + c
             size += 1
-            _add(sums, dr, dc, dz)
+            _add_cell(sums, dr, dc, dz)
             if size == refit:
-                _fit(sums, plane)
+                _fit_plane(sums, plane)
                 refit *= 2
     return size
 
 
 @checked
-def _settle(
+def _remove_outliers(
     heights: NDArray[np.float32],
     labels: NDArray[np.int32],
     seed: int,
     size: int,
-    tolerance: float,
+    tolerance_m: float,
     queue: NDArray[np.int64],
     plane: NDArray[np.float64],
 ) -> tuple[int, float]:  # pragma: no cover - compiled
-    """Frees cells of a piece off its last plane; returns how many are left, and their squares' sum."""
+    """Unlabels the outliers of a piece's last plane; returns how many inliers, and their square sum."""
     columns = heights.shape[1]
     row0, column0 = seed // columns, seed % columns
-    kept, squares = 0, 0.0
+    kept, square_sum = 0, 0.0
     for k in range(size):
         row, column = queue[k] // columns, queue[k] % columns
         z = plane[0] * (row - row0) + plane[1] * (column - column0) + plane[2] + heights[row0, column0]
-        off = z - heights[row, column]
-        if abs(off) <= tolerance:
+        residual = z - heights[row, column]
+        if abs(residual) <= tolerance_m:
             kept += 1
-            squares += off * off
+            square_sum += residual * residual
         else:
-            labels[row, column] = FREE
-    return kept, squares
+            labels[row, column] = UNLABELLED
+    return kept, square_sum
 
 
 @checked
@@ -127,9 +127,9 @@ def grow_planes(
     heights: NDArray[np.float32],
     labels: NDArray[np.int32],
     seeds: NDArray[np.int64],
-    tolerance: float,
-    least: int,
-    steepest: float,
+    tolerance_m: float,
+    min_cells: int,
+    max_slope: float,
     planes: NDArray[np.float64],
     counts: NDArray[np.int64],
     rms: NDArray[np.float64],
@@ -141,27 +141,27 @@ def grow_planes(
     columns = heights.shape[1]
     queue = np.empty(heights.size, np.int64)
     sums, plane = np.zeros(9), np.zeros(3)
-    found = 0
+    num_planes = 0
     for seed in seeds:
         row0, column0 = seed // columns, seed % columns
-        if labels[row0, column0] != FREE or not _start(heights, labels, row0, column0, sums, plane):
+        if labels[row0, column0] != UNLABELLED or not _fit_seed(heights, labels, row0, column0, sums, plane):
             continue
-        if max(abs(plane[0]), abs(plane[1])) > steepest:
+        if max(abs(plane[0]), abs(plane[1])) > max_slope:
             continue
-        size = _flood(heights, labels, seed, found + 1, tolerance, queue, sums, plane)
-        kept, squares = 0, 0.0
-        if size >= least and _fit(sums, plane) and max(abs(plane[0]), abs(plane[1])) <= steepest:
-            kept, squares = _settle(heights, labels, seed, size, tolerance, queue, plane)
-        if kept < least:
+        size = _grow_region(heights, labels, seed, num_planes + 1, tolerance_m, queue, sums, plane)
+        kept, square_sum = 0, 0.0
+        if size >= min_cells and _fit_plane(sums, plane) and max(abs(plane[0]), abs(plane[1])) <= max_slope:
+            kept, square_sum = _remove_outliers(heights, labels, seed, size, tolerance_m, queue, plane)
+        if kept < min_cells:
             for k in range(size):
-                labels[queue[k] // columns, queue[k] % columns] = FREE
+                labels[queue[k] // columns, queue[k] % columns] = UNLABELLED
             continue
-        planes[found, :2] = plane[:2]
-        planes[found, 2] = plane[2] + heights[row0, column0]
-        planes[found, 2] -= plane[0] * (row0 + 0.5) + plane[1] * (column0 + 0.5)
-        counts[found], rms[found] = kept, np.sqrt(squares / kept)
-        found += 1
-    return found
+        planes[num_planes, :2] = plane[:2]
+        planes[num_planes, 2] = plane[2] + heights[row0, column0]
+        planes[num_planes, 2] -= plane[0] * (row0 + 0.5) + plane[1] * (column0 + 0.5)
+        counts[num_planes], rms[num_planes] = kept, np.sqrt(square_sum / kept)
+        num_planes += 1
+    return num_planes
 
 
 @checked

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.kernels.arguments import BRANCH
+from lodbench.kernels.arguments import BRANCH, GUARD_PX, NEAR_M
 from lodbench.kernels.compiled import inlined, kernel, part, uncounted
-from lodbench.kernels.raster_rule import GUARD_PX, NEAR_M
 
 
 @inlined
@@ -41,14 +40,14 @@ def is_outside(sphere, rotation, center, planes):
 @kernel
 def visible_buildings(spheres, rotation, center, planes):
     """Returns the indices, ascending, of the buildings whose bounding sphere is not outside."""
-    chosen = np.empty(spheres.shape[0], dtype=np.int64)
+    visible = np.empty(spheres.shape[0], dtype=np.int64)
     count = 0
     for b in range(spheres.shape[0]):
         s = spheres[b]
         if not is_outside((s[0], s[1], s[2], s[3]), rotation, center, planes):
-            chosen[count] = b
+            visible[count] = b
             count += 1
-    return chosen[:count]
+    return visible[:count]
 
 
 NUM_PLANES = 5
@@ -106,9 +105,9 @@ def clip_polygon(polygon, count, scratch, intrinsics):
 
 
 @part
-def _spread_of(rotations, centers):
+def _pose_spread(rotations, centers):
     """Returns how far N views lie from the first, metres, and how much they are turned, as a chord."""
-    away, turned = 0.0, 0.0
+    distance, rotation_chord = 0.0, 0.0
     for i in range(1, rotations.shape[0]):
         square, chord = 0.0, 0.0
         for k in range(3):
@@ -116,29 +115,29 @@ def _spread_of(rotations, centers):
             for m in range(3):
                 # The squared Frobenius distance of two rotations is 8 sin(a / 2) ** 2.
                 chord += (rotations[i, k, m] - rotations[0, k, m]) ** 2
-        away = max(away, np.sqrt(square))
-        turned = max(turned, np.sqrt(chord * 0.5))
-    return away, turned
+        distance = max(distance, np.sqrt(square))
+        rotation_chord = max(rotation_chord, np.sqrt(chord * 0.5))
+    return distance, rotation_chord
 
 
 @part
-def _any_sees(sphere, rotations, centers, planes):
+def _is_in_any_view(sphere, rotations, centers, planes):
     """Tells whether a sphere is not outside of one of N views at least."""
     for i in range(rotations.shape[0]):
         c = centers[i]
         distance = abs(sphere[0] - c[0]) + abs(sphere[1] - c[1]) + abs(sphere[2] - c[2])
-        wider = (sphere[0], sphere[1], sphere[2], sphere[3] + 1e-6 * distance)
-        if not is_outside(wider, rotations[i], c, planes):
+        padded = (sphere[0], sphere[1], sphere[2], sphere[3] + 1e-6 * distance)
+        if not is_outside(padded, rotations[i], c, planes):
             return True
     return False
 
 
 @part
-def select_nearby(tree, rotations, centers, planes, seen):
+def select_nearby(tree, rotations, centers, planes, candidates):
     """Writes the buildings that any of N nearby views may see into ``seen[0]``; returns how many.
 
     Seen from the first view, a point at distance s moves by at most ``d + 2 sin(a / 2) (s + d)`` for
-    a view that is d away and turned by the angle a: so much wider is each sphere made, by what its
+    a view at distance d, turned by the angle a: so much is added to each sphere's radius, by what its
     furthest point may move, so a node is never passed over for a child that is not. Views that differ
     by 15 degrees would so take in the city up to the horizon: groups are looked at from each view.
 
@@ -147,17 +146,17 @@ def select_nearby(tree, rotations, centers, planes, seen):
         rotations: (N, 3, 3) float64 cam_from_world, N >= 1.
         centers: (N, 3) float64 camera centres, local metres.
         planes: (5, 3) float64, see ``View``.
-        seen: (2, M + BRANCH) int64.
+        candidates: (2, M + BRANCH) int64.
     """
-    away, turned = _spread_of(rotations, centers)
+    distance, rotation_chord = _pose_spread(rotations, centers)
     last = tree.levels.shape[0] - 2
-    seen[last & 1 ^ 1, 0] = 0
+    candidates[last & 1 ^ 1, 0] = 0
     count = np.int64(1)
     for level in range(last, -1, -1):
         first, stop = tree.levels[level], tree.levels[level + 1]
-        parents, kept, wanted = seen[level & 1 ^ 1], seen[level & 1], count
+        parents, kept, num_parents = candidates[level & 1 ^ 1], candidates[level & 1], count
         count = np.int64(0)
-        for i in range(wanted):
+        for i in range(num_parents):
             for node in range(BRANCH * parents[i], min(stop - first, BRANCH * (parents[i] + 1))):
                 sphere = tree.nodes[first + node]
                 furthest = sphere[3] + np.sqrt(
@@ -165,20 +164,20 @@ def select_nearby(tree, rotations, centers, planes, seen):
                     + (sphere[1] - centers[0, 1]) ** 2
                     + (sphere[2] - centers[0, 2]) ** 2
                 )
-                slack = away + turned * (furthest + away) + 1e-6 * furthest
-                wider = (sphere[0], sphere[1], sphere[2], sphere[3] + slack)
-                if is_outside(wider, rotations[0], centers[0], planes):
+                padding = distance + rotation_chord * (furthest + distance) + 1e-6 * furthest
+                padded = (sphere[0], sphere[1], sphere[2], sphere[3] + padding)
+                if is_outside(padded, rotations[0], centers[0], planes):
                     continue
-                if level > 0 and not _any_sees(sphere, rotations, centers, planes):
+                if level > 0 and not _is_in_any_view(sphere, rotations, centers, planes):
                     continue
                 kept[count] = node
                 count += 1
     for i in range(count):
-        seen[0, i] = tree.order[seen[0, i]]
+        candidates[0, i] = tree.order[candidates[0, i]]
     return count
 
 
 @uncounted
-def select_buildings(tree, rotations, centers, planes, seen):
+def select_buildings(tree, rotations, centers, planes, candidates):
     """Python's way to ``select_nearby``."""
-    return select_nearby(tree, rotations, centers, planes, seen)
+    return select_nearby(tree, rotations, centers, planes, candidates)

@@ -2,34 +2,158 @@
 
 Eight hypotheses are drawn together: a building is projected, its triangles faced and its outline found
 for all eight (``simd_kernels``), each hypothesis gathering the edges of its outlines in a list. Then each
-in turn has its edges marked and swept into words (``coverage``), while its marks fit the cache.
+in turn has its edges marked and swept into words, while its marks fit the cache.
+
+Coverage is counted in layers. For every triangle the engine adds the winding number it has on the screen,
+turned positive. So the sum at a pixel is the number of layers over it, and the silhouette is where that is
+not zero. It is enough to mark, in every column an edge meets, the row where the sum changes; one pass then
+adds up each column from the top. Along an edge shared by two triangles that face alike the two marks cancel,
+so only the edges of the outline are marked at all. This is exact whatever the mesh: open, closed, or with
+faces turned the wrong way; and buildings need not be kept apart.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from lodbench.kernels.arguments import LANES
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.typing.templates import Signature
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array
+
+from lodbench.kernels.arguments import GUARD_PX, LANES, NEAR_M, STRIP
 from lodbench.kernels.compiled import kernel, part, uncounted
-from lodbench.kernels.coverage import MAX_LAYERS, accumulate, append_edge, expect_marks, mark_edges
 from lodbench.kernels.masks import intersect_and_clear
 from lodbench.kernels.projection import camera_axes, clip_polygon, select_nearby, snap
-from lodbench.kernels.raster_rule import GUARD_PX, NEAR_M
-from lodbench.kernels.simd_kernels import collect_outline, face_triangles, project_vertices
+from lodbench.kernels.simd_kernels import (
+    collect_outline,
+    face_triangles,
+    mark_lines,
+    project_vertices,
+    set_up_lines,
+)
+
+# A sum is read as 16 bits: it is looked at before more triangles than this could add up.
+MAX_LAYERS = 30_000
+
+
+@part
+def first_centre_at(position):
+    """Returns the first row or column whose centre is at or after a position in sub-pixels."""
+    return (np.int64(position) + 127) >> 8
+
+
+@part
+def expect_marks(coverage, lane, left, right, top, bottom, width, height):
+    """Notes that marks may follow within bounds in sub-pixels; tells whether the view sees any of them."""
+    first_column = max(np.int64(0), first_centre_at(left))
+    last_column = min(np.int64(width), first_centre_at(right)) - 1
+    first_row = max(np.int64(0), first_centre_at(top))
+    last_row = min(np.int64(height), first_centre_at(bottom))
+    if first_column > last_column or first_row >= height or last_row < 1:
+        return False
+    for strip in range(first_column >> 6, (last_column >> 6) + 1):
+        coverage.low[lane, strip] = min(coverage.low[lane, strip], first_row)
+        coverage.high[lane, strip] = max(coverage.high[lane, strip], last_row)
+    return True
+
+
+@part
+def pack_corner(u, v, weight):
+    """Returns a snapped corner, each way within 2**23, and a weight in [-128, 127] as one int64.
+
+    From the top: 32 bits row, 8 bits weight, 24 bits column.
+    """
+    return (np.int64(v) << 32) | ((np.int64(weight) & 0xFF) << 24) | (np.int64(u) & 0xFFFFFF)
+
+
+@part
+def append_edge(lists, lane, width, ua, va, ub, vb, weight):
+    """Appends an edge from snapped corner a to b to a hypothesis's list, unless it meets no column."""
+    if ua > ub:
+        ua, va, ub, vb, weight = ub, vb, ua, va, -weight
+    if max(first_centre_at(ua), 0) >= min(first_centre_at(ub), width):
+        return
+    at = lane * lists.first_column.shape[0] + lists.counts[lane]
+    lists.left[at] = pack_corner(ua, va, weight)
+    lists.right[at] = pack_corner(ub, vb, weight)
+    lists.counts[lane] += 1
+
+
+@part
+def mark_edges(lists, lane, width, height, marks):
+    """Marks a hypothesis's edges in every column they meet, and empties its list."""
+    start, count = lane * lists.first_column.shape[0], lists.counts[lane]
+    prepared = lists.weight, lists.first_column, lists.num_columns, lists.first_row, lists.row_step
+    set_up_lines(lists.left, lists.right, start, count, width, *prepared)
+    mark_lines(*prepared, count, height, marks, marks.shape[0] - LANES)
+    lists.counts[lane] = 0
+
+
+@intrinsic
+def _accumulate_strip(
+    _context: Any, marks: Any, start: Any, rows: Any, words: Any, place: Any, stride: Any
+) -> tuple[Signature, Any]:
+    """Adds up ``rows`` rows of 64 marks each, clears them, and sets a bit per sum that is not zero.
+
+    Written for LLVM directly: it keeps the 64 sums in registers and turns their comparison with zero
+    into a bit mask in a few instructions; out of a loop it makes neither.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        marks_data, words_data = (
+            make_array(signature.args[i])(context, builder, args[i]).data for i in (0, 3)
+        )
+        vector = ir.VectorType(ir.IntType(16), STRIP)
+        zero = ir.Constant(vector, [0] * STRIP)
+        sums = cgutils.alloca_once_value(builder, zero)
+        with cgutils.for_range(builder, args[2]) as loop:
+            offset = builder.add(args[1], builder.mul(loop.index, ir.Constant(loop.index.type, STRIP)))
+            here = builder.bitcast(builder.gep(marks_data, [offset]), vector.as_pointer())
+            total = builder.add(builder.load(sums), builder.load(here, align=2))
+            builder.store(total, sums)
+            builder.store(zero, here, align=2)
+            bits = builder.bitcast(builder.icmp_signed("!=", total, zero), ir.IntType(64))
+            word = builder.gep(words_data, [builder.add(args[4], builder.mul(loop.index, args[5]))])
+            builder.store(builder.or_(builder.load(word), bits), word)
+        return context.get_dummy_value()
+
+    return types.void(marks, types.int64, types.int64, words, types.int64, types.int64), generate
+
+
+@part
+def accumulate(coverage, lane, height, words):
+    """Sets the bits of ``words``, (H, S) uint64, where a hypothesis's sums are not zero; clears all marks."""
+    strips = coverage.low.shape[1]
+    for strip in range(strips):
+        low, high = coverage.low[lane, strip], coverage.high[lane, strip]
+        if high < 0:
+            continue
+        start = strip * (height + 1) * STRIP
+        # The row below the view takes marks but is not looked at.
+        rows = min(high, height - 1) + 1 - low
+        _accumulate_strip(coverage.marks, start + low * STRIP, rows, words, low * strips + strip, strips)
+        coverage.marks[start + height * STRIP : start + (height + 1) * STRIP] = 0
+        coverage.low[lane, strip] = height
+        coverage.high[lane, strip] = -1
+
 
 # A building whose snapped corners all stay this far inside the guard band needs no clipping.
 _SAFE_SUBPIXELS = int((GUARD_PX - 2.0) * 256.0)
 
 
 @part
-def _side(ua, va, ub, vb, uc, vc):
-    """Returns +1, -1 or 0: which way a snapped triangle turns on the screen."""
+def _orientation(ua, va, ub, vb, uc, vc):
+    """Returns a snapped triangle's orientation on the screen, +1, -1 or 0."""
     area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va)
     return np.int32(area > 0.0) - np.int32(area < 0.0)
 
 
 @part
-def _flush(view, scratch, words):
+def _draw_gathered(view, scratch, words):
     """Draws the edges gathered so far into each hypothesis's words."""
     for lane in range(words.shape[0]):
         mark_edges(scratch.lists, lane, view.width, view.height, scratch.coverage.marks)
@@ -42,7 +166,7 @@ def _has_room(lists, edges, hypotheses):
     most = np.int64(0)
     for lane in range(hypotheses):
         most = max(most, lists.counts[lane])
-    return most + edges < lists.column.shape[0]
+    return most + edges < lists.first_column.shape[0]
 
 
 @part
@@ -66,27 +190,27 @@ def _gather_clipped(scene, b, lane, rotation, center, view, scratch, words, laye
             u0, v0 = snap(polygon[0, 0], polygon[0, 1], polygon[0, 2], f)
             u1, v1 = snap(polygon[i, 0], polygon[i, 1], polygon[i, 2], f)
             u2, v2 = snap(polygon[i + 1, 0], polygon[i + 1, 1], polygon[i + 1, 2], f)
-            side = _side(u0, v0, u1, v1, u2, v2)
-            if side == 0:
+            orientation = _orientation(u0, v0, u1, v1, u2, v2)
+            if orientation == 0:
                 continue
             if layers == MAX_LAYERS or not _has_room(lists, np.int64(3), words.shape[0]):
-                _flush(view, scratch, words)
+                _draw_gathered(view, scratch, words)
                 layers = 0
             left, right = min(u0, min(u1, u2)), max(u0, max(u1, u2))
             top, bottom = min(v0, min(v1, v2)), max(v0, max(v1, v2))
             if not expect_marks(coverage, lane, left, right, top, bottom, view.width, view.height):
                 continue
-            append_edge(lists, lane, view.width, u0, v0, u1, v1, side)
-            append_edge(lists, lane, view.width, u1, v1, u2, v2, side)
-            append_edge(lists, lane, view.width, u2, v2, u0, v0, side)
+            append_edge(lists, lane, view.width, u0, v0, u1, v1, orientation)
+            append_edge(lists, lane, view.width, u1, v1, u2, v2, orientation)
+            append_edge(lists, lane, view.width, u2, v2, u0, v0, orientation)
             layers += 1
     return layers
 
 
 @part
-def _sort_out(scene, b, view, scratch, hypotheses):
+def _classify_views(scene, b, view, scratch, hypotheses):
     """Returns bit masks of the hypotheses that see a projected building whole, and that must clip it."""
-    whole, cut = np.int64(0), np.int64(0)
+    whole, clipped = np.int64(0), np.int64(0)
     is_large = scene.starts[b + 1, 1] - scene.starts[b, 1] > MAX_LAYERS
     extent = scratch.extent
     for lane in range(hypotheses):
@@ -97,16 +221,16 @@ def _sort_out(scene, b, view, scratch, hypotheses):
             or min(left, top) < -_SAFE_SUBPIXELS
             or max(right, bottom) > _SAFE_SUBPIXELS
         ):
-            cut |= np.int64(1) << lane
+            clipped |= np.int64(1) << lane
         elif expect_marks(scratch.coverage, lane, left, right, top, bottom, view.width, view.height):
             whole |= np.int64(1) << lane
-    return whole, cut
+    return whole, clipped
 
 
 @part
 def _gather_whole(scene, b, whole, view, scratch):
     """Gathers a projected building's outline for the hypotheses that see it whole."""
-    u, v, lists, capacity = scratch.u, scratch.v, scratch.lists, scratch.lists.column.shape[0]
+    u, v, lists, capacity = scratch.u, scratch.v, scratch.lists, scratch.lists.first_column.shape[0]
     face_triangles(
         scene.corner_a, scene.corner_b, scene.corner_c, scene.starts[b, 1], scene.starts[b + 1, 1], u, v,
         scratch.facing,
@@ -151,18 +275,18 @@ def draw_group(scene, buildings, count, rotations, centers, view, scratch, words
             scene.starts[b + 1, 2] - scene.starts[b, 2],
         )
         if layers + triangles > MAX_LAYERS or not _has_room(scratch.lists, edges, hypotheses):
-            _flush(view, scratch, words)
+            _draw_gathered(view, scratch, words)
             layers = 0
-        whole, cut = _sort_out(scene, b, view, scratch, hypotheses)
+        whole, clipped = _classify_views(scene, b, view, scratch, hypotheses)
         if whole != 0:
             _gather_whole(scene, b, whole, view, scratch)
             layers += triangles
         for lane in range(hypotheses):
-            if (cut >> lane) & 1:
+            if (clipped >> lane) & 1:
                 layers = _gather_clipped(
                     scene, b, lane, rotations[lane], centers[lane], view, scratch, words, layers
                 )
-    _flush(view, scratch, words)
+    _draw_gathered(view, scratch, words)
 
 
 @uncounted
@@ -170,8 +294,8 @@ def draw_views(scene, rotations, centers, view, scratch, words):
     """Draws N views into ``words``, (N, H, S), which must be clear; see ``score_views``."""
     for i in range(0, rotations.shape[0], LANES):
         r, c = rotations[i : i + LANES], centers[i : i + LANES]
-        count = select_nearby(scene, r, c, view.planes, scratch.seen)
-        draw_group(scene, scratch.seen[0], count, r, c, view, scratch, words[i : i + LANES])
+        count = select_nearby(scene, r, c, view.planes, scratch.candidates)
+        draw_group(scene, scratch.candidates[0], count, r, c, view, scratch, words[i : i + LANES])
 
 
 @uncounted
@@ -183,14 +307,14 @@ def score_views(scene, rotations, centers, view, scratch, words, query, counts):
     """
     for i in range(0, rotations.shape[0], LANES):
         r, c = rotations[i : i + LANES], centers[i : i + LANES]
-        count = select_nearby(scene, r, c, view.planes, scratch.seen)
-        draw_group(scene, scratch.seen[0], count, r, c, view, scratch, words[: r.shape[0]])
+        count = select_nearby(scene, r, c, view.planes, scratch.candidates)
+        draw_group(scene, scratch.candidates[0], count, r, c, view, scratch, words[: r.shape[0]])
         for lane in range(r.shape[0]):
             counts[0, i + lane], counts[1, i + lane] = intersect_and_clear(words[lane], query)
 
 
 @part
-def _range_of(middle, half, near, far, focal, offset, size):
+def _pixel_range(middle, half, near, far, focal, offset, size):
     """Returns the first pixel and the last + 1 that a span between two depths may cover."""
     low = focal * min((middle - half) / near, (middle - half) / far) + offset - 1.0
     high = focal * max((middle + half) / near, (middle + half) / far) + offset + 2.0
@@ -199,20 +323,20 @@ def _range_of(middle, half, near, far, focal, offset, size):
 
 
 @part
-def _box_of(sphere, rotation, center, view):
+def _bounding_box(sphere, rotation, center, view):
     """Returns rows and words (first row, last + 1, first word, last + 1) that a sphere may cover."""
     x, y, z = camera_axes(sphere[0], sphere[1], sphere[2], rotation, center)
     radius = sphere[3] + 1e-6 * (abs(x) + abs(y) + abs(z))
     left, right, top, bottom = np.int64(0), np.int64(view.width), np.int64(0), np.int64(view.height)
     if z - radius > NEAR_M:
         f, near, far = view.intrinsics, z - radius, z + radius
-        left, right = _range_of(x, radius, near, far, f[0], f[2], view.width)
-        top, bottom = _range_of(y, radius, near, far, f[1], f[3], view.height)
+        left, right = _pixel_range(x, radius, near, far, f[0], f[2], view.width)
+        top, bottom = _pixel_range(y, radius, near, far, f[1], f[3], view.height)
     return top, bottom, left >> 6, (right + 63) >> 6
 
 
 @part
-def _trimmed(words, box):
+def _trim(words, box):
     """Returns the part of a box of words in which bits are set; an empty one is (0, 0, 0, 0)."""
     top, bottom, left, right = box
     first_row, last_row, first_word, last_word = bottom, -1, right, -1
@@ -247,8 +371,8 @@ def draw_instances(scene, buildings, rotations, centers, view, scratch, words):
     for n in range(buildings.shape[0]):
         b = buildings[n]
         draw_group(scene, buildings[n : n + 1], 1, rotations, centers, view, scratch, words)
-        box = _box_of(scene.spheres[b], rotations[0], centers[0], view)
-        top, bottom, left, right = _trimmed(words[0], box)
+        box = _bounding_box(scene.spheres[b], rotations[0], centers[0], view)
+        top, bottom, left, right = _trim(words[0], box)
         if bottom == 0:
             continue
         begin = starts[count]

@@ -100,7 +100,7 @@ def face_triangles(
     v: Any,
     facing: Any,
 ) -> tuple[Signature, Any]:
-    """Writes which way triangles turn on the screen, for eight hypotheses: +1, -1 or 0.
+    """Writes the orientation of triangles on the screen, +1, -1 or 0, for eight hypotheses.
 
     Args:
         corner_a: (T,) uint32 vertex in ``u`` and ``v``; likewise corner_b and corner_c.
@@ -117,10 +117,10 @@ def face_triangles(
         a, b, c, us, vs, signs = arrays(context, builder, signature, args, (0, 1, 2, 5, 6, 7))
         with cgutils.for_range(builder, builder.sub(args[4], args[3])) as loop:
             k = builder.add(args[3], loop.index)
-            places = [
+            corners = [
                 vector_offset(builder, builder.zext(corner.load_scalar(k), I64)) for corner in (a, b, c)
             ]
-            (ua, va), (ub, vb), (uc, vc) = ((us.load(at), vs.load(at)) for at in places)
+            (ua, va), (ub, vb), (uc, vc) = ((us.load(at), vs.load(at)) for at in corners)
             sides = [side.to(I64) for side in (ub - ua, vc - va, uc - ua, vb - va)]
             area = sides[0] * sides[1] - sides[2] * sides[3]
             sign = area.compare(">", 0).to(I32) - area.compare("<", 0).to(I32)
@@ -171,26 +171,26 @@ def collect_outline(
             builder.bitcast(builder.trunc(args[10], ir.IntType(LANES)), ir.VectorType(BIT, LANES)),
         )
         stop_column = broadcast(builder, builder.trunc(args[11], I32))
-        below = broadcast(builder, builder.shl(builder.trunc(args[12], I32), ir.Constant(I32, 8)))
-        ends = []
+        bottom = broadcast(builder, builder.shl(builder.trunc(args[12], I32), ir.Constant(I32, 8)))
+        list_ends = []
         for lane in range(LANES):
             begin = builder.mul(args[16], constant_index(lane))
-            ends.append(Running(builder, builder.add(begin, lengths.load_scalar(constant_index(lane)))))
+            list_ends.append(Running(builder, builder.add(begin, lengths.load_scalar(constant_index(lane)))))
         with cgutils.for_range(builder, builder.sub(args[6], args[5])) as loop:
             k = builder.add(args[5], loop.index)
-            i, j, one, other = (
+            i, j, side_one, side_two = (
                 vector_offset(builder, builder.zext(edges[n].load_scalar(k), I64)) for n in range(4)
             )
-            sum_here = signs.load(one) + edges[4].broadcast(k) * signs.load(other)
+            sum_here = signs.load(side_one) + edges[4].broadcast(k) * signs.load(side_two)
             is_outline = sum_here.compare("!=", 0) & takes_part
             with builder.if_then(
                 builder.icmp_unsigned("!=", is_outline.bits(), ir.Constant(ir.IntType(8), 0))
             ):
-                fields, is_met = _in_view(us, vs, (i, j), sum_here, stop_column, below)
-                _append(builder, lists, ends, fields, is_outline & is_met)
+                fields, is_met = _in_view(us, vs, (i, j), sum_here, stop_column, bottom)
+                _append(builder, lists, list_ends, fields, is_outline & is_met)
         for lane in range(LANES):
             begin = builder.mul(args[16], constant_index(lane))
-            lengths.store_scalar(constant_index(lane), builder.sub(ends[lane].get(), begin))
+            lengths.store_scalar(constant_index(lane), builder.sub(list_ends[lane].get(), begin))
         return context.get_dummy_value()
 
     index = types.int64
@@ -201,7 +201,7 @@ def collect_outline(
 
 
 def _in_view(
-    us: Memory, vs: Memory, ends: tuple[Any, Any], weight: Vector, stop_column: Vector, below: Vector
+    us: Memory, vs: Memory, ends: tuple[Any, Any], weight: Vector, stop_column: Vector, bottom: Vector
 ) -> tuple[tuple[Vector, Vector], Vector]:
     """Returns an edge's left and right corner, packed, and whether it meets a column's centre in the view.
 
@@ -211,18 +211,18 @@ def _in_view(
         ends: Where the edge's tail and head are in them.
         weight: What the sum changes by below the edge where it runs to the right.
         stop_column: Width of the view.
-        below: The first row below it, in the units of ``vs``.
+        bottom: The first row below it, in the units of ``vs``.
     """
     i, j = ends
     ui, vi, uj, vj = us.load(i), vs.load(i), us.load(j), vs.load(j)
     leftward = ui.compare(">", uj)
     ul, ur = uj.where(leftward, ui), ui.where(leftward, uj)
     vl, vr = vj.where(leftward, vi), vi.where(leftward, vj)
-    turned = (weight * -1).where(leftward, weight)
-    begins = ((ul + 127) >> 8).at_least(0)
-    ceases = ((ur + 127) >> 8).at_most(stop_column)
-    is_met = begins.compare("<", ceases) & vl.at_most(vr).compare("<", below)
-    return (_packed(ul, vl, turned), _packed(ur, vr, turned)), is_met
+    signed_weight = (weight * -1).where(leftward, weight)
+    first_column = ((ul + 127) >> 8).at_least(0)
+    end_column = ((ur + 127) >> 8).at_most(stop_column)
+    is_met = first_column.compare("<", end_column) & vl.at_most(vr).compare("<", bottom)
+    return (_packed(ul, vl, signed_weight), _packed(ur, vr, signed_weight)), is_met
 
 
 def _packed(u: Vector, v: Vector, weight: Vector) -> Vector:
@@ -232,21 +232,21 @@ def _packed(u: Vector, v: Vector, weight: Vector) -> Vector:
 
 
 def _append(
-    builder: Any, lists: list[Memory], ends: list[Running], fields: tuple[Vector, ...], kept: Vector
+    builder: Any, lists: list[Memory], list_ends: list[Running], fields: tuple[Vector, ...], kept: Vector
 ) -> None:
     """Writes each lane's fields at its list's end; the end moves on where the lane is kept."""
-    more = kept.to(I64)
-    for lane, end in enumerate(ends):
-        at = end.get()
+    increments = kept.to(I64)
+    for lane, list_end in enumerate(list_ends):
+        at = list_end.get()
         for memory, field in zip(lists, fields, strict=True):
             memory.store_scalar(at, field.extract(lane))
-        end.set(builder.add(at, more.extract(lane)))
+        list_end.set(builder.add(at, increments.extract(lane)))
 
 
 @intrinsic
 def set_up_lines(
     _context: Any, left: Any, right: Any, start: Any, count: Any, width: Any, weight: Any, column: Any,
-    meets: Any, row: Any, step: Any,
+    num_columns: Any, row: Any, step: Any,
 ) -> tuple[Signature, Any]:  # fmt: skip
     """Prepares edges for marking, eight at a time.
 
@@ -263,18 +263,18 @@ def set_up_lines(
         width: Pixels.
         weight: (M,) int32, receives what the sum changes by below each edge.
         column: (M,) int32, receives from 0 on the first column each edge meets.
-        meets: (M,) int32, receives how many columns it meets.
+        num_columns: (M,) int32, receives how many columns it meets.
         row: (M,) float64, receives the row at the first column.
         step: (M,) float64, receives the rows from one column to the next.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        lefts, rights, weights, columns, meet, rows, steps = arrays(
+        lefts, rights, weights, columns, columns_met, rows, steps = arrays(
             context, builder, signature, args, (0, 1, 5, 6, 7, 8, 9)
         )
         stop_column = broadcast(builder, builder.trunc(args[4], I32))
-        eights = builder.lshr(builder.add(args[3], constant_index(LANES - 1)), constant_index(3))
-        with cgutils.for_range(builder, eights) as loop:
+        num_groups = builder.lshr(builder.add(args[3], constant_index(LANES - 1)), constant_index(3))
+        with cgutils.for_range(builder, num_groups) as loop:
             at = vector_offset(builder, loop.index)
             here = builder.add(args[2], at)
             a, b = lefts.load(here), rights.load(here)
@@ -282,24 +282,24 @@ def set_up_lines(
             ul, ur = (low << 8) >> 8, (b.to(I32) << 8) >> 8
             first = ((ul + 127) >> 8).at_least(0)
             du, dv = (ur - ul).to(F64), (vr - vl).to(F64)
-            past = ((first << 8) + 128 - ul).to(F64)
+            offset = ((first << 8) + 128 - ul).to(F64)
             d = du * 256.0
             inverse = d.reciprocal()
-            n = (vl - 128).to(F64) * du + past * dv + d - 0.5
+            n = (vl - 128).to(F64) * du + offset * dv + d - 0.5
             rows.store(at, n * inverse)
             steps.store(at, (dv * 256.0) * inverse)
             weights.store(at, low >> 24)
             columns.store(at, first)
-            meet.store(at, ((ur + 127) >> 8).at_most(stop_column) - first)
+            columns_met.store(at, ((ur + 127) >> 8).at_most(stop_column) - first)
         return context.get_dummy_value()
 
     index = types.int64
-    return types.void(left, right, index, index, index, weight, column, meets, row, step), generate
+    return types.void(left, right, index, index, index, weight, column, num_columns, row, step), generate
 
 
 @intrinsic
 def mark_lines(
-    _context: Any, weight: Any, column: Any, meets: Any, row: Any, step: Any, count: Any, height: Any,
+    _context: Any, weight: Any, column: Any, num_columns: Any, row: Any, step: Any, count: Any, height: Any,
     marks: Any, spare: Any,
 ) -> tuple[Signature, Any]:  # fmt: skip
     """Adds each edge's weight to the marks of all columns it meets, eight columns at a time.
@@ -310,7 +310,7 @@ def mark_lines(
     Args:
         weight: (M,) int32 what to add, from here to ``step`` as ``set_up_lines`` leaves it.
         column: (M,) int32 first column of each edge.
-        meets: (M,) int32 how many columns it meets.
+        num_columns: (M,) int32 how many columns it meets.
         row: (M,) float64 row at the first column.
         step: (M,) float64 rows from one column to the next.
         count: How many edges.
@@ -320,7 +320,7 @@ def mark_lines(
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        weights, columns, meet, rows, steps, places = arrays(
+        weights, columns, columns_met, rows, steps, all_marks = arrays(
             context, builder, signature, args, (0, 1, 2, 3, 4, 7)
         )
         numbers = Vector(builder, ir.Constant(ir.VectorType(I32, LANES), list(range(LANES))))
@@ -332,26 +332,26 @@ def mark_lines(
             k = loop.index
             first, number, row, step = (
                 columns.broadcast(k),
-                meet.broadcast(k),
+                columns_met.broadcast(k),
                 rows.broadcast(k),
                 steps.broadcast(k),
             )
             weight = builder.trunc(weights.load_scalar(k), I16)
-            turns = builder.lshr(
-                builder.add(meet.load_scalar(k), ir.Constant(I32, LANES - 1)), ir.Constant(I32, 3)
+            num_groups = builder.lshr(
+                builder.add(columns_met.load_scalar(k), ir.Constant(I32, LANES - 1)), ir.Constant(I32, 3)
             )
-            place_in_edge = Running(builder, numbers.value)
-            with cgutils.for_range(builder, turns):
-                i = Vector(builder, place_in_edge.get())
+            column_in_edge = Running(builder, numbers.value)
+            with cgutils.for_range(builder, num_groups):
+                i = Vector(builder, column_in_edge.get())
                 c = first + i
                 y = (row + step * i.to(F64)).at_least(0.0).at_most(lowest).to(I32)
-                place = (c >> 6) * strip_size + (y << 6) + (c & 63)
-                place = place.where(i.compare("<", number), spares)
+                cell = (c >> 6) * strip_size + (y << 6) + (c & 63)
+                cell = cell.where(i.compare("<", number), spares)
                 for lane in range(LANES):
-                    index = builder.zext(place.extract(lane), I64)
-                    places.store_scalar(index, builder.add(places.load_scalar(index), weight))
-                place_in_edge.set((i + LANES).value)
+                    index = builder.zext(cell.extract(lane), I64)
+                    all_marks.store_scalar(index, builder.add(all_marks.load_scalar(index), weight))
+                column_in_edge.set((i + LANES).value)
         return context.get_dummy_value()
 
     index = types.int64
-    return types.void(weight, column, meets, row, step, index, index, marks, index), generate
+    return types.void(weight, column, num_columns, row, step, index, index, marks, index), generate

@@ -22,7 +22,7 @@ from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.geometry import Camera, rotations_at_yaws
-from lodbench.kernels.raster_rule import GUARD_PX
+from lodbench.kernels.arguments import GUARD_PX
 from lodbench.photos.measurements import Measurements
 from lodbench.photos.pictures import read_picture
 from lodbench.plugins import load_plugin

@@ -15,7 +15,7 @@ from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import blender_from_opencv
 from lodbench.kernels import fill_rays, visible_buildings
-from lodbench.kernels.raster_rule import NEAR_M
+from lodbench.kernels.arguments import NEAR_M
 from lodbench.rendering.drivers import RENDERER_PACKAGES, Watch, import_fault, require_driver, trust_driver
 from lodbench.rendering.projection import (
     bounding_spheres,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera
-from lodbench.kernels import cut_and_test
+from lodbench.kernels import split_edges
 from lodbench.kernels.arguments import EdgeFaces
 
 
@@ -74,16 +74,16 @@ class EdgePairs(NamedTuple):
 
     Attributes:
         corners: (E, 2) int32 vertices that they run between.
-        thirds: (E, 2) int32 third vertex of either face; of a lone one twice.
-        is_lone: (E,) whether there is one face only.
-        is_crowded: (E,) whether there are more than two.
+        opposite: (E, 2) int32 third vertex of either face; of a boundary edge twice.
+        is_boundary: (E,) whether there is one face only.
+        is_non_manifold: (E,) whether there are more than two.
         starts: (B + 1,) int64 offsets by building.
     """
 
     corners: NDArray[np.int32]
-    thirds: NDArray[np.int32]
-    is_lone: NDArray[np.bool_]
-    is_crowded: NDArray[np.bool_]
+    opposite: NDArray[np.int32]
+    is_boundary: NDArray[np.bool_]
+    is_non_manifold: NDArray[np.bool_]
     starts: NDArray[np.int64]
 
 
@@ -96,11 +96,11 @@ def edge_pairs(scene: Scene) -> EdgePairs:
     is_first[1:] = (pair[1:] != pair[:-1]).any(axis=1)
     kept = np.flatnonzero(is_first)
     corners, sides = table.corners[kept], table.sides[kept]
-    is_crowded = np.diff(kept, append=len(pair)) > 1
-    is_lone = (sides[:, 0] == sides[:, 1]) & ~is_crowded
-    thirds = np.stack([_third_corners(scene, corners, side) for side in sides.T], axis=1)
+    is_non_manifold = np.diff(kept, append=len(pair)) > 1
+    is_boundary = (sides[:, 0] == sides[:, 1]) & ~is_non_manifold
+    opposite = np.stack([_opposite_corners(scene, corners, side) for side in sides.T], axis=1)
     starts = np.searchsorted(kept, table.starts).astype(np.int64)
-    return EdgePairs(corners, thirds, is_lone, is_crowded, starts)
+    return EdgePairs(corners, opposite, is_boundary, is_non_manifold, starts)
 
 
 def edge_faces(scene: Scene, pairs: EdgePairs | None = None) -> EdgeFaces:
@@ -110,11 +110,13 @@ def edge_faces(scene: Scene, pairs: EdgePairs | None = None) -> EdgeFaces:
     """
     pairs = edge_pairs(scene) if pairs is None else pairs
     points = scene.vertices.astype(np.float64)
-    ends, beside = points[pairs.corners], points[pairs.thirds]
-    return EdgeFaces(pairs.corners, ends, beside, pairs.is_lone, pairs.is_crowded, pairs.starts)
+    ends, opposite_points = points[pairs.corners], points[pairs.opposite]
+    return EdgeFaces(
+        pairs.corners, ends, opposite_points, pairs.is_boundary, pairs.is_non_manifold, pairs.starts
+    )
 
 
-def _third_corners(scene: Scene, corners: NDArray[np.int32], side: NDArray[np.int32]) -> NDArray[np.int32]:
+def _opposite_corners(scene: Scene, corners: NDArray[np.int32], side: NDArray[np.int32]) -> NDArray[np.int32]:
     triangles = scene.triangles[side]
     is_end = (triangles == corners[:, :1]) | (triangles == corners[:, 1:])
     return np.asarray(triangles[np.arange(len(side)), np.argmin(is_end, axis=1)])
@@ -195,7 +197,7 @@ def edges_in_view(
             np.empty((room, 2, 2)),
             np.empty((room, 4), dtype=np.int64),
         )
-        count = cut_and_test(edges, buildings, *view, edge_fractions, pixels, rows)
+        count = split_edges(edges, buildings, *view, edge_fractions, pixels, rows)
     edge_fractions, pixels, rows = edge_fractions[:count], pixels[:count], rows[:count]
     ends = edges.ends[rows[:, 0]]
     points = ends[:, :1] + edge_fractions[:, :, None] * (ends[:, 1:] - ends[:, :1])

@@ -55,7 +55,7 @@ def blank_scratch(scene: SceneArrays, width: int, height: int) -> Scratch:
         lists=edge_lists(capacity),
         coverage=blank_coverage(width, height),
         # Not filled: of a large city most of it is never touched.
-        seen=np.zeros((2, len(scene.order) + BRANCH), dtype=np.int64),
+        candidates=np.zeros((2, len(scene.order) + BRANCH), dtype=np.int64),
         polygons=np.zeros((2, MAX_CORNERS, 3)),
     )
 

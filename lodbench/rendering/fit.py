@@ -20,11 +20,11 @@ from lodbench.kernels import (
     code_lengths_saved,
     count_bits,
     count_overlaps,
+    dilate,
     distance_sums,
     fill_padded,
-    grow,
+    outline_directions,
     outline_of,
-    outline_sides,
     padded_stride,
     sum_under,
 )
@@ -227,12 +227,12 @@ def _pad_words(words: Words, valid: Words) -> Words:
 
 def _dilations(outline: Words, valid: Words, width: int, reach: int) -> NDArray[np.uint64]:
     """Returns (reach, F) pixels within 0, 1, .. reach - 1 steps of an outline, padded words."""
-    grown = np.zeros((reach, len(valid)), dtype=np.uint64)
-    grown[0] = outline
-    wide = np.zeros_like(valid)
+    dilated = np.zeros((reach, len(valid)), dtype=np.uint64)
+    dilated[0] = outline
+    scratch = np.zeros_like(valid)
     for r in range(1, reach):
-        grow(grown[r - 1], valid, width, r % 2 == 0, wide, grown[r])
-    return grown
+        dilate(dilated[r - 1], valid, width, r % 2 == 0, scratch, dilated[r])
+    return dilated
 
 
 class RegionFit:
@@ -307,5 +307,5 @@ class ContourFit:
     def __call__(self, words: Words) -> Floats:
         """Returns the (N,) fit of N silhouettes. Eq. (R4) of docs/methods/region.md."""
         vertical_outline, level_outline = np.empty_like(words), np.empty_like(words)
-        outline_sides(words, self.size[0], vertical_outline, level_outline)
+        outline_directions(words, self.size[0], vertical_outline, level_outline)
         return np.asarray(self._horizontal(vertical_outline) + self._vertical(level_outline))

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import RenderingError
-from lodbench.kernels import looked_up
-from lodbench.kernels.arguments import DIRECTIONS, EDGE_LEVELS, FINE_STEPS, FINEST
+from lodbench.kernels import quantise_edges
+from lodbench.kernels.arguments import DIRECTIONS, EDGE_LEVELS, MAX_STRENGTH, STRENGTH_STEPS
 
 # A mean changes slowly: it is taken of a picture so small that its kernel is this wide, pixels. At the
 # borders it is then the exact one to a fiftieth of the picture's deviation, elsewhere to a five-hundredth.
@@ -193,9 +193,9 @@ def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: fl
     turns = np.stack(
         [np.cos(angles) ** 2, 2.0 * np.cos(angles) * np.sin(angles), np.sin(angles) ** 2], axis=1
     )
-    some = np.sqrt(np.maximum(forms[::_STEP, ::_STEP] @ turns.T, 0.0)) * FINE_STEPS
+    some = np.sqrt(np.maximum(forms[::_STEP, ::_STEP] @ turns.T, 0.0)) * STRENGTH_STEPS
     levels: Levels = np.empty((*forms.shape[:2], DIRECTIONS), dtype=np.uint8)
-    looked_up(forms, turns, _level_table(np.minimum(some, FINEST).astype(np.int64)), levels)
+    quantise_edges(forms, turns, _level_table(np.minimum(some, MAX_STRENGTH).astype(np.int64)), levels)
     return levels
 
 
@@ -204,8 +204,8 @@ def _level_table(steps: NDArray[np.int64]) -> Levels:
 
     A search for the level of each strength would take longer than all else.
     """
-    up_to = np.bincount(steps.ravel(), minlength=FINEST + 1).cumsum()
+    up_to = np.bincount(steps.ravel(), minlength=MAX_STRENGTH + 1).cumsum()
     places = np.arange(1, EDGE_LEVELS) / EDGE_LEVELS * (steps.size - 1)
     low, high = (np.searchsorted(up_to, whole(places), side="right") for whole in (np.floor, np.ceil))
     ends = low + (high - low) * (places - np.floor(places))
-    return np.searchsorted(ends, np.arange(FINEST + 1), side="right").astype(np.uint8)
+    return np.searchsorted(ends, np.arange(MAX_STRENGTH + 1), side="right").astype(np.uint8)

@@ -9,8 +9,7 @@ from lodbench import kernels
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
-from lodbench.kernels.arguments import BRANCH, SceneArrays, SphereTree
-from lodbench.kernels.raster_rule import GUARD_PX
+from lodbench.kernels.arguments import BRANCH, GUARD_PX, SceneArrays, SphereTree
 
 Floats = NDArray[np.float64]
 
@@ -151,9 +150,9 @@ def select_buildings(
     tree: SphereTree | SceneArrays, rotations: Floats, centers: Floats, planes: Floats
 ) -> NDArray[np.int64]:
     """Returns the buildings, (K,), that any of N nearby views may see; arguments as of ``select_nearby``."""
-    seen = np.zeros((2, len(tree.order) + BRANCH), dtype=np.int64)
-    count = kernels.select_buildings(tree, rotations, centers, planes, seen)
-    return seen[0, :count]
+    candidates = np.zeros((2, len(tree.order) + BRANCH), dtype=np.int64)
+    count = kernels.select_buildings(tree, rotations, centers, planes, candidates)
+    return candidates[0, :count]
 
 
 # A turn by this many metres' worth per radian moves the picture about as a shift does, seen from the

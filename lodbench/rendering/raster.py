@@ -22,7 +22,7 @@ from lodbench.kernels import (
     resolve_normals,
     visible_buildings,
 )
-from lodbench.kernels.arguments import MAX_CORNERS, Appearance, Band, Buffer, Mesh, Planes
+from lodbench.kernels.arguments import MAX_CORNERS, Appearance, Band, Buffer, LayerArrays, Mesh
 from lodbench.rendering.projection import (
     bounding_spheres,
     pose_arrays,
@@ -159,7 +159,7 @@ class RasterRenderer:
         classes = np.empty((len(centers), camera.height, camera.width), dtype=np.uint8)
 
         def resolve(view: int, band: Band, buffer: Buffer) -> None:
-            classes[view, :, band.first : band.stop] = self._classes.take(buffer.winner[:, : band.height]).T
+            classes[view, :, band.first : band.stop] = self._classes.take(buffer.triangle[:, : band.height]).T
 
         self.draw_views(camera, rotations, centers, resolve)
         return classes
@@ -174,7 +174,7 @@ class RasterRenderer:
         mask = np.empty((camera.height, camera.width), dtype=np.bool_)
 
         def resolve(band: Band, buffer: Buffer) -> None:
-            mask[:, band.first : band.stop] = buffer.winner[:, : band.height].T >= 0
+            mask[:, band.first : band.stop] = buffer.triangle[:, : band.height].T >= 0
 
         self.draw_bands(camera, pose, resolve)
         return mask
@@ -226,7 +226,7 @@ class RasterRenderer:
             return known[1]
         buffer: Buffer = known[1]
         buffer.inverse.fill(0.0)
-        buffer.winner.fill(-1)
+        buffer.triangle.fill(-1)
         return buffer
 
 
@@ -246,9 +246,9 @@ def _blank_buffer(columns: int, height: int) -> Buffer:
     return Buffer(np.zeros((columns, padded)), np.full((columns, padded), -1, dtype=np.int32))
 
 
-def _blank_planes(width: int, height: int) -> Planes:
+def _blank_planes(width: int, height: int) -> LayerArrays:
     """Returns room for every layer of a view; the values are yet to be written."""
-    return Planes(
+    return LayerArrays(
         np.empty((height, width), dtype=np.float32),
         np.empty((height, width), dtype=np.int32),
         np.empty((height, width), dtype=np.int32),

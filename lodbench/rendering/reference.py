@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-from lodbench.kernels.raster_rule import GUARD_PX, NEAR_M, SUBPIXELS
+from lodbench.kernels.arguments import GUARD_PX, NEAR_M, SUBPIXELS
 from lodbench.rendering.projection import pose_arrays
 
 Points = NDArray[np.float64]

@@ -22,7 +22,7 @@ from lodbench.errors import QueryFault, require_numbers, require_within
 from lodbench.geometry import AxisRange, Camera, Pose, PoseGrid
 from lodbench.geometry.angles import rotations_at_yaws
 from lodbench.geometry.signed_distance import signed_distance
-from lodbench.kernels import least_total
+from lodbench.kernels import minimise_total_variation
 from lodbench.rendering import ContourFit, RegionFit, appearance_bins, edge_bins
 from lodbench.rendering.masks import pack_mask
 from lodbench.segmentation.masks import read_photo
@@ -323,9 +323,11 @@ def cut(photo: NDArray[np.uint8], silhouette: Mask, looks: NDArray[np.floating] 
     colours = np.clip(stated, -_COLOUR_LIMIT, _COLOUR_LIMIT)
     reach_px = float(np.interp(exactness(photo, silhouette), _EXACTNESS, _SHAPE_PX))
     shape = np.clip(signed_distance(silhouette) / reach_px, -1.0, 1.0)
-    against = -(_COLOUR_WEIGHT * colours + _SHAPE_NATS * shape)
-    beside, upright = _outline_costs(photo)
-    return np.asarray(least_total(against.astype(np.float32), beside, upright, _ITERATIONS), np.float32)
+    costs = -(_COLOUR_WEIGHT * colours + _SHAPE_NATS * shape)
+    column_costs, row_costs = _outline_costs(photo)
+    return np.asarray(
+        minimise_total_variation(costs.astype(np.float32), column_costs, row_costs, _ITERATIONS), np.float32
+    )
 
 
 def cross_fitted(photo: NDArray[np.uint8], silhouette: Mask) -> Floats:
@@ -364,15 +366,15 @@ def exactness(photo: NDArray[np.uint8], silhouette: Mask) -> float:
     lab = cv2.cvtColor(photo.astype(np.float32) / np.float32(255), cv2.COLOR_BGR2LAB)
     lab = np.asarray(cv2.GaussianBlur(lab, (0, 0), 0.8), np.float32)
     distance = signed_distance(silhouette)
-    beside, upright = _gradient(np.asarray(cv2.GaussianBlur(distance, (0, 0), 1.5), np.float32))
-    steepness = np.hypot(beside, upright) + np.float32(1e-6)
-    beside, upright = beside / steepness, upright / steepness
+    normal_x, normal_y = _gradient(np.asarray(cv2.GaussianBlur(distance, (0, 0), 1.5), np.float32))
+    steepness = np.hypot(normal_x, normal_y) + np.float32(1e-6)
+    normal_x, normal_y = normal_x / steepness, normal_y / steepness
     by_column, by_row = _gradient(np.asarray(lab, np.float32))
-    change = np.abs(by_column * beside[..., None] + by_row * upright[..., None]).sum(axis=2)
+    change = np.abs(by_column * normal_x[..., None] + by_row * normal_y[..., None]).sum(axis=2)
     rows, columns = np.nonzero(np.abs(distance) < 1.0)
     across = np.arange(-_ACROSS_PX, _ACROSS_PX + 1, dtype=np.float32)[:, None]
-    x = columns + across * beside[rows, columns]
-    y = rows + across * upright[rows, columns]
+    x = columns + across * normal_x[rows, columns]
+    y = rows + across * normal_y[rows, columns]
     profile = cv2.remap(change, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
     shares = profile / (profile.sum(axis=0) + np.float32(1e-6))
     on = np.abs(across[:, 0]) <= _ON_PX
@@ -381,19 +383,20 @@ def exactness(photo: NDArray[np.uint8], silhouette: Mask) -> float:
 
 def _gradient(picture: Floats) -> tuple[Floats, Floats]:
     """Returns the change of a picture from left to right and from top to bottom."""
-    beside, upright = (cv2.Sobel(picture, cv2.CV_32F, *axis) for axis in ((1, 0), (0, 1)))
-    return np.asarray(beside, np.float32), np.asarray(upright, np.float32)
+    along_x, along_y = (cv2.Sobel(picture, cv2.CV_32F, *axis) for axis in ((1, 0), (0, 1)))
+    return np.asarray(along_x, np.float32), np.asarray(along_y, np.float32)
 
 
 def _outline_costs(photo: NDArray[np.uint8]) -> tuple[Floats, Floats]:
     """Returns what an outline costs between each pixel and its right and its lower neighbour."""
     smooth = cv2.GaussianBlur(photo.astype(np.float32), (0, 0), 0.7)
-    beside, upright = np.zeros(photo.shape[:2], np.float32), np.zeros(photo.shape[:2], np.float32)
-    beside[:, :-1] = np.abs(np.diff(smooth, axis=1)).max(axis=2)
-    upright[:-1] = np.abs(np.diff(smooth, axis=0)).max(axis=2)
-    usual = float((beside**2).mean() + (upright**2).mean()) + 1e-6
+    along_x, along_y = np.zeros(photo.shape[:2], np.float32), np.zeros(photo.shape[:2], np.float32)
+    along_x[:, :-1] = np.abs(np.diff(smooth, axis=1)).max(axis=2)
+    along_y[:-1] = np.abs(np.diff(smooth, axis=0)).max(axis=2)
+    usual = float((along_x**2).mean() + (along_y**2).mean()) + 1e-6
     costs = (
-        _OUTLINE_NATS * (_EDGE_SHARE + (1 - _EDGE_SHARE) * np.exp(-(c**2) / usual)) for c in (beside, upright)
+        _OUTLINE_NATS * (_EDGE_SHARE + (1 - _EDGE_SHARE) * np.exp(-(c**2) / usual))
+        for c in (along_x, along_y)
     )
     first, second = costs
     return first.astype(np.float32), second.astype(np.float32)

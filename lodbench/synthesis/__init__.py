@@ -29,7 +29,7 @@ Where something new goes:
   ``conf/generate-training-data.yaml``;
 - a look of pictures (sun, air, season, sensor): a file in ``conf/training``; a new kind of change is a
   field of ``LookRanges`` in ``photo/light.py``, used in ``photo/renderer.py`` if the sensor makes
-  it and in ``kernels/surfaces.py`` or ``kernels/patterns.py`` if the place does;
+  it and in ``kernels/surfaces.py`` if the place does;
 - a thing that stands there: its shape in ``objects.py``, its places in ``surroundings.py`` or
   ``town/props.py``;
 - something that networks take for a building and is none: a function and a line in ``CLUTTER`` of

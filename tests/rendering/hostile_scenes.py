@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler
-from lodbench.kernels.raster_rule import NEAR_M
+from lodbench.kernels.arguments import NEAR_M
 from lodbench.rendering.masks import pack_mask
 
 # Corners of a unit box (x, y, z in bits 2, 1, 0); its faces, outward, the floor first.

@@ -11,7 +11,7 @@ from numba import njit
 
 from lodbench.citymodel.scene import build_scene
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.kernels import coverage as kernels
+from lodbench.kernels import silhouettes as kernels
 from lodbench.kernels.arguments import LANES
 from lodbench.kernels.simd_kernels import face_triangles, project_vertices
 from lodbench.rendering.engine_arrays import blank_coverage, edge_lists

@@ -53,8 +53,8 @@ def parse_rings(texts: list[bytes]) -> tuple[NDArray[np.float64], NDArray[np.int
         texts, joined = clean, _SEPARATOR.join(clean)
     if is_few(len(joined) // 8):  # a number has seven characters and a blank at least, mostly
         return _parse_few(texts)
-    from lodbench.kernels import scan
-    from lodbench.kernels.arguments import POWERS
+    from lodbench.kernels import parse_decimals
+    from lodbench.kernels.arguments import POWERS_OF_TEN
 
     if not texts:
         return np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.bool_)
@@ -64,7 +64,7 @@ def parse_rings(texts: list[bytes]) -> tuple[NDArray[np.float64], NDArray[np.int
     while True:
         counts = np.zeros(len(texts), np.int64)
         is_bad = np.zeros(len(texts), np.bool_)
-        num_values, num_long = scan(data, POWERS, values, counts, is_bad, spans)
+        num_values, num_long = parse_decimals(data, POWERS_OF_TEN, values, counts, is_bad, spans)
         if num_long <= len(spans):
             break
         spans = np.zeros((num_long, 2), np.int64)  # rare, so room is made only when there are some

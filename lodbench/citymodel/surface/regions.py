@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.surface.grid import BLOCK, Floats, SurfaceGrid
 from lodbench.citymodel.surface.ground import Ground
 from lodbench.kernels import grow_planes
-from lodbench.kernels.arguments import FREE
+from lodbench.kernels.arguments import UNLABELLED
 
 # What rises less over the ground is a car or a hedge, metres; smaller regions are none, square metres.
 LEAST_RISE_M, LEAST_AREA_M2 = 2.0, 10.0
@@ -38,7 +38,7 @@ class Pieces(NamedTuple):
     """Plane pieces of a window of cells.
 
     Attributes:
-        labels: (rows, columns) int32: the piece of each cell from 1 on, ``FREE`` or less.
+        labels: (rows, columns) int32: the piece of each cell from 1 on, ``UNLABELLED`` or less.
         planes: (N, 3) height of piece n + 1 at row r and column c (middles at + 0.5): [0] r + [1] c + [2].
         counts: (N,) cells.
         rms_m: (N,) root mean square distance of its cells from the plane.
@@ -74,7 +74,7 @@ class Window(NamedTuple):
 
     Attributes:
         corner: Row and column of its first cell.
-        pieces: Labels of cells, ``FREE`` or less where nothing is drawn.
+        pieces: Labels of cells, ``UNLABELLED`` or less where nothing is drawn.
         low_m: (N,) the lowest ground below each piece's region.
         first: (N, 2) row and column, of the whole grid, of the first cell of each piece's region.
         ends_m: (N, 2) lowest and highest cell of each piece.
@@ -202,7 +202,7 @@ def _drawn(
     if not is_left.any():
         return None
     # What is no plane is drawn by the nearest piece.
-    known = (pieces.labels > FREE) & is_left
+    known = (pieces.labels > UNLABELLED) & is_left
     nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
     labels = np.where(is_left, pieces.labels[tuple(nearest)], 0).astype(np.int32)
     return _window(heights, below, labels, np.where(is_left, parts, 0), pieces, counts)
@@ -226,7 +226,7 @@ def grow_pieces(
     middle = heights[1:-1, 1:-1]
     bends[1:-1, 1:-1] = np.abs(heights[:-2, 1:-1] + heights[2:, 1:-1] - 2 * middle)
     bends[1:-1, 1:-1] += np.abs(heights[1:-1, :-2] + heights[1:-1, 2:] - 2 * middle)
-    labels = np.where(is_asked, FREE, _OUTSIDE).astype(np.int32)
+    labels = np.where(is_asked, UNLABELLED, _OUTSIDE).astype(np.int32)
     seeds = np.flatnonzero(is_asked & np.isfinite(bends))
     seeds = seeds[np.argsort(bends.reshape(-1)[seeds], kind="stable")]
     most = int(is_asked.sum()) // max(least_cells, 1) + 1

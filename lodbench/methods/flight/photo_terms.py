@@ -210,7 +210,7 @@ def _look(
     seen = _through_lens(aligner, points, lens, aligner.model.size)
     if len(seen.distances) < _FEWEST_POINTS:
         return None, fit, np.zeros(0, dtype=np.int64)
-    return seen, fit, aligner.edges.rows[seen.buildings]
+    return seen, fit, aligner.edges.buildings[seen.buildings]
 
 
 def _terms(

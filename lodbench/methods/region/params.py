@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, require_numbers
 from lodbench.geometry import AxisRange, PoseGrid
-from lodbench.kernels.raster_rule import GUARD_PX
+from lodbench.kernels.arguments import GUARD_PX
 from lodbench.methods.fits import SearchRange
 
 _CIRCLE_DEG = 360.0

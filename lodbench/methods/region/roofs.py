@@ -44,13 +44,13 @@ def outward_moves(edges: EdgeFaces, num_vertices: int) -> Floats:
         num_vertices: number of vertices of that scene, V.
     """
     along = edges.ends[:, 1] - edges.ends[:, 0]
-    third = edges.beside - edges.ends[:, :1]
-    normals = np.cross(along[:, None, :], third)
+    opposite = edges.opposite - edges.ends[:, :1]
+    normals = np.cross(along[:, None, :], opposite)
     is_wall = np.abs(normals[..., 2]) < _WALL_RISE * np.linalg.norm(normals, axis=2)
     length = np.hypot(along[:, 0], along[:, 1])
     meets = (is_wall[:, 0] != is_wall[:, 1]) & (length > _SHORTEST_M)
     across = np.stack([along[:, 1], -along[:, 0]], axis=1)[meets] / length[meets, None]
-    of_roof = np.where(is_wall[meets, :1], third[meets, 1, :2], third[meets, 0, :2])
+    of_roof = np.where(is_wall[meets, :1], opposite[meets, 1, :2], opposite[meets, 0, :2])
     across *= np.where((across * of_roof).sum(axis=1) > 0, -1.0, 1.0)[:, None]
     return _moves_of_corners(edges.corners[meets], across, num_vertices)
 

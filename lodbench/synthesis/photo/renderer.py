@@ -12,7 +12,7 @@ from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
 from lodbench.kernels import expose, resolve_photo
-from lodbench.kernels.arguments import BRIGHTEST, TONE_STEPS, Band, Buffer
+from lodbench.kernels.arguments import MAX_LIGHT, TONE_STEPS, Band, Buffer
 from lodbench.kernels.looks import (
     LAND_COVER,
     TEXTURED,
@@ -148,7 +148,7 @@ def _tone_curve(how: CameraResponse) -> NDArray[np.float32]:
 
     It is the inverse of ``linear``, with a shoulder instead of a hard cut at white, and contrast.
     """
-    light = np.arange(TONE_STEPS * BRIGHTEST + 2) / TONE_STEPS
+    light = np.arange(TONE_STEPS * MAX_LIGHT + 2) / TONE_STEPS
     value = np.sqrt(1.0 - np.exp(-1.55 * light))
     dark = _MIDDLE * (np.minimum(value, _MIDDLE) / _MIDDLE) ** how.contrast
     bright = 1.0 - (1.0 - _MIDDLE) * ((1.0 - np.maximum(value, _MIDDLE)) / (1.0 - _MIDDLE)) ** how.contrast

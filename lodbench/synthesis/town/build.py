@@ -208,7 +208,7 @@ DEMO_CODE = (
         for name in ("objects", "photo/*", "views", "surroundings", "land_cover", "mask_*")
     ),
     *("citymodel/scene.py", "datasets/prior_sources.py"),
-    *(f"kernels/{name}.py" for name in ("looks", "patterns", "shading", "surfaces", "textures")),
+    *(f"kernels/{name}.py" for name in ("looks", "shading", "surfaces")),
 )
 # Of quaternions and of metres.
 _POSE_DECIMALS = (12, 6)
