@@ -15,7 +15,7 @@ from lodbench.errors import ConfigError
 from lodbench.extras import require
 from lodbench.matching import open_extractor
 from lodbench.matching.roma import roma_encoder_file
-from lodbench.matching.weights import Published, fetched_folder
+from lodbench.segmentation.weight_files import Published, fetched_folder
 
 Pictures = NDArray[np.uint8]
 FeatureMaps = NDArray[np.float32]

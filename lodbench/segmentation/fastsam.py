@@ -17,7 +17,7 @@ from lodbench.segmentation.masks import read_photo
 from lodbench.segmentation.onnx_file import read_onnx
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.probability import resized_photo, working_size
-from lodbench.storage import file_digest
+from lodbench.segmentation.weight_files import weights_file
 
 Floats = NDArray[np.float32]
 # Never more instances of a photo than this, the likeliest first.
@@ -191,16 +191,9 @@ class FastSam(PhotoSegmenter):
         export = _EXPORT.format(size=params.size)
         if params.weights is None:
             raise ConfigError("segmenter=fastsam comes without weights.", export)
-        self._path = Path(params.weights).expanduser()
-        if self._path.suffix in (".pt", ".pth"):
-            raise ConfigError(f"{self._path} is a pickle, which lodbench does not open.", export)
-        if not self._path.is_file():
-            raise ConfigError(f"There are no weights {self._path}.", export)
-
-    @cached_property
-    def weights_digest(self) -> str:
-        """Returns the SHA-256 of the ONNX file."""
-        return file_digest(self._path)
+        if params.weights.endswith((".pt", ".pth")):
+            raise ConfigError(f"{params.weights} is a pickle, which lodbench does not open.", export)
+        self._path = weights_file(params.weights, export, ".onnx")
 
     def notes(self) -> tuple[str, ...]:
         """Returns the licence, and that all classes count, where they do."""

@@ -39,6 +39,7 @@ from lodbench.segmentation.probability import (
     working_size,
 )
 from lodbench.segmentation.protocol import FOR_PHOTOS, Segmenter, check_mask
+from lodbench.segmentation.weight_files import weights_file
 from lodbench.storage import digest_of, file_digest, make_folder, write_bytes
 from lodbench.storage.digest import content_digest, digest_of_code, read_content
 from lodbench.storage.paths import cache_root
@@ -114,15 +115,23 @@ class PhotoSegmenter(ABC):
 
     requires = frozenset({Input.IMAGE})
     provides = frozenset({Input.MASK})
+    # The file of the network's weights.
+    _path: Path
 
     def __init__(self, params: Any) -> None:
         self.params = params
         self.name: str = params.name
 
-    @property
-    @abstractmethod
+    @cached_property
     def weights_digest(self) -> str:
-        """Returns the SHA-256 of the weights, or ``random``."""
+        """Returns the SHA-256 of the weights' file.
+
+        Raises:
+            ConfigError: It is gone.
+        """
+        if not self._path.is_file():
+            raise ConfigError(f"There are no weights {self._path}.", "Set `segmenter.weights=FILE`.")
+        return file_digest(self._path)
 
     @abstractmethod
     def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -244,21 +253,9 @@ class PackagedNetwork(PhotoSegmenter):
     def __init__(self, params: Any) -> None:
         super().__init__(params)
         self._memory = MemoryTiles(params.name, params.size, self.stride)
+        hint = "`segmenter.weights=FILE` takes an ONNX file; without it those of the package are taken."
         given = params.weights
-        self._path = Path(given).expanduser() if given else self.packaged_weights()
-        if given and not self._path.is_file():
-            is_folder = self._path.is_dir()
-            raise ConfigError(
-                f"{self._path} is a folder." if is_folder else f"There are no weights {self._path}.",
-                "`segmenter.weights=FILE` takes an ONNX file; without it those of the package are taken.",
-            )
-
-    @cached_property
-    def weights_digest(self) -> str:
-        """Returns the SHA-256 of the ONNX file."""
-        if not self._path.is_file():
-            raise ConfigError(f"There are no weights {self._path}.", "Set `segmenter.weights=FILE`.")
-        return file_digest(self._path)
+        self._path = weights_file(given, hint, ".onnx") if given else self.packaged_weights()
 
     @cached_property
     def _net(self) -> Any:

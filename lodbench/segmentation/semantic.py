@@ -11,7 +11,8 @@ from typing import Any
 
 from lodbench.errors import ConfigError, nearest_names, require_within
 from lodbench.segmentation.probability import check_normalise
-from lodbench.segmentation.torch_segmenter import TorchSegmenter, hub_folder, is_hub_id
+from lodbench.segmentation.torch_segmenter import TorchSegmenter
+from lodbench.segmentation.weight_files import checkpoint_folder
 from lodbench.storage import digest_of, file_digest
 from lodbench.storage.json_text import parse_json
 
@@ -123,13 +124,8 @@ class Semantic(TorchSegmenter):
 
     def __init__(self, params: SemanticParams) -> None:
         super().__init__(params)
-        path = Path(params.weights).expanduser()
-        if not path.is_dir() and (path.exists() or not is_hub_id(params.weights)):
-            raise ConfigError(
-                f"{path} is not a folder." if path.exists() else f"There is no folder {path}.",
-                "`segmenter.weights=` takes a folder with config.json and safetensors files, or a hub id.",
-            )
-        self._folder = path if path.is_dir() else hub_folder(params.weights)
+        hint = "`segmenter.weights=` takes a folder with config.json and safetensors files, or a hub id."
+        self._folder = checkpoint_folder(params.weights, hint)
 
     @cached_property
     def weights_digest(self) -> str:

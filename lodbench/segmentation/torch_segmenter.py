@@ -1,4 +1,4 @@
-"""Segmenters that run a torch network: device, memory, weights from files or a local hub folder."""
+"""Segmenters that run a torch network, SAM2-UNet and SAM's adapter among them: device, memory, weights."""
 
 from __future__ import annotations
 
@@ -23,13 +23,9 @@ from lodbench.segmentation.probability import (
     resized_photo,
     working_size,
 )
-from lodbench.storage import file_digest
+from lodbench.segmentation.weight_files import RANDOM, weights_file
 
-RANDOM = "random"
-# The settings that weights stand in.
-SETTING, ENCODER_SETTING = "segmenter.weights", "segmenter.encoder_weights"
-# Names that end so are files, whatever else they look like.
-_WEIGHT_SUFFIXES = (".bin", ".ckpt", ".onnx", ".pt", ".pth", ".safetensors")
+_HINT = "{}= takes a file, a folder with one safetensors file, or a hub id fetched before."
 
 
 class TorchSegmenter(PhotoSegmenter):
@@ -72,12 +68,13 @@ class TorchSegmenter(PhotoSegmenter):
         if self.params.weights is None:
             raise ConfigError(
                 f"segmenter={self.name} comes without weights.",
-                f"{SETTING}=FILE; {SETTING}={RANDOM} tries it without any, and the run is invalid.",
+                "segmenter.weights=FILE; segmenter.weights=random tries it without any: the run is invalid.",
             )
         if self.params.weights == RANDOM:
             sys.stderr.write(f"lodbench: INVALID from here on: {self.name} has random weights.\n")
             return RANDOM
-        return file_digest(weights_file(self.params.weights, self.name))
+        self._path = weights_file(self.params.weights, _HINT.format("segmenter.weights"))
+        return super().weights_digest
 
     def notes(self) -> tuple[str, ...]:
         """Returns a note that the weights are random, where they are."""
@@ -98,8 +95,11 @@ class TorchSegmenter(PhotoSegmenter):
     def _init(self) -> str | None:
         """Returns the file that the network's weights are in, or None for random ones."""
         # Reported first: nobody shall take a random network for one that has learnt.
-        is_random = self.weights_digest == RANDOM
-        return None if is_random else str(weights_file(self.params.weights, self.name))
+        return None if self.weights_digest == RANDOM else str(self._path)
+
+    def encoder_file(self) -> Path:
+        """Returns the file that ``encoder_weights`` names."""
+        return weights_file(self.params.encoder_weights, _HINT.format("segmenter.encoder_weights"))
 
     def require_room(self, build: Callable[[], Any], init: str | None) -> None:
         """Makes sure that a network, and the file it is filled from, fit into memory.
@@ -162,69 +162,6 @@ class TorchSegmenter(PhotoSegmenter):
         path = folder / f"{self.name}.safetensors"
         save_weights(net, path)
         return path
-
-
-def weights_file(weights: str, name: str, setting: str = SETTING) -> Path:
-    """Returns the file that weights are in: a path, or the safetensors of a hub id fetched before.
-
-    Nothing is fetched here: a run must not depend on a network, and licences are accepted by people.
-
-    Raises:
-        ConfigError: It is not there; the message says how to get it.
-    """
-    path = Path(weights).expanduser()
-    if path.is_file():
-        return path
-    if path.is_dir():
-        found = sorted(path.glob("*.safetensors"))
-        if len(found) == 1:
-            return found[0]
-        raise ConfigError(
-            f"{path} holds {len(found)} safetensors files instead of one.", "Name the file itself."
-        )
-    if is_hub_id(weights):
-        return weights_file(str(hub_folder(weights)), name, setting)
-    raise ConfigError(
-        f"There are no weights {weights} for {name}.",
-        f"{setting}= takes a file, a folder with one safetensors file, or a hub id fetched before.",
-    )
-
-
-def is_hub_id(weights: str) -> bool:
-    """Tells whether weights may be called like a Hugging Face repository, owner/name, and not like a file."""
-    is_like_a_file = weights.startswith((".", "/", "~")) or Path(weights).suffix in _WEIGHT_SUFFIXES
-    return weights.count("/") == 1 and not is_like_a_file
-
-
-def hub_folder(identity: str, pattern: str = "*.safetensors") -> Path:
-    """Returns the local folder of a Hugging Face repository fetched before.
-
-    Args:
-        identity: The repository's.
-        pattern: What files it has at least one of.
-
-    Raises:
-        ConfigError: It is not there, or without its weights, as where a licence was not accepted; the
-            message has the id, the expected path and the command.
-    """
-    from huggingface_hub import snapshot_download
-    from huggingface_hub.constants import HF_HUB_CACHE
-
-    hint = (
-        f"Its licence stands at https://huggingface.co/{identity}; where it is gated, accept it there and "
-        f"run: hf auth login. Then: hf download {identity}"
-    )
-    try:
-        folder = Path(snapshot_download(identity, local_files_only=True))
-    except Exception as error:
-        expected = Path(HF_HUB_CACHE) / f"models--{identity.replace('/', '--')}"
-        raise ConfigError(f"The weights {identity} are not at {expected}.", hint) from error
-    if not any(folder.glob(pattern)):
-        raise ConfigError(
-            f"{folder} holds no {pattern.removeprefix('*.')} of {identity}: fetched in part, or refused.",
-            hint,
-        )
-    return folder
 
 
 _MEMINFO = Path("/proc/meminfo")
@@ -313,7 +250,7 @@ class Sam2UNetSegmenter(TorchSegmenter):
         if init is not None:
             fill(net, whole_checkpoint(read_weights(Path(init).expanduser())), init)
         elif self.params.encoder_weights is not None:
-            path = weights_file(self.params.encoder_weights, self.name, ENCODER_SETTING)
+            path = self.encoder_file()
             fill_encoder(net, read_weights(path), str(path))
         return net
 
@@ -349,6 +286,6 @@ class Sam1AdapterSegmenter(TorchSegmenter):
         self.require_room(lambda: Sam1Adapter(self.params.encoder, self.params.size), init)
         net = Sam1Adapter(self.params.encoder, self.params.size)
         if init is None and self.params.encoder_weights is not None:
-            path = weights_file(self.params.encoder_weights, self.name, ENCODER_SETTING)
-            fill_sam(net, read_weights(Path(path)), str(path))
+            path = self.encoder_file()
+            fill_sam(net, read_weights(path), str(path))
         return load_own(net, init)

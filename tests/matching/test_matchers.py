@@ -8,7 +8,7 @@ import pytest
 
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.matching import Features, match_images, open_extractor, open_matcher
-from lodbench.matching.weights import Published, fetched_folder, named_file
+from lodbench.segmentation.weight_files import Published, fetched_folder, weights_file
 
 HALF = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
 # Of pixels whose first centre is (0.5, 0.5): a turn, half the size, a shear and some perspective.
@@ -114,16 +114,16 @@ RIGHT, WRONG = hashlib.sha256(CONTENT).hexdigest(), 64 * "0"
 def test_a_pinned_file_or_folder_is_taken_if_it_is_the_one(tmp_path):
     file = tmp_path / "net.safetensors"
     file.write_bytes(CONTENT)
-    assert named_file(f"{file}#sha256={RIGHT}") == named_file(str(file)) == file
+    assert weights_file(f"{file}#sha256={RIGHT}") == weights_file(str(file)) == file
     assert fetched_folder(f"{tmp_path}#sha256={RIGHT}", PUBLISHED) == tmp_path
     for take in (
-        lambda: named_file(f"{file}#sha256={WRONG}"),
+        lambda: weights_file(f"{file}#sha256={WRONG}"),
         lambda: fetched_folder(f"{tmp_path}#sha256={WRONG}", PUBLISHED),
     ):
         with pytest.raises(ConfigError, match=f"have the sha256 {RIGHT}, not {WRONG}"):
             take()
     with pytest.raises(ConfigError, match="is no SHA-256"):
-        named_file(f"{file}#sha256=12")
+        weights_file(f"{file}#sha256=12")
     (tmp_path / "second.safetensors").write_bytes(b"")
     with pytest.raises(ConfigError, match="has 2 files"):
         fetched_folder(f"{tmp_path}#sha256={RIGHT}", PUBLISHED)

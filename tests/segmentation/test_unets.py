@@ -12,6 +12,7 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.segmentation.compact import Compact, CompactParams
 from lodbench.segmentation.efficient_unet import EfficientUnet, EfficientUnetParams, encoder_file
 from lodbench.segmentation.probability import padded_photo, resized_photo, working_size
+from lodbench.storage import file_digest
 
 torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
 
@@ -172,6 +173,17 @@ def test_the_fingerprint_names_photo_size_and_weights(weights, tmp_path):
     assert first != Compact(CompactParams(weights=str(weights), size=96)).fingerprint(entries)
     cv2.imwrite(str(tmp_path / "a.png"), photo_of(8, 8, seed=1))
     assert first != Compact(CompactParams(weights=str(weights), size=64)).fingerprint(entries)
+
+
+def test_weights_may_be_pinned_and_stand_alone_in_a_folder(weights):
+    digest = file_digest(weights)
+    for given in (f"{weights}#sha256={digest}", str(weights.parent), f"{weights.parent}#sha256={digest}"):
+        assert Compact(CompactParams(weights=given)).weights_digest == digest
+    assert Compact(CompactParams(weights=f"{weights}#sha256={digest}")).notes() == (
+        f"segmenter compact, weights of {weights.name}",
+    )
+    with pytest.raises(ConfigError, match=f"have the sha256 {digest}, not {'0' * 64}"):
+        Compact(CompactParams(weights=f"{weights}#sha256={'0' * 64}"))
 
 
 def test_faults_are_reported_in_one_line(tmp_path):

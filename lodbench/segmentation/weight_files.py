@@ -1,4 +1,7 @@
-"""Where the weights of learned features and matchers are: in a file, or in an installed package."""
+"""Where weights of networks are: a file, an installed package, or the folder of a hub id fetched before.
+
+Nothing is fetched here: a run must not depend on a network, and licences are accepted by people.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from lodbench.errors import ConfigError
-from lodbench.segmentation.torch_segmenter import hub_folder
 from lodbench.storage import file_digest
 
 RANDOM = "random"
+# Names that end so are files, whatever else they look like.
+_SUFFIXES = (".bin", ".ckpt", ".onnx", ".pt", ".pth", ".safetensors")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +34,7 @@ class Published:
     megabytes: int
 
 
-def packaged_file(package: str, path: str, extra: str, published: Published) -> Path:
+def installed_file(package: str, path: str, extra: str, published: Published) -> Path:
     """Returns a file inside an installed package, which is not imported.
 
     Raises:
@@ -104,18 +108,84 @@ def _located(weights: str, published: Published, pattern: str) -> tuple[Path, li
     return folder, pins
 
 
-def named_file(weights: str) -> Path:
-    """Returns the file that a setting names; ``#sha256=HEX`` behind it pins its content.
+def weights_file(weights: str, hint: str = "Check the path.", suffix: str = ".safetensors") -> Path:
+    """Returns the file that a setting names.
+
+    Args:
+        weights: A file, a folder with one file of the suffix, or, of safetensors, a hub id fetched before;
+            ``#sha256=HEX`` behind it pins the content.
+        hint: Where to get weights.
+        suffix: What files in folders are looked for.
 
     Raises:
         ConfigError: There is none, or its content is another.
     """
     place, pins = _split_pins(weights)
-    file = Path(place).expanduser()
-    if not file.is_file():
-        raise ConfigError(f"There are no weights {file}.", "Check the path.")
-    _require_contents([file], pins)
-    return file
+    path = Path(place).expanduser()
+    if suffix == ".safetensors" and not path.exists() and _is_hub_id(place):
+        path = hub_folder(place)
+    if path.is_dir():
+        found = sorted(path.glob(f"*{suffix}"))
+        if len(found) != 1:
+            raise ConfigError(f"{path} is a folder of {len(found)} files *{suffix} instead of one.", hint)
+        path = found[0]
+    if not path.is_file():
+        raise ConfigError(f"There are no weights {path}.", hint)
+    _require_contents([path], pins)
+    return path
+
+
+def checkpoint_folder(weights: str, hint: str) -> Path:
+    """Returns a folder that holds a network with its configuration: one that is named, or that of a hub id.
+
+    Raises:
+        ConfigError: It is not there.
+    """
+    path = Path(weights).expanduser()
+    if path.is_dir():
+        return path
+    if path.exists() or not _is_hub_id(weights):
+        raise ConfigError(
+            f"{path} is not a folder." if path.exists() else f"There is no folder {path}.", hint
+        )
+    return hub_folder(weights)
+
+
+def _is_hub_id(weights: str) -> bool:
+    """Tells whether weights may be called like a Hugging Face repository, owner/name, and not like a file."""
+    is_like_a_file = weights.startswith((".", "/", "~")) or Path(weights).suffix in _SUFFIXES
+    return weights.count("/") == 1 and not is_like_a_file
+
+
+def hub_folder(identity: str, pattern: str = "*.safetensors") -> Path:
+    """Returns the local folder of a Hugging Face repository fetched before.
+
+    Args:
+        identity: The repository's.
+        pattern: What files it has at least one of.
+
+    Raises:
+        ConfigError: It is not there, or without its weights, as where a licence was not accepted; the
+            message has the id, the expected path and the command.
+    """
+    from huggingface_hub import snapshot_download
+    from huggingface_hub.constants import HF_HUB_CACHE
+
+    hint = (
+        f"Its licence stands at https://huggingface.co/{identity}; where it is gated, accept it there and "
+        f"run: hf auth login. Then: hf download {identity}"
+    )
+    try:
+        folder = Path(snapshot_download(identity, local_files_only=True))
+    except Exception as error:
+        expected = Path(HF_HUB_CACHE) / f"models--{identity.replace('/', '--')}"
+        raise ConfigError(f"The weights {identity} are not at {expected}.", hint) from error
+    if not any(folder.glob(pattern)):
+        raise ConfigError(
+            f"{folder} holds no {pattern.removeprefix('*.')} of {identity}: fetched in part, or refused.",
+            hint,
+        )
+    return folder
 
 
 def _split_pins(weights: str) -> tuple[str, list[str]]:
