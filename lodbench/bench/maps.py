@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from lodbench.bench.report import Figure, Progress, Report, no_progress, plain_report, words
 from lodbench.citymap import CityMap
-from lodbench.citymodel.mesh.texture_files import open_textured_map
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import open_scene
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.textured_map import open_textured_map
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset

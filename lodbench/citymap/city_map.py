@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.model import take_segments
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.kernels import visible_buildings
@@ -96,7 +96,7 @@ class CityMap:
             all else is drawn by the engine that does so fastest.
         threads: Worker threads; None for one per core.
         textured: A textured map of the place, in the scene's frame, for ``colour``; see
-            ``lodbench.citymodel.mesh.texture_files.open_textured_map``.
+            ``lodbench.citymodel.textured_map.open_textured_map``.
 
     Attributes:
         scene: The city.

@@ -15,7 +15,7 @@ each thing goes:
   ``cache`` and ``scene_file``;
 - reported: ``checks/report``;
 - written: ``convert``, with ``gml/writer``, ``cityjson/writer``, ``mesh/writer``;
-- photographed surfaces: ``pictures`` of a model, ``mesh/textured`` of a textured map.
+- photographed surfaces: ``textures`` for readers and writers, ``textured_map`` for what is rendered.
 """
 
 from __future__ import annotations

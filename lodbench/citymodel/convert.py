@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,16 +16,15 @@ from lodbench.citymodel.cityjson.writer import cityjson_text, cityjsonseq_text
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.gml.writer import CityGmlWriter
 from lodbench.citymodel.json_documents import MeshFrame
-from lodbench.citymodel.mesh.texture_files import read_textured
-from lodbench.citymodel.mesh.textured import textured_model
-from lodbench.citymodel.mesh.writer import glb_bytes, obj_text, ply_bytes, write_pictures, write_textured
-from lodbench.citymodel.model import FIRST_COLOUR, CityModel, polygon_blocks
+from lodbench.citymodel.mesh.writer import glb_bytes, obj_text, ply_bytes, write_textured
+from lodbench.citymodel.model import CityModel, polygon_blocks
 from lodbench.citymodel.options import ReadOptions, made_with
-from lodbench.citymodel.pictures import counted_lines, wraps_of
 from lodbench.citymodel.read import CityMesh, mesh_model
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import TILE_INDEX, file_source, own_geojson
 from lodbench.citymodel.subset import drop_repeats_of_mesh, footprint_boxes, keep_buildings, keep_level
+from lodbench.citymodel.textured_map import read_textured, textured_model
+from lodbench.citymodel.textures import counted_lines, write_pictures
 from lodbench.citymodel.triangulate import CHUNK_POLYGONS, triangulate
 from lodbench.errors import CityModelError, LodbenchError
 from lodbench.findings import Findings
@@ -221,7 +219,11 @@ def convert_city(
             model = keep_level(model, lod, roof_height, findings)
         model = drop_repeats_of_mesh(model, findings)
         check_surfaces(model, findings)
-        pictures, lost_pictures = _written_pictures(model, target)
+        try:
+            pictures = write_pictures(model, target)
+        except OSError as error:
+            raise _unwritable(target, error) from None
+        lost_pictures = pictures.notes
         if suffix in _CITYJSON_WRITERS:
             content, left_out = _CITYJSON_WRITERS[suffix](model, pictures)
             chunks = (content,)
@@ -243,19 +245,6 @@ def convert_city(
         raise _unwritable(target, error) from None
     left_out = left_out if writer is None else counted_lines(writer.notes)
     return Conversion(target, model, mesh, findings, (*left_out, *lost_pictures))
-
-
-def _written_pictures(model: CityModel, target: Path) -> tuple[dict[int, str], tuple[str, ...]]:
-    """Writes the pictures of a city; returns their names by number, and what is not kept, a line each."""
-    if model.pictures is None:
-        return {}, ((_LOST_LOOKS,) if model.has_textures else ())
-    try:
-        names, notes = write_pictures(model, target)
-    except OSError as error:
-        raise _unwritable(target, error) from None
-    is_coloured = () if model.polygons.picture is None else model.polygons.picture <= FIRST_COLOUR
-    coloured = Counter({"surface with a material: its colour": int(np.count_nonzero(is_coloured))})
-    return names, (*model.pictures.notes, *counted_lines(+coloured), *notes)
 
 
 def _unwritable(target: Path, error: OSError) -> CityModelError:
@@ -288,7 +277,7 @@ def convert_textured(
     write_textured(mesh, MeshFrame(model.origin, model.crs), target)
     findings = Findings(list(model.findings.items))
     left_out = "names of buildings, and all levels but the finest: triangles stand by picture"
-    if source is None and set(wraps_of(model.pictures).values()) - {"wrap"}:
+    if source is None and model.pictures is not None and set(model.pictures.wraps) - {"", "wrap"}:
         left_out += "; wrapMode of pictures, which repeat here"
     return Conversion(target, model, None, findings, (left_out, *mesh.notes))
 
@@ -347,7 +336,6 @@ _MESH_WRITERS: dict[str, Callable[[Scene], bytes]] = {
 _TEXTURED_SUFFIXES = (".glb", ".obj")
 # What is read again from these is a building where it hangs together; OBJ has the names for other programs.
 _NAMELESS_SUFFIXES = (".obj", ".ply")
-_LOST_LOOKS = "pictures of surfaces (--textures keeps them) or materials (which it does not)"
 _LOST_NAMES = "names of buildings where lodbench reads it again: what hangs together is one (.glb keeps them)"
 _CITYGML_SUFFIXES = (".gml", ".xml", ".citygml")
 FORMATS = (*_MESH_WRITERS, *_CITYJSON_WRITERS, *_CITYGML_SUFFIXES, ".scene")

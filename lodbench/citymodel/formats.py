@@ -235,18 +235,18 @@ class Surface:
 
 def _details_wanted(source: Source, options: ReadOptions) -> dict[str, Any]:
     """Returns the arguments that readers of details, attributes and pictures, share."""
-    pictures = None
+    textures = None
     if options.has_textures and options.has_details:
-        from lodbench.citymodel.pictures import PictureTable, TextureFolder
+        from lodbench.citymodel.textures import SurfaceTextures, TextureFolder
 
         folder = TextureFolder(source.path.parent, source.path.parent)
-        pictures = PictureTable(folder, is_packed="!" in source.name)
+        textures = SurfaceTextures(folder, is_packed="!" in source.name)
     return {
         "is_strict": options.is_strict,
         "has_details": options.has_details,
         "layers": options.layers,
         "day": options.date,
-        "pictures": pictures,
+        "textures": textures,
     }
 
 

@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.mesh.texture_files import open_textured_map
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.textured_map import open_textured_map
 from lodbench.datasets.faults import aspect_fault
 from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text, read_cameras, read_poses
 from lodbench.errors import ConfigError, DatasetError, RenderingError, nearest_names

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene, build_scene
+from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import blender_from_opencv

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.geometry import Camera
 from lodbench.kernels import resolve_textured
 from lodbench.kernels.arguments import Band, Buffer

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 
 from lodbench import __version__
 from lodbench.citymodel.cache import open_cached_city
-from lodbench.citymodel.mesh.texture_files import files_of_textured, read_textured
-from lodbench.citymodel.mesh.textured import offset_to_city
 from lodbench.citymodel.options import PATH_OPTIONS, ReadOptions, changed_options
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import open_sources
+from lodbench.citymodel.textured_map import files_of_textured, offset_to_city, read_textured
 from lodbench.datasets.folder import RENDERED_TRUTH_FILE, write_poses
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, DatasetError

@@ -14,9 +14,8 @@ import numpy as np
 import xxhash
 from numpy.typing import NDArray
 
-from lodbench.citymodel.mesh.texture_files import read_textured
-from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene, building_boxes
+from lodbench.citymodel.textured_map import TexturedMesh, read_textured
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Pose
 from lodbench.photos.pictures import encoded, encoded_mask

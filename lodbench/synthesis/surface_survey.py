@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.mesh.textured import TexturedMesh
+from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.kernels import draw_from_above
 from lodbench.storage import random_stream
 

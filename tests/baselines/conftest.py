@@ -6,7 +6,7 @@ import pytest
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
-from lodbench.citymodel.mesh.textured import TexturedMesh
+from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.datasets.query import Query
 from tests.town import CAMERA, box_obj, prior_of, true_poses
 

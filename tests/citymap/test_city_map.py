@@ -9,8 +9,8 @@ import pytest
 from lodbench.citymap import CityMap
 from lodbench.citymap.city_map import corrected_map
 from lodbench.citymodel import open_scene
-from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene, build_scene
+from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler
 from lodbench.rendering import BoundaryFit, IouFit

@@ -15,7 +15,7 @@ from lodbench.citymodel.checks.report import check_city, city_info
 from lodbench.citymodel.convert import convert_city
 from lodbench.citymodel.json_documents import frame_of_comments, frame_of_extras
 from lodbench.citymodel.mesh.reader import read_obj
-from lodbench.citymodel.mesh.texture_files import read_textured
+from lodbench.citymodel.textured_map import read_textured
 from lodbench.cli import main
 from lodbench.errors import CityModelError, DatasetError
 from lodbench.findings import Findings

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import ReadOptions, open_scene, read_city_model
-from lodbench.citymodel.mesh.texture_files import open_textured_map
 from lodbench.citymodel.scene import build_scene
-from lodbench.citymodel.surface.orthophoto import open_imagery, read_textured_surface, square_corners
+from lodbench.citymodel.surface.orthophoto import open_imagery, square_corners
+from lodbench.citymodel.textured_map import open_textured_map, read_textured
 from lodbench.errors import CityModelError, ConfigError, DatasetError
 from lodbench.synthesis.surface_survey import orthophoto, seen_from_above
 
@@ -224,7 +224,7 @@ def test_the_mesh_has_the_colours_of_their_places(tmp_path: Path) -> None:
     picture[:, 40:96, 40:104] = np.array(RED)[:, None, None]
     path = write_raster(tmp_path / "dsm.tif", heights)
     options = ReadOptions(orthophoto=str(write_colours(tmp_path / "dop.tif", picture)))
-    mesh = read_textured_surface(path, options)
+    mesh = read_textured(path, options=options)
     _, triangle = seen_from_above(mesh.corners, WEST, NORTH, CELL_M, heights.shape)
     seen = orthophoto(mesh, WEST, NORTH, CELL_M, triangle)
     assert (seen[24:44, 24:48] == RED).all()
@@ -238,7 +238,7 @@ def test_what_is_no_orthophoto_is_refused(tmp_path: Path) -> None:
     heights = heights_of([HOUSE])
     path = write_raster(tmp_path / "dsm.tif", heights)
     with pytest.raises(DatasetError, match="heights alone"):
-        read_textured_surface(path, ReadOptions())
+        read_textured(path, options=ReadOptions())
     for photo, match in ((tmp_path / "no.tif", "no orthophoto"), (path, "bands of float32")):
         with pytest.raises(CityModelError, match=match):
-            read_textured_surface(path, ReadOptions(orthophoto=str(photo)))
+            read_textured(path, options=ReadOptions(orthophoto=str(photo)))

@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from lodbench.citymodel import ReadOptions, read_city_model
-from lodbench.citymodel.mesh.texture_files import read_textured
 from lodbench.citymodel.model import CityModel
+from lodbench.citymodel.textured_map import read_textured
 from lodbench.cli import main
 
 from .schemas import FEATURE, assert_keeps_the_rules, assert_valid

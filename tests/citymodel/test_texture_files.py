@@ -8,9 +8,8 @@ import trimesh
 from PIL import Image
 
 from lodbench.citymodel import ReadOptions, open_scene, read_city_model
-from lodbench.citymodel.mesh.texture_files import open_textured_map, read_textured
-from lodbench.citymodel.mesh.textured import textured_model
-from lodbench.citymodel.pictures import TextureFolder
+from lodbench.citymodel.textured_map import open_textured_map, read_textured, textured_model
+from lodbench.citymodel.textures import TextureFolder
 from lodbench.errors import CityModelError, DatasetError
 
 from .textured_case import (

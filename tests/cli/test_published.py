@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
-from lodbench.citymodel.mesh.texture_files import open_textured_map
+from lodbench.citymodel.textured_map import open_textured_map
 from lodbench.cli import main
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.registry import open_dataset

@@ -16,7 +16,7 @@ from hostile_scenes import (
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lodbench.citymodel.mesh.textured import TexturedMesh, join_textured
+from lodbench.citymodel.textured_map import TexturedMesh, join_textured
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler
 from lodbench.rendering.backends import PyrenderTextured

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import open_scene
-from lodbench.citymodel.mesh.texture_files import read_textured
-from lodbench.citymodel.mesh.textured import offset_to_city
+from lodbench.citymodel.textured_map import offset_to_city, read_textured
 from lodbench.errors import CityModelError, ConfigError, DatasetError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.kernels.looks import SurfaceClass

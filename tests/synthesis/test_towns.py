@@ -203,7 +203,7 @@ def test_what_is_made_on_demand_is_made_for_who_asks_only(tmp_path):
 def test_the_map_is_the_town_as_it_was_the_same_each_time(tmp_path, monkeypatch):
     from lodbench.citymap import CityMap
     from lodbench.citymodel import open_scene
-    from lodbench.citymodel.mesh.texture_files import open_textured_map
+    from lodbench.citymodel.textured_map import open_textured_map
     from lodbench.synthesis.textured_survey import write_textured_map
     from tests.town import town_of
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.attributes import ObjectTable
 from lodbench.citymodel.codes import BAD_INDEX, GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED, SEMANTICS_MISFIT
-from lodbench.citymodel.collector import PolygonCollector
 from lodbench.citymodel.gml.names import INTERIOR_NAMES, SURFACE_KINDS
-from lodbench.citymodel.json_documents import points_of
-from lodbench.citymodel.model import NO_PICTURE, SurfaceKind
-from lodbench.citymodel.pictures import PictureTable
+from lodbench.citymodel.json_documents import list_or_empty, points_of
+from lodbench.citymodel.model import SurfaceKind
+from lodbench.citymodel.raw import PolygonCollector
+from lodbench.citymodel.textures import Image, SurfaceTextures
 from lodbench.errors import CityModelError
 
 Json = dict[str, Any]
@@ -176,8 +176,6 @@ class GeometryReader:
         lengths = collector.ring_lengths[self._first_ring :]
         owners = collector.owners[self._first_polygon :]
         serials = collector.serials[self._first_polygon :]
-        painted = collector.painted
-        painted_here = {n: painted.pop(n) for n in sorted(painted) if n >= self._first_polygon}
         del collector.ring_counts[self._first_polygon :], collector.owners[self._first_polygon :]
         del collector.serials[self._first_polygon :]
         del collector.ring_lengths[self._first_ring :]
@@ -191,8 +189,6 @@ class GeometryReader:
             if self._is_sound(indices):
                 kept += indices
                 collector.ring_lengths += own_lengths
-                if self._first_polygon + polygon in painted_here:
-                    painted[len(collector.owners)] = painted_here[self._first_polygon + polygon]
                 collector.ring_counts.append(count)
                 collector.owners.append(owners[polygon])
                 collector.serials += serials[polygon : polygon + 1]  # none where no details are kept
@@ -212,12 +208,12 @@ class GeometryReader:
         if oddity:
             collector.findings.add(SEMANTICS_MISFIT, object_id, f"LoD{geometry.get('lod')}: {oddity}")
         self._objects.append((len(collector.ring_counts), object_id))
-        if self._textures is not None and "texture" in geometry:
-            surfaces_painted = self._textures.read(geometry, surfaces, DEPTHS[geometry["type"]])
-            collector.painted |= {len(collector.owners) + n: one for n, one in surfaces_painted.items()}
         collector.owners += [(building, lod, kind, part) for kind in kinds]
-        if collector.objects is not None and collector.objects.has_details:
-            self._note_solids(geometry, collector.objects, part, len(surfaces))
+        table = collector.objects
+        if table is not None and table.has_details:
+            if self._textures is not None and "texture" in geometry:
+                self._textures.read(geometry, surfaces, table.num_polygons)
+            self._note_solids(geometry, table, part, len(surfaces))
         rings = list(chain.from_iterable(surfaces))
         indices += chain.from_iterable(rings)
         collector.ring_lengths += map(len, rings)
@@ -290,21 +286,25 @@ def lod_name(value: Any) -> str:
 
 
 class TextureReader:
-    """Reads which pictures lie on the surfaces of geometries, of the default theme or else the first.
+    """Lays pictures on the surfaces of geometries, of the default theme or else the first.
+
+    Args:
+        appearance: Of a document or feature.
+        textures: Receives the pictures, by the serial numbers of polygons.
+        source: The file's name, for messages.
 
     Raises:
         CityModelError: The places on the pictures are no pairs of numbers.
     """
 
-    def __init__(self, appearance: Json, pictures: PictureTable, source: str) -> None:
-        self._pictures = pictures
+    def __init__(self, appearance: Json, textures: SurfaceTextures, source: str) -> None:
+        self._textures = textures
         self._theme = appearance.get("default-theme-texture")
-        textures = appearance.get("textures")
         self._images = [
-            (str(texture.get("image", "")), str(texture.get("wrapMode") or ""))
+            Image(str(texture.get("image", "")), str(texture.get("wrapMode") or ""))
             if isinstance(texture, dict)
-            else ("", "")
-            for texture in (textures if isinstance(textures, list) else ())
+            else Image("")
+            for texture in list_or_empty(appearance.get("textures"))
         ]
         try:
             self._places = np.asarray(appearance.get("vertices-texture") or [], np.float64).reshape(-1, 2)
@@ -314,55 +314,40 @@ class TextureReader:
                 "Mend them, or leave out `--textures`.",
             ) from None
         if appearance.get("materials"):
-            pictures.notes["list of materials: colours of surfaces"] += 1
+            textures.notes["list of materials: colours of surfaces"] += 1
 
-    def read(
-        self, geometry: Json, surfaces: Sequence[Any], depth: int
-    ) -> dict[int, tuple[int, NDArray[np.float64]]]:
-        """Returns the picture of surfaces that have one, and the places of all their corners on it.
-
-        Args:
-            geometry: With a member ``texture``.
-            surfaces: Its surfaces, in their order.
-            depth: How many lists stand around a surface.
-        """
-        themes = geometry["texture"]
+    def read(self, geometry: Json, surfaces: Sequence[Any], first_serial: int) -> None:
+        """Lays pictures on the surfaces of a geometry with a member ``texture``, in their order."""
+        themes, notes = geometry["texture"], self._textures.notes
         if not isinstance(themes, dict) or not themes:
-            return {}
+            return
         theme = self._theme if self._theme in themes else next(iter(themes))
         if len(themes) > 1:
-            self._pictures.notes[f"theme of pictures besides {str(theme)[:60]!r}"] += len(themes) - 1
+            notes[f"theme of pictures besides {str(theme)[:60]!r}"] += len(themes) - 1
         values = themes[theme].get("values") if isinstance(themes[theme], dict) else None
         try:
-            for _ in range(depth):
+            for _ in range(DEPTHS[geometry["type"]]):
                 values = list(chain.from_iterable(values or ()))
             if values is None or len(values) != len(surfaces):
                 raise ValueError("another number of surfaces")
-            found = {n: self._surface(*pair) for n, pair in enumerate(zip(surfaces, values, strict=True))}
+            said = [
+                [self._ring(label) for label in labels]
+                if labels and labels[0] and type(labels[0][0]) is int
+                else None
+                for labels in values
+            ]
         except (TypeError, ValueError, LookupError):
-            self._pictures.notes["geometry with textures nested otherwise than its surfaces"] += 1
-            return {}
-        return {n: one for n, one in found.items() if one is not None}
+            notes["geometry with textures nested otherwise than its surfaces"] += 1
+            return
+        for serial, (surface, rings) in enumerate(zip(surfaces, said, strict=True), first_serial):
+            if rings is not None:
+                self._textures.lay(serial, list(map(len, surface)), rings)
 
-    def _surface(self, surface: list[Any], labels: Any) -> tuple[int, NDArray[np.float64]] | None:
-        """Returns the picture of a surface and (P, 2) places of its corners, NaN on rings without any."""
-        if not labels or not labels[0] or type(labels[0][0]) is not int:
+    def _ring(self, label: list[Any]) -> tuple[Image | None, NDArray[np.float64]] | None:
+        """Returns the picture of a ring, None without one in the file, and (n, 2) places of its corners."""
+        if not label or type(label[0]) is not int:
             return None
-        image = labels[0][0]
-        picture = (
-            self._pictures.number(*self._images[image]) if 0 <= image < len(self._images) else NO_PICTURE
-        )
-        if picture == NO_PICTURE:
-            self._pictures.notes["surface whose picture is not there"] += 1
-            return None
-        places = [np.full((len(ring), 2), np.nan) for ring in surface]
-        for own, label in zip(places, labels, strict=False):
-            corners = label[1:] if label else []
-            if not label or label[0] != image or len(corners) != len(own):
-                continue
-            if all(type(k) is int and 0 <= k < len(self._places) for k in corners):
-                own[:] = self._places[corners]
-        if not np.isfinite(places[0]).all():
-            self._pictures.notes["surface whose places on its picture do not fit its corners"] += 1
-            return None
-        return picture, np.concatenate(places)
+        image, *corners = label
+        are_there = all(type(k) is int and 0 <= k < len(self._places) for k in corners)
+        places = self._places[corners] if corners and are_there else np.zeros((0, 2))
+        return self._images[image] if 0 <= image < len(self._images) else None, places

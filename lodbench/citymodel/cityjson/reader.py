@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from lodbench.citymodel.attributes import Lifespans, ObjectTable, overall_height, roof_type_of
 from lodbench.citymodel.cityjson.geometry import GeometryReader, TextureReader
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
-from lodbench.citymodel.collector import PolygonCollector
 from lodbench.citymodel.crs import crs_label, is_in_degrees
 from lodbench.citymodel.gml.names import INTERIOR_NAMES, STOREYS
 from lodbench.citymodel.json_documents import (
@@ -25,8 +24,8 @@ from lodbench.citymodel.json_documents import (
     points_of,
 )
 from lodbench.citymodel.options import types_of
-from lodbench.citymodel.pictures import PictureTable
-from lodbench.citymodel.raw import NotACity, RawCity, paused_collector
+from lodbench.citymodel.raw import NotACity, PolygonCollector, RawCity, paused_collector
+from lodbench.citymodel.textures import SurfaceTextures
 from lodbench.errors import CityModelError
 
 _GROUP = "CityObjectGroup"
@@ -75,7 +74,7 @@ def read_cityjson(
     is_strict: bool = True,
     has_details: bool = False,
     layers: Sequence[str] = (),
-    pictures: PictureTable | None = None,
+    textures: SurfaceTextures | None = None,
     day: str | None = None,
 ) -> RawCity:
     """Returns the buildings of a CityJSON file or a sequence of CityJSON features, and objects of its layers.
@@ -86,14 +85,14 @@ def read_cityjson(
         is_strict: Whether a bad vertex index is an error, or a finding that drops its polygon.
         has_details: Whether attributes and solids are kept as well.
         layers: Names of ``LAYERS``: what to read besides buildings.
-        pictures: Receives those of surfaces, which are kept then.
+        textures: Receives the pictures of surfaces, which are kept then; with ``has_details``.
         day: Date on which objects must stand whose end is stated; None for today.
 
     Raises:
         CityModelError: The file is no JSON, no CityJSON, or breaks its structure; the message names
             the object.
     """
-    reader = _Reader(source, is_strict, has_details, layers, pictures, day)
+    reader = _Reader(source, is_strict, has_details, layers, textures, day)
     with paused_collector(), open_stream() as stream:
         return reader.result(reader.read(documents_of(stream, source, reader.repeated)))
 
@@ -107,14 +106,14 @@ class _Reader:
         is_strict: bool,
         has_details: bool,
         layers: Sequence[str],
-        pictures: PictureTable | None,
+        textures: SurfaceTextures | None,
         day: str | None,
     ) -> None:
         self._source = source
         self._is_strict = is_strict
         self._wanted = types_of(layers)
         self._objects = ObjectTable(has_details)
-        self._collector = PolygonCollector(objects=self._objects, pictures=pictures)
+        self._collector = PolygonCollector(objects=self._objects, textures=textures)
         self._lifespans = Lifespans(day, self._collector.findings)
         self._version: str | None = None
         self._srs_name: str | None = None
@@ -179,8 +178,8 @@ class _Reader:
             raise CityModelError(f"{self._source} has a feature that is no CityJSON object.", _HINT)
         appearance, textures = document.get("appearance"), None
         self._has_textures |= isinstance(appearance, dict) and any(map(appearance.get, _LOOKS))
-        if self._collector.pictures is not None and isinstance(appearance, dict):
-            textures = TextureReader(appearance, self._collector.pictures, self._source)
+        if self._collector.textures is not None and isinstance(appearance, dict):
+            textures = TextureReader(appearance, self._collector.textures, self._source)
         if document.get("type") == "CityJSON":
             self._template_textures = textures  # templates stand in headers, and so do their pictures
         objects: dict[str, Json] = document.get("CityObjects", {})

@@ -11,15 +11,9 @@ from typing import Any
 import numpy as np
 
 from lodbench.citymodel.json_documents import ONE_TEXT, fitting, listed, reference_system
-from lodbench.citymodel.model import (
-    CityModel,
-    CityObjects,
-    Polygons,
-    SurfaceKind,
-    group_by,
-)
-from lodbench.citymodel.pictures import counted_lines, wraps_of
+from lodbench.citymodel.model import CityModel, CityObjects, Polygons, SurfaceKind, group_by
 from lodbench.citymodel.raw import buildings_only
+from lodbench.citymodel.textures import WrittenPictures, counted_lines
 
 _SURFACE_NAMES = {
     SurfaceKind.WALL: "WallSurface",
@@ -48,14 +42,14 @@ _LOD = re.compile(r"[0-3](\.[0-3])?")
 Json = dict[str, Any]
 
 
-def cityjson_text(model: CityModel, pictures: dict[int, str] | None = None) -> tuple[bytes, tuple[str, ...]]:
+def cityjson_text(model: CityModel, pictures: WrittenPictures | None = None) -> tuple[bytes, tuple[str, ...]]:
     """Returns a city as one CityJSON 2.0 document, and a line for each thing it could not say.
 
     Args:
         model: The city; read with ``ReadOptions(has_details=True)`` it has attributes and solids.
-        pictures: Where those of its pictures lie that are kept, by number.
+        pictures: Those of its pictures that are kept.
     """
-    writer = _Writer(model, pictures or {})
+    writer = _Writer(model, pictures or WrittenPictures())
     objects: Json = {}
     for building in range(len(model.building_ids)):
         objects |= writer.objects_of(building)
@@ -66,10 +60,10 @@ def cityjson_text(model: CityModel, pictures: dict[int, str] | None = None) -> t
 
 
 def cityjsonseq_text(
-    model: CityModel, pictures: dict[int, str] | None = None
+    model: CityModel, pictures: WrittenPictures | None = None
 ) -> tuple[bytes, tuple[str, ...]]:
     """Returns a city as a sequence of CityJSON features, a building to a line; see ``cityjson_text``."""
-    writer = _Writer(model, pictures or {})
+    writer = _Writer(model, pictures or WrittenPictures())
     lines = [
         json.dumps(
             writer.header() | {"CityObjects": {}, "vertices": []}, separators=(",", ":"), ensure_ascii=False
@@ -77,7 +71,7 @@ def cityjsonseq_text(
     ]
     for building, building_id in enumerate(model.building_ids):
         # A feature has an appearance of its own.
-        writer.textures = TextureWriter(model.polygons, pictures or {}, wraps_of(model.pictures))
+        writer.textures = TextureWriter(model.polygons, pictures or WrittenPictures())
         objects = writer.objects_of(building)
         used = sorted(
             {n for item in objects.values() for shape in item.get("geometry", ()) for n in _leaves(shape)}
@@ -106,10 +100,10 @@ class _Writer:
         textures: Receives the pictures of the surfaces written.
     """
 
-    def __init__(self, model: CityModel, pictures: dict[int, str]) -> None:
+    def __init__(self, model: CityModel, pictures: WrittenPictures) -> None:
         polygons = model.polygons
         self._model = model
-        self.textures = TextureWriter(polygons, pictures, wraps_of(model.pictures))
+        self.textures = TextureWriter(polygons, pictures)
         self._objects: CityObjects = model.objects or buildings_only(model.building_ids)
         self._low = polygons.points.min(axis=0) if len(polygons.points) else np.zeros(3)
         whole = np.rint((polygons.points - self._low) / _MILLIMETRE).astype(np.int64)
@@ -264,8 +258,8 @@ _THEME = "pictures"
 class TextureWriter:
     """Collects the textures of a document or feature."""
 
-    def __init__(self, polygons: Polygons, names: dict[int, str], wraps: dict[int, str]) -> None:
-        self._polygons, self._names, self._wraps = polygons, names, wraps
+    def __init__(self, polygons: Polygons, pictures: WrittenPictures) -> None:
+        self._polygons, self._pictures = polygons, pictures
         self._textures: dict[int, int] = {}
         self._places: dict[tuple[float, ...], int] = {}
 
@@ -273,19 +267,16 @@ class TextureWriter:
         """Returns the texture values of polygons, nested as these are; a polygon is (number, is turned)."""
         if isinstance(faces, list):
             return [self.values(face) for face in faces]
-        polygon, is_flipped = faces
-        polygons = self._polygons
-        rings = range(polygons.polygon_starts[polygon], polygons.polygon_starts[polygon + 1])
-        if polygons.picture is None or polygons.uv is None or polygons.picture[polygon] not in self._names:
-            return [[None] for _ in rings]
-        number = self._textures.setdefault(int(polygons.picture[polygon]), len(self._textures))
+        (polygon, is_flipped), polygons = faces, self._polygons
         values: list[list[int | None]] = []
-        for ring in rings:
-            uv = polygons.uv[polygons.ring_starts[ring] : polygons.ring_starts[ring + 1]]
-            if not np.isfinite(uv).all():
+        for ring in range(polygons.polygon_starts[polygon], polygons.polygon_starts[polygon + 1]):
+            points = slice(polygons.ring_starts[ring], polygons.ring_starts[ring + 1])
+            found = self._pictures.on_ring(polygons, polygon, points)
+            if found is None:
                 values.append([None])
                 continue
-            places = [tuple(place) for place in np.round(uv, 7).tolist()]
+            number = self._textures.setdefault(found[0], len(self._textures))
+            places = [tuple(place) for place in np.round(found[1], 7).tolist()]
             indices = [self._places.setdefault(place, len(self._places)) for place in places]
             values.append([number, *(indices[::-1] if is_flipped else indices)])
         return values
@@ -299,11 +290,10 @@ class TextureWriter:
         """Returns the member ``appearance`` of the document, or nothing where it has none."""
         if not self._textures:
             return {}
-        names = [(self._names[picture], self._wraps.get(picture)) for picture in self._textures]
         textures = [
             {"type": "JPG" if name.endswith(".jpg") else "PNG", "image": name}
             | ({"wrapMode": wrap} if wrap else {})
-            for name, wrap in names
+            for name, wrap in map(self._pictures.images.__getitem__, self._textures)
         ]
         places = [list(place) for place in self._places]
         return {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -20,9 +20,7 @@ from lodbench.citymodel.gml.xml import (
     put_value,
     value_of,
 )
-from lodbench.citymodel.model import NO_PICTURE
-from lodbench.citymodel.pictures import PictureTable, TextureFolder
-from lodbench.citymodel.raw import blank
+from lodbench.citymodel.textures import Image, SurfaceTextures, TextureFolder
 from lodbench.errors import DatasetError
 
 # Children that hold geometry, other objects or bookkeeping, not facts about the object.
@@ -125,13 +123,6 @@ def _leaves(element: Element) -> dict[str, Any]:
 
 
 Floats = NDArray[np.float64]
-
-
-class Image(NamedTuple):
-    """A picture by its name in the file, and how it goes on beyond its edges (``Pictures.wraps``)."""
-
-    name: str
-    wrap: str = ""
 
 
 class Georeference(NamedTuple):
@@ -248,116 +239,91 @@ def _text(element: Element, name: str) -> str:
     return "" if child is None else (child.text or "").strip()
 
 
-class SurfacePictures:
-    """Gathers what the members of a document say of pictures, and puts it together at its end."""
+class AppearanceReader:
+    """Gathers what the members of a document say of pictures, and at its end lays them on its polygons.
 
-    def __init__(self, pictures: PictureTable) -> None:
-        self._pictures = pictures
+    Args:
+        textures: Receives them, by the serial numbers of polygons.
+    """
+
+    def __init__(self, textures: SurfaceTextures) -> None:
+        self._textures = textures
         self._found = Appearances()
         self._rings: dict[int, tuple[str, ...]] = {}
         self._surfaces: dict[int, tuple[str, ...]] = {}
 
     def read_member(self, member: Element, polygons: dict[Element, int], first_serial: int) -> None:
         """Adds the appearances of a member, and the ids of its polygons and their rings."""
-        read_appearances(member, self._found, self._pictures.folder)
+        read_appearances(member, self._found, self._textures.folder)
         above: dict[Element | None, tuple[str, ...]] = {None: ()}
         for element, number in polygons.items():
             serial = first_serial + number
             self._surfaces[serial] = _ids_up(element, above)
             self._rings[serial] = tuple(_gml_id(ring) for ring in element.iter("{*}LinearRing", "{*}Ring"))
 
-    def paint(
-        self,
-        serial: NDArray[np.int64],
-        points: NDArray[np.float64],
-        ring_starts: NDArray[np.int64],
-        polygon_starts: NDArray[np.int64],
-        flipped: set[int],
-    ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-        """Returns the picture of each polygon and the place of each point on it.
+    def lay_all(self, columns: Mapping[str, NDArray[Any]], flipped: set[int]) -> None:
+        """Lays pictures and colours on the polygons of a document.
 
         Args:
-            serial: (N,) serial number of each polygon, -1 for copies.
-            points: (P, 3) in the coordinates of the file.
-            ring_starts: (R + 1,) offsets into the points.
-            polygon_starts: (N + 1,) offsets into the rings.
+            columns: As for ``city_of_columns``, points in the coordinates of the file.
             flipped: Serial numbers of the polygons whose rings were turned round.
         """
-        picture, uv = blank(len(serial), len(points))
-        found, notes = self._found, self._pictures.notes
+        found = self._found
         if not (found.rings or found.planes or found.grounds or found.materials):
-            return picture, uv
-        for polygon, number in enumerate(serial.tolist()):
-            starts = ring_starts[polygon_starts[polygon] : polygon_starts[polygon + 1] + 1]
-            own = points[starts[0] : starts[-1]]
-            if number < 0:
+            return
+        lengths, notes = columns["ring_lengths"].tolist(), self._textures.notes
+        ring = first = 0
+        for serial, count in zip(columns["serial"].tolist(), columns["ring_counts"].tolist(), strict=True):
+            own = lengths[ring : ring + count]
+            points = columns["points"][first : first + sum(own)]
+            ring, first = ring + count, first + sum(own)
+            if serial < 0:
                 notes["surface borrowed from another object, whose picture stays with that"] += 1
-                continue
-            name, places = self._by_ring(number, np.diff(starts), number in flipped)
-            if name is None:
-                name, places = self._by_surface(number, own)
-            if name is not None and places is not None:
-                picture[polygon] = self._pictures.number(*name)
-                if picture[polygon] != NO_PICTURE:
-                    uv[starts[0] : starts[-1]] = places
-                    continue
-                notes["surface whose picture is not there"] += 1
-            picture[polygon] = self._colour(number)
-        return picture, uv
+            elif not self._lay(serial, own, points, serial in flipped):
+                colours = map(found.materials.get, self._surfaces.get(serial, ()))
+                colour = next((each for each in colours if each is not None), None)
+                if colour is not None:  # of the polygon's material, or of that of what it is part of
+                    self._textures.paint(serial, colour)
 
-    def _colour(self, serial: int) -> int:
-        """Returns the number of the colour of a polygon's material, or of that of what it is part of."""
-        colours = (self._found.materials.get(name) for name in self._surfaces.get(serial, ()))
-        return next((self._pictures.colour(each) for each in colours if each is not None), NO_PICTURE)
-
-    def _by_ring(
-        self, serial: int, lengths: NDArray[np.int64], is_flipped: bool
-    ) -> tuple[Image | None, Floats | None]:
-        """Returns the picture that the outline of a polygon has, and the places of all its corners."""
-        rings = self._rings.get(serial, ())
-        entries = [self._found.rings.get(name) if name else None for name in rings]
+    def _lay(self, serial: int, lengths: list[int], points: Floats, is_flipped: bool) -> bool:
+        """Lays the picture that a polygon's outline has, else that of what it is part of, if there is any."""
+        entries = [self._found.rings.get(name) if name else None for name in self._rings.get(serial, ())]
         if not entries or entries[0] is None:
-            return None, None
+            whole = self._on_surface(serial, points)
+            return whole is not None and self._textures.lay(serial, [len(points)], [whole])
         if len(entries) != len(lengths):
-            self._pictures.notes["surface with ambiguous rings"] += 1
-            return entries[0][0], None
-        image = entries[0][0]
-        parts: list[Floats] = []
-        for entry, length in zip(entries, lengths.tolist(), strict=True):
-            places = np.full((length, 2), np.nan)
-            numbers = numbers_of(entry[1]) if entry is not None and entry[0] == image else np.zeros(0)
-            if len(numbers) == 2 * length - 2:  # some writers leave out the closing point
-                numbers = np.append(numbers, numbers[:2])
-            if len(numbers) == 2 * length and np.isfinite(numbers).all():
-                places[:] = numbers.reshape(-1, 2)
-            elif not parts:
-                self._pictures.notes["surface whose places on its picture do not fit its corners"] += 1
-                return image, None
-            parts.append(places[::-1] if is_flipped else places)
-        return image, np.concatenate(parts)
+            self._textures.notes["surface with ambiguous rings"] += 1
+            return False
+        rings = [None if entry is None else (entry[0], _places(entry[1])) for entry in entries]
+        return self._textures.lay(serial, lengths, rings, has_closing_points=True, is_flipped=is_flipped)
 
-    def _by_surface(self, serial: int, points: Floats) -> tuple[Image | None, Floats | None]:
+    def _on_surface(self, serial: int, points: Floats) -> tuple[Image, Floats] | None:
         """Returns the picture of a polygon or of what it is part of, by a matrix or a place on the ground."""
         for name in self._surfaces.get(serial, ()):
             if name in self._found.planes:
                 image, matrix = self._found.planes[name]
                 homogeneous = np.column_stack([points, np.ones(len(points))]) @ matrix.T
-                places: Floats = homogeneous[:, :2] / homogeneous[:, 2:]
-                return image, places if np.isfinite(places).all() else None
+                return image, homogeneous[:, :2] / homogeneous[:, 2:]
             if name in self._found.grounds:
-                return Image(self._found.grounds[name].image), self._on_ground(
-                    self._found.grounds[name], points
-                )
-        return None, None
+                ground = self._found.grounds[name]
+                return Image(ground.image), self._on_ground(ground, points)
+        return None
 
-    def _on_ground(self, ground: Georeference, points: Floats) -> Floats | None:
+    def _on_ground(self, ground: Georeference, points: Floats) -> Floats:
+        """Returns the places of points on a picture of the ground, none where that cannot be read."""
         try:
-            width, height = self._pictures.folder.size(ground.image)
+            width, height = self._textures.folder.size(ground.image)
         except DatasetError:
-            return None
+            return np.zeros((0, 2))
         pixels = (points[:, :2] - ground.origin) @ ground.inverse.T
         # The reference point is the middle of the upper left pixel.
         return np.column_stack([(pixels[:, 0] + 0.5) / width, 1.0 - (pixels[:, 1] + 0.5) / height])
+
+
+def _places(text: str) -> Floats:
+    """Returns (n, 2) places of a text, none if it has an odd number of numbers or something else."""
+    numbers = numbers_of(text)
+    return numbers.reshape(-1, 2) if len(numbers) % 2 == 0 else np.zeros((0, 2))
 
 
 def _gml_id(element: Element) -> str:

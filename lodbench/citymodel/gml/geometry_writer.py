@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.gml.properties_writer import Dialect, Property, tag, text_of
 from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind, group_by, select_polygons
-from lodbench.citymodel.pictures import wraps_of
+from lodbench.citymodel.textures import WrittenPictures
 from lodbench.citymodel.triangulate import triangulate
 from lodbench.findings import Findings
 
@@ -24,14 +24,11 @@ class AppearanceXml:
     Args:
         polygons: Of the city.
         dialect: The version of CityGML.
-        names: Name of each picture that is there, by number.
-        wraps: How they go on beyond their edges, likewise, where that is known.
+        pictures: Its pictures.
     """
 
-    def __init__(
-        self, polygons: Polygons, dialect: Dialect, names: dict[int, str], wraps: dict[int, str]
-    ) -> None:
-        self._polygons, self._dialect, self._names, self._wraps = polygons, dialect, names, wraps
+    def __init__(self, polygons: Polygons, dialect: Dialect, pictures: WrittenPictures) -> None:
+        self._polygons, self._dialect, self._pictures = polygons, dialect, pictures
         self._found: dict[int, dict[str, list[tuple[str, str]]]] = defaultdict(lambda: defaultdict(list))
 
     def add(self, polygon: int, polygon_id: str, ring: int, points: slice) -> str | None:
@@ -43,16 +40,14 @@ class AppearanceXml:
             ring: Which of its rings.
             points: The ring's points among those of the city.
         """
-        picture, uv = self._polygons.picture, self._polygons.uv
-        if picture is None or uv is None or int(picture[polygon]) not in self._names:
+        found = self._pictures.on_ring(self._polygons, polygon, points)
+        if found is None:
             return None
-        places = uv[points]
-        if not np.isfinite(places).all():
-            return None
+        picture, places = found
         closed = np.concatenate([places, places[:1]])
         text = " ".join(["%.7g"] * closed.size) % tuple(closed.ravel().tolist())
         ring_id = f"{polygon_id}-ring{ring}"
-        self._found[int(picture[polygon])][polygon_id].append((ring_id, text))
+        self._found[picture][polygon_id].append((ring_id, text))
         return ring_id
 
     def take(self) -> str:
@@ -68,10 +63,10 @@ class AppearanceXml:
         return tag("app:appearanceMember" if is_old else "core:appearanceMember", appearance) + "\n"
 
     def _texture(self, picture: int, targets: dict[str, list[tuple[str, str]]]) -> str:
-        name = self._names[picture]
+        name, wrap = self._pictures.images[picture]
         mime = "image/jpeg" if name.endswith(".jpg") else "image/png"
         head = tag("app:imageURI", text_of(name)) + tag("app:mimeType", mime)
-        head += tag("app:wrapMode", self._wraps[picture]) if picture in self._wraps else ""
+        head += tag("app:wrapMode", wrap) if wrap else ""
         target = self._target_2 if self._dialect.version == "2.0" else self._target_3
         return tag(
             "app:ParameterizedTexture", head + "".join(target(name, rings) for name, rings in targets.items())
@@ -142,7 +137,7 @@ class GeometryXml:
         model: CityModel,
         dialect: Dialect,
         polygon_ids: list[str],
-        pictures: dict[int, str],
+        pictures: WrittenPictures,
         notes: Counter[str],
     ) -> None:
         polygons = model.polygons
@@ -158,7 +153,7 @@ class GeometryXml:
         self._of_part = group_by(polygons.building if polygons.part is None else polygons.part)
         self._solids_of_part = {} if model.solids is None else group_by(model.solids.part)
         self._is_left_out = left_out(model, self._levels, notes).tolist()
-        self.appearance = AppearanceXml(polygons, dialect, pictures, wraps_of(model.pictures))
+        self.appearance = AppearanceXml(polygons, dialect, pictures)
 
     def properties(self, part: int, object_id: str, type_: str) -> Iterator[Property]:
         """Yields the geometry of an object as properties, each with the name that tells its place."""

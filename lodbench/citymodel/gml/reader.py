@@ -9,15 +9,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lodbench.citymodel.attributes import (
-    ATTRIBUTES,
-    Lifespans,
-    ObjectTable,
-    pitched_buildings,
-    roof_type_of,
-)
+from lodbench.citymodel.attributes import ATTRIBUTES, Lifespans, ObjectTable, roof_type_of
 from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
 from lodbench.citymodel.gml.batch import read_batch
 from lodbench.citymodel.gml.folding import Folding
@@ -41,15 +34,14 @@ from lodbench.citymodel.gml.xml import (
     local_name,
     namespace_of,
 )
-from lodbench.citymodel.model import Solids, starts_of
 from lodbench.citymodel.options import types_of
-from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity, paused_collector
+from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity, city_of_columns, paused_collector
 from lodbench.findings import Findings
 
 if TYPE_CHECKING:
-    from lodbench.citymodel.gml.details import SurfacePictures
+    from lodbench.citymodel.gml.details import AppearanceReader
     from lodbench.citymodel.gml.links import LinkResolver
-    from lodbench.citymodel.pictures import PictureTable
+    from lodbench.citymodel.textures import SurfaceTextures
 
 # Numbers are read when this much text has gathered: large enough that a parse is worth its call,
 # small enough that memory stays flat.
@@ -73,7 +65,7 @@ def read_citygml(
     is_strict: bool = True,
     has_details: bool = False,
     layers: Sequence[str] = (),
-    pictures: PictureTable | None = None,
+    textures: SurfaceTextures | None = None,
     day: str | None = None,
 ) -> RawCity:
     """Returns the buildings of a CityGML document in the coordinates of the file, and objects of its layers.
@@ -84,19 +76,19 @@ def read_citygml(
         is_strict: Whether a bad coordinate is an error, or a finding that drops its polygon.
         has_details: Whether attributes, solids and ids of polygons are read as well.
         layers: Names of ``LAYERS``: what to read besides buildings.
-        pictures: Receives those of surfaces, which are kept then; with ``has_details``.
+        textures: Receives the pictures of surfaces, which are kept then; with ``has_details``.
         day: Date on which objects must stand whose end is stated; None for today.
 
     Raises:
         CityModelError: The XML is not well-formed or not CityGML, or a coordinate is bad.
     """
-    reader = _Reader(source, is_strict, has_details, layers, pictures, day)
+    reader = _Reader(source, is_strict, has_details, layers, textures, day)
     with paused_collector():
         try:
             with open_stream() as stream:  # details and pictures hang on elements that are folded
                 reader.read(stream, is_folded=not has_details)
         except NotFolded:
-            reader = _Reader(source, is_strict, has_details, layers, pictures, day)
+            reader = _Reader(source, is_strict, has_details, layers, textures, day)
             with open_stream() as stream:
                 reader.read(stream)
     if reader.has_unresolved:
@@ -114,7 +106,7 @@ class _Reader:
         is_strict: bool,
         has_details: bool,
         layers: Sequence[str],
-        pictures: PictureTable | None,
+        textures: SurfaceTextures | None,
         day: str | None,
     ) -> None:
         self.findings = Findings()
@@ -140,13 +132,13 @@ class _Reader:
         if has_details:
             self._columns["serial"] = GrowingArray(np.int64)
         self._has_textures = False
-        self._pictures = pictures
+        self._textures = textures
         self._links: LinkResolver | None = None
-        self._painted: SurfacePictures | None = None
-        if pictures is not None:
-            from lodbench.citymodel.gml.details import SurfacePictures
+        self._appearances: AppearanceReader | None = None
+        if textures is not None:
+            from lodbench.citymodel.gml.details import AppearanceReader
 
-            self._painted = SurfacePictures(pictures)
+            self._appearances = AppearanceReader(textures)
         self._flipped: set[int] = set()
         self._version: str | None = None
         self._srs_name: str | None = None
@@ -281,8 +273,8 @@ class _Reader:
         return read_attributes(element)
 
     def _read_pictures(self, member: Element, polygons: dict[Element, int]) -> None:
-        if self._painted is not None:
-            self._painted.read_member(member, polygons, self._num_walked)
+        if self._appearances is not None:
+            self._appearances.read_member(member, polygons, self._num_walked)
 
     def _add_nested(self, building: Element, own: int, nested: Element, part_of: dict[Element, int]) -> int:
         """Adds an object inside of another; returns its number."""
@@ -301,7 +293,7 @@ class _Reader:
         if batch.owners:
             arrays = read_batch(batch, self._building_ids, self.findings, is_strict=self._is_strict)
             arrays.serial[arrays.serial >= 0] += self._num_walked
-            if self._painted is not None:
+            if self._appearances is not None:
                 self._flipped.update(self._num_walked + n for n in batch.flipped)
             self._num_walked += len(batch.owners)
             for name, column in self._columns.items():
@@ -323,56 +315,24 @@ class _Reader:
         if not self._building_ids:
             raise NotACity(f"{self._source} has no buildings.", "Is it the building tile of the city?")
 
-    def _painted_corners(
-        self,
-        joined: dict[str, NDArray[Any]],
-        ring_starts: NDArray[np.int64],
-        polygon_starts: NDArray[np.int64],
-    ) -> tuple[NDArray[np.int32] | None, NDArray[np.float64] | None]:
-        """Returns the picture of each polygon and the place of each point on it, None without pictures."""
-        if self._painted is None:
-            return None, None
-        serial, points = joined["serial"], joined["points"]
-        return self._painted.paint(serial, points, ring_starts, polygon_starts, self._flipped)
-
     def result(self) -> RawCity:
         self._report_what_is_left_out()
-        joined = {name: column.finish() for name, column in self._columns.items()}
-        solids: Solids | None = None
-        polygon_ids: tuple[str, ...] = ()
-        if self._objects.has_details:
-            solids, polygon_ids = self._objects.finish_solids(joined["serial"])
-        # Where buildings have no parts, their own numbers say it all.
-        is_plain = self._objects.is_plain
-        ring_starts, polygon_starts = starts_of(joined["ring_lengths"]), starts_of(joined["ring_counts"])
-        picture, uv = self._painted_corners(joined, ring_starts, polygon_starts)
-        return RawCity(
+        columns = {name: column.finish() for name, column in self._columns.items()}
+        if self._appearances is not None:
+            self._appearances.lay_all(columns, self._flipped)
+        return city_of_columns(
+            columns,
+            self._objects,
+            self._textures,
             source=self._source,
             format="CityGML",
             version=self._version or None,
             srs_names=tuple(self.walk.srs_names.names),
             building_ids=tuple(self._building_ids),
-            num_parts=self._objects.types.count("BuildingPart"),
             lods=tuple(name or "" for name in self.walk.lods.names),
-            points=joined["points"],
-            ring_starts=ring_starts,
-            polygon_starts=polygon_starts,
-            building=joined["building"],
-            lod=joined["lod"],
-            kind=joined["kind"],
-            srs=joined["srs"],
             has_closing_points=True,
             findings=self.findings,
-            part=None if is_plain else joined["part"],
-            objects=None if is_plain else self._objects.finish(),
-            solids=solids,
-            polygon_ids=polygon_ids,
             has_textures=self._has_textures,
-            pictures=None if self._pictures is None else self._pictures.finish(),
-            picture=picture,
-            uv=uv,
-            pitched=pitched_buildings(self._objects.roof_types, len(self._building_ids)),
-            measured_m=self._objects.heights(len(self._building_ids)),
             period=self._lifespans.period(),
         )
 

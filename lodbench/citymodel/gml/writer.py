@@ -25,6 +25,7 @@ from lodbench.citymodel.gml.properties_writer import (
 )
 from lodbench.citymodel.model import CityModel, SurfaceKind, group_by
 from lodbench.citymodel.raw import buildings_only
+from lodbench.citymodel.textures import WrittenPictures
 
 # Namespace by prefix, without the version.
 MODULES = {
@@ -227,7 +228,7 @@ class CityGmlWriter:
     """
 
     def __init__(
-        self, model: CityModel, version: str = "2.0", pictures: dict[int, str] | None = None
+        self, model: CityModel, version: str = "2.0", pictures: WrittenPictures | None = None
     ) -> None:
         self.notes: Counter[str] = Counter()
         self._model, self._dialect = model, DIALECTS[version]
@@ -241,7 +242,8 @@ class CityGmlWriter:
             for n, (name, owner) in enumerate(zip(named, owners.tolist(), strict=True))
         ]
         polygon_ids = _xml_ids(wanted, taken, Counter())
-        self._geometry = GeometryXml(model, self._dialect, polygon_ids, pictures or {}, self.notes)
+        pictures = pictures or WrittenPictures()
+        self._geometry = GeometryXml(model, self._dialect, polygon_ids, pictures, self.notes)
         self._of_building = group_by(self._objects.building)
 
     def chunks(self) -> Iterator[bytes]:

@@ -24,7 +24,7 @@ from lodbench.citymodel.scene import connected_components, number_rows, point_bi
 from lodbench.errors import CityModelError, LodbenchError
 from lodbench.findings import Findings
 
-_CHUNK = struct.Struct("<4sIII4s")  # of a binary file: magic, version, length; then of the first chunk
+GLB_HEAD = struct.Struct("<4sIII4s")  # of a binary glTF: magic, version, length; then of the first chunk
 # Extensions that change looks, or say something of objects, and leave the triangles as they are. Positions in
 # whole numbers are read as such.
 _LOOKS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "EXT_texture_", "EXT_lights_")
@@ -43,7 +43,7 @@ def require_readable(content: bytes, source: str) -> None:
         CityModelError: It requires an extension that may change them, stores some sparsely, or a number of
             its tables is none. What is no glTF at all passes: its reader says so.
     """
-    document = _document(content)
+    document = gltf_document(content)
     if document is None:
         return
     required = document.get("extensionsRequired")
@@ -94,12 +94,12 @@ def _of_triangles(document: dict[str, Any]) -> set[int]:
     return found
 
 
-def _document(content: bytes) -> dict[str, Any] | None:
+def gltf_document(content: bytes) -> dict[str, Any] | None:
     """Returns the JSON of a glTF file, None where there is none."""
     try:
         if content.startswith(b"glTF"):
-            *_, length, _ = _CHUNK.unpack_from(content)
-            content = content[_CHUNK.size : _CHUNK.size + length]
+            *_, length, _ = GLB_HEAD.unpack_from(content)
+            content = content[GLB_HEAD.size : GLB_HEAD.size + length]
         document = json.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError, struct.error):
         return None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -13,11 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.json_documents import MeshFrame
-from lodbench.citymodel.mesh.textured import TexturedMesh
-from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.pictures import TextureFolder
 from lodbench.citymodel.scene import Scene
-from lodbench.errors import DatasetError
+from lodbench.citymodel.textured_map import TexturedMesh
+from lodbench.citymodel.textures import png_of
 from lodbench.storage import make_folder, write_bytes, write_text
 
 
@@ -115,7 +111,6 @@ def _glb(mesh: TexturedMesh, frame: MeshFrame) -> bytes:
 
 
 def _write_obj(mesh: TexturedMesh, frame: MeshFrame, target: Path) -> None:
-    image: Any = import_module("PIL.Image")
     lines = [*(f"# {line}" for line in frame.comments()), f"mtllib {target.stem}.mtl"]
     materials, first = [], 1
     pictures = target.with_name(f"{target.stem}_pictures")
@@ -132,71 +127,8 @@ def _write_obj(mesh: TexturedMesh, frame: MeshFrame, target: Path) -> None:
             red, green, blue = (mesh.colours[own].reshape(-1, 3).mean(axis=0) / 255).tolist()
             materials += [f"newmtl {name}", f"Kd {red:.4f} {green:.4f} {blue:.4f}"]
         else:
-            content = io.BytesIO()
-            image.fromarray(mesh.pictures[number]).save(content, "PNG")
             make_folder(pictures)
-            write_bytes(pictures / f"{number}.png", content.getvalue())
+            write_bytes(pictures / f"{number}.png", png_of(mesh.pictures[number]))
             materials += [f"newmtl {name}", "Kd 1 1 1", f"map_Kd {pictures.name}/{number}.png"]
     write_text(target.with_suffix(".mtl"), "\n".join(materials) + "\n")
     write_text(target, "\n".join(lines) + "\n")
-
-
-_SUFFIXES = {"JPEG": ".jpg", "PNG": ".png"}
-_NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9_-]+")
-_MAX_STEM = 40
-
-
-def write_pictures(model: CityModel, target: Path) -> tuple[dict[int, str], tuple[str, ...]]:
-    """Writes the pictures that a city's polygons use into a folder beside a file, before that is written.
-
-    JPEG and PNG are copied byte by byte, other formats saved as PNG, which every target knows. Names are a
-    number and what is harmless of the name they had.
-
-    Args:
-        model: The city.
-        target: The file; the folder is called after it, ``NAME_pictures``.
-
-    Returns:
-        names: Where each picture lies, as a link from the file, by number.
-        notes: A line for each that cannot be read.
-
-    Raises:
-        OSError: The folder cannot be written.
-    """
-    names: dict[int, str] = {}
-    written: dict[Path, str] = {}
-    notes: list[str] = []
-    picture = model.polygons.picture
-    if model.pictures is None or picture is None:
-        return names, ()
-    folder = target.with_name(f"{target.name.partition('.')[0]}_pictures")
-    for number in np.unique(picture[picture >= 0]).tolist():
-        path = model.pictures.files[number]
-        if path in written:
-            names[number] = written[path]
-            continue
-        try:
-            content, suffix = _portable(path)
-        except DatasetError as error:
-            notes.append(f"picture that is not taken: {error.message}")
-            continue
-        stem = _NOT_IN_NAMES.sub("_", path.stem)[:_MAX_STEM].strip("_")
-        name = "_".join(filter(None, (f"{len(written) + 1:04d}", stem))) + suffix
-        make_folder(folder)
-        write_bytes(folder / name, content)
-        # As a link, in which % begins a code.
-        names[number] = written[path] = f"{folder.name}/{name}".replace("%", "%25")
-    return names, tuple(notes)
-
-
-def _portable(path: Path) -> tuple[bytes, str]:
-    """Returns a picture as JPEG or PNG, and the ending that it gets."""
-    folder = TextureFolder(path.parent, path.parent)
-    content = folder.read(path.name)
-    kind = folder.kind(path.name)
-    if kind in _SUFFIXES:
-        return content, _SUFFIXES[kind]
-    image: Any = import_module("PIL.Image")
-    saved = io.BytesIO()
-    image.fromarray(folder.picture(path.name)).save(saved, "PNG")
-    return saved.getvalue(), ".png"

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.crs import require_crs
-from lodbench.citymodel.mesh.textured import TexturedMesh, join_textured
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.pictures import MAX_ALL_PIXELS
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.surface.files import open_surface
 from lodbench.citymodel.surface.grid import Floats, Span, SurfaceGrid
+from lodbench.citymodel.textures import TexturedPart, require_room
 from lodbench.citymodel.vector.gdal import opened_raster
 from lodbench.errors import CityModelError, ConfigError, DatasetError
 
@@ -237,8 +236,8 @@ def are_green(colours: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return np.asarray((2.0 * green - red - blue) / np.maximum(red + green + blue, 1.0) > _GREEN)
 
 
-def read_textured_surface(path: Path, options: ReadOptions) -> TexturedMesh:
-    """Returns a surface model under its orthophoto as a mesh, ground and trees too, in its own coordinates.
+def textured_parts(path: Path, options: ReadOptions) -> list[TexturedPart]:
+    """Returns a surface model under its orthophoto, ground and trees too, in its own coordinates.
 
     Squares of one to 32 cells, each within 0.25 m of the surface, as large as that allows; where squares of
     two sizes meet, gaps of less than that stay.
@@ -255,20 +254,18 @@ def read_textured_surface(path: Path, options: ReadOptions) -> TexturedMesh:
         raise DatasetError(f"{path} has heights alone, no colours.", "Add source.options.orthophoto=FILE.")
     grid = open_surface(path, options.crs)
     per_cell = max(1, round(grid.cell_m / _PIXEL_M))
-    pixels = grid.shape[0] * grid.shape[1] * per_cell**2
-    if pixels > MAX_ALL_PIXELS:
-        raise DatasetError(
-            f"The orthophoto over {path} has {pixels / 1e9:.1f} gigapixels; {MAX_ALL_PIXELS / 1e9:.1f} are "
-            "held at once.",
-            "Take the tiles round your queries only.",
-        )
+    require_room(
+        grid.shape[0] * grid.shape[1] * per_cell**2,
+        f"The orthophoto over {path} has",
+        "Take the tiles round your queries only.",
+    )
     parts = list(_parts(grid, Path(options.orthophoto), per_cell))
     if not parts:
         raise DatasetError(f"{path} has no heights.", "Is it the right tile?")
-    return join_textured(parts)
+    return parts
 
 
-def _parts(grid: SurfaceGrid, orthophoto: Path, per_cell: int) -> Iterator[TexturedMesh]:
+def _parts(grid: SurfaceGrid, orthophoto: Path, per_cell: int) -> Iterator[TexturedPart]:
     for rows, columns in grid.blocks(_PIECE):
         # Corners are middles of cells: a piece ends at the first of the next.
         ends = min(rows[1] + 1, grid.shape[0]), min(columns[1] + 1, grid.shape[1])
@@ -283,14 +280,8 @@ def _parts(grid: SurfaceGrid, orthophoto: Path, per_cell: int) -> Iterator[Textu
         plane = grid.places(middles[:, 1], middles[:, 0])
         uv = (places[:, ::-1] + 0.5) / np.array(heights.shape[::-1])
         uv[:, 1] = 1.0 - uv[:, 1]
-        count = len(corners)
-        yield TexturedMesh(
-            np.column_stack([plane, z]).reshape(-1, 3, 3).astype(np.float64),
-            uv.reshape(-1, 3, 2),
-            np.zeros(count, np.int32),
-            np.zeros((count, 3, 3), np.uint8),
-            (picture,),
-        )
+        places_in_plane = np.column_stack([plane, z]).reshape(-1, 3, 3).astype(np.float64)
+        yield TexturedPart(places_in_plane, uv.reshape(-1, 3, 2), picture)
 
 
 def square_corners(heights: Floats, tolerance_m: float) -> NDArray[np.int64]:

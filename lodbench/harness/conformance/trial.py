@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.extrude import scene_of_blocks
-from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.datasets.inputs import Input, declared_inputs, masks_of_labels
 from lodbench.datasets.query import Dataset, Entry, Query, Reference
 from lodbench.errors import STOPPED, LodbenchError, QueryFault

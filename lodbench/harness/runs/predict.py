@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.mesh.texture_files import open_textured_map
+from lodbench.citymodel.textured_map import open_textured_map
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset, Entry, Reference
 from lodbench.errors import DatasetError

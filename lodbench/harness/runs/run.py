@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.mesh.texture_files import open_textured_map
-from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.textured_map import TexturedMesh, open_textured_map
 from lodbench.datasets.faults import require_direction
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.inputs import Input, with_inputs

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.mesh.textured import TexturedMesh
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.geometry import Camera, Pose
 from lodbench.kernels import expose, resolve_photo
 from lodbench.kernels.arguments import MAX_LIGHT, TONE_STEPS, Band, Buffer

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import open_scene
-from lodbench.citymodel.mesh.texture_files import read_textured
+from lodbench.citymodel.textured_map import read_textured
 from lodbench.cli import main
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.datasets.registry import make_priors, open_dataset

@@ -1,41 +1,24 @@
-"""Reading textured maps: OBJ with materials, glTF, PLY with colours, CityGML with appearances, tiles."""
+"""Textures of OBJ, glTF and PLY: the files that such a mesh names, and its triangles with their pictures."""
 
 from __future__ import annotations
 
 import base64
 import struct
-from collections import Counter
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.gml.reader import read_citygml
-from lodbench.citymodel.mesh.reader import load_parts, turned_up
-from lodbench.citymodel.mesh.textured import TexturedMesh, join_textured, offset_to_city, textured_model
-from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.pictures import (
-    MAX_ALL_PIXELS,
-    PictureTable,
-    TextureFolder,
-    check_picture,
-    counted_lines,
-    pixels_of,
-)
-from lodbench.citymodel.polygons import finish_model
-from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.source import is_surface
+from lodbench.citymodel.mesh.reader import GLB_HEAD, gltf_document, load_parts, turned_up
+from lodbench.citymodel.textures import TexturedPart, TextureFolder, check_picture, pixels_of
 from lodbench.errors import DatasetError
-from lodbench.findings import Severity
-from lodbench.storage.json_text import parse_json
 
 _TRANSFORM, _WEBP = "KHR_texture_transform", "EXT_texture_webp"
 # A transform that leaves every place where it is.
 _STAYS = {"offset": [0, 0], "scale": [1, 1], "rotation": 0, "texCoord": 0}
-# Head of a binary glTF and of its first chunk, which is JSON; another chunk's.
-_GLB_HEAD, _CHUNK_HEAD_BYTES = struct.Struct("<4sIIII"), 8
+_CHUNK_HEAD_BYTES = 8  # of the second chunk of a binary file
 
 
 def named_files(path: Path, folder: TextureFolder) -> tuple[list[str], list[str]]:
@@ -114,12 +97,12 @@ def _after(path: Path, *keywords: str) -> dict[str, list[str]]:
 
 
 def _named_by_gltf(path: Path) -> tuple[list[str], list[str]]:
+    content = gltf_document(path.read_bytes()) or {}
     try:
-        content = _gltf_content(path)
         found = [[str(entry.get("uri", "")) for entry in content.get(k, [])] for k in ("buffers", "images")]
         for material in content.get("materials", []):
             _require_plain(material, content, path.name)
-    except (ValueError, AttributeError, TypeError, LookupError, struct.error):
+    except (ValueError, AttributeError, TypeError, LookupError):
         return [], []  # the reader says what is wrong
     others, pictures = ([uri for uri in uris if uri and not uri.startswith("data:")] for uris in found)
     return sorted(set(others)), sorted(set(pictures))
@@ -132,26 +115,25 @@ def embedded_pictures(path: Path) -> dict[str, bytes]:
     """
     if path.suffix.lower() not in (".gltf", ".glb"):
         return {}
+    data = path.read_bytes()
+    content = gltf_document(data) or {}
     try:
-        content, data = _gltf_content(path), path.read_bytes()
         return {
             str(content["images"][n].get("name") or f"picture {n}"): picture
-            for n in sorted(_base_colours(content))
+            for n in sorted(set(_base_colours(content)))
             if (picture := _embedded(data, content, content["images"][n])) is not None
         }
     except (ValueError, AttributeError, TypeError, LookupError, struct.error):
         return {}
 
 
-def _base_colours(content: dict[str, Any]) -> set[int]:
-    """Returns the numbers of the images that materials lay on surfaces."""
-    found = set()
+def _base_colours(content: dict[str, Any]) -> Iterator[int]:
+    """Yields the numbers of the images that materials lay on surfaces."""
     for material in content.get("materials", []):
         texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
         if texture:
             named = content["textures"][texture["index"]]
-            found.add(int(named.get("extensions", {}).get(_WEBP, named)["source"]))
-    return found
+            yield int(named.get("extensions", {}).get(_WEBP, named)["source"])
 
 
 def _embedded(data: bytes, content: dict[str, Any], image: dict[str, Any]) -> bytes | None:
@@ -162,21 +144,9 @@ def _embedded(data: bytes, content: dict[str, Any], image: dict[str, Any]) -> by
     view = content["bufferViews"][image["bufferView"]]
     if not data.startswith(b"glTF") or view["buffer"] != 0:
         return None
-    *_, length, _ = _GLB_HEAD.unpack_from(data)
-    start = _GLB_HEAD.size + length + _CHUNK_HEAD_BYTES + view.get("byteOffset", 0)
+    *_, length, _ = GLB_HEAD.unpack_from(data)
+    start = GLB_HEAD.size + length + _CHUNK_HEAD_BYTES + view.get("byteOffset", 0)
     return data[start : start + view["byteLength"]]
-
-
-def _gltf_content(path: Path) -> dict[str, Any]:
-    """Returns the JSON of a glTF file, which in a binary one is the first chunk."""
-    with path.open("rb") as stream:
-        if path.suffix.lower() == ".gltf":
-            text = stream.read()
-        else:
-            *_, length, _ = _GLB_HEAD.unpack(stream.read(_GLB_HEAD.size))
-            text = stream.read(length)
-    content: dict[str, Any] = parse_json(text.decode("utf-8"))
-    return content
 
 
 def _require_plain(material: dict[str, Any], content: dict[str, Any], source: str) -> None:
@@ -199,112 +169,19 @@ def _require_plain(material: dict[str, Any], content: dict[str, Any], source: st
             )
 
 
-_MESHES = (".obj", ".glb", ".gltf", ".ply")
-_CITIES = (".gml", ".xml", ".citygml")
-# What has neither texture nor colour.
-_GREY = 170
-
-
-def open_textured_map(path: Path, scene: Scene, options: ReadOptions | None = None) -> TexturedMesh:
-    """Returns the textured map of a city's place, in the scene's frame; its notes say how it lay.
-
-    Raises:
-        DatasetError: As for ``read_textured``, or it lies elsewhere.
-        CityModelError: As for ``read_textured``.
-    """
-    mesh = read_textured(path, options=options)
-    offset, note = offset_to_city(mesh, scene, path.name)
-    moved = mesh.shifted(offset)
-    return replace(moved, notes=(note, *moved.notes))
-
-
-def read_textured(path: Path, up_axis: str = "auto", options: ReadOptions | None = None) -> TexturedMesh:
-    """Returns a textured mesh, in the coordinates of its file, z up.
-
-    Files that it names lie beside or below it; others, and the network, are refused.
+def read_textured_mesh(path: Path, folder: TextureFolder, up_axis: str) -> list[TexturedPart]:
+    """Returns the triangles of a mesh file under their pictures or in their colours, z up.
 
     Args:
-        path: OBJ, glTF, PLY or CityGML, or a folder of such tiles, all in the same coordinates; or a surface
-            model, with ``options.orthophoto``.
+        path: OBJ, glTF or PLY.
+        folder: Where the files that it names lie.
         up_axis: ``y``, ``z``, or ``auto``: y for glTF, z for the others.
-        options: How to read CityGML: ``crs`` and ``axis_order``.
 
     Raises:
-        DatasetError: It is missing, unreadable, of another kind, too large, or files it names are missing
-            or lie outside; the message lists them.
-        CityModelError: It is CityGML or a mesh that cannot be read, or has no triangles.
+        DatasetError: As for ``named_files``, a file that it names is missing, no picture or too large, or
+            coordinates are not finite.
+        CityModelError: It cannot be read, or has no triangles.
     """
-    if is_surface(path):
-        from lodbench.citymodel.surface.orthophoto import read_textured_surface
-
-        return read_textured_surface(path, options or ReadOptions())
-    if path.is_dir():
-        found = sorted(file for file in path.rglob("*") if file.suffix.lower() in _MESHES + _CITIES)
-        # Beside each file macOS keeps one of its own, of the same ending.
-        files = [file for file in found if not file.name.startswith("._")]
-        if not files:
-            raise DatasetError(
-                f"{path} holds no textured mesh.", f"Looked for {', '.join(_MESHES + _CITIES)}."
-            )
-        parts = [_read_file(file, path, up_axis, options or ReadOptions()) for file in files]
-    else:
-        parts = [_read_file(path, path.parent, up_axis, options or ReadOptions())]
-    mesh = join_textured(parts)
-    pixels = sum(picture.shape[0] * picture.shape[1] for picture in mesh.pictures)
-    if pixels > MAX_ALL_PIXELS:
-        raise DatasetError(
-            f"The pictures of {path} have {pixels / 1e9:.1f} gigapixels; {MAX_ALL_PIXELS / 1e9:.1f} are held "
-            "at once.",
-            "Take the tiles round your queries only, or save the pictures smaller.",
-        )
-    return mesh
-
-
-def files_of_textured(path: Path) -> list[Path]:
-    """Returns the files that a textured mesh is read from: its own, and those it names that are there.
-
-    Raises:
-        DatasetError: As for ``named_files``.
-    """
-    if path.is_dir():
-        return sorted(file for file in path.rglob("*") if file.is_file())
-    folder = TextureFolder(path.parent, path.parent)
-    others, pictures = named_files(path, folder)
-    found = (folder.path(name) for name in (*others, *pictures))
-    return [path, *(file for file in found if file is not None)]
-
-
-def _read_file(path: Path, root: Path, up_axis: str, options: ReadOptions) -> TexturedMesh:
-    suffix = path.suffix.lower()
-    if not path.is_file() or suffix not in _MESHES + _CITIES:
-        what = "is no textured mesh" if path.is_file() else "does not exist"
-        raise DatasetError(f"{path} {what}.", f"It takes {', '.join(_MESHES + _CITIES)}, or a folder.")
-    folder = TextureFolder(root, path.parent)
-    if suffix in _CITIES:
-        return _read_city(path, folder, options)
-    mesh = _read_mesh(path, folder)
-    return replace(mesh, corners=turned_up(mesh.corners, up_axis, suffix))
-
-
-def _read_city(path: Path, folder: TextureFolder, options: ReadOptions) -> TexturedMesh:
-    """Returns the buildings of a CityGML file at their finest levels, pictured or in colours of materials."""
-    table = PictureTable(folder)
-    raw = read_citygml(
-        lambda: path.open("rb"),
-        str(path),
-        is_strict=False,
-        has_details=True,
-        pictures=table,
-        day=options.date,
-    )
-    model = finish_model(raw, options)
-    mesh = textured_model(model, "A textured map needs appearances with pictures.")
-    lost = Counter(str(item.code) for item in model.findings.items if item.code.severity is Severity.ERROR)
-    notes = (*counted_lines(lost), *mesh.notes)
-    return replace(mesh, notes=(f"{path.name}: {'; '.join(notes)}",) if notes else ())
-
-
-def _read_mesh(path: Path, folder: TextureFolder) -> TexturedMesh:
     others, pictures = named_files(path, folder)
     missing = [name for name in (*others, *pictures) if folder.path(name) is None]
     if missing:
@@ -316,11 +193,11 @@ def _read_mesh(path: Path, folder: TextureFolder) -> TexturedMesh:
         folder.check_picture(name)
     for name, content in embedded_pictures(path).items():
         check_picture(content, f"{path.name}: {name}")
-    _, parts = load_parts(path.read_bytes(), str(path), path.suffix.lower(), _part, _resolver(folder))
-    mesh = join_textured(parts)
-    if not (np.isfinite(mesh.corners).all() and np.isfinite(mesh.uv).all()):
+    suffix = path.suffix.lower()
+    _, parts = load_parts(path.read_bytes(), str(path), suffix, _part, _resolver(folder))
+    if not all(np.isfinite(each).all() for part in parts for each in (part.corners, part.uv)):
         raise DatasetError(f"{path} has coordinates that are not finite.", "Repair or export it again.")
-    return mesh
+    return [part._replace(corners=turned_up(part.corners, up_axis, suffix)) for part in parts]
 
 
 def _resolver(folder: TextureFolder) -> Any:
@@ -346,7 +223,7 @@ def _resolver(folder: TextureFolder) -> Any:
     return FolderResolver()
 
 
-def _part(loaded: Any, node: str) -> TexturedMesh:
+def _part(loaded: Any, node: str) -> TexturedPart:
     """Returns one node of a trimesh scene, set in place."""
     transform, name = loaded.graph[node]
     part = loaded.geometry[name]
@@ -355,21 +232,13 @@ def _part(loaded: Any, node: str) -> TexturedMesh:
     material = getattr(part.visual, "material", None)
     image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
     uv = getattr(part.visual, "uv", None)
-    count = len(faces)
     if image is not None and uv is not None:
-        blank = np.zeros((count, 3, 3), dtype=np.uint8)
-        coordinates = np.asarray(uv, np.float64)[:, :2][faces]
-        numbers = np.zeros(count, np.int32)
         picture = _tinted(pixels_of(image, name), getattr(material, "baseColorFactor", None))
-        return TexturedMesh(corners[faces], coordinates, numbers, blank, (picture,))
+        return TexturedPart(corners[faces], np.asarray(uv, np.float64)[:, :2][faces], picture)
+    bare = TexturedPart(corners[faces])
     if material is not None:
-        colours = np.broadcast_to(np.asarray(material.main_color)[:3], (count, 3, 3))
-    elif part.visual.defined:
-        colours = np.asarray(part.visual.vertex_colors)[:, :3][faces]
-    else:
-        colours = np.full((count, 3, 3), _GREY)
-    none: NDArray[np.int32] = np.full(count, -1, dtype=np.int32)
-    return TexturedMesh(corners[faces], np.zeros((count, 3, 2)), none, colours.astype(np.uint8), ())
+        return bare._replace(colours=np.asarray(material.main_color)[:3])
+    return bare._replace(colours=part.visual.vertex_colors[:, :3][faces]) if part.visual.defined else bare
 
 
 def _tinted(picture: NDArray[np.uint8], factor: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
