@@ -12,10 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import (
-    LOD_SUBSTITUTED,
-    STAYS_FLAT,
-)
+from lodbench.citymodel.codes import LOD_SUBSTITUTED, STAYS_FLAT
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 

@@ -17,21 +17,10 @@ from lodbench.citymodel.cleaning import (
     unique_ids,
     unique_objects,
 )
-from lodbench.citymodel.codes import (
-    BASE_MOVED,
-    CRS_MIXED,
-    GROUND_DEFAULTED,
-    OPTION_UNUSED,
-)
+from lodbench.citymodel.codes import BASE_MOVED, CRS_MIXED, GROUND_DEFAULTED, OPTION_UNUSED
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.frame import bring_to, brought_note, require_no_degrees, to_metres
-from lodbench.citymodel.model import (
-    CityModel,
-    Pictures,
-    Polygons,
-    Solids,
-    select_polygons,
-)
+from lodbench.citymodel.model import CityModel, Pictures, Polygons, Solids, select_polygons
 from lodbench.citymodel.options import INTERIORS, ReadOptions
 from lodbench.citymodel.raw import RawCity
 from lodbench.citymodel.triangulate import newell

@@ -12,12 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import (
-    FILE_SKIPPED,
-    INTERIOR_SKIPPED,
-    LOD_ABSENT,
-    OPTION_UNUSED,
-)
+from lodbench.citymodel.codes import FILE_SKIPPED, INTERIOR_SKIPPED, LOD_ABSENT, OPTION_UNUSED
 from lodbench.citymodel.formats import Source, city_formats, formats_in_words, identify
 from lodbench.citymodel.model import (
     FLAT,
@@ -30,11 +25,7 @@ from lodbench.citymodel.model import (
 )
 from lodbench.citymodel.options import SURFACE_SUFFIXES, ReadOptions
 from lodbench.citymodel.polygons import finish_model
-from lodbench.citymodel.raw import (
-    NotACity,
-    RawCity,
-    merge_cities,
-)
+from lodbench.citymodel.raw import NotACity, RawCity, merge_cities
 from lodbench.citymodel.scene import Scene, SceneBuilder
 from lodbench.citymodel.source import count_bytes, open_sources
 from lodbench.citymodel.triangulate import CHUNK_POLYGONS, polygons_at, triangulate

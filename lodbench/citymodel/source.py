@@ -21,9 +21,7 @@ from typing import BinaryIO, TypeVar
 
 from lodbench.citymodel.formats import HEAD_BYTES, Source, suffixes_of
 from lodbench.citymodel.options import SURFACE_SUFFIXES, folders_of
-from lodbench.citymodel.raw import (
-    NotACity,
-)
+from lodbench.citymodel.raw import NotACity
 from lodbench.errors import CityModelError
 
 # City models compress 8 to 30 times. Beyond this ratio a stream is taken for a bomb.

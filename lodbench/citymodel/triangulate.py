@@ -13,12 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import (
-    AREA_MISMATCH,
-    FAR_FROM_PLANAR,
-    NOT_PLANAR,
-    ZERO_AREA,
-)
+from lodbench.citymodel.codes import AREA_MISMATCH, FAR_FROM_PLANAR, NOT_PLANAR, ZERO_AREA
 from lodbench.citymodel.model import (
     COARSEST,
     FINEST,

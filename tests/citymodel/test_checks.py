@@ -11,8 +11,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from lodbench.citymodel import CityModel, ReadOptions, mesh_model, read_city_model
-from lodbench.citymodel.checks.planes import check_folds, check_planes
-from lodbench.citymodel.checks.report import check_city
+from lodbench.citymodel.checks.report import check_city, check_folds, check_planes
 from lodbench.citymodel.checks.shells import check_shells
 from lodbench.citymodel.checks.solids import _inside_points, _is_free, _num_pieces, check_solids
 from lodbench.citymodel.codes import VAL3DITY

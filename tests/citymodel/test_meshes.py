@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import ReadOptions, mesh_model, open_scene, read_city_model
-from lodbench.citymodel.checks.planes import check_planes
-from lodbench.citymodel.checks.report import check_city, city_info
+from lodbench.citymodel.checks.report import check_city, check_planes, city_info
 from lodbench.citymodel.convert import convert_city
 from lodbench.citymodel.json_documents import frame_of_comments, frame_of_extras
 from lodbench.citymodel.mesh.reader import read_obj

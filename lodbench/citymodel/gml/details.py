@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.attributes import take_measured_height
 from lodbench.citymodel.gml.names import GML_IDS, HEIGHTS, OBJECT_PROPERTIES, is_citygml
-from lodbench.citymodel.gml.xml import (
-    MAX_DEPTH,
-    Element,
-    local_name,
-    metres_of,
-    put_value,
-    value_of,
-)
+from lodbench.citymodel.gml.xml import MAX_DEPTH, Element, local_name, metres_of, put_value, value_of
 from lodbench.citymodel.textures import Image, SurfaceTextures, TextureFolder
 from lodbench.errors import DatasetError
 

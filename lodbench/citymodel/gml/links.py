@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from itertools import chain
 
 from lodbench.citymodel import codes
-from lodbench.citymodel.attributes import (
-    ObjectTable,
-)
+from lodbench.citymodel.attributes import ObjectTable
 from lodbench.citymodel.gml.batch import Reference
 from lodbench.citymodel.gml.names import (
     GEOMETRY_PROPERTIES,
@@ -23,12 +21,7 @@ from lodbench.citymodel.gml.names import (
     surface_kind,
 )
 from lodbench.citymodel.gml.walk import GeometryWalk
-from lodbench.citymodel.gml.xml import (
-    XLINK_HREF,
-    Element,
-    NotFolded,
-    local_name,
-)
+from lodbench.citymodel.gml.xml import XLINK_HREF, Element, NotFolded, local_name
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.findings import Findings
 

@@ -9,19 +9,8 @@ from typing import Any, cast
 
 from lxml import etree
 
-from lodbench.citymodel.attributes import (
-    NAMES,
-    overall_height,
-    take_measured_height,
-)
-from lodbench.citymodel.gml.xml import (
-    Element,
-    local_name,
-    metres_of,
-    namespace_of,
-    numbers_in,
-    value_of,
-)
+from lodbench.citymodel.attributes import NAMES, overall_height, take_measured_height
+from lodbench.citymodel.gml.xml import Element, local_name, metres_of, namespace_of, numbers_in, value_of
 from lodbench.citymodel.model import SurfaceKind
 
 GML_IDS = ("{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id")

@@ -27,13 +27,7 @@ from lodbench.citymodel.gml.names import (
     owner_of,
 )
 from lodbench.citymodel.gml.walk import GeometryWalk
-from lodbench.citymodel.gml.xml import (
-    Element,
-    NotFolded,
-    XmlMembers,
-    local_name,
-    namespace_of,
-)
+from lodbench.citymodel.gml.xml import Element, NotFolded, XmlMembers, local_name, namespace_of
 from lodbench.citymodel.options import types_of
 from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity, city_of_columns, paused_collector
 from lodbench.findings import Findings

@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.vector.osm import IS_BUILDING, LAYER, OSM_CONFIG
 from lodbench.errors import CityModelError, nearest_names
 
 VECTOR_DRIVERS = {
@@ -55,6 +54,22 @@ _HEADS: dict[str, Callable[[bytes], bool]] = {
     # No other driver reads a file that begins so, but those whose name the path below leaves out.
     ".geojson": lambda head: head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"{"),
 }
+_OSM_LAYER = "multipolygons"
+OSM_PART = "building:part"
+_IS_BUILDING = " OR ".join(f'("{tag}" IS NOT NULL AND "{tag}" <> \'no\')' for tag in ("building", OSM_PART))
+# GDAL's own configuration takes closed ways that are nothing but parts of buildings for lines.
+_OSM_CONFIG = f"""\
+closed_ways_are_polygons=building,{OSM_PART}
+attribute_name_laundering=no
+[points]
+[lines]
+[multipolygons]
+osm_id=yes
+attributes=building,{OSM_PART}
+other_tags=yes
+[multilinestrings]
+[other_relations]
+"""
 _HEAD_BYTES = 4096
 _PREFIXED_SINCE = (3, 10)
 
@@ -92,12 +107,12 @@ def read_vector(path: str, source: str, layer: str | None) -> tuple[Any, list[st
             layer, stated = _choose_layer(pyogrio, place, source, layer)
         if VECTOR_DRIVERS.get(suffix) == "OSM":
             with tempfile.NamedTemporaryFile("w", suffix=".ini") as config:
-                config.write(OSM_CONFIG)
+                config.write(_OSM_CONFIG)
                 config.flush()
                 # Interleaved: else what belongs to other layers is kept in memory.
                 settings = {"OGR_INTERLEAVED_READING": "YES", "OSM_CONFIG_FILE": config.name}
                 pyogrio.set_gdal_config_options(settings)
-                table = pyogrio.raw.read(place, layer=layer or LAYER, where=IS_BUILDING)
+                table = pyogrio.raw.read(place, layer=layer or _OSM_LAYER, where=_IS_BUILDING)
                 pyogrio.set_gdal_config_options({"OSM_CONFIG_FILE": None})
         else:
             table = pyogrio.raw.read(place, layer=layer)
