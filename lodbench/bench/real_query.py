@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lodbench.bench.real_report import EdgeBound, report_real
 from lodbench.bench.report import Progress, Report, no_progress
 from lodbench.citymap import CityMap
-from lodbench.citymap.linear_places import ground_errors
+from lodbench.citymap.places import ground_errors
 from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset, Query

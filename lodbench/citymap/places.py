@@ -1,7 +1,9 @@
-"""Places of pixels on the map or the ground, with covariance.
+"""Places of pixels on the map or the ground, with covariance, to first order in all errors.
 
-Errors of a pose that compensate one another in the image do so here too, as long as the whole covariance is
-given: a place on the ground is known better than the camera.
+A pixel's ray starts at the camera and turns with it; where it meets a surface, the surface's own error moves
+the place along the ray (``LinearPlaces``). A laser's range to the photo's centre updates places of that
+surface (``LaserResidual``). Errors of a pose that compensate one another in the image do so here too, as long
+as the whole covariance is given: a place on the ground is known better than the camera.
 """
 
 from __future__ import annotations
@@ -14,21 +16,263 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymap.laser import at_centre, update_by_range
-from lodbench.citymap.linear_places import (
-    CHI2_95,
-    PIXEL_SIGMA_PX,
-    LinearPlaces,
-    Uncertainty,
-    linearized_places,
-)
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Camera, Pose
+from lodbench.geometry.angles import turning_axes
+from lodbench.geometry.camera import camera_columns, pixel_rays
 from lodbench.photos.xmp import LaserRange
-from lodbench.rendering.surfaces import MAP_SIGMA_M, Surfaces
+from lodbench.rendering.surfaces import MAP_SIGMA_M, Hits, Surfaces
 
 Floats = NDArray[np.float64]
+
+# How well a pixel is pointed at, a standard deviation along each axis, pixels.
+PIXEL_SIGMA_PX = 1.0
+# 95 % of chi-square with two degrees of freedom: on a surface, and on the map.
+CHI2_95 = 5.991464547107979
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """How well a pose, its camera and pixels are known: as of ``locate``.
+
+    Raises:
+        LodbenchError: The covariance is of another shape, not finite or no covariance, or the pixel's sigma
+            is no positive number.
+    """
+
+    covariance: Floats | None
+    parameters: tuple[str, ...] = ()
+    pixel_sigma_px: float = PIXEL_SIGMA_PX
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.pixel_sigma_px) and self.pixel_sigma_px >= 0):
+            raise LodbenchError(f"A pixel's sigma of {self.pixel_sigma_px} px is no length.")
+        if self.covariance is None:
+            return
+        matrix, size = np.asarray(self.covariance, dtype=np.float64), 6 + len(self.parameters)
+        if matrix.shape != (size, size):
+            raise LodbenchError(
+                f"The covariance is of shape {matrix.shape}, not {(size, size)}.",
+                "Six rows are of the pose; further ones are named by parameters.",
+            )
+        if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T, rtol=1e-6):
+            raise LodbenchError("The covariance is not finite, or not symmetric.")
+        if np.linalg.eigvalsh(matrix).min() < -1e-6 * np.abs(matrix).max():
+            raise LodbenchError("The covariance has a negative eigenvalue.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearPlaces:
+    """N places as linear functions of errors: of pose and camera, of the pixel, of the surface.
+
+    Attributes:
+        hits: What the rays meet.
+        rays: (N, 3) directions in the scene's frame.
+        by_ray: (N, 3, 6 + K) how points at these distances on the rays move with pose and camera.
+        by_ray_pixel: (N, 3, 2) likewise with the pixel.
+        onto: (N, 3, 3) projection along the ray onto the surface.
+        by_surface: (N, 3) how the place moves with the surface along its normal.
+    """
+
+    hits: Hits
+    rays: Floats
+    by_ray: Floats
+    by_ray_pixel: Floats
+    onto: Floats
+    by_surface: Floats
+
+    @property
+    def jacobian(self) -> Floats:
+        """Returns (N, 3, 6 + K) how the places move with pose and camera."""
+        return np.asarray(self.onto @ self.by_ray)
+
+    def covariances(self, known: Uncertainty) -> Floats:
+        """Returns (N, 3, 3) of the places."""
+        assert known.covariance is not None  # noqa: S101 - the caller has looked
+        jacobian, pixel = self.jacobian, self.onto @ self.by_ray_pixel
+        surface = (self.hits.sigma_m[:, None] * self.by_surface)[:, :, None]
+        spread = jacobian @ known.covariance @ jacobian.transpose(0, 2, 1)
+        spread += known.pixel_sigma_px**2 * pixel @ pixel.transpose(0, 2, 1)
+        return np.asarray(spread + surface @ surface.transpose(0, 2, 1))
+
+
+def linearized_places(
+    surfaces: Surfaces, camera: Camera, pose: Pose, pixels: Floats, parameters: Sequence[str] = ()
+) -> LinearPlaces:
+    """Returns the places that (N, 2) pixels show, and how they move; NaN for those that show none."""
+    rays = pixel_rays(camera, pixels)
+    world = rays.directions @ pose.rotation
+    hits = surfaces.hit(pose.center, world)
+    depths = ((hits.places - pose.center) @ pose.rotation[2])[:, None, None]
+    axes = np.radians(turning_axes(pose.euler))  # per degree
+    turned = np.cross(axes[None], world[:, None]).transpose(0, 2, 1)
+    by_pixel = depths * (pose.rotation[:2].T @ rays.point_by_pixel)
+    # A parameter that moves the image of a fixed ray moves the ray of a fixed pixel the other way.
+    by_camera = -by_pixel @ camera_columns(camera, rays, parameters)
+    by_center = np.broadcast_to(np.eye(3), (len(pixels), 3, 3))
+    by_ray = np.concatenate([by_center, depths * turned, by_camera], axis=2)
+    along = (hits.normals * world).sum(axis=1)[:, None]
+    by_surface = world / along
+    onto = np.eye(3) - by_surface[:, :, None] * hits.normals[:, None]
+    return LinearPlaces(hits, world, by_ray, by_pixel, onto, by_surface)
+
+
+# Two places of a pixel are compared with at least this standard deviation: surfaces of the ground bend.
+_LEAST_M = 0.05
+
+
+class GroundErrors(NamedTuple):
+    """Places of N pixels by an estimated pose, against those by the true one.
+
+    Attributes:
+        distance_m: (N,) between the two; NaN where either shows no place.
+        is_within: (N,) whether the true one lies in the 95 % ellipse of the other, on its surface.
+        surface: N names of what the estimate has them on: roof, wall or ground; "" for nothing.
+    """
+
+    distance_m: Floats
+    is_within: NDArray[np.bool_]
+    surface: tuple[str, ...]
+
+
+def ground_errors(
+    camera: Camera,
+    pose: Pose,
+    covariance: NDArray[np.float64],
+    truth: Pose,
+    surfaces: Surfaces,
+    pixels: NDArray[np.float64],
+    parameters: Sequence[str] = (),
+    true_camera: Camera | None = None,
+) -> GroundErrors:
+    """Returns how far an estimate puts pixels from where the truth does.
+
+    Map, ground and pixels are the same of both, so that the ellipse is of the pose alone.
+
+    Args:
+        camera: Of the estimate.
+        pose: The estimate, in the scene's frame.
+        covariance: (6 + K, 6 + K) of it, as of ``locate``.
+        truth: The true pose, in the scene's frame.
+        surfaces: The map.
+        pixels: (N, 2).
+        parameters: As of ``locate``.
+        true_camera: Where it is another than ``camera``.
+    """
+    linear = linearized_places(surfaces, camera, pose, pixels, parameters)
+    true_rays = pixel_rays(true_camera or camera, pixels).directions @ truth.rotation
+    off = surfaces.hit(truth.center, true_rays).places - linear.hits.places
+    known = Uncertainty(covariance, tuple(parameters))
+    spread = linear.jacobian @ np.asarray(known.covariance) @ linear.jacobian.transpose(0, 2, 1)
+    weighted = np.linalg.solve(np.nan_to_num(spread) + _LEAST_M**2 * np.eye(3), off[:, :, None])[:, :, 0]
+    is_within = (off * weighted).sum(axis=1) <= CHI2_95
+    return GroundErrors(np.linalg.norm(off, axis=1), is_within, linear.hits.kind)
+
+
+# Correlation length of a surface's errors, metres; a range whose residual is more standard deviations than
+# this was measured to something else.
+_CORRELATION_M, MOST_SIGMAS = 30.0, 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserResidual:
+    """How a laser's range disagrees with a pose.
+
+    Attributes:
+        residual_m: Range to the surface at the pose, less the range measured.
+        jacobian: (6 + K,) of it by x, y, z (metres), pitch, roll, yaw (degrees) and the camera's parameters.
+        sigma_m: Standard deviation of the residual at the true pose: of the laser and the surface.
+        surface_m: The surface's part, signed: how much farther it is for one sigma along its normal.
+    """
+
+    residual_m: float
+    jacobian: Floats
+    sigma_m: float
+    surface_m: float
+
+
+def at_centre(surfaces: Surfaces, camera: Camera, pose: Pose, parameters: Sequence[str] = ()) -> LinearPlaces:
+    """Returns the one place that the photo's centre shows, along whose ray a drone's laser measures.
+
+    Args:
+        surfaces: The map.
+        camera: Of the photo.
+        pose: In the scene's frame.
+        parameters: As of ``locate``.
+    """
+    middle = np.array([[0.5 * camera.width, 0.5 * camera.height]])
+    return linearized_places(surfaces, camera, pose, middle, parameters)
+
+
+def laser_residual(centre: LinearPlaces, pose: Pose, laser: LaserRange) -> LaserResidual | None:
+    """Returns how a range disagrees with a pose in the scene's frame; None where its ray meets nothing.
+
+    Args:
+        centre: Of that pose, from ``at_centre``.
+        pose: In the scene's frame.
+        laser: The range measured.
+    """
+    if not centre.hits.kind[0]:
+        return None
+    way = centre.hits.places[0] - pose.center
+    ray = way / np.linalg.norm(way)
+    jacobian = ray @ centre.jacobian[0]
+    jacobian[:3] -= ray
+    surface = float(centre.hits.sigma_m[0] * (ray @ centre.by_surface[0]))
+    sigma = math.hypot(laser.sigma_m, surface)
+    return LaserResidual(float(np.linalg.norm(way)) - laser.range_m, jacobian, sigma, surface)
+
+
+def update_by_range(
+    centre: LinearPlaces,
+    pose: Pose,
+    known: Uncertainty,
+    laser: LaserRange,
+    linear: LinearPlaces,
+    places: Floats,
+    covariances: Floats,
+) -> list[str]:
+    """Updates places on the surface that a range was measured to, in place, as a Kalman filter does.
+
+    The range shares the pose's error with every place, and the surface's with places nearby.
+
+    Args:
+        centre: From ``at_centre``.
+        pose: In the scene's frame.
+        known: The pose's covariance, which must be there.
+        laser: The range measured.
+        linear: The N places before.
+        places: (N, 3) those, scene frame.
+        covariances: (N, 3, 3) of them, square metres.
+
+    Returns:
+        N sentences: why a range contradicts a place and was not used; "" where it does not.
+    """
+    residual, notes = laser_residual(centre, pose, laser), [""] * len(places)
+    if residual is None:
+        return notes
+    assert known.covariance is not None  # noqa: S101 - the caller has looked
+    pose_share = known.covariance @ residual.jacobian
+    variance = float(residual.jacobian @ pose_share) + residual.sigma_m**2
+    off = abs(residual.residual_m) / math.sqrt(variance)
+    for row, kind in enumerate(linear.hits.kind):
+        if not kind or not linear.hits.is_same(row, centre.hits, 0):
+            continue
+        if off > MOST_SIGMAS:
+            expected = laser.range_m + residual.residual_m
+            notes[row] = (
+                f"the laser measured {laser.range_m:.1f} m to the photo's centre, map and pose say "
+                f"{expected:.1f} m, {off:.1f} sigma apart: not used"
+            )
+            continue
+        away = float(np.linalg.norm(linear.hits.places[row] - centre.hits.places[0]))
+        common = math.exp(-away / _CORRELATION_M) * residual.surface_m * linear.hits.sigma_m[row]
+        shared = linear.jacobian[row] @ pose_share + common * linear.by_surface[row]
+        places[row] -= shared * residual.residual_m / variance
+        covariances[row] -= np.outer(shared, shared) / variance
+    return notes
+
 
 # Rays on the 95 % ellipse around a pixel, for what else it may show.
 _AROUND = 8

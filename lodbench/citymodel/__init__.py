@@ -3,7 +3,7 @@
 Names are loaded when first used, so that importing this package costs nothing. The way of a file, and where
 each thing goes:
 
-- its bytes: ``source`` (files, archives, folders), ``gml/xml``, ``json_documents``, ``vector/gdal``;
+- its bytes: ``source`` (files, archives, folders), ``gml/xml``, ``vector/gdal``;
   what nobody but the user knows of them: ``options``;
 - which reader: ``formats``, ``read``; readers in ``gml``, ``cityjson``, ``mesh``, ``vector``, ``surface``.
   How a publisher writes CityGML that its schema does not say: names in ``gml/names``, what is borrowed from

@@ -15,7 +15,7 @@ from lodbench.citymodel.cache import open_city, store_city
 from lodbench.citymodel.cityjson.writer import cityjson_text, cityjsonseq_text
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.gml.writer import CityGmlWriter
-from lodbench.citymodel.json_documents import MeshFrame
+from lodbench.citymodel.mesh.reader import MeshFrame
 from lodbench.citymodel.mesh.writer import glb_bytes, obj_text, ply_bytes, write_textured
 from lodbench.citymodel.model import CityModel, polygon_blocks
 from lodbench.citymodel.options import ReadOptions, made_with

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, CameraSigmas
-from lodbench.geometry.camera import CALIBRATED, MAKER, UNKNOWN
-from lodbench.geometry.lens import distort
+from lodbench.geometry.camera import CALIBRATED, MAKER, UNKNOWN, distort
 from lodbench.photos.focal import (
     NOMINAL_PERCENT,
     by_known_sensor,

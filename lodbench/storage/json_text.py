@@ -33,6 +33,11 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def list_or_empty(value: Any) -> list[Any]:
+    """Returns a list as it is, and an empty one for anything else."""
+    return value if isinstance(value, list) else []
+
+
 def _refuse(word: str) -> float:
     raise ValueError(f"{word} is not a number of JSON")
 

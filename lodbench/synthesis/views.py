@@ -21,7 +21,7 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.extras import require
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler
-from lodbench.geometry.lens import distort
+from lodbench.geometry.camera import distort
 from lodbench.photos.pictures import encoded_mask
 from lodbench.rendering.renderer import Renderer
 from lodbench.storage import make_folder, new_folder, random_stream, write_bytes

@@ -7,9 +7,15 @@ import numpy as np
 import pytest
 
 import lodbench
-from lodbench.citymap.laser import LaserResidual, at_centre, laser_residual
-from lodbench.citymap.linear_places import Uncertainty, ground_errors
-from lodbench.citymap.places import LocatedPixel, places_of
+from lodbench.citymap.places import (
+    LaserResidual,
+    LocatedPixel,
+    Uncertainty,
+    at_centre,
+    ground_errors,
+    laser_residual,
+    places_of,
+)
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.datasets.pose_text import read_cameras, read_poses

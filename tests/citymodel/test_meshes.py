@@ -12,8 +12,7 @@ import pytest
 from lodbench.citymodel import ReadOptions, mesh_model, open_scene, read_city_model
 from lodbench.citymodel.checks.report import check_city, check_planes, city_info
 from lodbench.citymodel.convert import convert_city
-from lodbench.citymodel.json_documents import frame_of_comments, frame_of_extras
-from lodbench.citymodel.mesh.reader import read_obj
+from lodbench.citymodel.mesh.reader import frame_of_comments, frame_of_extras, read_obj
 from lodbench.citymodel.textured_map import read_textured
 from lodbench.cli import main
 from lodbench.errors import CityModelError, DatasetError

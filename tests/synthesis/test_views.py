@@ -13,8 +13,7 @@ import lodbench
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.geometry.camera import MAKER
-from lodbench.geometry.lens import distort
+from lodbench.geometry.camera import MAKER, distort
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation.masks import read_mask
 from lodbench.synthesis.mask_degradation import mask_iou

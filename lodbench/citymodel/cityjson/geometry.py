@@ -13,16 +13,31 @@ from numpy.typing import NDArray
 from lodbench.citymodel.attributes import ObjectTable
 from lodbench.citymodel.codes import BAD_INDEX, GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED, SEMANTICS_MISFIT
 from lodbench.citymodel.gml.names import INTERIOR_NAMES, SURFACE_KINDS
-from lodbench.citymodel.json_documents import list_or_empty, points_of
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.raw import PolygonCollector
 from lodbench.citymodel.textures import Image, SurfaceTextures
 from lodbench.errors import CityModelError
+from lodbench.storage.json_text import list_or_empty
 
 Json = dict[str, Any]
 
 # How many lists of lists stand around a surface.
 DEPTHS = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2, "CompositeSolid": 2}
+
+
+def points_of(values: Any) -> NDArray[np.float64]:
+    """Returns (N, 3) coordinates.
+
+    Raises:
+        ValueError: They are no points of three numbers each; the message says which.
+        TypeError, OverflowError: One is nothing that numpy takes for a number.
+    """
+    numbers = np.asarray(values)
+    if numbers.size and numbers.dtype.kind not in "iuf":
+        raise ValueError("one is no number")  # numpy would take "1" for 1
+    if numbers.size and (numbers.ndim != 2 or numbers.shape[1] != 3):
+        raise ValueError("one has no three coordinates")
+    return numbers.astype(np.float64).reshape(-1, 3)
 
 
 def surface_kinds(geometry: dict[str, Any], num_surfaces: int, is_interior: bool) -> tuple[list[int], str]:
@@ -326,9 +341,8 @@ class TextureReader:
             notes[f"theme of pictures besides {str(theme)[:60]!r}"] += len(themes) - 1
         values = themes[theme].get("values") if isinstance(themes[theme], dict) else None
         try:
-            for _ in range(DEPTHS[geometry["type"]]):
-                values = list(chain.from_iterable(values or ()))
-            if values is None or len(values) != len(surfaces):
+            values = flatten(values, DEPTHS[geometry["type"]])
+            if len(values) != len(surfaces):
                 raise ValueError("another number of surfaces")
             said = [
                 [self._ring(label) for label in labels]

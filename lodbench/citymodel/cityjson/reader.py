@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, BinaryIO
@@ -10,27 +11,155 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.attributes import Lifespans, ObjectTable, overall_height, roof_type_of
-from lodbench.citymodel.cityjson.geometry import GeometryReader, TextureReader
+from lodbench.citymodel.cityjson.geometry import GeometryReader, TextureReader, points_of
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
 from lodbench.citymodel.crs import crs_label, is_in_degrees
 from lodbench.citymodel.gml.names import INTERIOR_NAMES, STOREYS
-from lodbench.citymodel.json_documents import (
-    HINT,
-    declared_system,
-    documents_of,
-    is_tileset,
-    list_or_empty,
-    place_of_tileset,
-    points_of,
-)
 from lodbench.citymodel.options import types_of
 from lodbench.citymodel.raw import NotACity, PolygonCollector, RawCity, paused_collector
 from lodbench.citymodel.textures import SurfaceTextures
 from lodbench.errors import CityModelError
+from lodbench.storage.json_text import list_or_empty
 
 _GROUP = "CityObjectGroup"
 
 Json = dict[str, Any]
+
+
+# A feature is one building with its parts; a line of this size is something else.
+_MAX_LINE_BYTES = 1 << 28
+
+
+def documents_of(stream: BinaryIO, source: str, repeated: list[str]) -> Iterator[Any]:
+    """Yields one JSON document per line of a sequence, or the one document that fills the file."""
+    first = stream.readline(_MAX_LINE_BYTES)
+    try:
+        yield _parse(first, source, 1, repeated)
+    except CityModelError:
+        rest = stream.read()
+        if not rest.strip():
+            raise
+        # Not one document per line: a single one over many lines.
+        yield _parse(first + rest, source, None, repeated)
+        return
+    for number, line in enumerate(iter(lambda: stream.readline(_MAX_LINE_BYTES), b""), start=2):
+        if line.strip():
+            yield _parse(line, source, number, repeated)
+
+
+def _parse(data: bytes, source: str, line: int | None, repeated: list[str]) -> Any:
+    where = f"{source}, line {line}" if line is not None else source
+
+    def mapping(pairs: list[tuple[str, Any]]) -> Json:
+        values = dict(pairs)
+        return values if len(values) == len(pairs) else _apart(pairs, repeated)
+
+    try:
+        return json.loads(
+            data.decode("utf-8-sig"), parse_constant=_refuse_constant, object_pairs_hook=mapping
+        )
+    except RecursionError:
+        raise CityModelError(
+            f"{where}: the JSON is nested too deeply.",
+            "City models nest a dozen levels: do not trust this file.",
+        ) from None
+    except UnicodeDecodeError as error:
+        raise CityModelError(
+            f"{where} is not UTF-8 (byte {error.start}).", "CityJSON is UTF-8: convert the file."
+        ) from None
+    except ValueError as error:
+        raise CityModelError(
+            f"{where} is not well-formed JSON: {error}.",
+            "The file is damaged or cut off: download or export it again.",
+        ) from None
+
+
+def _apart(pairs: list[tuple[str, Any]], repeated: list[str]) -> Json:
+    """Returns a JSON object with keys that stand twice; city objects stay apart, the later as ``id~2``."""
+    values: Json = {}
+    numbers: Counter[str] = Counter()  # how often each was met: the search goes on where it ended
+    for key, value in pairs:
+        own = key
+        if isinstance(value, dict) and "type" in value:
+            while own in values:
+                numbers[key] += 1
+                own = f"{key}~{numbers[key] + 1}"
+            if own != key:
+                repeated.append(key)
+        values[own] = value
+    return values
+
+
+def _refuse_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no JSON number")
+
+
+def declared_system(metadata: Any, source: str) -> str | None:
+    """Returns the name of the reference system in the metadata of a file, or None.
+
+    Raises:
+        CityModelError: It is no text.
+
+    Example:
+        >>> declared_system({"crs": {"epsg": 25832}}, "city.json")
+        'EPSG:25832'
+    """
+    if isinstance(metadata, list):  # against the schema, and published all the same
+        names = (declared_system(one, source) for one in metadata if isinstance(one, dict))
+        return next(filter(None, names), None)
+    if not isinstance(metadata, dict):
+        return None
+    crs = metadata.get("crs")
+    # 0.9 and 1.0 files write the EPSG code alone, too.
+    name = metadata.get("referenceSystem") or (crs.get("epsg") if isinstance(crs, dict) else crs)
+    if isinstance(name, int):
+        return f"EPSG:{name}"
+    if not isinstance(name, str | None):
+        raise CityModelError(
+            f"{source} has a reference system that is no text: {str(name)[:60]}.",
+            "Write it as https://www.opengis.net/def/crs/EPSG/0/25832, or name it with `crs=EPSG:...`",
+        )
+    return name
+
+
+_EARTH_M = (6.2e6, 6.5e6)  # how far from the middle of the Earth its places are
+
+
+_TILESET_HINT = (
+    "Its tiles are meshes of their own (.b3dm, .glb): convert them to one .glb or .obj, or take the CityGML "
+    "or CityJSON they were made from."
+)
+
+
+def place_of_tileset(document: dict[str, Any]) -> str:
+    """Returns where the root of a tileset lies, in words; "" where it says no place.
+
+    Example:
+        >>> place_of_tileset({"root": {"boundingVolume": {"region": [0.2, 0.8, 0.2, 0.8, 0, 9]}}})
+        'at latitude 45.83662, longitude 11.45916'
+    """
+    try:
+        longitude, latitude = _degrees(document["root"])
+    except (KeyError, TypeError, ValueError, IndexError):
+        return ""
+    return f"at latitude {latitude:.5f}, longitude {longitude:.5f}"
+
+
+def _degrees(root: dict[str, Any]) -> tuple[float, float]:
+    """Returns longitude and latitude of the middle of a tile."""
+    from pyproj import Transformer
+
+    volume = root["boundingVolume"]
+    if "region" in volume:  # west, south, east, north in radians
+        west, south, east, north = np.degrees(np.asarray(volume["region"][:4], np.float64)).tolist()
+        return 0.5 * (west + east), 0.5 * (south + north)
+    middle = np.asarray((volume.get("box") or volume["sphere"])[:3], np.float64)
+    matrix = np.asarray(root.get("transform", np.eye(4)), np.float64).reshape(4, 4)  # column by column
+    place = np.append(middle, 1.0) @ matrix[:, :3]
+    if not _EARTH_M[0] < np.linalg.norm(place) < _EARTH_M[1]:
+        raise ValueError("no place on Earth")
+    degrees = Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True).transform(*place)
+    return float(degrees[0]), float(degrees[1])
 
 
 def parents_of(objects: dict[str, Json]) -> dict[str, str]:
@@ -144,9 +273,11 @@ class _Reader:
                 "Without its transform the coordinates mean nothing: put the header line before it.",
             )
         if kind != "CityJSON":
-            if is_tileset(document):
+            if isinstance(document, dict) and {"asset", "root", "geometricError"} <= document.keys():
                 where = f" {place_of_tileset(document)}".rstrip()
-                raise NotACity(f"{self._source} is a tileset of 3D Tiles{where}, no city model.", HINT)
+                raise NotACity(
+                    f"{self._source} is a tileset of 3D Tiles{where}, no city model.", _TILESET_HINT
+                )
             hint = "Name GeoJSON footprints .geojson." if kind == "FeatureCollection" else _HINT
             raise NotACity(f"{self._source} is JSON, but not CityJSON (type {kind!r}).", hint)
         version = str(document.get("version", ""))

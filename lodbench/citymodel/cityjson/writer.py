@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.citymodel.json_documents import ONE_TEXT, fitting, listed, reference_system
+from lodbench.citymodel.crs import epsg_codes
 from lodbench.citymodel.model import CityModel, CityObjects, Polygons, SurfaceKind, group_by
 from lodbench.citymodel.raw import buildings_only
 from lodbench.citymodel.textures import WrittenPictures, counted_lines
@@ -36,6 +36,8 @@ _TYPES = frozenset(
         "WaterBody", "LandUse", "GenericCityObject",
     }
 )  # fmt: skip
+# Attributes that CityJSON takes a single text for.
+_ONE_TEXT = ("class", "function", "usage")
 _MILLIMETRE = 0.001
 _LOD = re.compile(r"[0-3](\.[0-3])?")
 
@@ -158,7 +160,7 @@ class _Writer:
                 item["address"] = [self._address(one) for one in listed(address)]
             if attributes:
                 item["attributes"] = {key: fitting(key, value) for key, value in attributes.items()}
-                for key in ONE_TEXT:
+                for key in _ONE_TEXT:
                     if len(listed(attributes.get(key, ""))) > 1:
                         self.notes[f"several values of {key!r} joined to one text, as CityJSON asks for"] += 1
             children = [table.ids[k] for k in members if table.parents[k] == n]
@@ -236,6 +238,44 @@ class _Writer:
         if surfaces:
             shape["semantics"] = {"surfaces": [{"type": name} for name in surfaces], "values": values}
         return shape
+
+
+def listed(value: Any) -> list[Any]:
+    """Returns a list as it is, and anything else as a list of one."""
+    return value if isinstance(value, list) else [value]
+
+
+def fitting(key: str, value: Any) -> Any:
+    """Returns an attribute of the type that CityJSON requires, where it asks for one and it can be."""
+    if key in _ONE_TEXT:
+        return ", ".join(map(str, listed(value)))
+    if key.startswith("storeyHeights") and isinstance(value, int | float):
+        return [value]
+    if key.startswith("storeys") and str(value).isdigit():
+        return int(value)
+    return value
+
+
+def reference_system(crs: str | None) -> tuple[str | None, str]:
+    """Returns the name in CityJSON's form, which has one code, and what of the system it cannot say.
+
+    Example:
+        >>> reference_system("EPSG:7415")
+        ('https://www.opengis.net/def/crs/EPSG/0/7415', '')
+    """
+    if crs is None:
+        return None, ""
+    codes = epsg_codes(crs)
+    if len(codes) == 1:
+        return _url(codes[0]), ""
+    if not codes:
+        return None, f"reference system {crs}, which has no EPSG code"
+    left_out = f"vertical reference system of {crs}: CityJSON names one EPSG code, and the two have none"
+    return _url(codes[0]), left_out
+
+
+def _url(code: int) -> str:
+    return f"https://www.opengis.net/def/crs/EPSG/0/{code}"
 
 
 def _leaves(shape: Json) -> Iterator[int]:

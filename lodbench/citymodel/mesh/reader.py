@@ -9,6 +9,8 @@ import struct
 from codecs import BOM_UTF8
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
@@ -16,13 +18,13 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import ELEMENT_IGNORED
 from lodbench.citymodel.gml.folding import parse_rings
-from lodbench.citymodel.json_documents import MeshFrame, frame_of_comments, frame_of_extras, list_or_empty
 from lodbench.citymodel.model import SurfaceKind, starts_of
 from lodbench.citymodel.options import MESH_FORMATS, ReadOptions
 from lodbench.citymodel.raw import NotACity, RawCity
-from lodbench.citymodel.scene import connected_components, number_rows, point_bits
+from lodbench.citymodel.scene import Scene, connected_components, number_rows, point_bits
 from lodbench.errors import CityModelError, LodbenchError
 from lodbench.findings import Findings
+from lodbench.storage.json_text import list_or_empty
 
 GLB_HEAD = struct.Struct("<4sIII4s")  # of a binary glTF: magic, version, length; then of the first chunk
 # Extensions that change looks, or say something of objects, and leave the triangles as they are. Positions in
@@ -359,3 +361,63 @@ def _read_faces(
 
 def _line_error(source: str, line: int, text: str, what: str) -> CityModelError:
     return CityModelError(f"{source}, line {line + 1}: `{text[:60]}` {what}.", "Mend or remove the line.")
+
+
+_NO_NAME = "unknown"
+
+_ORIGIN, _CRS = "origin ", "crs "
+
+_KEY = "lodbench"
+
+
+@dataclass(frozen=True, slots=True)
+class MeshFrame:
+    """Place of a mesh."""
+
+    origin: NDArray[np.float64]  # (3,) what was subtracted from the coordinates
+    crs: str | None  # their reference system, or None where it was unknown
+
+    @classmethod
+    def of_scene(cls, scene: Scene) -> MeshFrame:
+        """Returns the frame of a scene."""
+        return cls(scene.origin, scene.crs)
+
+    def comments(self) -> list[str]:
+        """Returns two lines of text, as they stand in the comments of OBJ and PLY."""
+        return [_ORIGIN + " ".join(map(repr, self.origin.tolist())), _CRS + (self.crs or _NO_NAME)]
+
+    def extras(self) -> dict[str, Any]:
+        """Returns plain values, as they stand in the extras of a glTF scene."""
+        return {_KEY: {"origin": self.origin.tolist(), "crs": self.crs}}
+
+
+def frame_of_comments(comments: list[str]) -> MeshFrame | None:
+    """Returns the frame that two comments in a row tell, or None where they are anybody's.
+
+    Example:
+        >>> frame_of_comments(["origin 5.0 6.0 0.0", "crs EPSG:25832"]).crs
+        'EPSG:25832'
+        >>> frame_of_comments(["made by hand"]) is None
+        True
+    """
+    for first, second in pairwise(comments):
+        if first.startswith(_ORIGIN) and second.startswith(_CRS):
+            name = second.removeprefix(_CRS).strip()
+            return _frame(first.removeprefix(_ORIGIN).split(), None if name == _NO_NAME else name)
+    return None
+
+
+def frame_of_extras(metadata: Any) -> MeshFrame | None:
+    """Returns the frame in the extras of a glTF scene, or None."""
+    values = metadata.get(_KEY) if isinstance(metadata, dict) else None
+    if not isinstance(values, dict) or not isinstance(values.get("crs"), str | None):
+        return None
+    return _frame(values.get("origin"), values.get("crs"))
+
+
+def _frame(origin: Any, crs: str | None) -> MeshFrame | None:
+    try:
+        values = np.asarray(origin, np.float64).reshape(3)
+    except (TypeError, ValueError):
+        return None
+    return MeshFrame(values, crs) if np.isfinite(values).all() else None

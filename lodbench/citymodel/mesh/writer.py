@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.json_documents import MeshFrame
+from lodbench.citymodel.mesh.reader import MeshFrame
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.citymodel.textures import png_of

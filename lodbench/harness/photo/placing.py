@@ -14,8 +14,16 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.polygon import orient
 
-from lodbench.citymap.linear_places import PIXEL_SIGMA_PX, Uncertainty
-from lodbench.citymap.places import Ellipse, LocatedPixel, nowhere, places_of, require_pixels, shifted
+from lodbench.citymap.places import (
+    PIXEL_SIGMA_PX,
+    Ellipse,
+    LocatedPixel,
+    Uncertainty,
+    nowhere,
+    places_of,
+    require_pixels,
+    shifted,
+)
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.datasets.pose_text import parse_camera

@@ -13,7 +13,7 @@ from shapely import Polygon
 
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, Pose
-from lodbench.geometry.lens import distort
+from lodbench.geometry.camera import distort
 from lodbench.segmentation.masks import read_photo
 
 Floats = NDArray[np.float64]
