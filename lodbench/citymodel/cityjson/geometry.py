@@ -339,7 +339,7 @@ class TextureReader:
         theme = self._theme if self._theme in themes else next(iter(themes))
         if len(themes) > 1:
             notes[f"theme of pictures besides {str(theme)[:60]!r}"] += len(themes) - 1
-        values = themes[theme].get("values") if isinstance(themes[theme], dict) else None
+        values: Any = themes[theme].get("values") if isinstance(themes[theme], dict) else None
         try:
             values = flatten(values, DEPTHS[geometry["type"]])
             if len(values) != len(surfaces):
