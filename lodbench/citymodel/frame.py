@@ -15,16 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import (
-    AXES_AMBIGUOUS,
-    AXES_SWAPPED,
-    CRS_IMPLAUSIBLE,
-    CRS_MAPPED,
-    CRS_MISSING,
-    CRS_PROJECTED,
-    CRS_UNKNOWN,
-    HEIGHTS_ELLIPSOIDAL,
-)
+from lodbench.citymodel import codes
 from lodbench.citymodel.crs import (
     KnownCrs,
     is_geocentric,
@@ -92,21 +83,23 @@ def settle_order(
                 if stated
                 else "east first, as walls show"
             )
-            findings.add(AXES_AMBIGUOUS, "", f"{known.label}: taken as {taken}; say axis_order")
+            findings.add(codes.AXES_AMBIGUOUS, "", f"{known.label}: taken as {taken}; say axis_order")
     if stated == is_declared_north_first:
         return declared
     if stated is not None:
-        findings.add(AXES_SWAPPED, "", f"{known.label}: {'north' if stated else 'east'} first")
+        findings.add(codes.AXES_SWAPPED, "", f"{known.label}: {'north' if stated else 'east'} first")
         return swapped
     if not declared.is_plausible:
         where = f"({middle[0]:.6g}, {middle[1]:.6g})"
-        findings.add(CRS_IMPLAUSIBLE, "", f"{known.label}: the middle {where} lies outside its area of use")
+        findings.add(
+            codes.CRS_IMPLAUSIBLE, "", f"{known.label}: the middle {where} lies outside its area of use"
+        )
         # Files of projected systems store east first more often than not.
         return swapped if known.horizontal.is_projected and is_declared_north_first else declared
     # Meshes name no system, and have x to the east: latitudes first are those of files that say so.
     if is_declared_north_first and (known.horizontal.is_projected or srs_name is None):
         findings.add(
-            AXES_AMBIGUOUS, "", f"{known.label} declares north first; taken as east first, as is usual"
+            codes.AXES_AMBIGUOUS, "", f"{known.label} declares north first; taken as east first, as is usual"
         )
         return swapped
     return declared
@@ -158,7 +151,7 @@ def require_true_to_scale(target: KnownCrs, middle: NDArray[np.float64], finding
     """
     place = try_order(middle, target, is_north_first=False)
     if not place.is_plausible:
-        findings.add(CRS_IMPLAUSIBLE, "", f"{target.label}: the city lies outside its area of use")
+        findings.add(codes.CRS_IMPLAUSIBLE, "", f"{target.label}: the city lies outside its area of use")
     if not is_true_to_scale(target, middle, findings):
         better = metric_crs(target, place.longitude_deg, place.latitude_deg)
         raise CityModelError(
@@ -216,12 +209,12 @@ def to_metres(
     else:
         order = try_order(_middle(points), known, axis_order == "north_first")
         if not order.is_plausible:
-            findings.add(CRS_IMPLAUSIBLE, "", f"{known.label}, {axis_order}")
+            findings.add(codes.CRS_IMPLAUSIBLE, "", f"{known.label}, {axis_order}")
     if order.is_north_first != is_south_first:
         for n in range(0, len(points), _CHUNK_POINTS):
             points[n : n + _CHUNK_POINTS, :2] = points[n : n + _CHUNK_POINTS, 1::-1].copy()
     if known.has_ellipsoidal_heights:
-        findings.add(HEIGHTS_ELLIPSOIDAL, "", known.label)
+        findings.add(codes.HEIGHTS_ELLIPSOIDAL, "", known.label)
     # Where the coordinates lie outside of the system, nobody knows what its metres are; UTM is 4e-4 short
     # in its middle and 1e-3 long at its rim.
     is_settled = not order.is_plausible or known.horizontal.utm_zone is not None
@@ -244,7 +237,7 @@ def _settle_crs(
         known = require_crs(known.label.replace("21781", "2056"))  # "CH1903" on LV95 coordinates
     if known.is_mapped or known.label.startswith("EPSG:2056+"):
         why = f"; {known.lost}" if known.lost else ""
-        findings.add(CRS_MAPPED, "", f"{override or srs_name} read as {known.label}{why}")
+        findings.add(codes.CRS_MAPPED, "", f"{override or srs_name} read as {known.label}{why}")
     return known
 
 
@@ -258,14 +251,14 @@ def _middle(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _check_without_crs(points: NDArray[np.float64], srs_name: str | None, findings: Findings) -> None:
     if srs_name is None:
-        findings.add(CRS_MISSING, "", "")
+        findings.add(codes.CRS_MISSING, "", "")
     elif is_geocentric(srs_name):
         raise CityModelError(
             f"{srs_name} is geocentric: its metres go from the middle of the Earth, not east and north.",
             "Convert the file to a projected system first, or to EPSG:4979.",
         )
     else:
-        findings.add(CRS_UNKNOWN, "", srs_name)
+        findings.add(codes.CRS_UNKNOWN, "", srs_name)
     require_no_degrees(points)
 
 
@@ -301,7 +294,7 @@ def _strip_zone_prefix(points: NDArray[np.float64], known: KnownCrs, findings: F
             # Of an easting and a northing the easting is the smaller one.
             column = int(np.argmin(middle)) if middle.max() > 1e6 else axes.index("east")
             findings.add(
-                CRS_MAPPED, "", f"the eastings lack the zone number {zone[1]}; it is put before them"
+                codes.CRS_MAPPED, "", f"the eastings lack the zone number {zone[1]}; it is put before them"
             )
             points[:, column] += prefix
         return
@@ -309,7 +302,9 @@ def _strip_zone_prefix(points: NDArray[np.float64], known: KnownCrs, findings: F
     # The northing of Anchorage begins with the number of its zone, too.
     is_placed = any(try_order(middle, known, is_north).is_plausible for is_north in (False, True))
     if not is_placed and prefix <= middle[column] < prefix + 1e6:
-        findings.add(CRS_MAPPED, "", f"the eastings begin with the zone number {zone[1]}; it is removed")
+        findings.add(
+            codes.CRS_MAPPED, "", f"the eastings begin with the zone number {zone[1]}; it is removed"
+        )
         points[:, column] -= prefix
 
 
@@ -362,7 +357,7 @@ def _project(points: NDArray[np.float64], known: KnownCrs, order: Order, finding
     detail = f"from {known.label} to {label}"
     if known.vertical_code is None and known.height_unit_m != 1.0:
         detail += ", heights taken in the unit of the plane"
-    findings.add(CRS_PROJECTED, "", detail)
+    findings.add(codes.CRS_PROJECTED, "", detail)
     points[:, 2] *= known.height_unit_m
     return label
 
@@ -374,8 +369,8 @@ def brought_note(label: str, target: str) -> str:
         >>> brought_note("EPSG:25832+7837", "EPSG:25833+5783")
         'EPSG:25832+7837 brought to EPSG:25833+5783; its heights stay as they are'
     """
-    codes = {require_crs(each).metric_vertical_code for each in (label, target)}
-    return f"{label} brought to {target}" + ("; its heights stay as they are" if len(codes) > 1 else "")
+    vertical = {require_crs(each).metric_vertical_code for each in (label, target)}
+    return f"{label} brought to {target}" + ("; its heights stay as they are" if len(vertical) > 1 else "")
 
 
 def bring_to(points: NDArray[np.float64], label: str, target: str) -> None:

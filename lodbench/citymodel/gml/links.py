@@ -8,18 +8,8 @@ from itertools import chain
 
 from lodbench.citymodel import codes
 from lodbench.citymodel.attributes import ObjectTable
+from lodbench.citymodel.gml import names
 from lodbench.citymodel.gml.batch import Reference
-from lodbench.citymodel.gml.names import (
-    GEOMETRY_PROPERTIES,
-    GML_IDS,
-    POLYGONS,
-    is_another_s,
-    linked_objects,
-    noted_children,
-    owner_of,
-    property_lod,
-    surface_kind,
-)
 from lodbench.citymodel.gml.walk import GeometryWalk
 from lodbench.citymodel.gml.xml import XLINK_HREF, Element, NotFolded, local_name
 from lodbench.citymodel.model import SurfaceKind
@@ -170,11 +160,13 @@ class LinkResolver:
                 continue
             visited.add(name)
             element = index.elements[name]
-            if element in self._walk.left_out or not self._walk.stands(element, noted_children(element)):
+            if element in self._walk.left_out or not self._walk.stands(
+                element, names.noted_children(element)
+            ):
                 has_geometry = True  # which ended with it
                 continue
             has_geometry |= self._copy_object(index, index.elements[name], reference, building_ids)
-            hrefs = (prop.get(XLINK_HREF, "") for prop in linked_objects(index.elements[name]))
+            hrefs = (prop.get(XLINK_HREF, "") for prop in names.linked_objects(index.elements[name]))
             todo += self._targets_within(index, hrefs, reference, building_ids)
         # An object without geometry is one; objects that name only each other are none.
         if len(todo) > 1 and not has_geometry:
@@ -185,16 +177,16 @@ class LinkResolver:
     ) -> bool:
         """Copies each geometry of an object at its own level and of its own kind; tells if there are any."""
         around, properties = element.getparent(), 0
-        for prop in element.iter(*GEOMETRY_PROPERTIES):
-            lod_name = property_lod(prop.tag)
-            if lod_name is None or around is None or is_another_s(prop, around, self._walk.left_out):
+        for prop in element.iter(*names.GEOMETRY_PROPERTIES):
+            lod_name = names.property_lod(prop.tag)
+            if lod_name is None or around is None or names.is_another_s(prop, around, self._walk.left_out):
                 continue
             properties += 1
             if local_name(prop.tag).endswith("ImplicitRepresentation"):
                 detail = f"{local_name(prop.tag)} of an object elsewhere"
                 self._findings.add(codes.GEOMETRY_UNSUPPORTED, building_ids[reference.building], detail)
                 continue
-            lod, kind = self._walk.lods.index(lod_name), surface_kind(prop, around)
+            lod, kind = self._walk.lods.index(lod_name), names.surface_kind(prop, around)
             own = reference._replace(lod=lod, kind=_INTERIOR if reference.kind == _INTERIOR else kind)
             hrefs = (*filter(None, [prop.get(XLINK_HREF)]), *self._copy_below(prop, index, own))
             for inner in self._targets_within(index, hrefs, own, building_ids):
@@ -251,7 +243,7 @@ class LinkResolver:
 
     def _copy_below(self, element: Element, index: MemberIndex, reference: Reference) -> Iterator[str]:
         """Copies the polygons below an element; returns the references that stand there."""
-        for polygon_element in element.iter(*POLYGONS):
+        for polygon_element in element.iter(*names.POLYGONS):
             if polygon_element not in index.polygons:
                 # A geometry outside every geometry property: nothing has counted it yet.
                 self._walk_once(polygon_element, index, reference)
@@ -294,14 +286,14 @@ def index_member(member: Element, walk: GeometryWalk | None) -> MemberIndex:
         raise NotFolded("A reference may be to something that is folded.")
     elements: dict[str, Element] = {}
     for element in member.iter():
-        for name in GML_IDS:
+        for name in names.GML_IDS:
             gml_id = element.get(name)
             if gml_id is not None:
                 elements.setdefault(gml_id, element)
     if walk is None:
         return MemberIndex(elements, {})
     # The same steps in the same order as the walk took, so that numbers agree.
-    in_order = (polygon for prop in walk.properties for polygon in prop.iter(*POLYGONS))
+    in_order = (polygon for prop in walk.properties for polygon in prop.iter(*names.POLYGONS))
     polygons = {element: walk.first_polygon + i for i, element in enumerate(in_order)}
     return MemberIndex(elements, polygons)
 
@@ -319,14 +311,14 @@ class SolidReader:
         self._table, self._left_out = table, walk.left_out
         self._first = first_serial
         for element, number in self._index.polygons.items():
-            gml_id = next((element.get(name) for name in GML_IDS if element.get(name)), None)
+            gml_id = next((element.get(name) for name in names.GML_IDS if element.get(name)), None)
             if gml_id is not None:
                 table.polygon_ids[first_serial + number] = str(gml_id)
 
     def read(self, building: Element, part_of: dict[Element, int], own: int) -> None:
         """Adds the solids of a building and its parts."""
-        for prop in building.iter(*GEOMETRY_PROPERTIES):
-            if property_lod(prop.tag) is None or is_another_s(prop, building, self._left_out):
+        for prop in building.iter(*names.GEOMETRY_PROPERTIES):
+            if names.property_lod(prop.tag) is None or names.is_another_s(prop, building, self._left_out):
                 continue
             composites: dict[Element, int] = {}
             for composite in prop.iter("{*}CompositeSolid"):
@@ -339,8 +331,8 @@ class SolidReader:
                     for shell in solid.iterchildren(name)
                 ]
                 if any(shells):
-                    around = owner_of(solid, prop, composites, -1) if composites else -1
-                    self._table.solids.append((owner_of(prop, building, part_of, own), shells, around))
+                    around = names.owner_of(solid, prop, composites, -1) if composites else -1
+                    self._table.solids.append((names.owner_of(prop, building, part_of, own), shells, around))
 
     def _faces(self, shell: Element) -> list[tuple[int, bool]]:
         """Returns serial number and direction of each polygon of a shell, borrowed ones included."""
@@ -348,7 +340,7 @@ class SolidReader:
         visited: set[Element] = {shell}
         todo = [(shell, False)]
         for root, is_flipped in todo:  # which grows
-            for node in root.iter(*POLYGONS, "{*}surfaceMember", "{*}baseSurface"):
+            for node in root.iter(*names.POLYGONS, "{*}surfaceMember", "{*}baseSurface"):
                 number = self._index.polygons.get(node)
                 if number is not None:
                     faces.append((self._first + number, is_flipped))
@@ -365,7 +357,7 @@ class SolidReader:
 
 def declared_around(geometry: Element) -> tuple[str | None, int]:
     """Returns the srsName and the srsDimension around a geometry, None and 0 where none is."""
-    names = (node.get("srsName") for node in geometry.iterancestors())
+    systems = (node.get("srsName") for node in geometry.iterancestors())
     dimensions = ((node.get("srsDimension") or "").strip() for node in geometry.iterancestors())
-    srs_name = next((str(name).strip() for name in names if name), None)
+    srs_name = next((str(name).strip() for name in systems if name), None)
     return srs_name, int(next((text for text in dimensions if text in ("2", "3")), 0))

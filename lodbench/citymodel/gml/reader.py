@@ -12,20 +12,10 @@ import numpy as np
 
 from lodbench.citymodel.attributes import ATTRIBUTES, Lifespans, ObjectTable, roof_type_of
 from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
+from lodbench.citymodel.gml import names
 from lodbench.citymodel.gml.batch import read_batch
 from lodbench.citymodel.gml.folding import Folding
-from lodbench.citymodel.gml.names import (
-    MEMBERS,
-    NESTED_TYPES,
-    buildings_inside,
-    envelope_srs,
-    gml_id,
-    is_building_tag,
-    is_citygml,
-    measured_height,
-    noted_children,
-    owner_of,
-)
+from lodbench.citymodel.gml.names import is_building_tag, is_citygml
 from lodbench.citymodel.gml.walk import GeometryWalk
 from lodbench.citymodel.gml.xml import Element, NotFolded, XmlMembers, local_name, namespace_of
 from lodbench.citymodel.options import types_of
@@ -142,7 +132,7 @@ class _Reader:
     def read(self, stream: BinaryIO, *, is_folded: bool = False) -> None:
         folding = self.walk.folding = Folding(is_on=is_folded)
         members = XmlMembers(
-            stream, self._source, MEMBERS, self.findings, folding=folding if is_folded else None
+            stream, self._source, names.MEMBERS, self.findings, folding=folding if is_folded else None
         )
         for member in members:
             if self._version is None and members.root is not None:
@@ -173,9 +163,9 @@ class _Reader:
         """Looks in every member for the targets of references that point out of their own."""
         links = self._resolver()
         links.begin_second_pass(self._building_ids)
-        for member in XmlMembers(stream, self._source, MEMBERS, Findings()):
+        for member in XmlMembers(stream, self._source, names.MEMBERS, Findings()):
             self._begin_member(member)
-            srs_name = next(filter(None, map(envelope_srs, member)), self._srs_name)
+            srs_name = next(filter(None, map(names.envelope_srs, member)), self._srs_name)
             if not links.resolve_elsewhere(member, self._building_ids, srs_name):
                 break
         links.end_second_pass()
@@ -197,13 +187,13 @@ class _Reader:
                 "Export it again, or convert it to CityGML 1.0 with a program that reads 0.4.",
             )
         self._version = versions[0] if versions else ""
-        self._srs_name = self._root_srs = envelope_srs(root) or root.get("srsName")
+        self._srs_name = self._root_srs = names.envelope_srs(root) or root.get("srsName")
 
     def _begin_member(self, member: Element) -> None:
         self.walk.begin_member()
         around = member.getparent()
         if around is not None and around is not self._around:  # its Envelope goes with its first member
-            self._around, self._srs_name = around, envelope_srs(around) or self._root_srs
+            self._around, self._srs_name = around, names.envelope_srs(around) or self._root_srs
 
     def _read_member(self, member: Element) -> None:
         self._begin_member(member)
@@ -213,16 +203,17 @@ class _Reader:
         for element in elements:
             if not is_citygml(element.tag) or (not is_building_tag(element.tag) and is_inside(element, met)):
                 continue
-            noted = noted_children(element)
+            noted = names.noted_children(element)
             if not self.walk.stands(element, noted):
                 num_over += 1
                 continue
             if len(elements) > 1:
-                self.walk.left_out |= buildings_inside(element)
+                self.walk.left_out |= names.buildings_inside(element)
             met.append((element, *self._read_object(element, noted)))
         if not met:
-            names = [] if num_over else [local_name(child.tag) for child in member]
-            self._others.update(name for name in names if name != "CityModel")  # its members were read before
+            met_here = [] if num_over else [local_name(child.tag) for child in member]
+            # Of a CityModel in this one the members were read before.
+            self._others.update(name for name in met_here if name != "CityModel")
             self._has_textures |= any(local_name(child.tag) == "Appearance" for child in member)
             self._read_pictures(member, {})
             return
@@ -243,14 +234,14 @@ class _Reader:
     ) -> tuple[dict[Element, int], int]:
         """Adds a building or another object; returns the numbers of objects in it, and its own."""
         type_, number = local_name(element.tag), len(self._building_ids)
-        building_id = gml_id(element) or f"{type_.lower()}-{number + 1}"
+        building_id = names.gml_id(element) or f"{type_.lower()}-{number + 1}"
         self._building_ids.append(building_id)
         attributes = self._attributes_of(element)
         own = self._objects.add(
             building_id, _JSON_TYPES.get(type_, type_), -1, number, attributes, _roof_type(noted),
-            measured_height(noted),
+            names.measured_height(noted),
         )  # fmt: skip
-        srs_name = (envelope_srs(element) if "boundedBy" in noted else None) or self._srs_name
+        srs_name = (names.envelope_srs(element) if "boundedBy" in noted else None) or self._srs_name
         before = len(self.walk.batch.owners), len(self.walk.references)
         part_of = self.walk.walk_building(
             element, number, building_id, srs_name, own, partial(self._add_nested, element, own)
@@ -274,12 +265,12 @@ class _Reader:
         """Adds an object inside of another; returns its number."""
         table = self._objects
         name = local_name(nested.tag)
-        parent = owner_of(nested, building, part_of, own)
-        object_id = gml_id(nested) or f"{table.ids[own]}-{name}-{len(part_of) + 1}"
+        parent = names.owner_of(nested, building, part_of, own)
+        object_id = names.gml_id(nested) or f"{table.ids[own]}-{name}-{len(part_of) + 1}"
         attributes = self._attributes_of(nested)
-        noted = noted_children(nested)
-        type_, roof_type = NESTED_TYPES[name], _roof_type(noted)
-        height_m = measured_height(noted) if type_ == "BuildingPart" else None
+        noted = names.noted_children(nested)
+        type_, roof_type = names.NESTED_TYPES[name], _roof_type(noted)
+        height_m = names.measured_height(noted) if type_ == "BuildingPart" else None
         return table.add(object_id, type_, parent, table.building[own], attributes, roof_type, height_m)
 
     def _flush(self) -> None:

@@ -9,43 +9,10 @@ from typing import Any
 from lodbench.citymodel.attributes import NAMES, Lifespans
 from lodbench.citymodel.codes import GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
 from lodbench.citymodel.crs import is_in_degrees
+from lodbench.citymodel.gml import names
 from lodbench.citymodel.gml.batch import NameTable, PolygonBatch, Reference, leave_out, read_placement
 from lodbench.citymodel.gml.folding import FOLDED, FoldedSurface, Folding
-from lodbench.citymodel.gml.names import (
-    BOUNDARY,
-    CURVE,
-    GML_IDS,
-    NESTED_TYPES,
-    NOTHING,
-    NUMBERS,
-    ORIENTABLE,
-    POLYGON,
-    POLYGONS,
-    REFERENCE,
-    RELIEF_SURFACE,
-    RING,
-    SURFACE_KINDS,
-    TUPLES,
-    WALKED,
-    WALKED_IN_BUILDINGS,
-    NodeTable,
-    WalkedTags,
-    extension_above,
-    gml_id,
-    is_another_s,
-    is_building_tag,
-    is_citygml,
-    is_extension,
-    is_in_ring,
-    linked_objects,
-    noted_children,
-    owner_of,
-    plain_numbers,
-    property_lod,
-    relief_lod,
-    storeys_among,
-    surface_kind,
-)
+from lodbench.citymodel.gml.names import CURVE, NOTHING, NUMBERS, ORIENTABLE, POLYGON, REFERENCE, RING, TUPLES
 from lodbench.citymodel.gml.xml import XLINK_HREF, Element, NotFolded, local_name
 from lodbench.findings import Findings
 
@@ -84,7 +51,7 @@ class GeometryWalk:
         self.extensions: Counter[str] = Counter()
         self.folding = Folding(is_on=False)
         self._findings, self._lifespans = findings, lifespans
-        self._nodes, self._is_walked = NodeTable(), WalkedTags()
+        self._nodes, self._is_walked = names.NodeTable(), names.WalkedTags()
         self._turned: set[Element] = set()
         self._systems: dict[Element, int] = {}
 
@@ -132,26 +99,26 @@ class GeometryWalk:
         first, first_reference = len(self.batch.owners), len(self.references)
         # One pass for objects and geometry: an object comes before what is in it.
         for prop in self._places(element):
-            surfaces = self._folded_surfaces(prop) if local_name(prop.tag) == BOUNDARY else []
+            surfaces = self._folded_surfaces(prop) if local_name(prop.tag) == names.BOUNDARY else []
             if surfaces is None or self._is_another_s(prop, element):
                 continue
-            self.part = owner_of(prop, element, part_of, own) if part_of else own
+            self.part = names.owner_of(prop, element, part_of, own) if part_of else own
             self._add_surfaces(surfaces, building, srs)
-            lod_name = property_lod(prop.tag)
-            if lod_name is None and local_name(prop.tag) == RELIEF_SURFACE:
-                lod_name = relief_lod(prop)
+            lod_name = names.property_lod(prop.tag)
+            if lod_name is None and local_name(prop.tag) == names.RELIEF_SURFACE:
+                lod_name = names.relief_lod(prop)
             if lod_name is not None:
-                self._walk_place(prop, building, building_id, lod_name, surface_kind(prop, element))
-            elif local_name(prop.tag) in NESTED_TYPES and self._stands_or_is_left_out(prop):
+                self._walk_place(prop, building, building_id, lod_name, names.surface_kind(prop, element))
+            elif local_name(prop.tag) in names.NESTED_TYPES and self._stands_or_is_left_out(prop):
                 part_of[prop] = add_nested(prop, part_of)
-        for prop in linked_objects(element) if self.folding.has_links else ():
-            if is_extension(prop.tag) or is_another_s(prop, element, self.left_out):
+        for prop in names.linked_objects(element) if self.folding.has_links else ():
+            if names.is_extension(prop.tag) or names.is_another_s(prop, element, self.left_out):
                 continue
-            part = owner_of(prop, element, part_of, own)
+            part = names.owner_of(prop, element, part_of, own)
             # A door that two rooms share is inside from both.
-            kind = surface_kind(prop, element)
+            kind = names.surface_kind(prop, element)
             self.references.append(Reference(prop.get(XLINK_HREF, ""), building, -1, kind, False, None, part))
-        storeys = storeys_among(element, part_of)
+        storeys = names.storeys_among(element, part_of)
         if storeys:
             leave_out(storeys, self.batch.owners, first, self.references, first_reference)
         return part_of
@@ -165,10 +132,10 @@ class GeometryWalk:
 
     def _places(self, element: Element) -> Iterable[Element]:
         """Returns where geometry and objects may be in an object, in document order."""
-        if not is_building_tag(element.tag):
-            return element.iter(*WALKED)
+        if not names.is_building_tag(element.tag):
+            return element.iter(*names.WALKED)
         if self.folding.has_boundaries:
-            return element.iter(*WALKED_IN_BUILDINGS, "{*}" + BOUNDARY)
+            return element.iter(*names.WALKED_IN_BUILDINGS, "{*}" + names.BOUNDARY)
         walked = self._is_walked
         # Setting a filter up costs more than to look at the children that most buildings of one level have.
         properties = []
@@ -176,10 +143,10 @@ class GeometryWalk:
             tag = child.tag
             if walked[tag]:
                 properties.append(child)
-            if (walked[tag] and property_lod(tag) is None) or (
+            if (walked[tag] and names.property_lod(tag) is None) or (
                 not walked[tag] and len(child) and any(walked[inner.tag] for inner in child.iter())
             ):
-                return element.iter(*WALKED_IN_BUILDINGS)
+                return element.iter(*names.WALKED_IN_BUILDINGS)
         return properties
 
     def _folded_surfaces(self, boundary: Element) -> list[FoldedSurface] | None:
@@ -188,8 +155,8 @@ class GeometryWalk:
             surfaces = self.folding.surfaces_at(str(value))
             if surfaces is not None:
                 name = str(name)
-                has_ids = name.removesuffix(FOLDED) + "id" in GML_IDS
-                if not is_citygml(boundary.tag) or not (has_ids or name == FOLDED):
+                has_ids = name.removesuffix(FOLDED) + "id" in names.GML_IDS
+                if not names.is_citygml(boundary.tag) or not (has_ids or name == FOLDED):
                     raise NotFolded("Names are not those of CityGML.")
                 return surfaces
         return None
@@ -200,24 +167,24 @@ class GeometryWalk:
         for name, lod_name, polygon_id, rings in surfaces:
             if polygon_id:
                 self._note_id(polygon_id)
-            owner = (building, self.lods.index(lod_name), SURFACE_KINDS[name], srs, part)
+            owner = (building, self.lods.index(lod_name), names.SURFACE_KINDS[name], srs, part)
             batch.owners += [owner] * len(rings.texts)
             batch.add_rings(rings, 0)
 
     def _is_another_s(self, node: Element, building: Element) -> bool:
         """Tells whether something is no part of a building; objects of extensions are counted, once each."""
-        is_other = is_another_s(node, building, self.left_out)
-        prop = extension_above(node, building) if is_other else None
+        is_other = names.is_another_s(node, building, self.left_out)
+        prop = names.extension_above(node, building) if is_other else None
         if prop is not None and prop not in self.left_out:
             self.left_out.add(prop)
-            names = [local_name(child.tag) for child in prop.iterchildren("*")]
-            if self.folding.has_folded and not {BOUNDARY, "Polygon"}.isdisjoint(names):
+            inside = [local_name(child.tag) for child in prop.iterchildren("*")]
+            if self.folding.has_folded and not {names.BOUNDARY, "Polygon"}.isdisjoint(inside):
                 raise NotFolded("One element may stand for several.")
-            self.extensions.update(names)
+            self.extensions.update(inside)
         return is_other
 
     def _stands_or_is_left_out(self, element: Element) -> bool:
-        if not self.stands(element, noted_children(element)):
+        if not self.stands(element, names.noted_children(element)):
             self.left_out.add(element)
         return element not in self.left_out
 
@@ -229,7 +196,7 @@ class GeometryWalk:
             noted: Its ``noted_children``.
         """
         dates = {name: noted[name][-1].text or "" for name in NAMES if name in noted} if noted else {}
-        return not dates or self._lifespans.stands(gml_id(element) or local_name(element.tag), dates)
+        return not dates or self._lifespans.stands(names.gml_id(element) or local_name(element.tag), dates)
 
     def _walk_property(self, prop: Element, building: int, lod: int, kind: int, srs: int) -> bool:
         """Adds the polygons and references of one geometry property; returns whether there were any."""
@@ -298,7 +265,7 @@ class GeometryWalk:
             if node == NUMBERS or node == TUPLES:
                 if not is_in_polygon:
                     continue
-                text = ((element.text or "") if node == NUMBERS else plain_numbers(element)).encode()
+                text = ((element.text or "") if node == NUMBERS else names.plain_numbers(element)).encode()
                 if is_new_ring:
                     texts.append(text)
                     ring_counts[-1] += 1
@@ -341,7 +308,7 @@ class GeometryWalk:
             elif node == ORIENTABLE:
                 self._note_orientation(element)
             elif node == CURVE:
-                is_in_polygon = is_in_polygon and is_in_ring(element)
+                is_in_polygon = is_in_polygon and names.is_in_ring(element)
         if self._turned:
             self._turned.clear()
         self._systems.clear()
@@ -349,9 +316,10 @@ class GeometryWalk:
     def _note_system(self, element: Element) -> None:
         """Notes the reference system that an element inside of a geometry declares for what is in it."""
         srs = self.srs_names.index(element.get("srsName", "").strip())
-        below = list(element.iter(*POLYGONS))
+        below = list(element.iter(*names.POLYGONS))
         self._systems.update(dict.fromkeys(below, srs))
-        if not below and next(element.iterancestors(*POLYGONS), None) is not None:  # a ring, or its numbers
+        # A ring, or its numbers.
+        if not below and next(element.iterancestors(*names.POLYGONS), None) is not None:
             building, lod, kind, _, part = self.batch.owners[-1]
             self.batch.owners[-1] = (building, lod, kind, srs, part)
 
@@ -360,7 +328,7 @@ class GeometryWalk:
     ) -> tuple[int, int]:
         """Notes the id of the polygon that comes next; returns its reference system and dimension."""
         for name, value in attributes:
-            if name in GML_IDS:
+            if name in names.GML_IDS:
                 self._note_id(value)
             elif name == "srsName":
                 srs = self.srs_names.index(value.strip())
@@ -389,4 +357,4 @@ class GeometryWalk:
     def _note_orientation(self, element: Element) -> None:
         """Marks what stands below an ``OrientableSurface`` of orientation "-"; twice is not at all."""
         if element.get("orientation", "+").strip() == "-":
-            self._turned ^= set(element.iter(*POLYGONS, "{*}baseSurface"))
+            self._turned ^= set(element.iter(*names.POLYGONS, "{*}baseSurface"))
