@@ -22,10 +22,10 @@ from experiments.scale.grown_city import TILE_BUILDINGS, open_grown_city
 from experiments.scale.measure import ScaleOptions, swarms_inside
 from lodbench.bench.city import write_tiles
 from lodbench.bench.views import Swarm
+from lodbench.citymodel.derive import keep_buildings
 from lodbench.citymodel.mesh.writer import obj_text
 from lodbench.citymodel.read import read_city_model
 from lodbench.citymodel.scene_file import read_scene
-from lodbench.citymodel.subset import keep_buildings
 from lodbench.execution import Ledger
 from lodbench.execution.executor import PROCESS, SERIAL, ExecutorParams, spread
 from lodbench.geometry import Camera

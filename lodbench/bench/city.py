@@ -25,11 +25,11 @@ import numpy as np
 from lodbench.bench.city_peers import naive_mesh, project_plainly, project_tuned, time_cjio
 from lodbench.bench.report import Figure, Progress, Report, no_progress, plain_report
 from lodbench.citymodel import mesh_model, open_scene, read_city_model
+from lodbench.citymodel.derive import keep_buildings
 from lodbench.citymodel.gml.writer import CityGmlWriter
 from lodbench.citymodel.mesh.writer import obj_text
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.scene_file import read_scene
-from lodbench.citymodel.subset import keep_buildings
 from lodbench.errors import CityModelError, ConfigError
 from lodbench.params import flag
 from lodbench.storage import write_chunks

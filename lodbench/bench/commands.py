@@ -208,7 +208,7 @@ def _tile(city: Path, scratch: Path) -> Path:
     """Returns a tile of the first buildings of a city."""
     from lodbench.citymodel import read_city_model
     from lodbench.citymodel.convert import convert_city
-    from lodbench.citymodel.subset import choose_buildings
+    from lodbench.citymodel.derive import choose_buildings
 
     model = read_city_model(city)
     part = choose_buildings(model, ids=model.building_ids[:_TILE_BUILDINGS])

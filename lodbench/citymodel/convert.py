@@ -14,6 +14,7 @@ import numpy as np
 from lodbench.citymodel.cache import open_city, store_city
 from lodbench.citymodel.cityjson.writer import cityjson_text, cityjsonseq_text
 from lodbench.citymodel.crs import require_crs
+from lodbench.citymodel.derive import drop_repeats_of_mesh, footprint_boxes, keep_buildings, keep_level
 from lodbench.citymodel.gml.writer import CityGmlWriter
 from lodbench.citymodel.mesh.reader import MeshFrame
 from lodbench.citymodel.mesh.writer import glb_bytes, obj_text, ply_bytes, write_textured
@@ -22,7 +23,6 @@ from lodbench.citymodel.options import ReadOptions, made_with
 from lodbench.citymodel.read import CityMesh, mesh_model
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import TILE_INDEX, file_source, own_geojson
-from lodbench.citymodel.subset import drop_repeats_of_mesh, footprint_boxes, keep_buildings, keep_level
 from lodbench.citymodel.textured_map import read_textured, textured_model
 from lodbench.citymodel.textures import counted_lines, write_pictures
 from lodbench.citymodel.triangulate import CHUNK_POLYGONS, triangulate

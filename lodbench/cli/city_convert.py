@@ -190,7 +190,7 @@ def _require_heard(wanted: ConvertOptions, out: Path, lod: str | None) -> None:
 
 def _chosen(wanted: ConvertOptions, model: CityModel) -> CityModel:
     """Returns the buildings requested, in the reference system requested."""
-    from lodbench.citymodel.subset import choose_buildings, reproject, require_same_heights
+    from lodbench.citymodel.derive import choose_buildings, reproject, require_same_heights
 
     if wanted.to_crs is not None:
         require_same_heights(model, wanted.to_crs)

@@ -20,11 +20,11 @@ from lodbench.citymodel.codes import (
     finding_catalogue,
 )
 from lodbench.citymodel.convert import convert_city
+from lodbench.citymodel.derive import choose_buildings
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import mesh_model, read_city_model
 from lodbench.citymodel.source import open_sources
-from lodbench.citymodel.subset import choose_buildings
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.own import find_photo
 from lodbench.datasets.pose_files import brought, read_pose_file

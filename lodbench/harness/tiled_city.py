@@ -20,6 +20,7 @@ from lodbench.citymodel.attributes import common_period, holds_on, period_of
 from lodbench.citymodel.cache import code_digest, source_digest
 from lodbench.citymodel.cleaning import unique_ids
 from lodbench.citymodel.codes import CRS_MIXED, FILE_SKIPPED, LOD_ABSENT
+from lodbench.citymodel.derive import reproject
 from lodbench.citymodel.formats import Source
 from lodbench.citymodel.frame import brought_note
 from lodbench.citymodel.model import COARSEST, FINEST, CityModel, Period, choose_lod, has_lod
@@ -30,7 +31,6 @@ from lodbench.citymodel.read import mesh_model, read_source
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import is_scene, join_scenes, read_about, write_scene
 from lodbench.citymodel.source import open_sources
-from lodbench.citymodel.subset import reproject
 from lodbench.errors import CityModelError, LodbenchError
 from lodbench.execution.executor import ExecutorParams, spread
 from lodbench.execution.guards import only_one_in

@@ -15,12 +15,7 @@ from typing import Literal, cast, get_args
 from lodbench.errors import ConfigError, DatasetError, Words, nearest_names, require_within
 from lodbench.geometry import Pose
 from lodbench.geometry.angles import rotation_from_dji
-from lodbench.photos.camera import (
-    camera_flag,
-    require_lens_picture,
-    states_focal_length,
-    why_no_focal_length,
-)
+from lodbench.photos.camera import camera_flag, require_lens_picture, states_focal_length, why_no_focal_length
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.metadata import PhotoMetadata
 

@@ -15,8 +15,8 @@ from lodbench.citymodel.checks.report import check_city, check_folds, check_plan
 from lodbench.citymodel.checks.shells import check_shells
 from lodbench.citymodel.checks.solids import _inside_points, _is_free, _num_pieces, check_solids
 from lodbench.citymodel.codes import VAL3DITY
+from lodbench.citymodel.derive import keep_level
 from lodbench.citymodel.scene import connected_components
-from lodbench.citymodel.subset import keep_level
 from lodbench.cli import main
 from lodbench.findings import Finding, Findings
 

@@ -12,12 +12,12 @@ from lodbench.citymodel import ReadOptions, read_city_model
 from lodbench.citymodel.cleaning import clean_polygons
 from lodbench.citymodel.convert import convert_city
 from lodbench.citymodel.crs import require_crs
+from lodbench.citymodel.derive import reproject
 from lodbench.citymodel.gml.folding import parse_rings
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.polygons import faces_tell_north_first
 from lodbench.citymodel.read import read_source
 from lodbench.citymodel.source import open_sources
-from lodbench.citymodel.subset import reproject
 from lodbench.cli import main
 
 from .gml_text import (

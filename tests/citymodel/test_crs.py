@@ -7,9 +7,9 @@ from pyproj import CRS, Transformer
 
 from lodbench.citymodel import read_city_model
 from lodbench.citymodel.crs import crs_label, require_crs, resolve_crs
+from lodbench.citymodel.derive import reproject
 from lodbench.citymodel.frame import to_metres
 from lodbench.citymodel.read import mesh_model
-from lodbench.citymodel.subset import reproject
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 

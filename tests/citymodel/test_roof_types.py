@@ -10,12 +10,12 @@ import pytest
 
 from lodbench.citymodel import ReadOptions, mesh_city, mesh_model, open_scene, read_city_model
 from lodbench.citymodel.attributes import is_pitched
+from lodbench.citymodel.derive import choose_buildings
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.read import read_source
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import read_scene, scene_folder, write_scene
 from lodbench.citymodel.source import open_sources
-from lodbench.citymodel.subset import choose_buildings
 from lodbench.cli import main
 from lodbench.errors import CityModelError
 from lodbench.harness.city import city_digests

@@ -11,8 +11,8 @@ from pyproj import Transformer
 
 from lodbench.citymodel import ReadOptions, mesh_model, read_city_model
 from lodbench.citymodel.convert import cut_into_tiles
+from lodbench.citymodel.derive import choose_buildings, reproject
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.subset import choose_buildings, reproject
 from lodbench.cli import main
 from lodbench.errors import CityModelError
 

@@ -19,10 +19,7 @@ from shapely.geometry import shape
 
 from lodbench.citymodel.source import OWN_GEOJSON, OWN_GEOPACKAGE
 from lodbench.geometry import Camera, Pose
-from lodbench.photos.map_frame import (
-    MapFrame,
-    survey_row,
-)
+from lodbench.photos.map_frame import MapFrame, survey_row
 from lodbench.storage import write_bytes, write_text
 from lodbench.storage.disk import writable
 
