@@ -31,6 +31,11 @@ class Blocks:
     footprint: NDArray[np.int64]  # (N,) int64 which footprint each polygon comes from
     kind: NDArray[np.uint8]  # (N,) uint8
 
+    def columns(self, building: NDArray[np.integer]) -> dict[str, NDArray[Any]]:
+        """Returns them for ``city_of_columns``, of (N,) buildings."""
+        columns = {name: getattr(self, name) for name in ("points", "ring_lengths", "ring_counts", "kind")}
+        return columns | {"building": building}
+
 
 def extrude(
     points: NDArray[np.float64],

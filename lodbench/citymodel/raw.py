@@ -215,17 +215,16 @@ class PolygonCollector:
             "points": np.concatenate(self.point_blocks) if self.point_blocks else np.zeros((0, 3)),
             "ring_lengths": np.asarray(self.ring_lengths, np.int64),
             "ring_counts": np.asarray(self.ring_counts, np.int64),
-            "building": building.astype(np.int32),
+            "building": building,
             "lod": lod.astype(np.int16),
             "kind": kind.astype(np.uint8),
-            "srs": np.zeros(len(owners), np.int16),
             "part": part.astype(np.int32),
             "serial": np.asarray(self.serials, np.int64),
         }
         return city_of_columns(
             columns,
-            self.objects,
-            self.textures,
+            table=self.objects,
+            textures=self.textures,
             source=source,
             format=format,
             version=version,
@@ -238,36 +237,45 @@ class PolygonCollector:
 
 def city_of_columns(
     columns: Mapping[str, NDArray[Any]],
-    objects: ObjectTable | None,
-    textures: SurfaceTextures | None,
+    *,
+    table: ObjectTable | None = None,
+    textures: SurfaceTextures | None = None,
     **stated: Any,
 ) -> RawCity:
     """Returns a city of the polygons that a reader has gathered.
 
     Args:
-        columns: ``points``, ``building``, ``lod``, ``kind``, ``srs``, ``part`` as in ``RawCity``; (R,)
-            ``ring_lengths``, (N,) ``ring_counts``; where objects have details, ``serial``, the number of each
-            polygon there and in ``textures``, -1 for a copy.
-        objects: Buildings and what else the city has.
+        columns: ``points`` and ``building`` as in ``RawCity``; (R,) ``ring_lengths``, (N,) ``ring_counts``;
+            ``lod``, ``kind``, ``srs`` where they are not 0 for all, ``part`` where there are parts. With
+            details (N,) ``serial``, the number of each polygon in table and textures, -1 for a copy.
+        table: Buildings and what else the city has.
         textures: Of the polygons, in a city with details.
         stated: All else of a ``RawCity``.
     """
     ring_starts, polygon_starts = starts_of(columns["ring_lengths"]), starts_of(columns["ring_counts"])
-    building_ids = stated["building_ids"]
-    if objects is not None:
-        stated["num_parts"] = objects.types.count("BuildingPart")
-        stated["pitched"] = pitched_buildings(objects.roof_types, len(building_ids))
-        stated["measured_m"] = objects.heights(len(building_ids))
+    building_ids, blank = stated["building_ids"], np.zeros(len(columns["ring_counts"]), np.int16)
+    if table is not None:
+        stated["num_parts"] = table.types.count("BuildingPart")
+        stated["pitched"] = pitched_buildings(table.roof_types, len(building_ids))
+        stated["measured_m"] = table.heights(len(building_ids))
         # Where buildings have no parts, their own numbers say it all.
-        if len(objects.ids) != len(building_ids) or not objects.is_plain:
-            stated["part"], stated["objects"] = columns["part"], objects.finish()
-        if objects.has_details:
-            stated["solids"], stated["polygon_ids"] = objects.finish_solids(columns["serial"])
+        if len(table.ids) != len(building_ids) or not table.is_plain:
+            stated["part"], stated["objects"] = columns["part"], table.finish()
+        if table.has_details:
+            stated["solids"], stated["polygon_ids"] = table.finish_solids(columns["serial"])
             if textures is not None:
                 laid = textures.finish(columns["serial"], ring_starts[polygon_starts])
                 stated["pictures"], stated["picture"], stated["uv"] = laid
-    own: dict[str, Any] = {name: columns[name] for name in ("points", "building", "lod", "kind", "srs")}
-    return RawCity(ring_starts=ring_starts, polygon_starts=polygon_starts, **own, **stated)
+    return RawCity(
+        points=columns["points"],
+        ring_starts=ring_starts,
+        polygon_starts=polygon_starts,
+        building=columns["building"].astype(np.int32, copy=False),
+        lod=columns.get("lod", blank),
+        kind=columns.get("kind", blank.astype(np.uint8)),
+        srs=columns.get("srs", blank),
+        **stated,
+    )
 
 
 @contextmanager

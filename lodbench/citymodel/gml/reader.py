@@ -307,8 +307,8 @@ class _Reader:
             self._appearances.lay_all(columns, self._flipped)
         return city_of_columns(
             columns,
-            self._objects,
-            self._textures,
+            table=self._objects,
+            textures=self._textures,
             source=self._source,
             format="CityGML",
             version=self._version or None,

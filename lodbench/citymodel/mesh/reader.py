@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import ELEMENT_IGNORED
 from lodbench.citymodel.gml.folding import parse_rings
-from lodbench.citymodel.model import SurfaceKind, starts_of
+from lodbench.citymodel.model import starts_of
 from lodbench.citymodel.options import MESH_FORMATS, ReadOptions
-from lodbench.citymodel.raw import NotACity, RawCity
+from lodbench.citymodel.raw import NotACity, RawCity, city_of_columns
 from lodbench.citymodel.scene import Scene, connected_components, number_rows, point_bits
 from lodbench.errors import CityModelError, LodbenchError
 from lodbench.findings import Findings
@@ -139,39 +139,40 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
     if suffix == ".ply" and frame is None:
         frame = frame_of_comments(_ply_comments(content))
     points = turned_up(points, options.up_axis, suffix)
+    counts = np.full(len(points) // 3, 3)
     if len(parts) > 1:
         building = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
         ids = [str(part.metadata.get("name") or f"mesh-{i + 1}") for i, part in enumerate(parts)]
     else:
-        building = _components(points, np.full(len(points) // 3, 3))
+        building = _components(points, counts)
         ids = [f"component-{i + 1}" for i in range(int(building.max()) + 1)]
-    return _city(source, MESH_FORMATS[suffix], points, np.arange(len(building) + 1) * 3, building, ids, frame)
+    return _city(source, MESH_FORMATS[suffix], points, counts, building, ids, frame)
 
 
 def _city(
     source: str,
     format: str,
     points: NDArray[np.float64],
-    ring_starts: NDArray[np.int64],
+    counts: NDArray[np.int64],
     building: NDArray[np.int64],
     ids: list[str],
     frame: MeshFrame | None,
 ) -> RawCity:
     """Returns faces of one ring each, moved to where their frame says, as a city without levels."""
-    count, has_crs = len(building), frame is not None and frame.crs is not None
-    return RawCity(
+    has_crs = frame is not None and frame.crs is not None
+    columns = {
+        "points": points if frame is None else points + frame.origin,
+        "ring_lengths": counts,
+        "ring_counts": np.ones(len(counts), np.int64),
+        "building": building,
+    }
+    return city_of_columns(
+        columns,
         source=source,
         format=format,
         srs_names=(frame.crs,) if frame is not None and has_crs else (),
         building_ids=tuple(ids),
         lods=("",),
-        points=points if frame is None else points + frame.origin,
-        ring_starts=ring_starts,
-        polygon_starts=np.arange(count + 1),
-        building=building.astype(np.int32),
-        lod=np.zeros(count, np.int16),
-        kind=np.full(count, SurfaceKind.UNKNOWN, np.uint8),
-        srs=np.zeros(count, np.int16),
         axis_orders=("east_first",) if has_crs else (),
     )
 
@@ -297,7 +298,7 @@ def read_obj(stream: BinaryIO, source: str, up_axis: str = "auto") -> RawCity:
     num_buildings = int(building.max()) + 1
     width = len(str(num_buildings))
     ids = [f"component-{i + 1:0{width}d}" for i in range(num_buildings)]
-    city = _city(source, "OBJ", points, starts_of(counts), building, ids, frame)
+    city = _city(source, "OBJ", points, counts, building, ids, frame)
     city.findings = findings
     return city
 

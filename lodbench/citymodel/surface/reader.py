@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import SURFACE_NO_DATUM, SURFACE_PLANTS, SURFACE_SIMPLIFIED
 from lodbench.citymodel.crs import resolve_crs
-from lodbench.citymodel.model import SurfaceKind, starts_of
+from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity
+from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity, city_of_columns
 from lodbench.citymodel.surface.files import open_surface
 from lodbench.citymodel.surface.grid import Span, SurfaceGrid
 from lodbench.citymodel.surface.ground import find_ground
@@ -295,21 +295,13 @@ def surface_city(
             f"Nothing in {source} rises {LEAST_RISE_M:g} m above the ground.", "Is it a terrain model?"
         )
     _tell(grid, counts, findings)
-    found = {name: column.finish() for name, column in columns.items()}
-    count = len(found["kind"])
-    return RawCity(
+    return city_of_columns(
+        {name: column.finish() for name, column in columns.items()},
         source=source,
         format="surface model",
         srs_names=(grid.crs,),
         building_ids=tuple(ids),
         lods=("2",),
-        points=found["points"],
-        ring_starts=starts_of(found["ring_lengths"]),
-        polygon_starts=starts_of(found["ring_counts"]),
-        building=found["building"],
-        lod=np.zeros(count, np.int16),
-        kind=found["kind"],
-        srs=np.zeros(count, np.int16),
         findings=findings,
         axis_orders=("east_first",),
     )

@@ -23,7 +23,7 @@ from lodbench.citymodel.model import (
     take_segments,
 )
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.raw import NotACity, RawCity
+from lodbench.citymodel.raw import NotACity, RawCity, city_of_columns
 from lodbench.citymodel.surface.grid import ground_under
 from lodbench.citymodel.surface.ground import MeasuredFootprints, measure_footprints
 from lodbench.citymodel.vector.columns import Columns, read_table
@@ -42,21 +42,21 @@ def surfaces_as_read(polygons: WkbPolygons, columns: Columns, source: str, crs: 
         crs: Its reference system.
     """
     used, building = np.unique(np.asarray(polygons.owner, np.int64), return_inverse=True)
-    count, ids = len(building), columns.ids()
+    ids = columns.ids()
     pitched = pitched_buildings(columns.roof_types(), len(ids))
-    return RawCity(
+    surfaces = {
+        "points": np.concatenate(polygons.rings),
+        "ring_lengths": np.asarray([len(ring) for ring in polygons.rings], np.int64),
+        "ring_counts": np.asarray(polygons.ring_counts, np.int64),
+        "building": building.reshape(-1),
+    }
+    return city_of_columns(
+        surfaces,
         source=source,
         format="surfaces",
         srs_names=(crs,),
         building_ids=tuple(ids[i] for i in used),
         lods=("2",),
-        points=np.concatenate(polygons.rings),
-        ring_starts=starts_of(np.asarray([len(ring) for ring in polygons.rings], np.int64)),
-        polygon_starts=starts_of(np.asarray(polygons.ring_counts, np.int64)),
-        building=building.reshape(-1).astype(np.int32),
-        lod=np.zeros(count, np.int16),
-        kind=np.full(count, SurfaceKind.UNKNOWN, np.uint8),
-        srs=np.zeros(count, np.int16),
         has_closing_points=True,
         axis_orders=("east_first",),
         pitched=None if pitched is None else pitched[used],
@@ -183,19 +183,13 @@ def _blocks(
         named = tuple(ids[n] for n in used)
         lone = np.full(len(used), -1, np.int32), np.arange(len(used), dtype=np.int32)
         objects = CityObjects(named, ("Building",) * len(used), *lone, tuple(stated))
-    city = RawCity(
+    city = city_of_columns(
+        blocks.columns(building.reshape(-1)),
         source=source,
         format="footprints",
         srs_names=(crs,),
         building_ids=tuple(ids[i] for i in used),
         lods=("1",),
-        points=blocks.points,
-        ring_starts=starts_of(blocks.ring_lengths),
-        polygon_starts=starts_of(blocks.ring_counts),
-        building=building.reshape(-1).astype(np.int32),
-        lod=np.zeros(len(building), np.int16),
-        kind=blocks.kind,
-        srs=np.zeros(len(building), np.int16),
         findings=findings,
         # Vector files keep longitude or easting first whatever their reference system declares.
         axis_orders=("east_first",),

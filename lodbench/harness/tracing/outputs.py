@@ -20,7 +20,7 @@ from lodbench.citymodel.extrude import extrude
 from lodbench.citymodel.model import CityModel, starts_of
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.polygons import finish_model
-from lodbench.citymodel.raw import RawCity
+from lodbench.citymodel.raw import city_of_columns
 from lodbench.citymodel.read import read_city_model
 from lodbench.datasets.own import OwnImage, Written, find_photo, named_apart, write_dataset
 from lodbench.datasets.pose_text import LayoutGuard, read_json
@@ -127,20 +127,13 @@ def map_of(buildings: Sequence[Building], crs: str | None) -> CityModel:
         np.array([building.ground for building in buildings]),
         np.array([building.roof.height for building in buildings]),
     )
-    owner = blocks.footprint.astype(np.int32)
-    raw = RawCity(
+    raw = city_of_columns(
+        blocks.columns(blocks.footprint),
         source="traced",
         format="traced",
         srs_names=(crs,),
         building_ids=tuple(building.roof.name for building in buildings),
         lods=("1",),
-        points=blocks.points,
-        ring_starts=starts_of(blocks.ring_lengths),
-        polygon_starts=starts_of(blocks.ring_counts),
-        building=owner,
-        lod=np.zeros(len(owner), np.int16),
-        kind=blocks.kind,
-        srs=np.zeros(len(owner), np.int16),
         axis_orders=("east_first",),
     )
     return finish_model(raw, ReadOptions(crs=crs))
