@@ -20,9 +20,9 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench import storage
 from lodbench.citymodel.model import FIRST_COLOUR, NO_PICTURE, CityModel, Colour, Pictures, Polygons
 from lodbench.errors import DatasetError
-from lodbench.storage import make_folder, write_bytes
 
 Floats = NDArray[np.float64]
 
@@ -247,8 +247,8 @@ def write_pictures(model: CityModel, target: Path) -> WrittenPictures:
                 continue
             stem = _NOT_IN_NAMES.sub("_", path.stem)[:_MAX_STEM].strip("_")
             name = "_".join(filter(None, (f"{len(written) + 1:04d}", stem))) + suffix
-            make_folder(folder)
-            write_bytes(folder / name, content)
+            storage.make_folder(folder)
+            storage.write_bytes(folder / name, content)
             # As a link, in which % begins a code.
             written[path] = f"{folder.name}/{name}".replace("%", "%25")
         images[number] = Image(written[path], model.pictures.wraps[number])
