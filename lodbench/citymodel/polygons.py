@@ -302,7 +302,7 @@ def move_bases(
     else:
         heights = np.full(count, options.ground_m)
         if options.terrain is not None and label is not None:
-            from lodbench.citymodel.surface.grid import ground_under
+            from lodbench.citymodel.surface.ground import ground_under
 
             sizes = np.maximum(np.bincount(building, minlength=count), 1)
             middles = np.stack(

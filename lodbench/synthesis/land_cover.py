@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene, building_boxes
-from lodbench.citymodel.surface.grid import ground_under
+from lodbench.citymodel.surface.ground import ground_under
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.kernels.looks import SurfaceClass

@@ -13,7 +13,7 @@ from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.read import mesh_model
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.surface.grid import ground_under
+from lodbench.citymodel.surface.ground import ground_under
 from lodbench.citymodel.vector.columns import find_column
 from lodbench.citymodel.vector.gdal import WkbPolygons
 from lodbench.errors import CityModelError, ConfigError

@@ -10,7 +10,7 @@ from pyproj import Transformer
 
 from lodbench.citymodel import ReadOptions, mesh_model, open_scene, read_city_model
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.surface.grid import ground_under
+from lodbench.citymodel.surface.ground import ground_under
 from lodbench.errors import CityModelError
 
 from .gml_text import codes, write

@@ -8,7 +8,7 @@ import pytest
 
 from lodbench.citymodel import ReadOptions, read_city_model
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.surface.files import open_surface
+from lodbench.citymodel.surface.grid import open_surface
 from lodbench.citymodel.surface.ground import estimate_ground, fill_gaps, find_ground
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings

@@ -1,4 +1,4 @@
-"""The ground below a surface model: from a terrain model, from laser points, or estimated from it.
+"""The ground below footprints and surface models: a terrain model's, of laser points, or estimated.
 
 Estimated as by the simple morphological filter (Pingel, Clarke, McBride, ISPRS Journal 77, 2013): openings of
 growing width take away what is narrower and steeper than ground is; the gaps are filled from their rims.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +16,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import SURFACE_COARSE, SURFACE_GROUND_ESTIMATED, SURFACE_NO_ROOF, SURFACE_OFFSET
+from lodbench.citymodel.model import HIGHEST_M, LOWEST_M
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.surface.files import open_surface
 from lodbench.citymodel.surface.grid import (
     BLOCK,
+    MAX_CELLS,
     Floats,
     Span,
     SurfaceGrid,
-    ground_under,
+    Terrain,
+    empty_grid,
     height_step_m,
+    height_unit_m,
+    open_surface,
+    read_ascii,
+    read_band_m,
     tell_gaps,
     tell_steps,
 )
+from lodbench.citymodel.vector.gdal import opened_raster, raster_driver
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -39,6 +46,70 @@ _WIDEST_M = 60.0
 _SLOPE, _FIRST_M = 0.2, 0.3
 # A terrain model further off the surface's lowest cells than this has other zero heights, metres.
 _OFFSET_M = 1.0
+
+
+def ground_under(points: NDArray[np.float64], crs: str, options: ReadOptions) -> NDArray[np.float64]:
+    """Returns (N,) terrain heights under points given as easting or longitude first; NaN where there is none.
+
+    Args:
+        points: (N, 2) in ``crs``.
+        crs: Their reference system, in whose unit of height the answer is; that of an ASCII grid, too.
+        options: ``terrain`` names the raster.
+
+    Raises:
+        CityModelError: The raster cannot be read.
+    """
+    path = Path(str(options.terrain))
+    if not path.is_file():
+        raise CityModelError(f"There is no terrain model at {path}.", "Check the path.")
+    unit_m = height_unit_m(crs)
+    if path.suffix.lower() == ".asc":
+        heights_m = read_ascii(path).at(points) * unit_m
+    else:
+        heights_m = _raster_heights_m(path, points, crs)
+    return np.where((heights_m > LOWEST_M) & (heights_m < HIGHEST_M), heights_m / unit_m, np.nan)
+
+
+def _raster_heights_m(path: Path, points: NDArray[np.float64], crs: str) -> NDArray[np.float64]:
+    """Returns (N,) heights of a raster in metres; only the part of it under the points is read."""
+    instead = "Or convert the raster to an ASCII grid (.asc)."
+    with opened_raster(path, raster_driver(path), instead) as raster:
+        grid = empty_grid(raster.transform, path)
+        own_crs = crs if raster.crs is None else raster.crs.to_wkt()
+        if raster.crs is not None:
+            points = _projected(points, crs, own_crs)
+        rows, columns = _window(grid, points, raster.shape)
+        if (rows[1] - rows[0]) * (columns[1] - columns[0]) > MAX_CELLS:
+            raise CityModelError(f"{path} has too many cells under the city.", "Warp it to larger cells.")
+        heights_m = read_band_m(raster, own_crs, rows, columns)
+    part = replace(
+        grid,
+        heights=heights_m,
+        west=grid.west + columns[0] * grid.cell_x,
+        north=grid.north - rows[0] * grid.cell_y,
+    )
+    return part.at(points)
+
+
+def _projected(points: NDArray[np.float64], crs: str, target: str) -> NDArray[np.float64]:
+    from pyproj import Transformer
+
+    transformer = Transformer.from_crs(crs, target, always_xy=True)
+    return np.stack(transformer.transform(points[:, 0], points[:, 1]), axis=1)
+
+
+def _window(
+    grid: Terrain, points: NDArray[np.float64], shape: tuple[int, int]
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Returns the first and last rows and columns of a grid that hold all the points it covers."""
+    finite = points[np.isfinite(points).all(axis=1)]
+    columns = np.floor((finite[:, 0] - grid.west) / grid.cell_x)
+    rows = np.floor((grid.north - finite[:, 1]) / grid.cell_y)
+    is_inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
+    if not is_inside.any():
+        return (0, 1), (0, 1)
+    rows, columns = rows[is_inside].astype(int), columns[is_inside].astype(int)
+    return (int(rows.min()), int(rows.max()) + 1), (int(columns.min()), int(columns.max()) + 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.surface.files import open_surface
-from lodbench.citymodel.surface.grid import Floats, Span, SurfaceGrid
+from lodbench.citymodel.surface.grid import Floats, Span, SurfaceGrid, open_surface
 from lodbench.citymodel.textures import TexturedPart, require_room
 from lodbench.citymodel.vector.gdal import opened_raster
 from lodbench.errors import CityModelError, ConfigError, DatasetError

@@ -14,8 +14,7 @@ from lodbench.citymodel.crs import resolve_crs
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity, city_of_columns
-from lodbench.citymodel.surface.files import open_surface
-from lodbench.citymodel.surface.grid import Span, SurfaceGrid
+from lodbench.citymodel.surface.grid import Span, SurfaceGrid, open_surface
 from lodbench.citymodel.surface.ground import find_ground
 from lodbench.citymodel.surface.orthophoto import green_of
 from lodbench.citymodel.surface.regions import LEAST_RISE_M, TOLERANCE_M, RegionCounts, Window, windows_of

@@ -24,8 +24,7 @@ from lodbench.citymodel.model import (
 )
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import NotACity, RawCity, city_of_columns
-from lodbench.citymodel.surface.grid import ground_under
-from lodbench.citymodel.surface.ground import MeasuredFootprints, measure_footprints
+from lodbench.citymodel.surface.ground import MeasuredFootprints, ground_under, measure_footprints
 from lodbench.citymodel.vector.columns import Columns, read_table
 from lodbench.citymodel.vector.gdal import WkbPolygons, missing_bytes
 from lodbench.errors import CityModelError

@@ -10,7 +10,7 @@ from solid_checks import assert_sound, volume_m3
 
 from lodbench.citymodel import ReadOptions
 from lodbench.citymodel.model import SurfaceKind
-from lodbench.citymodel.surface.grid import ground_under
+from lodbench.citymodel.surface.ground import ground_under
 from lodbench.kernels.looks import SurfaceClass
 from lodbench.synthesis.town import shapes
 from lodbench.synthesis.town.build import ascii_grid_text, relief_text
