@@ -24,6 +24,7 @@ from lodbench.citymodel.vector.gdal import opened_raster, raster_driver
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
+# What a header may state: 32,768 cells a side, 8 km at 0.25 m.
 MAX_CELLS = 1 << 30
 # What bands of rasters call their unit, metres; where they do not, it is that of their reference system.
 _UNITS_M = {
@@ -134,7 +135,6 @@ def read_ascii(path: Path) -> Terrain:
 Floats = NDArray[np.float32]
 Span = tuple[int, int]
 
-# What a header may state: 32,768 cells a side, 8 km at 0.25 m.
 # Heights beside each other on the two sides of a border between tiles differ by more in the median: a step.
 _STEP_M = 0.3
 # Cells coarser than this show no building, metres.
