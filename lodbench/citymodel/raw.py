@@ -36,55 +36,36 @@ class RawCity:
 
     Whoever works on it uses it up: points are cleaned and moved where they lie, because a second
     copy of them is more memory than all else that reading a city takes.
-
-    Attributes:
-        source: The file's name.
-        format: ``"CityGML"``, ``"OBJ"``, ...
-        version: The format's version, or None.
-        srs_names: Reference systems declared, as written; None stands for "not declared". Empty for
-            a format that cannot declare one.
-        building_ids: One id per building, in file order.
-        num_parts: Building parts met.
-        lods: Level names the ``lod`` array points into; not sorted, all used.
-        points: (P, 3) float64, columns in the order of the file.
-        ring_starts: (R + 1,) int64 offsets into ``points``.
-        polygon_starts: (N + 1,) int64 offsets into the rings.
-        building: (N,) int32.
-        lod: (N,) int16.
-        kind: (N,) uint8 ``SurfaceKind``.
-        srs: (N,) int16 index into ``srs_names``.
-        has_closing_points: Rings end with their first point again, as GML requires; (R,) where the tiles of
-            a city differ.
-        findings: What was met while reading.
-        axis_orders: For each of ``srs_names``, which of the first two columns is the easting, where the
-            format settles it; empty where it never does.
-        has_textures: Whether the file has pictures or materials of its surfaces.
-        part, objects, solids, polygon_ids, pictures, picture, uv, pitched, measured_m, period: As in
-            ``Polygons`` and ``CityModel``.
     """
 
-    source: str
-    format: str
-    version: str | None = None
+    source: str  # the file's name
+    format: str  # ``"CityGML"``, ``"OBJ"``, ..
+    version: str | None = None  # the format's version
+    # Reference systems declared, as written; None stands for "not declared". Empty for a format that cannot
+    # declare one
     srs_names: tuple[str | None, ...]
-    building_ids: tuple[str, ...]
-    num_parts: int = 0
-    lods: tuple[str, ...]
-    points: NDArray[np.float64]
-    ring_starts: NDArray[np.int64]
-    polygon_starts: NDArray[np.int64]
-    building: NDArray[np.int32]
-    lod: NDArray[np.int16]
-    kind: NDArray[np.uint8]
-    srs: NDArray[np.int16]
+    building_ids: tuple[str, ...]  # one id per building, in file order
+    num_parts: int = 0  # building parts met
+    lods: tuple[str, ...]  # level names the ``lod`` array points into; not sorted, all used
+    points: NDArray[np.float64]  # (P, 3), columns in the order of the file
+    ring_starts: NDArray[np.int64]  # (R + 1,) offsets into ``points``
+    polygon_starts: NDArray[np.int64]  # (N + 1,) offsets into the rings
+    building: NDArray[np.int32]  # (N,)
+    lod: NDArray[np.int16]  # (N,)
+    kind: NDArray[np.uint8]  # (N,) ``SurfaceKind``
+    srs: NDArray[np.int16]  # (N,) index into ``srs_names``
+    # Rings end with their first point again, as GML requires; (R,) where the tiles of a city differ
     has_closing_points: bool | NDArray[np.bool_] = False
-    findings: Findings = field(default_factory=Findings)
+    findings: Findings = field(default_factory=Findings)  # what was met while reading
+    # For each of ``srs_names``, which of the first two columns is the easting, where the format settles it;
+    # empty where it never does
     axis_orders: tuple[AxisOrder, ...] = ()
+    has_textures: bool = False  # whether the file has pictures or materials of its surfaces
+    # As in ``Polygons`` and ``CityModel``
     part: NDArray[np.int32] | None = None
     objects: CityObjects | None = None
     solids: Solids | None = None
     polygon_ids: tuple[str, ...] = ()
-    has_textures: bool = False
     pictures: Pictures | None = None
     picture: NDArray[np.int32] | None = None
     uv: NDArray[np.float64] | None = None
