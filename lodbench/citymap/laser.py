@@ -54,19 +54,12 @@ def range_log_densities(query: Query, city_map: CityMap, vectors: Floats) -> Flo
 
 
 class RangedPose(NamedTuple):
-    """A pose after a range.
+    """A pose after a range."""
 
-    Attributes:
-        vector: (6,) metres and degrees, scene frame.
-        kept: (6, 6) what is left of an error of before; None where the range was not used.
-        noise: (6, 6) what the range itself errs by adds to its covariance.
-        note: What became of the range, in a sentence.
-    """
-
-    vector: Floats
-    kept: Floats | None
-    noise: Floats
-    note: str
+    vector: Floats  # (6,) metres and degrees, scene frame
+    kept: Floats | None  # (6, 6) what is left of an error of before; None where the range was not used
+    noise: Floats  # (6, 6) what the range itself errs by adds to its covariance
+    note: str  # what became of the range, in a sentence
 
     def left_of(self, covariance: Floats) -> Floats:
         """Returns (6, 6) what is left of a covariance of before the range."""

@@ -64,23 +64,14 @@ class Uncertainty:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearPlaces:
-    """N places as linear functions of errors: of pose and camera, of the pixel, of the surface.
+    """N places as linear functions of errors: of pose and camera, of the pixel, of the surface."""
 
-    Attributes:
-        hits: What the rays meet.
-        rays: (N, 3) directions in the scene's frame.
-        by_ray: (N, 3, 6 + K) how points at these distances on the rays move with pose and camera.
-        by_ray_pixel: (N, 3, 2) likewise with the pixel.
-        onto: (N, 3, 3) projection along the ray onto the surface.
-        by_surface: (N, 3) how the place moves with the surface along its normal.
-    """
-
-    hits: Hits
-    rays: Floats
-    by_ray: Floats
-    by_ray_pixel: Floats
-    onto: Floats
-    by_surface: Floats
+    hits: Hits  # what the rays meet
+    rays: Floats  # (N, 3) directions in the scene's frame
+    by_ray: Floats  # (N, 3, 6 + K) how points at these distances on the rays move with pose and camera
+    by_ray_pixel: Floats  # (N, 3, 2) likewise with the pixel
+    onto: Floats  # (N, 3, 3) projection along the ray onto the surface
+    by_surface: Floats  # (N, 3) how the place moves with the surface along its normal
 
     @property
     def jacobian(self) -> Floats:
@@ -123,17 +114,12 @@ _LEAST_M = 0.05
 
 
 class GroundErrors(NamedTuple):
-    """Places of N pixels by an estimated pose, against those by the true one.
+    """Places of N pixels by an estimated pose, against those by the true one."""
 
-    Attributes:
-        distance_m: (N,) between the two; NaN where either shows no place.
-        is_within: (N,) whether the true one lies in the 95 % ellipse of the other, on its surface.
-        surface: N names of what the estimate has them on: roof, wall or ground; "" for nothing.
-    """
-
-    distance_m: Floats
+    distance_m: Floats  # (N,) between the two; NaN where either shows no place
+    # (N,) whether the true one lies in the 95 % ellipse of the other, on its surface
     is_within: NDArray[np.bool_]
-    surface: tuple[str, ...]
+    surface: tuple[str, ...]  # N names of what the estimate has them on: roof, wall or ground; "" for nothing
 
 
 def ground_errors(
@@ -177,19 +163,13 @@ _CORRELATION_M, MOST_SIGMAS = 30.0, 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserResidual:
-    """How a laser's range disagrees with a pose.
+    """How a laser's range disagrees with a pose."""
 
-    Attributes:
-        residual_m: Range to the surface at the pose, less the range measured.
-        jacobian: (6 + K,) of it by x, y, z (metres), pitch, roll, yaw (degrees) and the camera's parameters.
-        sigma_m: Standard deviation of the residual at the true pose: of the laser and the surface.
-        surface_m: The surface's part, signed: how much farther it is for one sigma along its normal.
-    """
-
-    residual_m: float
+    residual_m: float  # range to the surface at the pose, less the range measured
+    # (6 + K,) of it by x, y, z (metres), pitch, roll, yaw (degrees) and the camera's parameters
     jacobian: Floats
-    sigma_m: float
-    surface_m: float
+    sigma_m: float  # standard deviation of the residual at the true pose: of the laser and the surface
+    surface_m: float  # the surface's part, signed: how much farther it is for one sigma along its normal
 
 
 def at_centre(surfaces: Surfaces, camera: Camera, pose: Pose, parameters: Sequence[str] = ()) -> LinearPlaces:

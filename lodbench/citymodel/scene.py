@@ -212,17 +212,11 @@ Floats = NDArray[np.float64]
 
 
 class BuildingBoxes(NamedTuple):
-    """Boxes along the axes around buildings; those without triangles are left out.
+    """Boxes along the axes around buildings; those without triangles are left out."""
 
-    Attributes:
-        low: (B, 3) least coordinates, local metres.
-        high: (B, 3) greatest coordinates.
-        building: (B,) number of each in the scene.
-    """
-
-    low: Floats
-    high: Floats
-    building: NDArray[np.int64]
+    low: Floats  # (B, 3) least coordinates, local metres
+    high: Floats  # (B, 3) greatest coordinates
+    building: NDArray[np.int64]  # (B,) number of each in the scene
 
     @property
     def bases(self) -> Floats:

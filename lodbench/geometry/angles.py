@@ -189,17 +189,13 @@ STEEP_DEG = 2.0
 class LookAngles(NamedTuple):
     """Where a camera looks, degrees.
 
-    Attributes:
-        heading_deg: Of the optical axis on the map, clockwise from north, in [0, 360).
-        pitch_deg: Of the optical axis above the horizon: 0 level, -90 straight down.
-        roll_deg: About the optical axis, in [-180, 180]; positive where the right side of the picture dips.
-
     Closer to straight down than ``STEEP_DEG`` the heading is of the picture's top; the pitch is below -90
     where the axis leans to the picture's bottom; the roll is by how much the picture's right side dips.
     """
 
-    heading_deg: float
-    pitch_deg: float
+    heading_deg: float  # of the optical axis on the map, clockwise from north, in [0, 360)
+    pitch_deg: float  # of the optical axis above the horizon: 0 level, -90 straight down
+    # About the optical axis, in [-180, 180]; positive where the right side of the picture dips
     roll_deg: float
 
 

@@ -400,15 +400,10 @@ _STEPS, _SOLVED, _HALF = 60, 1e-10, 1e-6
 
 
 class PixelRays(NamedTuple):
-    """Rays through N pixels in camera axes: (x, y, 1); NaN where the lens shows no ray.
+    """Rays through N pixels in camera axes: (x, y, 1); NaN where the lens shows no ray."""
 
-    Attributes:
-        points: (N, 2) x and y.
-        pixel_by_point: (N, 2, 2) how a pixel moves with its ray's x and y, pixels.
-    """
-
-    points: Floats
-    pixel_by_point: Floats
+    points: Floats  # (N, 2) x and y
+    pixel_by_point: Floats  # (N, 2, 2) how a pixel moves with its ray's x and y, pixels
 
     @property
     def point_by_pixel(self) -> Floats:

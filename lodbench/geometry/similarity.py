@@ -28,17 +28,11 @@ _SAME_PLACE = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Similarity:
-    """``x_map = scale * rotation @ x + translation``.
+    """``x_map = scale * rotation @ x + translation``."""
 
-    Attributes:
-        scale: Map metres per unit.
-        rotation: (3, 3), determinant +1.
-        translation: (3,) map metres.
-    """
-
-    scale: float
-    rotation: Floats
-    translation: Floats
+    scale: float  # map metres per unit
+    rotation: Floats  # (3, 3), determinant +1
+    translation: Floats  # (3,) map metres
 
     def points(self, points: Floats) -> Floats:
         """Returns (N, 3) points in the map."""
@@ -51,20 +45,14 @@ class Similarity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedSimilarity:
-    """A similarity that lays poses on others.
+    """A similarity that lays poses on others."""
 
-    Attributes:
-        similarity: It.
-        middle: (3,) of the poses it was fitted to, map metres.
-        sigmas: (7,) standard deviations: shift of the middle (metres), turn about the map's axes (degrees),
-            scale (as a share).
-        distances_m: (N,) how far each pose then is from its own.
-    """
-
-    similarity: Similarity
-    middle: Floats
+    similarity: Similarity  # it
+    middle: Floats  # (3,) of the poses it was fitted to, map metres
+    # (7,) standard deviations: shift of the middle (metres), turn about the map's axes (degrees), scale (as a
+    # share)
     sigmas: Floats
-    distances_m: Floats
+    distances_m: Floats  # (N,) how far each pose then is from its own
 
 
 def fit_similarity(
@@ -142,15 +130,10 @@ def enu_from_ecef_rotation(lat_deg: float, lon_deg: float) -> Matrix:
 
 @dataclass(frozen=True, slots=True)
 class ShiftedEcef:
-    """ECEF coordinates minus those of an origin: metric, but with the earth's axis as z.
+    """ECEF coordinates minus those of an origin: metric, but with the earth's axis as z."""
 
-    Attributes:
-        lat_deg: Geodetic latitude of the origin.
-        lon_deg: Longitude of the origin.
-    """
-
-    lat_deg: float
-    lon_deg: float
+    lat_deg: float  # geodetic latitude of the origin
+    lon_deg: float  # longitude of the origin
 
     def points_to_enu(self, points: Matrix) -> Matrix:
         """Returns (N, 3) points, metres, turned to east-north-up at the origin."""

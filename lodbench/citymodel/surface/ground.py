@@ -114,17 +114,11 @@ def _window(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ground:
-    """Heights of the ground in coarse cells.
+    """Heights of the ground in coarse cells."""
 
-    Attributes:
-        heights_m: (rows, columns) float32, without gaps.
-        step: Cells of the surface per coarse cell.
-        source: Where it comes from, in words.
-    """
-
-    heights_m: Floats
-    step: int
-    source: str
+    heights_m: Floats  # (rows, columns) float32, without gaps
+    step: int  # cells of the surface per coarse cell
+    source: str  # where it comes from, in words
 
     def window(self, rows: Span, columns: Span) -> Floats:
         """Returns the heights below a window of the surface's cells, interpolated linearly; metres."""
@@ -308,19 +302,12 @@ class RoofHeights:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredFootprints:
-    """What a surface model says of the footprints of a file.
+    """What a surface model says of the footprints of a file."""
 
-    Attributes:
-        height_m: (N,) of the middle of the roof above the ground, NaN where the model shows no roof.
-        ground_m: (N,) the lowest ground below, in the model's height system; NaN outside of it.
-        roofs: All that is known of them.
-        ground_source: Where the ground comes from, in words.
-    """
-
-    height_m: Array
-    ground_m: Array
-    roofs: RoofHeights
-    ground_source: str
+    height_m: Array  # (N,) of the middle of the roof above the ground, NaN where the model shows no roof
+    ground_m: Array  # (N,) the lowest ground below, in the model's height system; NaN outside of it
+    roofs: RoofHeights  # all that is known of them
+    ground_source: str  # where the ground comes from, in words
 
     def attributes(self, n: int) -> dict[str, Any]:
         """Returns what is known of a footprint's roof, by names for a city file: metres above the ground."""

@@ -33,22 +33,14 @@ _BEYOND_M = 0.5
 
 
 class Solids(NamedTuple):
-    """Polygons of a window, flat, in cells and metres.
+    """Polygons of a window, flat, in cells and metres."""
 
-    Attributes:
-        points: (P, 3) column, row, height in metres.
-        ring_lengths: (R,) int64.
-        ring_counts: (N,) rings of each polygon.
-        building: (N,) int64.
-        kind: (N,) uint8.
-        first: (B, 2) row and column of the first cell of the piece that each building begins with.
-    """
-
-    points: Array
-    ring_lengths: NDArray[np.int64]
-    ring_counts: NDArray[np.int64]
-    building: NDArray[np.int64]
-    kind: NDArray[np.uint8]
+    points: Array  # (P, 3) column, row, height in metres
+    ring_lengths: NDArray[np.int64]  # (R,) int64
+    ring_counts: NDArray[np.int64]  # (N,) rings of each polygon
+    building: NDArray[np.int64]  # (N,) int64
+    kind: NDArray[np.uint8]  # (N,) uint8
+    # (B, 2) row and column of the first cell of the piece that each building begins with
     first: NDArray[np.int64]
 
 

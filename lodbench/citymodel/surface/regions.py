@@ -35,56 +35,37 @@ _SQUARE = np.ones((2, 2), np.bool_)
 
 
 class Pieces(NamedTuple):
-    """Plane pieces of a window of cells.
+    """Plane pieces of a window of cells."""
 
-    Attributes:
-        labels: (rows, columns) int32: the piece of each cell from 1 on, ``UNLABELLED`` or less.
-        planes: (N, 3) height of piece n + 1 at row r and column c (middles at + 0.5): [0] r + [1] c + [2].
-        counts: (N,) cells.
-        rms_m: (N,) root mean square distance of its cells from the plane.
-    """
-
+    # (rows, columns) int32: the piece of each cell from 1 on, ``UNLABELLED`` or less
     labels: NDArray[np.int32]
+    # (N, 3) height of piece n + 1 at row r and column c (middles at + 0.5): [0] r + [1] c + [2]
     planes: NDArray[np.float64]
-    counts: NDArray[np.int64]
-    rms_m: NDArray[np.float64]
+    counts: NDArray[np.int64]  # (N,) cells
+    rms_m: NDArray[np.float64]  # (N,) root mean square distance of its cells from the plane
 
 
 @dataclass(slots=True)
 class RegionCounts:
-    """What was met on the way.
+    """What was met on the way."""
 
-    Attributes:
-        plants: Regions, or parts of one, that were taken as vegetation.
-        plants_m2: Their area.
-        cells: Cells drawn.
-        far: Of them, cells further than the tolerance from the plane they are drawn by: chimneys and edges.
-        cut: Regions that were cut where blocks end.
-    """
-
-    plants: int = 0
-    plants_m2: float = 0.0
-    cells: int = 0
+    plants: int = 0  # regions, or parts of one, that were taken as vegetation
+    plants_m2: float = 0.0  # their area
+    cells: int = 0  # cells drawn
+    # Of them, cells further than the tolerance from the plane they are drawn by: chimneys and edges
     far: int = 0
-    cut: int = 0
+    cut: int = 0  # regions that were cut where blocks end
 
 
 class Window(NamedTuple):
-    """The pieces of a window that are drawn with its block.
+    """The pieces of a window that are drawn with its block."""
 
-    Attributes:
-        corner: Row and column of its first cell.
-        pieces: Labels of cells, ``UNLABELLED`` or less where nothing is drawn.
-        low_m: (N,) the lowest ground below each piece's region.
-        first: (N, 2) row and column, of the whole grid, of the first cell of each piece's region.
-        ends_m: (N, 2) lowest and highest cell of each piece.
-    """
-
-    corner: tuple[int, int]
-    pieces: Pieces
-    low_m: NDArray[np.float64]
+    corner: tuple[int, int]  # row and column of its first cell
+    pieces: Pieces  # labels of cells, ``UNLABELLED`` or less where nothing is drawn
+    low_m: NDArray[np.float64]  # (N,) the lowest ground below each piece's region
+    # (N, 2) row and column, of the whole grid, of the first cell of each piece's region
     first: NDArray[np.int64]
-    ends_m: NDArray[np.float64]
+    ends_m: NDArray[np.float64]  # (N, 2) lowest and highest cell of each piece
 
 
 def windows_of(
