@@ -15,7 +15,8 @@ PUBLIC = """
 """.split()
 PLUG_INS = {
     "lodbench.methods": """
-        auto lodlocv2 contour_alignment flight region tracking prior_only uavd4l cadloc lodloc mcloc lodlocv3
+        auto lodlocv2 contour_alignment flight georeference region tracking prior_only uavd4l cadloc lodloc
+        mcloc lodlocv3
     """.split(),
     "lodbench.datasets": """
         folder demo views flights uavd4l_lod uavd4l_lodv2 swiss_epfl swiss_epflv2 tokyo_lodv3 uavd4l

@@ -23,7 +23,7 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.geometry.similarity import Similarity
 from lodbench.harness.georeference import GeoreferenceRequest, georeference
-from lodbench.methods.registry import make_method
+from lodbench.methods.georeference import Georeference
 from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.storage import random_stream
@@ -104,7 +104,7 @@ def _placed(dataset: Dataset, noise: Noise, seed: int) -> list[float]:
             model=folder / "model",
             city=dataset.city_model,
             out=folder / "out",
-            method=make_method("flight"),
+            method=Georeference(),
             masks=masks.parent,
             start=folder / "rough.txt",
             lod=dataset.lod,
@@ -120,7 +120,7 @@ def _placed(dataset: Dataset, noise: Noise, seed: int) -> list[float]:
         float(np.median([error.rotation_deg for error in errors])),
         max(error.translation_m for error in errors),
         float(np.linalg.norm(off)),
-        float(np.linalg.norm(found.fitted.sigmas[:3])),
+        float(np.linalg.norm(list(found.placement["sigmas"].values())[:3])),
         float(np.median(rough)),
     ]
 

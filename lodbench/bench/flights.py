@@ -27,9 +27,8 @@ from lodbench.evaluation.metrics import Calibration, calibrate
 from lodbench.evaluation.pose_errors import FAILED, PROBABILITY_THRESHOLD, PoseError, hits_of
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
-from lodbench.methods.flight import FlightMethod
 from lodbench.methods.flight.demolished_buildings import shares_held, views_of
-from lodbench.methods.protocol import Estimate, FlightEstimate
+from lodbench.methods.protocol import Estimate, FlightEstimate, SupportsFlights, SupportsPhotosAlone
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.masks import read_mask
 from lodbench.storage import random_stream
@@ -60,7 +59,7 @@ class _Tally:
 def measure_flights(
     flights: FlightsParams,
     seeds: Sequence[int],
-    method: FlightMethod,
+    method: SupportsFlights,
     progress: Progress = no_progress,
     segmenter: Segmenter | None = None,
 ) -> Report:
@@ -69,7 +68,7 @@ def measure_flights(
     Args:
         flights: What is drawn.
         seeds: Of the flights.
-        method: What finds them.
+        method: What finds them; of one that solves what each photo says by itself, that is measured too.
         progress: Is called with flights done, and all.
         segmenter: Makes masks from drawn photos; None for silhouettes that are degraded.
 
@@ -96,22 +95,26 @@ def _fly(
     dataset: Dataset,
     scene: Scene,
     flight: int,
-    method: FlightMethod,
+    method: SupportsFlights,
     segmenter: Segmenter | None,
 ) -> None:
     queries, truth = queries_of(dataset, scene, flight, segmenter)
     city_map = CityMap(scene)
     streams = [partial(random_stream, 0, query.name) for query in queries]
     started = process_time()
-    alone = method.localize_alone(queries, city_map, streams)
-    found = method.solve(queries, alone, city_map)
+    alone: Sequence[Estimate | QueryFault] = []
+    if isinstance(method, SupportsPhotosAlone):
+        alone = method.localize_alone(queries, city_map, streams)
+        found = method.solve(queries, alone, city_map)
+    else:
+        found = method.localize_flight(queries, city_map, streams)
     tally.cpu_s += process_time() - started
-    tally.alone += [_error(each, pose) for each, pose in zip(alone, truth, strict=True)]
+    tally.alone += [_error(each, pose) for each, pose in zip(alone, truth, strict=bool(alone))]
     tally.errors += [_error(each, pose) for each, pose in zip(found.estimates, truth, strict=True)]
     tally.probabilities += [
         each.probability or 0.0 if isinstance(each, Estimate) else 0.0 for each in found.estimates
     ]
-    if found.findings:
+    if "constants" in found.findings:
         tally.constants.append(_constants_off(params, flight, found))
         if _scores_map(params):
             tally.score += _score(params, dataset, found, queries, truth, city_map)
@@ -234,14 +237,20 @@ def _report(tally: _Tally, flights: FlightsParams, seeds: Sequence[int]) -> Repo
         np.array([(error.translation_m, error.rotation_deg) for error in of_photos])
         for of_photos in (tally.errors, tally.alone)
     )
+    by_itself = []
+    if tally.alone:
+        recall = 100.0 * float(hits_of(alone, PROBABILITY_THRESHOLD).mean())
+        by_itself = [
+            Figure("photo by photo: recall", recall, "%"),
+            Figure("photo by photo: median translation", float(np.median(alone[:, 0])), "m"),
+        ]
     hits = hits_of(errors, PROBABILITY_THRESHOLD)
     calibration = calibrate(np.array(tally.probabilities), hits)
     figures = [
         Figure("recall 2m-2deg", 100.0 * float(hits.mean()), "%"),
         Figure("median translation", float(np.median(errors[:, 0])), "m"),
         Figure("median rotation", float(np.median(errors[:, 1])), "deg"),
-        Figure("photo by photo: recall", 100.0 * float(hits_of(alone, PROBABILITY_THRESHOLD).mean()), "%"),
-        Figure("photo by photo: median translation", float(np.median(alone[:, 0])), "m"),
+        *by_itself,
         Figure("mean probability of being within", 100.0 * float(np.mean(tally.probabilities)), "%"),
         Figure("expected calibration error", 100.0 * calibration.ece, "%"),
         *_constant_figures(tally),

@@ -20,6 +20,7 @@ from lodbench.geometry.camera import CALIBRATED
 from lodbench.methods import Method
 from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.flight.params import RELATIVE_POSES
+from lodbench.methods.georeference import Georeference, GeoreferenceParams
 from lodbench.methods.registry import make_method
 from lodbench.params import flag, part
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
@@ -266,6 +267,7 @@ class FlightsWords:
     segmenter: str | None = flag(None, "masks of drawn photos by it (silhouettes, degraded)", metavar="NAME")
     photo_width: int = flag(PHOTO_SIZE[0], f"of drawn photos, pixels ({PHOTO_SIZE[0]})")
     reconstruct: bool = flag(False, "by COLMAP, from the photos (pycolmap)")
+    method: str = flag("flight", "(flight)", choices=("flight", "georeference"))
     relative_poses: str = flag("auto", "(auto)", choices=RELATIVE_POSES)
     focal: float = flag(0.0, "focal lengths off by up to this share (0)")
     shared_height: float = flag(28.0, "heights off by up to, metres (28)")
@@ -323,6 +325,10 @@ def measure_flight_recall(options: FlightsWords, steps: ProgressCallback) -> Rep
     method = FlightMethod(FlightParams(relative_poses=options.relative_poses))
     if not options.joint:
         segmenter = None if options.segmenter is None else segmenter_of(options.segmenter)
+        if options.method == "georeference":
+            inner = {"relative_poses": options.relative_poses}
+            placed = Georeference(GeoreferenceParams(settings=inner))
+            return measure_flights(flights, options.seeds, placed, steps, segmenter)
         return measure_flights(flights, options.seeds, method, steps, segmenter)
     flights = replace(flights, flights_seed=options.seeds[0], path=flights.path or "orbit")
     return measure_joint_solves(flights, options.joint, method, traces_memory=options.memory, progress=steps)
@@ -333,6 +339,11 @@ def _require_drawn(options: FlightsWords) -> None:
     city_file(options.city)
     if options.reconstruct and options.look is None:
         raise ConfigError("--reconstruct needs photos.", "Add --look plain.")
+    if options.method == "georeference" and (options.joint or not options.reconstruct):
+        raise ConfigError(
+            "--method georeference needs a reconstruction.",
+            "Add --reconstruct --look plain, and leave --joint out.",
+        )
     if options.segmenter is not None and (options.look is None or options.joint):
         raise ConfigError("--segmenter needs drawn photos.", "Add --look varied, and leave --joint out.")
     if options.relative_poses == "reconstruction" and not options.reconstruct:

@@ -59,7 +59,7 @@ PATH_KEYS = frozenset(
     }
 )
 # Below these any key may be set: ReadOptions checks them, profiles name only those they change.
-_FREE_KEYS = ("source.options.",)
+_FREE_KEYS = ("source.options.", "method.settings.")
 _SWEEP_FLAGS = ("-m", "--multirun")
 _is_registered = False
 

@@ -170,7 +170,7 @@ class GeoreferenceOptions:
     )
     start: Path | None = flag(None, "rough poses, or similarity.json", metavar="FILE")
     heights: HeightFlags = part(HeightFlags, "heights: from the drone's datum to the city's")
-    method: str = flag("flight", "solves flights (flight)", metavar="NAME", sets=("method",))
+    method: str = flag("flight", "solves flights (flight)", metavar="NAME", sets=("method.inner",))
     sidecars: bool = flag(False, "write PHOTO.xmp beside each of --images, if trusted")
     seed: int = flag(0, "random seed (default: 0)")
     out: Path = flag(Path("georeferenced"), "(georeferenced)", metavar="DIR")
@@ -192,13 +192,10 @@ def main_georeference(argv: Sequence[str]) -> int:
     from lodbench.harness.city import open_city
     from lodbench.harness.georeference import GeoreferenceRequest, georeference
     from lodbench.harness.photo.outputs import require_sidecars, write_sidecars
-    from lodbench.methods.protocol import SupportsFlights
-    from lodbench.methods.registry import make_method
+    from lodbench.methods.georeference import Georeference, GeoreferenceParams
 
     _require_given(given)
-    method = make_method(given.method)
-    if not isinstance(method, SupportsFlights):
-        raise ConfigError(f"--method {given.method} solves no flights.", "Leave --method out.")
+    method = Georeference(GeoreferenceParams(inner=given.method))
     request = GeoreferenceRequest(
         **city_settings(given.map, given.heights, given.out),
         model=given.model,
@@ -250,16 +247,15 @@ def describe_model(placed: Georeferenced) -> str:
     """Returns the report."""
     import numpy as np
 
-    fitted = placed.fitted
-    east, north, up = (float(v) for v in fitted.middle)
-    shift, turn, share = fitted.sigmas[:3], fitted.sigmas[3:6], float(fitted.sigmas[6])
+    east, north, up = placed.placement["middle"]
+    *sigmas, share = placed.placement["sigmas"].values()
     away = float(np.median(list(placed.used.values())))
     rows = [
         ("cameras", f"{len(placed.cameras)}, placed by the masks of {len(placed.used)}"),
         ("start", placed.start),
-        ("scale", f"{fitted.similarity.scale:.6g} m per unit, +-{100 * share:.2f} %"),
+        ("scale", f"{placed.placement['similarity']['scale']:.6g} m per unit, +-{100 * share:.2f} %"),
         ("middle", f"{east:.2f} {north:.2f} {up:.2f} m in {placed.crs or 'the frame of the city model'}"),
-        ("sigmas", f"{_three(shift)} m; {_three(turn)} deg about east, north and up"),
+        ("sigmas", f"{_three(sigmas[:3])} m; {_three(sigmas[3:])} deg about east, north and up"),
         ("photos", f"{away:.2f} m in the median from where the model has them{_doubted(placed)}"),
         *((name, str(path)) for name, path in placed.files.items()),
     ]

@@ -246,7 +246,7 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
         )
         for name in names
     ]
-    entries = _with_reconstructions(entries, folder / RECONSTRUCTION_FOLDER)
+    entries = with_reconstructions(entries, folder / RECONSTRUCTION_FOLDER)
     tied = sum(entry.reconstructed is not None for entry in entries)
     if (folder / RECONSTRUCTION_FOLDER).is_dir() and tied < len(entries):
         notes.append(
@@ -271,8 +271,8 @@ def _sequence_notes(
         yield f"{SEQUENCE_FILE} does not name {alone[0]} ({len(alone)} such): these are taken for one flight"
 
 
-def _with_reconstructions(entries: list[Entry], folder: Path) -> list[Entry]:
-    """Returns entries with their poses in reconstructions, where there are any."""
+def with_reconstructions(entries: list[Entry], folder: Path) -> list[Entry]:
+    """Returns entries with their poses in a folder's COLMAP model, or in that of their flight, if any."""
     whole = {found.name: found.pose for found in read_colmap(folder)} if is_colmap(folder) else {}
     by_flight = {
         flight: {found.name: found.pose for found in read_colmap(folder / flight)}

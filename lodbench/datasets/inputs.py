@@ -33,6 +33,7 @@ class Input(StrEnum):
         TEXTURED_MAP: A city model with photographed surfaces.
         TILT: Pitch and roll of the prior, measured and not just assumed.
         HEIGHT: The prior's height, likewise.
+        RECONSTRUCTION: The photo's pose in a reconstruction of its flight; one that has it needs no mask.
         TRUE_PIXELS: Where points are in the photo in truth: what bounds of methods are made from.
         MAP: Of a segmenter: the city and the query's prior, beside the photo.
     """
@@ -46,6 +47,7 @@ class Input(StrEnum):
     TEXTURED_MAP = "textured_map"
     TILT = "tilt"
     HEIGHT = "height"
+    RECONSTRUCTION = "reconstruction"
     TRUE_PIXELS = "true_pixels"
     MAP = "map"
 
@@ -73,6 +75,12 @@ _WORDS = {
     Input.TEXTURED_MAP: ("a textured map", "Set `dataset.textured_map=FILE`."),
     Input.TILT: ("a measured pitch and roll of the priors", "Take a method that finds them."),
     Input.HEIGHT: ("a measured height of the priors", "Take a method that finds it."),
+    Input.RECONSTRUCTION: (
+        "poses in a reconstruction of the flight",
+        "Put a COLMAP model of the photos in each split's folder reconstruction (of several flights: "
+        "reconstruction/SEQUENCE), or set `dataset.reconstruction=true` of real_flights, "
+        "`dataset.reconstruct=true` of flights.",
+    ),
     Input.TRUE_PIXELS: ("true poses", "Take another matcher than the oracle."),
     Input.MAP: ("a city model", "Set `city=FILE`."),
 }
@@ -114,6 +122,7 @@ def inputs_of(dataset: Dataset, entries: Sequence[Entry]) -> frozenset[Input]:
         Input.TEXTURED_MAP: dataset.textured_map is not None,
         Input.TILT: Input.TILT not in dataset.assumed,
         Input.HEIGHT: Input.HEIGHT not in dataset.assumed,
+        Input.RECONSTRUCTION: any(entry.reconstructed is not None for entry in entries),
         Input.TRUE_PIXELS: bool(dataset.truth),
         Input.MAP: dataset.city_model is not None,
     }

@@ -13,7 +13,7 @@ import numpy as np
 
 from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
 from lodbench.datasets.faults import UNLIKE_RECONSTRUCTION
-from lodbench.datasets.folder import TRUTH_FILE, FolderParams, open_folder
+from lodbench.datasets.folder import TRUTH_FILE, FolderParams, open_folder, with_reconstructions
 from lodbench.datasets.query import Dataset, notes_of
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.findings import Findings
@@ -37,22 +37,33 @@ class RealFlightParams:
     root: str
     city_model: str | None = None
     name: str = NAME
+    reconstruction: bool = False
 
 
 def open_real_flight(params: RealFlightParams) -> Dataset:
     """Returns the dataset of one flight: photos that no ``sequences.txt`` names otherwise are one sequence.
 
     Raises:
-        DatasetError: The folder holds several flights, or as ``open_folder``.
+        DatasetError: The folder holds several flights, or no reconstruction where methods shall have one,
+            or as ``open_folder``.
     """
     root = Path(params.root).expanduser()
     require_one_flight(root)
     city = params.city_model or city_beside(root)
     dataset = open_folder(FolderParams(str(root), city, name=params.name))
     findings = (*dataset.findings, *_beside_reconstruction(root, dataset).items)
-    entries = tuple(replace(entry, sequence=entry.sequence or entry.split) for entry in dataset.entries)
+    entries = [replace(entry, sequence=entry.sequence or entry.split) for entry in dataset.entries]
+    if params.reconstruction:
+        if not is_colmap(root / RECONSTRUCTION):
+            raise DatasetError(
+                f"{root} has no COLMAP model {RECONSTRUCTION}.", "Leave `dataset.reconstruction` out."
+            )
+        entries = with_reconstructions(entries, root / RECONSTRUCTION)
     return replace(
-        dataset, entries=entries, findings=findings, notes=(*dataset.notes, *notes_of(Findings([*findings])))
+        dataset,
+        entries=tuple(entries),
+        findings=findings,
+        notes=(*dataset.notes, *notes_of(Findings([*findings]))),
     )
 
 

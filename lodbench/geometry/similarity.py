@@ -52,6 +52,7 @@ class FittedSimilarity:
     # (7,) standard deviations: shift of the middle (metres), turn about the map's axes (degrees), scale (as a
     # share)
     sigmas: Floats
+    covariance: Floats  # (7, 7) of the same numbers
     distances_m: Floats  # (N,) how far each pose then is from its own
 
 
@@ -102,9 +103,11 @@ def fit_similarity(
     shift = middle + reach * found.x[:3] - scale * turn.apply(own_middle)
     similarity = Similarity(scale, turn.as_matrix(), shift)
     units = np.array([reach] * 3 + [np.degrees(1.0)] * 3 + [1.0])
-    spread = np.sqrt(np.diagonal(np.linalg.pinv(found.jac.T @ found.jac))) * units
+    covariance = np.linalg.pinv(found.jac.T @ found.jac)
+    sigmas = np.sqrt(np.diagonal(covariance)) * units
     distances = np.linalg.norm(similarity.points(centers) - there, axis=1)
-    return FittedSimilarity(similarity, similarity.points(own_middle[None])[0], spread, distances)
+    middle, covariance = similarity.points(own_middle[None])[0], covariance * np.outer(units, units)
+    return FittedSimilarity(similarity, middle, sigmas, covariance, distances)
 
 
 def _robust_mean(turns: Rotation) -> Rotation:

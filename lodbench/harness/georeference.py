@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.cache import OpenCity
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.colmap import read_colmap
 from lodbench.datasets.exchange.colmap_moved import write_moved_colmap
@@ -23,17 +21,16 @@ from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm
 from lodbench.datasets.own import find_mask, find_photo, shared_files
 from lodbench.datasets.pose_text import FoundPose, read_json
 from lodbench.datasets.query import Query
-from lodbench.errors import DatasetError, LodbenchError, QueryFault
+from lodbench.errors import DatasetError, LodbenchError
 from lodbench.execution import Progress
-from lodbench.geometry import Camera, Pose
-from lodbench.geometry.similarity import FEWEST_POSES, FittedSimilarity, Similarity, fit_similarity
+from lodbench.geometry import Camera
+from lodbench.geometry.similarity import FEWEST_POSES, Similarity
 from lodbench.harness.city import open_city, require_near_city
-from lodbench.harness.photo.flight_inputs import ROUGH_DEG, ROUGH_M, rough_start
+from lodbench.harness.photo.flight_inputs import rough_start
 from lodbench.harness.photo.flights import solved_flight
 from lodbench.harness.photo.outputs import contradiction_features, ground_below_m
 from lodbench.harness.photo.prepare import CityRequest, PhotoRequest, pinhole_mask
-from lodbench.methods import Estimate, Method
-from lodbench.methods.protocol import FlightEstimate, SupportsFlights
+from lodbench.methods.georeference import PLACEMENT, Georeference
 from lodbench.photos.camera import pinhole_of
 from lodbench.photos.map_frame import MapFrame
 from lodbench.reporting.answers import is_trusted
@@ -47,7 +44,7 @@ class GeoreferenceRequest(CityRequest):
 
     Attributes:
         model: Folder of a COLMAP model.
-        method: Solves flights.
+        method: ``georeference``.
         images: Folder that the model's names are relative to; None where nothing is read from photos.
         masks: Folder of masks of the photos as stored, or None for the segmenter.
         start: Rough poses in the city's coordinates, in any known format, or a similarity that this command
@@ -56,7 +53,7 @@ class GeoreferenceRequest(CityRequest):
     """
 
     model: Path
-    method: Method
+    method: Georeference
     images: Path | None = None
     masks: Path | None = None
     start: Path | None = None
@@ -68,23 +65,18 @@ class Georeferenced:
     """A reconstruction, placed.
 
     Attributes:
-        fitted: From the model to the city's coordinates.
+        placement: How it lies in the city's coordinates: ``PLACEMENT`` of ``method=georeference``.
         cameras: All of the model's, in the city's coordinates.
-        used: Images by whose masks it was placed, and how far, in metres, each was found from where the
-            similarity puts it.
-        untrusted: Those among ``used`` whose poses are more likely wrong than right, as far as can be known.
         left_out: Name and reason of each image that had no part in it.
-        findings: What its photos say besides; see the method.
+        findings: What its photos say besides; see the inner method.
         start: Where the rough places came from, in words.
         crs: Reference system, or None.
         files: Written, by what they are.
         notes: What the reader should know.
     """
 
-    fitted: FittedSimilarity
+    placement: Mapping[str, Any]
     cameras: tuple[FoundPose, ...]
-    used: Mapping[str, float]
-    untrusted: tuple[str, ...]
     left_out: tuple[tuple[str, str], ...]
     findings: dict[str, Any]
     start: str
@@ -93,27 +85,30 @@ class Georeferenced:
     notes: tuple[str, ...]
 
     @property
+    def used(self) -> dict[str, float]:
+        """Returns the images by whose masks it was placed, and how many metres each is from its place."""
+        return {name: each["distance_m"] for name, each in self.placement["used"].items()}
+
+    @property
+    def untrusted(self) -> list[str]:
+        """Returns those among ``used`` whose poses are more likely wrong than right, as far as is known."""
+        used = self.placement["used"].items()
+        return [name for name, each in used if not is_trusted(each["probability"], each["score"], True)]
+
+    @property
     def is_trusted(self) -> bool:
         """Returns whether most of the images it was placed by are more likely right than wrong."""
         return 2 * len(self.untrusted) < len(self.used)
 
     def to_json(self) -> dict[str, Any]:
         """Returns plain values for JSON."""
-        similarity = self.fitted.similarity
-        names = ("east_m", "north_m", "up_m", "about_east_deg", "about_north_deg", "about_up_deg", "scale")
         return {
-            "similarity": {
-                "scale": similarity.scale,
-                "rotation": similarity.rotation.tolist(),
-                "translation": similarity.translation.tolist(),
-            },
-            "sigmas": dict(zip(names, map(float, self.fitted.sigmas), strict=True)),
-            "middle": self.fitted.middle.tolist(),
+            **{name: self.placement[name] for name in ("similarity", "sigmas", "middle")},
             "crs": self.crs,
             "start": self.start,
-            "used": dict(self.used),
+            "used": self.used,
             "trusted": self.is_trusted,
-            "untrusted": list(self.untrusted),
+            "untrusted": self.untrusted,
             "left_out": [list(pair) for pair in self.left_out],
             "files": {name: str(path) for name, path in self.files.items()},
             "notes": list(self.notes),
@@ -153,8 +148,12 @@ def _model_of(file: Path) -> object:
         return None
 
 
-def write_georeferenced(
-    placed: Georeferenced, request: GeoreferenceRequest, scene: Scene, frame: MapFrame | None
+def _written(
+    placed: Georeferenced,
+    similarity: Similarity,
+    request: GeoreferenceRequest,
+    scene: Scene,
+    frame: MapFrame | None,
 ) -> Georeferenced:
     """Writes a placed reconstruction; returns it with what was written, and what was not and why."""
     out, cameras, crs = request.out, list(placed.cameras), placed.crs
@@ -164,7 +163,7 @@ def write_georeferenced(
         # Whose the others are, from the first on: a command that is killed can be given again.
         write_text(similarity_file, json.dumps(model) + "\n")
     writers: dict[str, Callable[[Path], None]] = {
-        "colmap": lambda path: write_moved_colmap(request.model, placed.fitted.similarity, path),
+        "colmap": lambda path: write_moved_colmap(request.model, similarity, path),
         "metashape": lambda path: write_metashape(cameras, path, crs),
         "pix4d": lambda path: write_pix4d(cameras, path),
         "odm": lambda path: write_odm(cameras, path, crs),
@@ -204,8 +203,6 @@ def _features(placed: Georeferenced, scene: Scene, frame: MapFrame) -> list[dict
     return features
 
 
-Floats = NDArray[np.float64]
-
 # Masks are held at this width, pixels: half as much again as methods look at.
 _MASK_WIDTH = 900
 
@@ -229,40 +226,27 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
     require_near_city("The reconstruction lies", roughly, city.scene)
     queries, left_out = _queries(request, images, start.similarity, city.scene)
     _require_enough(len(queries), len(images), left_out)
-    found = _solved(request, queries, city)
-    places = {
-        name: each for name, each in zip(queries, found.estimates, strict=True) if isinstance(each, Estimate)
-    }
-    left_out += [
-        (name, each.message)
-        for name, each in zip(queries, found.estimates, strict=True)
-        if isinstance(each, QueryFault)
-    ]
-    reasons = found.findings.get("reasons", {})
-    left_out += [
-        (name, reasons.get(name, "it fits nowhere near the others"))
-        for name in found.findings.get("lost", [])
-    ]
-    lost = {name for name, _ in left_out}
-    used = [name for name in places if name not in lost]
-    _require_enough(len(used), len(images), left_out)
-    fitted = _fitted({i.name: i.pose for i in images}, {name: places[name] for name in used})
+    streams = [partial(random_stream, request.seed, "georeference", query.name) for query in queries]
+    found = solved_flight(request.method, queries, CityMap(city.scene), streams, request.out)
+    # Nothing is said of it where the code of a plug-in failed: then each photo has the reason.
+    reasons = [(query.name, str(each)) for query, each in zip(queries, found.estimates, strict=True)]
+    placement = found.findings.get(PLACEMENT, {"used": {}, "left_out": reasons})
+    left_out += [(name, reason) for name, reason in placement["left_out"]]
+    _require_enough(len(placement["used"]), len(images), left_out)
+    laid = placement["similarity"]
+    similarity = Similarity(laid["scale"], np.array(laid["rotation"]), np.array(laid["translation"]))
     notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ()) + start.notes
     placed = Georeferenced(
-        fitted=fitted,
-        cameras=tuple(image._replace(pose=fitted.similarity.pose(image.pose)) for image in images),
-        used=dict(zip(used, map(float, fitted.distances_m), strict=True)),
-        untrusted=tuple(
-            name for name in used if not is_trusted(places[name].probability, places[name].score, True)
-        ),
+        placement=placement,
+        cameras=tuple(image._replace(pose=similarity.pose(image.pose)) for image in images),
         left_out=tuple(left_out),
-        findings=found.findings,
+        findings={name: value for name, value in found.findings.items() if name != PLACEMENT},
         start=start.source,
         crs=city.scene.crs,
         files={},
         notes=notes,
     )
-    return write_georeferenced(placed, request, city.scene, frame)
+    return _written(placed, similarity, request, city.scene, frame)
 
 
 def _require_enough(usable: int, count: int, left_out: Sequence[tuple[str, str]]) -> None:
@@ -278,8 +262,8 @@ def _require_enough(usable: int, count: int, left_out: Sequence[tuple[str, str]]
 
 def _queries(
     request: GeoreferenceRequest, images: Sequence[FoundPose], rough: Similarity, scene: Scene
-) -> tuple[dict[str, Query], list[tuple[str, str]]]:
-    queries: dict[str, Query] = {}
+) -> tuple[list[Query], list[tuple[str, str]]]:
+    queries: list[Query] = []
     shared = shared_files(_file(request, image.name) for image in images)
     left_out: list[tuple[str, str]] = []
     with Progress("masks", len(images)) as progress:
@@ -292,11 +276,11 @@ def _queries(
                     raise DatasetError(f"{file} is of other images as well: keep the model's folders")
                 pinhole = pinhole_of(image.camera)
                 prior = rough.pose(image.pose).shifted(-scene.origin)
-                queries[image.name] = Query(
-                    image.name, "", pinhole, prior, _mask(request, image.name, file, image.camera, pinhole),
-                    image=_picture(request, image.name, image.camera),
-                    sequence="reconstruction", reconstructed=image.pose,
-                )  # fmt: skip
+                mask = _mask(request, image.name, file, image.camera, pinhole)
+                query = Query(
+                    image.name, "", pinhole, prior, mask, _picture(request, image.name, image.camera)
+                )
+                queries.append(replace(query, sequence="reconstruction", reconstructed=image.pose))
             except LodbenchError as fault:
                 left_out.append((image.name, fault.message.rstrip(".")))
             progress.advance()
@@ -338,23 +322,3 @@ def _mask(
     mask = pinhole_mask(photo, camera, pinhole, name)
     width = min(_MASK_WIDTH, mask.shape[1])
     return resized(mask, width, max(1, round(width * pinhole.height / pinhole.width)))
-
-
-def _solved(request: GeoreferenceRequest, queries: Mapping[str, Query], city: OpenCity) -> FlightEstimate:
-    method = request.method
-    assert isinstance(method, SupportsFlights)  # noqa: S101 - the command has looked
-    streams = [partial(random_stream, request.seed, "georeference", name) for name in queries]
-    return solved_flight(method, list(queries.values()), CityMap(city.scene), streams, request.out)
-
-
-def _fitted(model: Mapping[str, Pose], places: Mapping[str, Estimate]) -> FittedSimilarity:
-    """Returns the similarity that lays the model on the poses found, weighed by how sure each is."""
-    unknown = np.diag([*ROUGH_M, *[ROUGH_DEG] * 3]) ** 2
-    spreads = np.array(
-        [np.diagonal(unknown if each.covariance is None else each.covariance) for each in places.values()]
-    )
-    found = [each.pose for each in places.values()]
-    sigma_m, sigma_deg = np.sqrt(spreads[:, :3]), np.sqrt(spreads[:, 3:].mean(axis=1))
-    fitted = fit_similarity([model[name] for name in places], found, sigma_m, sigma_deg)
-    # What photos of a flight are wrong about, they are wrong about alike: their number makes nothing surer.
-    return replace(fitted, sigmas=fitted.sigmas * math.sqrt(len(places)))

@@ -59,8 +59,10 @@ class ConfiguredMethod:
         return ConfiguredMethod(self.kind, params)
 
 
-def configure_method(settings: Mapping[str, Any]) -> ConfiguredMethod:
+def configure_method(settings: Mapping[str, Any], prefix: str = "method") -> ConfiguredMethod:
     """Returns the method that settings ask for: ``name``, and parameters that differ from its defaults.
+
+    Faults name settings as ``PREFIX.NAME``.
 
     Raises:
         ConfigError: There is no such method, or a parameter is unknown or out of range.
@@ -68,7 +70,7 @@ def configure_method(settings: Mapping[str, Any]) -> ConfiguredMethod:
     name = str(settings.get("name", ""))
     kind = load_plugin("methods", name)
     with blaming("methods", name, "take its settings"):
-        return ConfiguredMethod(kind, to_params(settings, kind.params_type, "method"))
+        return ConfiguredMethod(kind, to_params(settings, kind.params_type, prefix))
 
 
 def make_method(name: str, **params: Any) -> Method:

@@ -11,10 +11,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from shapely.geometry import shape
 
+import lodbench
 from lodbench.cli import main
 from lodbench.datasets.exchange.colmap import read_colmap, write_colmap
 from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.photogrammetry import write_odm
+from lodbench.datasets.folder import write_poses
 from lodbench.datasets.pose_files import brought, read_pose_file
 from lodbench.datasets.pose_text import FoundPose
 from lodbench.evaluation import pose_error
@@ -22,7 +24,7 @@ from lodbench.geometry import Pose
 from lodbench.geometry.similarity import Similarity
 from lodbench.harness.georeference import GeoreferenceRequest
 from lodbench.harness.photo.flight_inputs import rough_start
-from lodbench.methods.registry import make_method
+from lodbench.methods.georeference import Georeference
 from lodbench.photos.map_frame import MapFrame
 from lodbench.synthesis.flights import FlightsParams, open_flights
 from tests.cli.photo_case import stated
@@ -152,7 +154,7 @@ def test_rough_poses_in_another_system_are_brought_to_the_city_s(case, tmp_path)
         city=case.city,
         out=tmp_path,
         model=case.model,
-        method=make_method("flight"),
+        method=Georeference(),
         start=tmp_path / "geo.txt",
     )
     images = list(read_colmap(case.model))
@@ -256,3 +258,36 @@ def test_photos_are_found_whatever_the_letters_of_their_ending(capsys, case, tmp
     # Photos of one shade contradict nothing that their masks say.
     assert main(["georeference", *map(str, (tmp_path / "bare", *words))]) == 0
     assert f"what the photos state: {len(bare)} cameras" in capsys.readouterr().out
+
+
+def dataset_of(case: Case, root: Path, masks: int) -> Path:
+    """Writes the flight as a dataset with the model as its reconstruction, and so many of the masks."""
+    cameras = {image.name: image.camera for image in read_colmap(case.model)}
+    priors = {found.name: found.pose for found in read_pose_file(case.rough, "lines")[1]}
+    (root / "masks").mkdir(parents=True)
+    write_poses(root, cameras, case.truth, priors)
+    for mask in sorted(case.masks.iterdir())[:masks]:
+        shutil.copy(mask, root / "masks")
+    return root
+
+
+@pytest.mark.slow
+def test_a_run_places_photos_without_masks_as_well_and_says_where_the_model_lies(capsys, case, tmp_path):
+    root = dataset_of(case, tmp_path / "own", COUNT - 1)
+    words = ["dataset=folder", f"dataset.root={root}", f"city={case.city}", f"paths.runs={tmp_path / 'runs'}"]
+    assert main(["run", "method=georeference", *words]) == 2
+    assert "method=georeference needs poses in a reconstruction of the flight" in capsys.readouterr().err
+    shutil.copytree(case.model, root / "reconstruction")
+    assert main(["run", "method=georeference", *words]) == 0
+    (run,) = (tmp_path / "runs").glob("*/georeference/*")
+    errors = lodbench.load_run(run).queries["translation_error_m"]
+    assert len(errors) == COUNT
+    assert max(errors) < 0.8
+    (findings,) = (run / "flights").glob("*.json")
+    placement = json.loads(findings.read_text())["placement"]
+    assert placement["similarity"]["scale"] == pytest.approx(1 / 0.04, rel=0.01)
+    ((name, reason),) = placement["left_out"]
+    assert name == sorted(case.truth)[-1]
+    assert "mask" in reason
+    assert len(placement["used"]) == COUNT - 1
+    assert main(["report", str(run), "--out", str(tmp_path / "page.html")]) == 0

@@ -120,3 +120,19 @@ def test_real_flights_have_a_board_of_their_own(flight, tmp_path, capsys):
     assert (board / "index.html").read_text().count("structure from motion") == 1
     assert lodbench(["leaderboard", "build", "--root", str(board), "--check"]) == 0
     capsys.readouterr()
+
+
+def test_methods_have_the_reconstruction_where_that_is_set_and_there_is_one(flight):
+    root, _ = flight
+    with pytest.raises(DatasetError, match="no COLMAP model sparse"):
+        open_real_flight(RealFlightParams(str(root), reconstruction=True))
+    cameras = read_cameras(root / "intrinsic.txt")
+    poses = read_poses(root / "GT_pose.txt")
+    own = Similarity(0.1, np.eye(3), np.array([4.0, 5.0, 6.0]))
+    model = [FoundPose(name, "", own.pose(poses[name]), cameras[name]) for name in list(poses)[:2]]
+    write_colmap(model, root / "sparse")
+    for wanted, count in ((False, 0), (True, 2)):
+        entries = open_real_flight(RealFlightParams(str(root), reconstruction=wanted)).entries
+        found = [entry for entry in entries if entry.reconstructed is not None]
+        assert len(found) == count
+    assert found[0].reconstructed.center == pytest.approx(model[0].pose.center)

@@ -21,8 +21,9 @@ from lodbench.datasets.query import Dataset, Entry, Query, Reference
 from lodbench.errors import STOPPED, LodbenchError, QueryFault
 from lodbench.findings import FAULT, OK, Check, fault_of
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.methods.localize import localize_query
-from lodbench.methods.protocol import Estimate, Method, Streams, SupportsPrepare, Workspace
+from lodbench.geometry.similarity import Similarity
+from lodbench.methods.localize import localize_flight, localize_query
+from lodbench.methods.protocol import Estimate, Method, Streams, SupportsFlights, SupportsPrepare, Workspace
 from lodbench.rendering import LayerRenderer, open_renderer
 from lodbench.storage import random_stream
 
@@ -185,6 +186,10 @@ _REFERENCES = (
     (25.0, 0.0, 150.0, 3.0, -4.0, 130.0),
 )
 _PRIOR_OFF_M, _PRIOR_OFF_YAW_DEG = np.array([5.0, -4.0, 6.0]), 3.0
+# The frame of the queries' reconstruction, for a method that requires one.
+_RECONSTRUCTION = Similarity(
+    0.04, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.full(3, 7.0)
+)
 # Of the textured map: side of a speckled square, metres, and how far the ground reaches.
 _SPECKLES_M, _GROUND_M = 25.0, 160.0
 
@@ -261,6 +266,8 @@ def make_trial(folder: Path, method: object) -> Trial:
             query = replace(query, classes=classes)
         if Input.MASK_ON_DEMAND in requires:
             query = replace(query, segment=partial(_silhouette, city_map, truth))
+        if Input.RECONSTRUCTION in requires:
+            query = replace(query, sequence="trial", reconstructed=_RECONSTRUCTION.pose(truth))
         if Input.TRUE_PIXELS in requires:
             query = replace(query, true_pixels=partial(_pixels, truth))
         queries.append(query)
@@ -316,11 +323,18 @@ def streams_of(query: Query, seed: int = 0) -> Streams:
 def ask(method: Method, trial: Trial, query: Query, seed: int = 0) -> Estimate | QueryFault:
     """Returns a method's answer to a query, from streams and a mask made anew.
 
+    One that requires a reconstruction is given the others of the trial with it: their flight.
+
     Raises:
         Exception: Whatever the method raises that is no ``QueryFault``.
     """
     mask = None if query.building_probability is None else query.building_probability.copy()
     query = replace(query, building_probability=mask)
+    if query.reconstructed is not None and isinstance(method, SupportsFlights):
+        flight = [query if each.name == query.name else each for each in trial.queries]
+        streams = [streams_of(each, seed) for each in flight]
+        found = localize_flight(method, flight, trial.city_map, streams).estimates
+        return found[flight.index(query)]
     try:
         return localize_query(method, query, trial.city_map, streams_of(query, seed))
     except QueryFault as fault:

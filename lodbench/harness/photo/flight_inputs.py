@@ -21,6 +21,7 @@ from lodbench.geometry import Pose
 from lodbench.geometry.similarity import FEWEST_POSES, Similarity, fit_similarity
 from lodbench.harness.photo.prepare import PreparedPhoto, RoughPoses
 from lodbench.methods.flight.relative_poses import FEWEST_PHOTOS
+from lodbench.methods.georeference import ROUGH_DEG, ROUGH_M
 from lodbench.photos.camera import undistorted
 from lodbench.photos.files import PHOTO_SUFFIXES, copies_among, mask_name
 from lodbench.photos.map_frame import MapFrame
@@ -207,10 +208,6 @@ def heading_note(photos: Sequence[Path], heading_deg: float | None) -> str | Non
     if not stated:
         return None
     return f"--heading {heading_deg:g} overrides the heading in the metadata of {count_of(stated, 'photos')}."
-
-
-# What rough places and directions are off by, each photo by itself, metres and degrees.
-ROUGH_M, ROUGH_DEG = np.array([3.0, 3.0, 5.0]), 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

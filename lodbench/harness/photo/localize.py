@@ -184,8 +184,13 @@ def telling_of_depth(prior: Pose, scene: Scene) -> Iterator[None]:
         raise NothingFits(words, HEIGHT_HINT) from fault
 
 
-# What one photo has; masks come with --mask or from a segmenter.
-_GIVEN = frozenset({Input.MASK, Input.MASK_ON_DEMAND, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP})
+# What photos have; masks come with --mask or from a segmenter, a flight's other poses from a reconstruction.
+_GIVEN = frozenset(
+    {
+        *(Input.MASK, Input.MASK_ON_DEMAND, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP),
+        Input.RECONSTRUCTION,
+    }
+)
 
 
 STEPS = 3

@@ -72,7 +72,7 @@ class Preparation:
         tilt: ``prior``, or ``truth`` to replace the prior's pitch and roll by the true ones.
         needs: What is looked at of ``mask``, ``mask_on_demand``, ``instances`` and ``classes``, which
             the segmenter makes, of the truth, ``true_pixels``, and of ``image``, which must then be fit for
-            the camera; no more is made.
+            the camera; no more is made. ``reconstruction``: photos that have a pose in one may lack a mask.
         city_map: The map that a segmenter may look at; one of its own if None.
     """
 
@@ -128,12 +128,20 @@ class Preparation:
         needs_mask = Input.MASK in self.needs
         again = needs_mask and isinstance(self.segmenter, MapGuidedSegmenter)
         segments = again or Input.MASK_ON_DEMAND in self.needs
+        probability = None
+        try:
+            probability = self._probability(entry, camera, local) if needs_mask else None
+        except QueryFault:
+            # Its flight's reconstruction places it; why it has no mask, the method hears when it asks.
+            if Input.RECONSTRUCTION not in self.needs or entry.reconstructed is None:
+                raise
+            segments = True
         return Query(
             name=entry.name,
             split=entry.split,
             camera=camera,
             prior=local,
-            building_probability=self._probability(entry, camera, local) if needs_mask else None,
+            building_probability=probability,
             image=entry.image,
             hypotheses=tuple(
                 self.local(tilted(pose, self.dataset.truth.get(entry.key), self.tilt))

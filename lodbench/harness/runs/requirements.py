@@ -65,9 +65,9 @@ def segmented_inputs(method: object) -> frozenset[Input]:
 
 
 def made_inputs(method: object) -> frozenset[Input]:
-    """Returns what is made for a method query by query: by the segmenter, and of the truth for an oracle."""
-    truth = declared_inputs(method, "requires", {Input.MASK}) & {Input.TRUE_PIXELS}
-    return segmented_inputs(method) | truth
+    """Returns what queries have for a method alone: of the segmenter, of a reconstruction, of the truth."""
+    others = declared_inputs(method, "requires", {Input.MASK}) & {Input.RECONSTRUCTION, Input.TRUE_PIXELS}
+    return segmented_inputs(method) | others
 
 
 def is_oracle(method: Method, segmenter: Segmenter) -> bool:

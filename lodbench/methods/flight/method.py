@@ -319,7 +319,12 @@ class FlightMethod:
             # Photos move to their places among each other.
             for _ in range(_TIE_STEPS):
                 state.step(solve(state, [None] * len(state.vectors), self.params))
-        if kind in ("auto", "tracks") and state.reconstruction is None:
+        if state.reconstruction is not None and self.params.single == "region":
+            # Masks vote on what sensors are wrong about; without them, where photos find themselves says it.
+            places = _places(state.vectors, alone)
+            state.reconstruction = placed(known, places, information) or state.reconstruction
+            state.vectors = _in_block(state.reconstruction, places)
+        elif kind in ("auto", "tracks") and state.reconstruction is None:
             # How far a photo may be from where sensors have it, whatever they share.
             sigmas = np.hypot(self.params.own_sigmas(), self.params.shared_sigmas())
             block = block_of(shared, state.vectors, sigmas, queries[0].camera.fx)
