@@ -35,18 +35,13 @@ from lodbench.storage.json_text import parse_json
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """A square of a city.
+    """A square of a city."""
 
-    Attributes:
-        west, south: Its corner in the city's reference system, metres.
-        size_m: Its side.
-        model: The buildings whose middle lies in it.
-    """
-
+    # Its corner in the city's reference system, metres
     west: float
     south: float
-    size_m: float
-    model: CityModel
+    size_m: float  # its side
+    model: CityModel  # the buildings whose middle lies in it
 
     @property
     def name(self) -> str:

@@ -268,22 +268,14 @@ def join_scenes(
 
 
 class _Parts(NamedTuple):
-    """What there is to know of scenes before they are joined.
+    """What there is to know of scenes before they are joined."""
 
-    Attributes:
-        origins: (3,) of each.
-        vertices: How many each of its buildings has, (B,), scene by scene.
-        triangles: Likewise.
-        extent: Lower and upper corner of all, coordinates.
-        pitched: Numbers of the buildings with pitched roofs.
-        lod, crs: Of the last that has anything in it.
-    """
-
-    origins: list[NDArray[np.float64]]
-    vertices: list[NDArray[np.int64]]
-    triangles: list[NDArray[np.int64]]
-    extent: list[list[float]]
-    pitched: list[int]
+    origins: list[NDArray[np.float64]]  # (3,) of each
+    vertices: list[NDArray[np.int64]]  # how many each of its buildings has, (B,), scene by scene
+    triangles: list[NDArray[np.int64]]  # likewise
+    extent: list[list[float]]  # lower and upper corner of all, coordinates
+    pitched: list[int]  # numbers of the buildings with pitched roofs
+    # Of the last that has anything in it
     lod: str
     crs: str | None
 

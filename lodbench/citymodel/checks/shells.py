@@ -24,23 +24,17 @@ _MIN_FACES = 4
 
 @dataclass(frozen=True, slots=True)
 class _Edges:
-    """Half-edges of all shells, each from a corner of a face to the next.
+    """Half-edges of all shells, each from a corner of a face to the next."""
 
-    Attributes:
-        shell, face: (E,) shell, and face among all faces.
-        start, end: (E,) vertices.
-        following: (E,) the half-edge that goes on from ``end`` in the same ring.
-        point: (E,) index of the start among the polygons' points.
-        group: (E,) number of the undirected edge within its shell.
-    """
-
+    # (E,) shell, and face among all faces
     shell: NDArray[np.int64]
     face: NDArray[np.int64]
+    # (E,) vertices
     start: NDArray[np.int64]
     end: NDArray[np.int64]
-    following: NDArray[np.int64]
-    point: NDArray[np.int64]
-    group: NDArray[np.int64]
+    following: NDArray[np.int64]  # (E,) the half-edge that goes on from ``end`` in the same ring
+    point: NDArray[np.int64]  # (E,) index of the start among the polygons' points
+    group: NDArray[np.int64]  # (E,) number of the undirected edge within its shell
 
 
 def check_shells(model: CityModel, findings: Findings) -> None:
@@ -231,22 +225,15 @@ SNAP_M = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class SolidFaces:
-    """Triangles and edges of all shells.
+    """Triangles and edges of all shells."""
 
-    Attributes:
-        corners: (T, 3, 3) of the triangles.
-        shell: (T,) of each triangle.
-        start, end: (E, 3) of the edges, each once per shell.
-        edge_shell: (E,) of each edge.
-        point: (E,) index of the start among the polygons' points.
-    """
-
-    corners: Floats
-    shell: Ints
+    corners: Floats  # (T, 3, 3) of the triangles
+    shell: Ints  # (T,) of each triangle
+    # (E, 3) of the edges, each once per shell
     start: Floats
     end: Floats
-    edge_shell: Ints
-    point: Ints
+    edge_shell: Ints  # (E,) of each edge
+    point: Ints  # (E,) index of the start among the polygons' points
 
 
 def faces_of(model: CityModel, solids: Solids) -> SolidFaces:

@@ -171,24 +171,18 @@ class NameTable:
 
 @dataclass(slots=True)
 class PolygonArrays:
-    """Polygons of one batch; lengths instead of offsets, so that batches concatenate.
+    """Polygons of one batch; lengths instead of offsets, so that batches concatenate."""
 
-    Attributes:
-        points: (P, 3) float64 in the coordinates of the file.
-        ring_lengths: (R,) points per ring.
-        ring_counts: (N,) rings per polygon.
-        building, lod, kind, srs, part: (N,) each, as in ``RawCity``.
-        serial: (N,) number of each polygon among those of the batch, dropped ones included; -1 for copies.
-    """
-
-    points: NDArray[np.float64]
-    ring_lengths: NDArray[np.int32]
-    ring_counts: NDArray[np.int32]
+    points: NDArray[np.float64]  # (P, 3) float64 in the coordinates of the file
+    ring_lengths: NDArray[np.int32]  # (R,) points per ring
+    ring_counts: NDArray[np.int32]  # (N,) rings per polygon
+    # (N,) each, as in ``RawCity``
     building: NDArray[np.int32]
     lod: NDArray[np.int16]
     kind: NDArray[np.uint8]
     srs: NDArray[np.int16]
     part: NDArray[np.int32]
+    # (N,) number of each polygon among those of the batch, dropped ones included; -1 for copies
     serial: NDArray[np.int64]
 
 

@@ -245,32 +245,20 @@ _OBJECT = (
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """A version of CityGML.
+    """A version of CityGML."""
 
-    Attributes:
-        version: ``"2.0"`` or ``"3.0"``.
-        namespaces: URI by prefix.
-        surfaces: Element of each kind of boundary surface.
-        openings: Element of windows and of doors.
-        boundary, opening: Properties that hold them.
-        levels: Whole levels of detail that there are.
-        surface_levels: Levels at which boundary surfaces have geometry.
-        loose_levels: Levels at which an object has surfaces of its own that bound nothing.
-        date_form: How a day is written where it is one.
-        rank: Place of each property among the children of any object.
-    """
-
-    version: str
-    namespaces: dict[str, str]
-    surfaces: dict[int, str]
-    openings: dict[int, str]
+    version: str  # ``"2.0"`` or ``"3.0"``
+    namespaces: dict[str, str]  # URI by prefix
+    surfaces: dict[int, str]  # element of each kind of boundary surface
+    openings: dict[int, str]  # element of windows and of doors
+    # Properties that hold them
     boundary: str
     opening: str
-    levels: tuple[int, ...]
-    surface_levels: tuple[int, ...]
-    loose_levels: tuple[int, ...]
-    date_form: str
-    rank: Rank
+    levels: tuple[int, ...]  # whole levels of detail that there are
+    surface_levels: tuple[int, ...]  # levels at which boundary surfaces have geometry
+    loose_levels: tuple[int, ...]  # levels at which an object has surfaces of its own that bound nothing
+    date_form: str  # how a day is written where it is one
+    rank: Rank  # place of each property among the children of any object
 
 
 def _ranks(*names: str) -> Rank:

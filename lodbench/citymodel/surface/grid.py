@@ -35,17 +35,14 @@ _UNITS_M = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Terrain:
-    """Heights on a grid.
+    """Heights on a grid."""
 
-    Attributes:
-        heights: (rows, columns) float64, north to south, in the raster's unit; NaN where there is none.
-        west, north: Outer corner of the first cell.
-        cell_x, cell_y: Size of a cell, both positive.
-    """
-
+    # (rows, columns) float64, north to south, in the raster's unit; NaN where there is none
     heights: NDArray[np.float64]
+    # Outer corner of the first cell
     west: float
     north: float
+    # Size of a cell, both positive
     cell_x: float
     cell_y: float
 
@@ -145,32 +142,23 @@ BLOCK = 1024
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceGrid:
-    """Heights on a grid of rows from north to south, read by windows.
+    """Heights on a grid of rows from north to south, read by windows."""
 
-    Attributes:
-        name: For messages.
-        crs: Reference system as pyproj understands it, or None.
-        west, north: Outer corner of the first cell, in its unit.
-        cell: Width and height of a cell, in its unit.
-        unit_m: Metres per unit of the plane.
-        shape: Rows and columns.
-        read: Returns heights (rows, columns) in metres, NaN where there are none, of two spans of cells.
-        read_ground: Likewise of the ground alone, where the source tells it apart; else None.
-        read_plants: Likewise of what the source says is vegetation; else None.
-        borders: Rows and columns at which tiles begin.
-    """
-
-    name: str
-    crs: str | None
+    name: str  # for messages
+    crs: str | None  # reference system as pyproj understands it, or None
+    # Outer corner of the first cell, in its unit
     west: float
     north: float
-    cell: tuple[float, float]
-    unit_m: float
-    shape: tuple[int, int]
+    cell: tuple[float, float]  # width and height of a cell, in its unit
+    unit_m: float  # metres per unit of the plane
+    shape: tuple[int, int]  # rows and columns
+    # Returns heights (rows, columns) in metres, NaN where there are none, of two spans of cells
     read: Callable[[Span, Span], Floats]
+    # Likewise of the ground alone, where the source tells it apart; else None
     read_ground: Callable[[Span, Span], Floats] | None = None
+    # Likewise of what the source says is vegetation; else None
     read_plants: Callable[[Span, Span], Floats] | None = None
-    borders: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())
+    borders: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())  # rows and columns at which tiles begin
 
     @property
     def cell_m(self) -> float:

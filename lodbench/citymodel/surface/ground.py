@@ -285,19 +285,14 @@ _LEAST_RISE_M = 1.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoofHeights:
-    """What a surface model says of N footprints, metres in its own height system; NaN where it says nothing.
+    """What a surface model says of N footprints, metres in its own heights; NaN where it says nothing."""
 
-    Attributes:
-        eaves_m, middle_m, ridge_m: (N,) heights that 10, 50 and 90 % of a roof's cells stay below.
-        ground_m: (N,) the lowest ground below its cells.
-        cells: (N,) how many cells of it have a height.
-    """
-
+    # (N,) heights that 10, 50 and 90 % of a roof's cells stay below
     eaves_m: Array
     middle_m: Array
     ridge_m: Array
-    ground_m: Array
-    cells: NDArray[np.int64]
+    ground_m: Array  # (N,) the lowest ground below its cells
+    cells: NDArray[np.int64]  # (N,) how many cells of it have a height
 
 
 @dataclass(frozen=True, slots=True, eq=False)
