@@ -71,6 +71,23 @@ def test_citygml_whose_coordinates_do_not_fit_is_noted(tmp_path):
     assert "surface whose places on its picture do not fit its corners" in fault.value.hint
 
 
+@pytest.mark.parametrize("kind", ["ground", "world file"])
+def test_a_picture_of_the_ground_that_is_not_there_is_noted(tmp_path, kind):
+    path = write_gml(tmp_path, KINDS[kind])
+    (tmp_path / "pictures" / "roof.png").unlink()
+    with pytest.raises(DatasetError, match="has no surface with a picture") as fault:
+        read_textured(path)
+    assert "picture that is not there: pictures/roof.png" in fault.value.hint
+    assert "surface whose picture is not there" in fault.value.hint
+
+
+def test_a_matrix_that_leads_nowhere_is_noted(tmp_path):
+    nowhere = KINDS["matrix"].replace("0 0 0 1</app", "0 0 0 0</app")
+    with pytest.raises(DatasetError, match="has no surface with a picture") as fault:
+        read_textured(write_gml(tmp_path, nowhere))
+    assert "surface whose places on its picture do not fit its corners" in fault.value.hint
+
+
 MATERIAL = """</app:surfaceDataMember><app:surfaceDataMember><app:X3DMaterial>
 <app:diffuseColor>1 0.5 0</app:diffuseColor><app:target>#wall</app:target></app:X3DMaterial>"""
 

@@ -296,7 +296,8 @@ class AppearanceReader:
             if name in self._found.planes:
                 image, matrix = self._found.planes[name]
                 homogeneous = np.column_stack([points, np.ones(len(points))]) @ matrix.T
-                return image, homogeneous[:, :2] / homogeneous[:, 2:]
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    return image, homogeneous[:, :2] / homogeneous[:, 2:]
             if name in self._found.grounds:
                 ground = self._found.grounds[name]
                 return Image(ground.image), self._on_ground(ground, points)
