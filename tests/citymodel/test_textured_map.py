@@ -123,6 +123,14 @@ def test_a_surface_without_a_picture_has_the_colour_of_its_material(tmp_path):
     assert bare == {(255, 128, 0), (0, 0, 255), (170, 170, 170)}
 
 
+def test_a_colour_that_is_no_number_is_none(tmp_path):
+    path = write_gml(tmp_path, BY_RING + MATERIAL.replace("1 0.5 0", "nan 0.5 0"))
+    end = "</gml:MultiSurface></bldg:lod2MultiSurface>"
+    path.write_text(path.read_text().replace(end, face("wall", [(0, 0, 0), (20, 0, 0), (20, 0, 7)]) + end))
+    mesh = read_textured(path)
+    assert mesh.colours[mesh.picture < 0].tolist() == [[[170] * 3] * 3]
+
+
 @pytest.mark.parametrize("before", ["<cityObjectMember>", "<app:appearanceMember>"])
 def test_what_another_building_borrows_lies_on_no_picture(tmp_path, before):
     path = write_gml(tmp_path)

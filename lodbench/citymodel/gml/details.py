@@ -154,7 +154,7 @@ def read_appearances(member: Element, found: Appearances, folder: TextureFolder)
             found.grounds |= {target: ground for target in _targets(texture) if target not in found.grounds}
     for material in member.iter("{*}X3DMaterial"):
         colour = numbers_of(_text(material, "diffuseColor"))
-        if len(colour) == 3:
+        if len(colour) == 3 and np.isfinite(colour).all():
             red, green, blue = np.rint(255 * np.clip(colour, 0.0, 1.0)).astype(int).tolist()
             for target in _targets(material):
                 found.materials.setdefault(target, (red, green, blue))
