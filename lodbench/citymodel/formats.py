@@ -21,6 +21,7 @@ from lodbench.plugins import PlugIn, blaming, installed
 if TYPE_CHECKING:
     from lodbench.citymodel.options import ReadOptions
     from lodbench.citymodel.raw import RawCity
+    from lodbench.citymodel.textures import SurfaceTextures
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -127,7 +128,7 @@ class CityGml:
         """Returns the buildings, and what ``options.layers`` names."""
         from lodbench.citymodel.gml.reader import read_citygml
 
-        return read_citygml(source.open, source.name, **_details_wanted(source, options))
+        return read_citygml(source.open, source.name, options, _textures_of(source, options))
 
 
 class CityJson:
@@ -146,7 +147,7 @@ class CityJson:
         """Returns the buildings, and what ``options.layers`` names."""
         from lodbench.citymodel.cityjson.reader import read_cityjson
 
-        return read_cityjson(source.open, source.name, **_details_wanted(source, options))
+        return read_cityjson(source.open, source.name, options, _textures_of(source, options))
 
 
 class Obj:
@@ -233,21 +234,13 @@ class Surface:
         return read_surface(source.path, source.name, options)
 
 
-def _details_wanted(source: Source, options: ReadOptions) -> dict[str, Any]:
-    """Returns the arguments that readers of details, attributes and pictures, share."""
-    textures = None
-    if options.has_textures and options.has_details:
-        from lodbench.citymodel.textures import SurfaceTextures, TextureFolder
+def _textures_of(source: Source, options: ReadOptions) -> SurfaceTextures | None:
+    """Returns what receives the pictures of a file's surfaces, None where they are not kept."""
+    if not (options.has_textures and options.has_details):
+        return None
+    from lodbench.citymodel.textures import SurfaceTextures, TextureFolder
 
-        folder = TextureFolder(source.path.parent, source.path.parent)
-        textures = SurfaceTextures(folder, is_packed="!" in source.name)
-    return {
-        "is_strict": options.is_strict,
-        "has_details": options.has_details,
-        "layers": options.layers,
-        "day": options.date,
-        "textures": textures,
-    }
+    return SurfaceTextures(TextureFolder(source.path.parent, source.path.parent), "!" in source.name)
 
 
 HEAD_BYTES = 4096

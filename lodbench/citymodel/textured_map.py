@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,8 +209,8 @@ def _read_city(path: Path, folder: TextureFolder, options: ReadOptions) -> Textu
     from lodbench.citymodel.gml.reader import read_citygml
     from lodbench.citymodel.polygons import finish_model
 
-    how: dict[str, Any] = {"is_strict": False, "has_details": True, "day": options.date}
-    raw = read_citygml(lambda: path.open("rb"), str(path), textures=SurfaceTextures(folder), **how)
+    surfaces = replace(options, is_strict=False, has_details=True, layers=())
+    raw = read_citygml(lambda: path.open("rb"), str(path), surfaces, SurfaceTextures(folder))
     model = finish_model(raw, options)
     mesh = textured_model(model, "A textured map needs appearances with pictures.")
     lost = Counter(str(item.code) for item in model.findings.items if item.code.severity is Severity.ERROR)

@@ -36,7 +36,7 @@ class Toy:
 
         with source.open() as stream:
             data = stream.read().partition(b"\\n")[2]
-        city = read_citygml(lambda: io.BytesIO(data), source.name)
+        city = read_citygml(lambda: io.BytesIO(data), source.name, options)
         city.format = "Toy"
         return city
 

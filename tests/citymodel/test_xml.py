@@ -10,7 +10,7 @@ import pytest
 from lodbench.citymodel.gml import folding, xml
 from lodbench.citymodel.gml.reader import read_citygml
 from lodbench.citymodel.gml.xml import XmlMembers, local_name, namespace_of
-from lodbench.citymodel.options import LAYERS
+from lodbench.citymodel.options import LAYERS, ReadOptions
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 from tests.citymodel.gml_text import city, member, multi_surface, polygon, solid, surface_members
@@ -218,7 +218,7 @@ ODD = {
 
 def result(data: bytes, **options: object) -> object:
     try:
-        raw = read_citygml(lambda: io.BytesIO(data), "city.gml", **options)  # type: ignore[arg-type]
+        raw = read_citygml(lambda: io.BytesIO(data), "city.gml", ReadOptions(**options))  # type: ignore[arg-type]
     except CityModelError as error:
         return str(error), error.hint
     values = {each.name: getattr(raw, each.name) for each in fields(raw)}

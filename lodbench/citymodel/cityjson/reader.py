@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -15,7 +15,7 @@ from lodbench.citymodel.cityjson.geometry import GeometryReader, TextureReader, 
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
 from lodbench.citymodel.crs import crs_label, is_in_degrees
 from lodbench.citymodel.gml.names import INTERIOR_NAMES, STOREYS
-from lodbench.citymodel.options import types_of
+from lodbench.citymodel.options import ReadOptions, types_of
 from lodbench.citymodel.raw import NotACity, PolygonCollector, RawCity, paused_collector
 from lodbench.citymodel.textures import SurfaceTextures
 from lodbench.errors import CityModelError
@@ -199,29 +199,22 @@ _MAX_DEPTH = 100  # of parts in parts: real ones have three, and who writes them
 def read_cityjson(
     open_stream: Callable[[], BinaryIO],
     source: str,
-    *,
-    is_strict: bool = True,
-    has_details: bool = False,
-    layers: Sequence[str] = (),
+    options: ReadOptions,
     textures: SurfaceTextures | None = None,
-    day: str | None = None,
 ) -> RawCity:
     """Returns the buildings of a CityJSON file or a sequence of CityJSON features, and objects of its layers.
 
     Args:
         open_stream: Opens the document.
         source: Its name, for messages.
-        is_strict: Whether a bad vertex index is an error, or a finding that drops its polygon.
-        has_details: Whether attributes and solids are kept as well.
-        layers: Names of ``LAYERS``: what to read besides buildings.
+        options: ``is_strict``, ``has_details``, ``layers``, ``date``.
         textures: Receives the pictures of surfaces, which are kept then; with ``has_details``.
-        day: Date on which objects must stand whose end is stated; None for today.
 
     Raises:
         CityModelError: The file is no JSON, no CityJSON, or breaks its structure; the message names
             the object.
     """
-    reader = _Reader(source, is_strict, has_details, layers, textures, day)
+    reader = _Reader(source, options, textures)
     with paused_collector(), open_stream() as stream:
         return reader.result(reader.read(documents_of(stream, source, reader.repeated)))
 
@@ -229,21 +222,13 @@ def read_cityjson(
 class _Reader:
     """State of one file while it is read."""
 
-    def __init__(
-        self,
-        source: str,
-        is_strict: bool,
-        has_details: bool,
-        layers: Sequence[str],
-        textures: SurfaceTextures | None,
-        day: str | None,
-    ) -> None:
+    def __init__(self, source: str, options: ReadOptions, textures: SurfaceTextures | None) -> None:
         self._source = source
-        self._is_strict = is_strict
-        self._wanted = types_of(layers)
-        self._objects = ObjectTable(has_details)
+        self._is_strict = options.is_strict
+        self._wanted = types_of(options.layers)
+        self._objects = ObjectTable(options.has_details)
         self._collector = PolygonCollector(objects=self._objects, textures=textures)
-        self._lifespans = Lifespans(day, self._collector.findings)
+        self._lifespans = Lifespans(options.date, self._collector.findings)
         self._version: str | None = None
         self._srs_name: str | None = None
         self._transform: Json | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -18,7 +18,7 @@ from lodbench.citymodel.gml.folding import Folding
 from lodbench.citymodel.gml.names import is_building_tag, is_citygml
 from lodbench.citymodel.gml.walk import GeometryWalk
 from lodbench.citymodel.gml.xml import Element, NotFolded, XmlMembers, local_name, namespace_of
-from lodbench.citymodel.options import types_of
+from lodbench.citymodel.options import ReadOptions, types_of
 from lodbench.citymodel.raw import GrowingArray, NotACity, RawCity, city_of_columns, paused_collector
 from lodbench.findings import Findings
 
@@ -45,34 +45,27 @@ _JSON_TYPES = {
 def read_citygml(
     open_stream: Callable[[], BinaryIO],
     source: str,
-    *,
-    is_strict: bool = True,
-    has_details: bool = False,
-    layers: Sequence[str] = (),
+    options: ReadOptions,
     textures: SurfaceTextures | None = None,
-    day: str | None = None,
 ) -> RawCity:
     """Returns the buildings of a CityGML document in the coordinates of the file, and objects of its layers.
 
     Args:
         open_stream: Opens the document; called again only when a reference crosses members.
         source: Name of the file, for messages.
-        is_strict: Whether a bad coordinate is an error, or a finding that drops its polygon.
-        has_details: Whether attributes, solids and ids of polygons are read as well.
-        layers: Names of ``LAYERS``: what to read besides buildings.
+        options: ``is_strict``, ``has_details``, ``layers``, ``date``.
         textures: Receives the pictures of surfaces, which are kept then; with ``has_details``.
-        day: Date on which objects must stand whose end is stated; None for today.
 
     Raises:
         CityModelError: The XML is not well-formed or not CityGML, or a coordinate is bad.
     """
-    reader = _Reader(source, is_strict, has_details, layers, textures, day)
+    reader = _Reader(source, options, textures)
     with paused_collector():
         try:
             with open_stream() as stream:  # details and pictures hang on elements that are folded
-                reader.read(stream, is_folded=not has_details)
+                reader.read(stream, is_folded=not options.has_details)
         except NotFolded:
-            reader = _Reader(source, is_strict, has_details, layers, textures, day)
+            reader = _Reader(source, options, textures)
             with open_stream() as stream:
                 reader.read(stream)
     if reader.has_unresolved:
@@ -84,23 +77,15 @@ def read_citygml(
 class _Reader:
     """State of one document while it is read."""
 
-    def __init__(
-        self,
-        source: str,
-        is_strict: bool,
-        has_details: bool,
-        layers: Sequence[str],
-        textures: SurfaceTextures | None,
-        day: str | None,
-    ) -> None:
+    def __init__(self, source: str, options: ReadOptions, textures: SurfaceTextures | None) -> None:
         self.findings = Findings()
-        self._lifespans = Lifespans(day, self.findings)
+        self._lifespans = Lifespans(options.date, self.findings)
         self.walk = GeometryWalk(self.findings, self._lifespans)
         self._source = source
-        self._is_strict = is_strict
+        self._is_strict = options.is_strict
         self._building_ids: list[str] = []
-        self._objects = ObjectTable(has_details)
-        self._wanted = tuple("{*}" + name for name in types_of(layers))
+        self._objects = ObjectTable(options.has_details)
+        self._wanted = tuple("{*}" + name for name in types_of(options.layers))
         self._num_walked = 0  # polygons of the batches that are read
         self._others: Counter[str] = Counter()
         self._columns = {
@@ -113,7 +98,7 @@ class _Reader:
             "srs": GrowingArray(np.int16),
             "part": GrowingArray(np.int32),
         }
-        if has_details:
+        if options.has_details:
             self._columns["serial"] = GrowingArray(np.int64)
         self._has_textures = False
         self._textures = textures
