@@ -29,7 +29,7 @@ generate train/berlin "$few" seed=64 fov_deg=65 city="$cities/germany_lod2/berli
 generate train/nrw "$few" seed=65 fov_deg=70 city="$cities/germany_lod2/LoD2_32_280_5657_1_NW.gml"
 generate val/town9 "$((views / 2))" city=demo:9 lod=3 seed=9 fov_deg=70
 
-compact=$(python -c 'from lodbench.segmentation.compact import packaged_weights; print(packaged_weights())')
+compact=$(python -c 'from lodbench.segmentation.packaged import packaged_weights; print(packaged_weights())')
 OMP_NUM_THREADS=1 lodbench train segmenter=compact_instances data="$out/train" val_data="$out/val/town9" \
     out="$out/weights" threads=1 precision=bfloat16 device=cpu init="$compact" schedule.epochs="$epochs" \
     schedule.lr=0.0015 schedule.muon_lr=0.006 schedule.one_band=0.04 schedule.crop=320 schedule.batch=6 \

@@ -53,7 +53,7 @@ CHUNKS = {
     "lodbench.citymodel.cleaning._CHUNK_POINTS": 1001,
     "lodbench.citymodel.frame._CHUNK_POINTS": 1001,
     "lodbench.citymodel.scene._CHUNK_TRIANGLES": 999,
-    "lodbench.rendering.engine_arrays._CHUNK_TRIANGLES": 999,
+    "lodbench.rendering.silhouette._CHUNK_TRIANGLES": 999,
 }
 LIBRARY_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 VARIATIONS = {

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lodbench.errors import ConfigError
 from lodbench.extras import require
 from lodbench.matching import open_extractor
-from lodbench.matching.roma import roma_encoder_file
+from lodbench.matching.learned_matchers import roma_encoder_file
 from lodbench.segmentation.weight_files import Published, fetched_folder
 
 Pictures = NDArray[np.uint8]

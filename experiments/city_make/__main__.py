@@ -21,7 +21,7 @@ from lodbench.errors import require_numbers
 from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.storage import random_stream
-from lodbench.synthesis.surface_survey import write_raster
+from lodbench.synthesis.surveys import write_raster
 
 Floats = NDArray[np.float64]
 

@@ -24,8 +24,7 @@ from lodbench.citymodel.scene_file import read_scene
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera
 from lodbench.params import flag
-from lodbench.rendering.engine_arrays import arrays_folder
-from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.rendering.silhouette import SilhouetteRenderer, arrays_folder
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.synthesis.views import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 

@@ -42,7 +42,7 @@ from lodbench.reporting.figures import SERIES, draw_figure
 from lodbench.segmentation.masks import MaskFiles, MasksParams
 from lodbench.storage import make_folder, random_stream
 from lodbench.synthesis.demo import DemoParams, open_demo, textured_map_of_demo
-from lodbench.synthesis.surface_survey import seen_from_above, write_surface_model
+from lodbench.synthesis.surveys import seen_from_above, write_surface_model
 from lodbench.synthesis.town.build import CITY_FILE, FINE_CITY_FILE
 from lodbench.synthesis.views import FINE_SIZE, written_once
 

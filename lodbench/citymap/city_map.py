@@ -39,7 +39,7 @@ from lodbench.storage import random_stream
 
 if TYPE_CHECKING:
     from lodbench.rendering.backends import PyrenderTextured
-    from lodbench.rendering.textured import TexturedRenderer
+    from lodbench.rendering.raster import TexturedRenderer
     from lodbench.synthesis.photo import PhotoRenderer
 
 
@@ -298,7 +298,7 @@ class CityMap:
     def _textured_raster(self) -> TexturedRenderer:
         if self._textured_mesh is None:
             raise RenderingError("This map has no textures.")
-        from lodbench.rendering.textured import TexturedRenderer
+        from lodbench.rendering.raster import TexturedRenderer
 
         return TexturedRenderer(self._textured_mesh, self._threads)
 

@@ -260,7 +260,7 @@ def try_renderer(name: str) -> str:
     from lodbench.citymodel.extrude import scene_of_blocks
     from lodbench.geometry import Camera, EulerAngles, Pose
     from lodbench.rendering import open_renderer
-    from lodbench.rendering.drivers import trust_driver
+    from lodbench.rendering.backends import trust_driver
 
     trust_driver()
     scene = scene_of_blocks([(-6.0, -6.0, 6.0, 6.0, 0.0, 25.0)])

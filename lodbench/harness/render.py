@@ -40,7 +40,7 @@ from lodbench.rendering import (
 )
 from lodbench.rendering.backends import PyrenderTextured
 from lodbench.rendering.projection import require_pinhole
-from lodbench.rendering.textured import TexturedRenderer
+from lodbench.rendering.raster import TexturedRenderer
 from lodbench.reporting.overlays import (
     ESTIMATE_COLOUR,
     draw_outline,

@@ -1,7 +1,7 @@
 """Points that two pictures have in common: what extracts and matches them, and poses from them, by name.
 
 Extractors and matchers are modules of their own (networks of transformers are in
-``transformers_matchers``); pose solvers are in ``pose_solver``; a ``retrieval`` describes whole pictures.
+``learned_matchers``); pose solvers are in ``pose_solver``; a ``retrieval`` describes whole pictures.
 """
 
 from lodbench.matching.protocol import (

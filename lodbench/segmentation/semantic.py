@@ -144,7 +144,7 @@ class Semantic(TorchSegmenter):
             ConfigError: The folder holds no such checkpoint or not all of its weights, it has no class of
                 these names or no other, or asks for photos that are not made.
         """
-        from lodbench.segmentation.nets.sam2_unet import OneAgainstRest
+        from lodbench.segmentation.nets.sam import OneAgainstRest
 
         model = self._model()
         labels = {int(index): str(label) for index, label in model.config.id2label.items()}
@@ -222,7 +222,7 @@ def _normalisation(folder: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
     They are ImageNet's where it does not say.
     """
-    from lodbench.segmentation.nets.sam2_unet import DEVIATION, MEAN
+    from lodbench.segmentation.nets.sam import DEVIATION, MEAN
 
     path = folder / _PREPROCESSOR
     if not path.is_file():

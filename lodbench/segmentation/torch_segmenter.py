@@ -242,7 +242,7 @@ class Sam2UNetSegmenter(TorchSegmenter):
         Raises:
             ConfigError: A file does not hold weights of this network.
         """
-        from lodbench.segmentation.nets.sam2_unet import Sam2UNet, fill_encoder, whole_checkpoint
+        from lodbench.segmentation.nets.sam import Sam2UNet, fill_encoder, whole_checkpoint
         from lodbench.segmentation.nets.weights import fill, read_weights
 
         self.require_room(lambda: Sam2UNet(self.params.encoder), init)
@@ -280,7 +280,7 @@ class Sam1AdapterSegmenter(TorchSegmenter):
         Raises:
             ConfigError: A file does not hold weights of this network.
         """
-        from lodbench.segmentation.nets.sam1_adapter import Sam1Adapter, fill_sam
+        from lodbench.segmentation.nets.sam import Sam1Adapter, fill_sam
         from lodbench.segmentation.nets.weights import load_own, read_weights
 
         self.require_room(lambda: Sam1Adapter(self.params.encoder, self.params.size), init)

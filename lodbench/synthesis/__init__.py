@@ -6,8 +6,7 @@ module                 what it makes
 ``town``               the demo town: streets, blocks, buildings in three levels of detail, CityGML
 ``surroundings``       trees, cars and clutter beside a city model that has none, on the ground and
                        land cover of ``land_cover``
-``textured_survey``    the demo town years before, as a textured map; as a surface model:
-                       ``surface_survey``
+``surveys``            the demo town years before, as a textured map, a surface model, an orthophoto
 ``objects``            what stands in pictures: classes of surfaces, mesh builder, trees, cars
 ``photo``              pictures of all that: looks, surfaces, sun, camera response, render scene
 ``views``              seeded drone views that show enough buildings, and drawn photos of them
@@ -22,7 +21,7 @@ module                 what it makes
 Where something new goes:
 
 - a roof shape: a function and a line in ``ROOF_SHAPES`` of ``town/roofs.py``, and who builds it: houses in
-  ``town/fittings.py``, all that stands alone in ``town/houses.py``;
+  ``town/buildings.py``, all that stands alone in ``town/houses.py``;
 - a kind of block or landmark: a function in ``town/houses.py``, chosen in ``town/town.py``;
 - a camera path: a function and a line in ``CAMERA_PATHS`` of ``camera_paths.py`` (training pictures) or in
   ``FLIGHT_PATHS`` beside it (flights); its name and settings in ``GenerateParams`` there and

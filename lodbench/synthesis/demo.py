@@ -24,7 +24,7 @@ from lodbench.synthesis.views import written_once
 
 MAP_FILE = "textured_map.glb"
 # The code that each follows from; that of the town is in the demo's own name.
-MAP_CODE = ("synthesis/demo.py", "synthesis/textured_survey.py", "kernels/heights.py")
+MAP_CODE = ("synthesis/demo.py", "synthesis/surveys.py", "kernels/heights.py")
 LABEL_CODE = ("synthesis/demo.py", "synthesis/mask_*.py")
 
 
@@ -89,7 +89,7 @@ def textured_map_of_demo(root: Path, seed: int, look: str) -> Path:
     """Returns the textured map of a demo's town, made first if it is not there: minutes, once."""
 
     def write(folder: Path) -> None:
-        from lodbench.synthesis.textured_survey import write_textured_map
+        from lodbench.synthesis.surveys import write_textured_map
 
         scene = open_scene(root / CITY_FILE, lod="1")
         write_textured_map(folder / MAP_FILE, grow_town(seed, look), scene)

@@ -18,22 +18,20 @@ from lodbench.segmentation.protocol import TrainableSegmenter
 from lodbench.storage import digest_of, file_digest, make_folder, write_bytes, write_text
 from lodbench.storage.digest import digest_of_code, package_files
 from lodbench.storage.json_text import finite, parse_json
-from lodbench.training.photo_sets import (
-    ground_samples,
-    is_posed,
-    posed_samples,
-    pseudo_samples,
-    repeated,
-    traced_samples,
-)
 from lodbench.training.samples import (
     MASKS,
     SETTINGS,
     Sample,
     TrainParams,
     find_samples,
+    ground_samples,
+    is_posed,
+    posed_samples,
+    pseudo_samples,
+    repeated,
     samples_digest,
     split_samples,
+    traced_samples,
 )
 
 
@@ -120,7 +118,7 @@ def train_network(
         LodbenchError: torch is missing, the data is at fault, or the folder holds another training.
     """
     require("torch", "torch", "lodbench train")
-    from lodbench.training.nets.run import run_training
+    from lodbench.training.nets.loop import run_training
 
     params = replace(params, init=_start(segmenter, params.init))
     for path in params.average:

@@ -244,7 +244,7 @@ def test_wrong_settings_end_before_any_work(wrong):
 
 
 def test_another_network_is_refused(tmp_path):
-    from lodbench.segmentation.compact import packaged_weights
+    from lodbench.segmentation.packaged import packaged_weights
 
     with pytest.raises(ConfigError, match="is wanted"):
         maps_of(np.zeros((64, 96, 3), np.uint8), 96, 64, str(packaged_weights()))

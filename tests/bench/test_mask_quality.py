@@ -16,8 +16,8 @@ from lodbench.cli.bench import BENCHES
 from lodbench.datasets.inputs import Input
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.statistics import bootstrap_ratio
-from lodbench.segmentation.compact import Compact, CompactParams
-from lodbench.segmentation.map_instances import MapInstances, MapInstancesParams
+from lodbench.segmentation.map_guided import MapInstances, MapInstancesParams
+from lodbench.segmentation.packaged import Compact, CompactParams
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 
 # Left edge of the building in each view, 20 wide; the last view shows too little of one.

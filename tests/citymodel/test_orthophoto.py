@@ -12,7 +12,7 @@ from lodbench.citymodel.scene import build_scene
 from lodbench.citymodel.surface.orthophoto import open_imagery, square_corners
 from lodbench.citymodel.textured_map import open_textured_map, read_textured
 from lodbench.errors import CityModelError, ConfigError, DatasetError
-from lodbench.synthesis.surface_survey import orthophoto, seen_from_above
+from lodbench.synthesis.surveys import orthophoto, seen_from_above
 
 from .surface_case import CELL_M, NORTH, WEST, heights_of, write_raster
 

@@ -9,7 +9,7 @@ import pytest
 from lodbench.citymodel import ReadOptions, mesh_model, open_scene, read_city_model
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.errors import CityModelError
-from lodbench.synthesis.surface_survey import seen_from_above
+from lodbench.synthesis.surveys import seen_from_above
 
 from .gml_text import codes
 from .surface_case import CELL_M, NORTH, WEST, ground_m, heights_of, write_raster

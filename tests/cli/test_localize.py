@@ -79,7 +79,7 @@ class TestFromPixels:
     def test_where_pixels_do_not_tell_a_mask_is_asked(self, capsys, tmp_path, shared_data, monkeypatch):
         from lodbench.methods import Estimate
         from lodbench.methods.region import Region
-        from lodbench.segmentation.efficient_unet import EfficientUnet
+        from lodbench.segmentation.packaged import EfficientUnet
 
         def region_says(probability, moved_m=0.0, like=None):
             def localize(self, query, *_):

@@ -10,7 +10,7 @@ from lodbench.baselines.mcloc.features import RomaMap
 
 from lodbench.errors import ConfigError
 from lodbench.matching import open_matcher, open_matching
-from lodbench.matching.roma import roma_encoder_file, roma_files
+from lodbench.matching.learned_matchers import roma_encoder_file, roma_files
 
 torch = pytest.importorskip("torch")
 

@@ -12,9 +12,8 @@ from hostile_scenes import box, scene_of, straight_down
 from lodbench.citymodel import open_scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler
-from lodbench.rendering import drivers, make_renderer, open_renderer
-from lodbench.rendering.backends import pixel_rays
-from lodbench.rendering.drivers import import_fault
+from lodbench.rendering import backends, make_renderer, open_renderer
+from lodbench.rendering.backends import import_fault, pixel_rays
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 
@@ -292,15 +291,15 @@ def test_without_egl_pyrender_names_its_package():
 @pytest.fixture
 def untried(monkeypatch):
     """A process that has not tried the driver yet; and a way to say what a trial does."""
-    monkeypatch.setattr(drivers, "_is_tried", type(drivers._is_tried)())
-    return lambda script: monkeypatch.setattr(drivers, "_TRIAL", (sys.executable, "-c", script))
+    monkeypatch.setattr(backends, "_is_tried", type(backends._is_tried)())
+    return lambda script: monkeypatch.setattr(backends, "_TRIAL", (sys.executable, "-c", script))
 
 
 def test_one_that_hangs_is_given_up(untried):
     untried("import time; time.sleep(60)")
     started = time.monotonic()
     with pytest.raises(RenderingError, match="no answer within 1 s") as caught:
-        drivers.require_driver(1.0)
+        backends.require_driver(1.0)
     assert time.monotonic() - started < 30
     assert "doctor" in caught.value.hint
 
@@ -315,14 +314,14 @@ def test_one_that_hangs_is_given_up(untried):
 def test_one_that_crashes_or_fails_says_why(untried, trial, reason):
     untried(trial)
     with pytest.raises(RenderingError, match=reason):
-        drivers.require_driver()
+        backends.require_driver()
 
 
 def test_one_that_draws_is_tried_once(untried):
     untried("")
-    drivers.require_driver()
+    backends.require_driver()
     untried("import sys; sys.exit('again')")
-    drivers.require_driver()
+    backends.require_driver()
 
 
 def test_the_renderer_asks_before_it_draws(untried):
@@ -336,7 +335,7 @@ def test_the_renderer_asks_before_it_draws(untried):
 @pytest.mark.slow
 def test_a_draw_without_end_ends_the_process_with_the_reason():
     script = (
-        "import time; from lodbench.rendering.drivers import Watch; watch = Watch(0.5, 0.1)\n"
+        "import time; from lodbench.rendering.backends import Watch; watch = Watch(0.5, 0.1)\n"
         "for _ in range(3):\n"
         "    with watch.watching(): time.sleep(0.2)\n"
         "time.sleep(1)\n"

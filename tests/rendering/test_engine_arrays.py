@@ -7,10 +7,9 @@ from hostile_scenes import box, scene_of
 from lodbench.citymodel.scene_file import read_scene, write_scene
 from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler, rotations_at_yaws
 from lodbench.kernels.projection import visible_buildings
-from lodbench.rendering import engine_arrays
-from lodbench.rendering.engine_arrays import arrays_folder, open_arrays, scene_arrays
+from lodbench.rendering import silhouette
 from lodbench.rendering.projection import select_buildings, sphere_tree, view_planes
-from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.rendering.silhouette import SilhouetteRenderer, arrays_folder, open_arrays, scene_arrays
 
 CAMERA = Camera(129, 96, 90.0, 89.0, 64.0, 49.0)
 POSE = Pose.from_euler(EulerAngles(35, 1, 20), (40, 0, 110))
@@ -20,7 +19,7 @@ POSE = Pose.from_euler(EulerAngles(35, 1, 20), (40, 0, 110))
 def stored(tmp_path, monkeypatch):
     """A scene mapped from disk, of a size that counts as large, and an empty cache."""
     monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(engine_arrays, "_STORED_FROM_TRIANGLES", 20)
+    monkeypatch.setattr(silhouette, "_STORED_FROM_TRIANGLES", 20)
     write_scene(scene_of(*(box([30 * i, 0, 0], [20, 14, 9 + i]) for i in range(5))), tmp_path / "scene")
     return read_scene(tmp_path / "scene")[0]
 
@@ -30,9 +29,9 @@ def forbidden(scene):
 
 
 def test_laid_out_once_and_mapped_ever_after(stored, monkeypatch):
-    plain = engine_arrays.scene_arrays(stored)
+    plain = silhouette.scene_arrays(stored)
     first = open_arrays(stored)
-    monkeypatch.setattr(engine_arrays, "scene_arrays", forbidden)
+    monkeypatch.setattr(silhouette, "scene_arrays", forbidden)
     for arrays in (first, open_arrays(stored)):
         for name, array in arrays._asdict().items():
             assert type(array) is np.ndarray
@@ -55,7 +54,7 @@ def test_the_same_pictures(stored):
 
 def test_small_scenes_and_those_in_memory_are_not_kept(stored, monkeypatch, tmp_path):
     open_arrays(scene_of(*(box([30 * i, 0, 0], [20, 14, 9]) for i in range(5))))
-    monkeypatch.setattr(engine_arrays, "_STORED_FROM_TRIANGLES", 1000)
+    monkeypatch.setattr(silhouette, "_STORED_FROM_TRIANGLES", 1000)
     open_arrays(stored)
     assert not (tmp_path / "cache").exists()
 
@@ -162,7 +161,7 @@ def test_a_scene_laid_out_in_parts_is_the_same(monkeypatch):
     scene = scene_of(needle, *town[:4], needle, needle, *town[4:], needle)
     whole = scene_arrays(scene)
     for size in (1, 7, 25, 1000):
-        monkeypatch.setattr(engine_arrays, "_CHUNK_TRIANGLES", size)
+        monkeypatch.setattr(silhouette, "_CHUNK_TRIANGLES", size)
         for name, array in scene_arrays(scene)._asdict().items():
             assert array.dtype == getattr(whole, name).dtype, name
             np.testing.assert_array_equal(array, getattr(whole, name), err_msg=name)

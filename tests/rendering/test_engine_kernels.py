@@ -14,10 +14,9 @@ from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.kernels import silhouettes as kernels
 from lodbench.kernels.arguments import LANES
 from lodbench.kernels.simd_kernels import face_triangles, project_vertices
-from lodbench.rendering.engine_arrays import blank_coverage, edge_lists
 from lodbench.rendering.masks import unpack_mask, words_per_row
 from lodbench.rendering.reference import ReferenceRenderer
-from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.rendering.silhouette import SilhouetteRenderer, blank_coverage, edge_lists
 
 
 @njit

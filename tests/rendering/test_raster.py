@@ -20,10 +20,9 @@ from lodbench.citymodel.textured_map import TexturedMesh, join_textured
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler
 from lodbench.rendering.backends import PyrenderTextured
-from lodbench.rendering.raster import RasterRenderer
+from lodbench.rendering.raster import RasterRenderer, TexturedRenderer, grouped_scene, triangle_groups
 from lodbench.rendering.reference import ReferenceRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
-from lodbench.rendering.textured import TexturedRenderer, grouped_scene, triangle_groups
 
 CAMERA = Camera(130, 97, 80.0, 71.0, 60.0, 52.0)
 

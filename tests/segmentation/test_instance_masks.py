@@ -23,7 +23,7 @@ from lodbench.harness.runs.queries import Preparation
 from lodbench.harness.runs.requirements import required_inputs
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.segmentation.map_instances import MapInstances, MapInstancesParams, parted
+from lodbench.segmentation.map_guided import MapInstances, MapInstancesParams, parted
 from lodbench.segmentation.masks import InstanceFiles, InstanceFilesParams, mapped_overlap
 from lodbench.segmentation.oracle import NoisyOracle, NoisyOracleParams, Oracle, OracleParams
 from lodbench.segmentation.protocol import chosen_segmenter

@@ -28,9 +28,9 @@ from lodbench.harness.runs.requirements import require_surfaces
 from lodbench.methods.lodlocv2 import LodLocV2, LodLocV2Params
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.segmentation import ClassSegmenter, binary_mask, check_classes, resized_classes
-from lodbench.segmentation.compact import CompactClasses, CompactClassesParams
 from lodbench.segmentation.masks import ClassFiles, ClassFilesParams, MaskFiles, MasksParams, read_mask
 from lodbench.segmentation.oracle import NoisyOracle, NoisyOracleParams, Oracle, OracleParams
+from lodbench.segmentation.packaged import CompactClasses, CompactClassesParams
 from lodbench.segmentation.protocol import chosen_segmenter
 from lodbench.synthesis.mask_degradation import mask_iou
 from tests.town import CAMERA, write_dataset

@@ -13,9 +13,8 @@ from lodbench.segmentation.probability import MemoryTiles, tiled
 torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
 pytest.importorskip("transformers", reason="transformers is not installed (extra [models])")
 
-from lodbench.segmentation.nets import sam2_unet  # noqa: E402
-from lodbench.segmentation.nets import sam2_unet as hiera  # noqa: E402
-from lodbench.segmentation.nets.sam1_adapter import Sam1Adapter, fill_sam, high_frequencies  # noqa: E402
+from lodbench.segmentation.nets import sam  # noqa: E402
+from lodbench.segmentation.nets.sam import Sam1Adapter, fill_sam, high_frequencies  # noqa: E402
 from lodbench.segmentation.nets.weights import fill, read_weights, save_weights  # noqa: E402
 from lodbench.segmentation.torch_segmenter import Sam2UNetParams, Sam2UNetSegmenter  # noqa: E402
 
@@ -23,10 +22,10 @@ from lodbench.segmentation.torch_segmenter import Sam2UNetParams, Sam2UNetSegmen
 @pytest.fixture(scope="module")
 def small():
     """The network on an encoder of a few thousand weights."""
-    hiera._SIZES["toy"] = (16, 1, [1, 1, 2, 1], [3], [8, 4, 4, 4], 7)
+    sam._SIZES["toy"] = (16, 1, [1, 1, 2, 1], [3], [8, 4, 4, 4], 7)
     torch.manual_seed(0)
-    yield sam2_unet.Sam2UNet("toy").eval()
-    del hiera._SIZES["toy"]
+    yield sam.Sam2UNet("toy").eval()
+    del sam._SIZES["toy"]
 
 
 def photo_of(height, width):
@@ -43,8 +42,8 @@ def meta_name(name):
 @pytest.mark.slow
 def test_the_large_network_has_the_papers_size():
     with torch.device("meta"):
-        net = sam2_unet.Sam2UNet("large")
-    assert hiera.channels_of("large") == [144, 288, 576, 1152]
+        net = sam.Sam2UNet("large")
+    assert sam.channels_of("large") == [144, 288, 576, 1152]
     assert sum(weight.numel() for weight in net.parameters()) == 216_419_043
     assert sum(weight.numel() for weight in net.parameters() if weight.requires_grad) == 4_269_747
 
@@ -66,14 +65,14 @@ def test_only_adapters_and_decoder_are_trained(small):
 
 @pytest.mark.parametrize("source", ["meta", "transformers"])
 def test_encoder_weights_are_found_whoever_named_them(small, source):
-    bare = hiera.make_hiera("toy")
+    bare = sam.make_hiera("toy")
     if source == "meta":
         named = {f"image_encoder.trunk.{meta_name(k)}": v for k, v in bare.state_dict().items()}
     else:
         named = {f"vision_encoder.backbone.{k}": v for k, v in bare.state_dict().items()}
     named["mask_decoder.weight"] = torch.zeros(3)
-    net = sam2_unet.Sam2UNet("toy")
-    sam2_unet.fill_encoder(net, named, "file")
+    net = sam.Sam2UNet("toy")
+    sam.fill_encoder(net, named, "file")
     filled = net.encoder.blocks[1].block.mlp.proj_in.weight
     assert torch.equal(filled, bare.blocks[1].mlp.proj_in.weight)
     assert torch.equal(net.encoder.pos_embed, bare.pos_embed)
@@ -255,9 +254,8 @@ def test_tiles_join_without_seams(parts):
 
 
 def test_sam1_is_prompted_before_each_block(monkeypatch):
-    from lodbench.segmentation.nets import sam1_adapter
 
-    monkeypatch.setitem(sam1_adapter._SIZES, "toy", (64, 2, 2, (1,)))
+    monkeypatch.setitem(sam._SAM1_SIZES, "toy", (64, 2, 2, (1,)))
     torch.manual_seed(0)
     net = Sam1Adapter("toy", 64).eval()
     photos = torch.rand(2, 3, 64, 64)

@@ -13,8 +13,8 @@ from onnx import TensorProto, helper, numpy_helper
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, InputChanged
 from lodbench.segmentation import onnx_file
-from lodbench.segmentation.compact import Compact, CompactParams
 from lodbench.segmentation.onnx_file import onnx_fault, read_onnx
+from lodbench.segmentation.packaged import Compact, CompactParams
 from lodbench.segmentation.photo_segmenter import packaged_file
 from lodbench.segmentation.protocol import make_segmenter
 

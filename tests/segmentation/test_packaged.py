@@ -11,15 +11,17 @@ from scipy.special import expit
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.segmentation import InstanceSegmenter
-from lodbench.segmentation.compact import (
+from lodbench.segmentation.packaged import (
     Compact,
     CompactInstances,
     CompactInstancesParams,
     CompactParams,
+    EfficientUnet,
+    EfficientUnetParams,
+    adapted,
     interiors,
     separated,
 )
-from lodbench.segmentation.efficient_unet import EfficientUnet, EfficientUnetParams, adapted
 from lodbench.storage import file_digest
 
 SHIPPED = {"compact": Compact(CompactParams()), "efficient_unet": EfficientUnet(EfficientUnetParams())}

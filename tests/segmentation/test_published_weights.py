@@ -6,9 +6,8 @@ torch = pytest.importorskip("torch", reason="torch is not installed (extra [torc
 pytest.importorskip("transformers", reason="transformers is not installed (extra [models])")
 
 from lodbench.errors import ConfigError  # noqa: E402
-from lodbench.segmentation.nets import sam2_unet  # noqa: E402
-from lodbench.segmentation.nets import sam2_unet as hiera  # noqa: E402
-from lodbench.segmentation.nets.sam1_adapter import TIED, Sam1Adapter, fill_sam, transformers_names  # noqa: E402  # noqa: E402
+from lodbench.segmentation.nets import sam  # noqa: E402
+from lodbench.segmentation.nets.sam import TIED, Sam1Adapter, fill_sam, transformers_names  # noqa: E402
 from lodbench.segmentation.nets.weights import fill  # noqa: E402
 
 # Meta's sam2_hiera_*.yaml: width, heads, blocks of the stages, windows, background of the position embedding.
@@ -155,11 +154,11 @@ def weights_of(layout, prefix=""):
 @pytest.mark.parametrize("size", list(HIERAS))
 def test_metas_sam2_encoder_fits_name_by_name(size):
     with torch.device("meta"):
-        net = hiera.make_hiera(size)
+        net = sam.make_hiera(size)
     published = weights_of(hiera_layout(size), "image_encoder.trunk.")
     published["image_encoder.neck.convs.0.conv.weight"] = torch.empty(256, 1, 1, 1, device="meta")
     published["sam_mask_decoder.iou_token.weight"] = torch.empty(1, 256, device="meta")
-    found = hiera.encoder_weights(published)
+    found = sam.encoder_weights(published)
     assert {name: value.shape for name, value in found.items()} == {
         name: value.shape for name, value in net.state_dict().items()
     }
@@ -167,17 +166,15 @@ def test_metas_sam2_encoder_fits_name_by_name(size):
 
 def test_the_sam2_encoder_of_another_size_is_distinguished():
     with torch.device("meta"):
-        net = hiera.make_hiera("tiny")
+        net = sam.make_hiera("tiny")
     with pytest.raises(ConfigError, match=r"does not fit the network: .*missing"):
-        fill(
-            net, hiera.encoder_weights(weights_of(hiera_layout("base_plus"), "image_encoder.trunk.")), "file"
-        )
+        fill(net, sam.encoder_weights(weights_of(hiera_layout("base_plus"), "image_encoder.trunk.")), "file")
 
 
 def test_the_authors_sam2_unet_fits_name_by_name():
     with torch.device("meta"):
-        net = sam2_unet.Sam2UNet("large")
-    found = sam2_unet.whole_checkpoint(weights_of(sam2_unet_layout()))
+        net = sam.Sam2UNet("large")
+    found = sam.whole_checkpoint(weights_of(sam2_unet_layout()))
     assert {name: tuple(value.shape) for name, value in found.items()} == {
         name: tuple(value.shape) for name, value in net.state_dict().items()
     }
@@ -194,10 +191,9 @@ def test_metas_sam_fits_name_by_name(size):
 
 
 def test_metas_sam_is_brought_to_another_side(monkeypatch):
-    from lodbench.segmentation.nets import sam1_adapter
 
     monkeypatch.setitem(VITS, "toy", (32, 2, 2, (1,)))
-    monkeypatch.setitem(sam1_adapter._SIZES, "toy", (32, 2, 2, (1,)))
+    monkeypatch.setitem(sam._SAM1_SIZES, "toy", (32, 2, 2, (1,)))
     net = Sam1Adapter("toy", 256)
     generator = torch.Generator().manual_seed(0)
     published = {name: torch.randn(shape, generator=generator) for name, shape in sam_layout("toy").items()}
@@ -219,9 +215,7 @@ def test_transformers_sam_folder_holds_its_tied_weight_once(tmp_path, monkeypatc
     """What ``save_pretrained`` writes, and so what the hub holds, has one of the two names."""
     from safetensors.torch import load_file
 
-    from lodbench.segmentation.nets import sam1_adapter
-
-    monkeypatch.setitem(sam1_adapter._SIZES, "toy", (32, 2, 2, (1,)))
+    monkeypatch.setitem(sam._SAM1_SIZES, "toy", (32, 2, 2, (1,)))
     given, net = Sam1Adapter("toy", 64), Sam1Adapter("toy", 64)
     given.sam.save_pretrained(tmp_path)
     stored = load_file(tmp_path / "model.safetensors")

@@ -9,8 +9,13 @@ import pytest
 from lodbench.cli.settings import in_syntax_of
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault
-from lodbench.segmentation.compact import Compact, CompactParams
-from lodbench.segmentation.efficient_unet import EfficientUnet, EfficientUnetParams, encoder_file
+from lodbench.segmentation.packaged import (
+    Compact,
+    CompactParams,
+    EfficientUnet,
+    EfficientUnetParams,
+    encoder_file,
+)
 from lodbench.segmentation.probability import padded_photo, resized_photo, working_size
 from lodbench.storage import file_digest
 

@@ -14,10 +14,10 @@ from lodbench.cli.training import with_demo
 from lodbench.datasets.inputs import Input, inputs_of, with_inputs
 from lodbench.datasets.query import Dataset
 from lodbench.synthesis import demo
-from lodbench.synthesis import textured_survey as baking
+from lodbench.synthesis import surveys as baking
 from lodbench.synthesis.camera_paths import GenerateParams
 from lodbench.synthesis.demo import LABEL_CODE, MAP_CODE, DemoParams, open_demo
-from lodbench.synthesis.textured_survey import baked, corner_light, lay_out_faces, lay_out_ground
+from lodbench.synthesis.surveys import baked, corner_light, lay_out_faces, lay_out_ground
 from lodbench.synthesis.town import build
 from lodbench.synthesis.town.build import DEMO_CODE, code_digest
 
@@ -153,7 +153,7 @@ def shading_of(corners, surface):
     from lodbench.synthesis.objects import SceneProps
     from lodbench.synthesis.photo.light import plain_shading
     from lodbench.synthesis.photo.renderer import make_skin
-    from lodbench.synthesis.textured_survey import survey_look
+    from lodbench.synthesis.surveys import survey_look
 
     count = len(corners)
     props = SceneProps(
@@ -204,7 +204,7 @@ def test_the_map_is_the_town_as_it_was_the_same_each_time(tmp_path, monkeypatch)
     from lodbench.citymap import CityMap
     from lodbench.citymodel import open_scene
     from lodbench.citymodel.textured_map import open_textured_map
-    from lodbench.synthesis.textured_survey import write_textured_map
+    from lodbench.synthesis.surveys import write_textured_map
     from tests.town import town_of
 
     dataset = open_demo(DemoParams(num_queries=9))

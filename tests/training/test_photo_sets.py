@@ -14,10 +14,11 @@ from lodbench.cli.training import report_trained
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.errors import DatasetError
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.segmentation.compact import Compact, CompactParams
 from lodbench.segmentation.masks import read_mask
+from lodbench.segmentation.packaged import Compact, CompactParams
 from lodbench.training.nets.batches import batches
-from lodbench.training.photo_sets import (
+from lodbench.training.samples import (
+    TrainParams,
     ground_samples,
     is_posed,
     posed_samples,
@@ -25,7 +26,6 @@ from lodbench.training.photo_sets import (
     repeated,
     traced_samples,
 )
-from lodbench.training.samples import TrainParams
 from lodbench.training.train import Trained
 from tests.town import write_dataset
 

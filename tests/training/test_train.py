@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lodbench.errors import ConfigError
-from lodbench.segmentation.compact import Compact, CompactParams
+from lodbench.segmentation.packaged import Compact, CompactParams
 from lodbench.training.samples import TrainParams, find_samples
 from lodbench.training.train import train_network
 from tests.training.squares import train
@@ -175,11 +175,11 @@ def test_training_goes_on_from_the_packages_weights(views, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_the_mean_of_two_trainings_is_stored(views, tmp_path, capsys):
-    from lodbench.segmentation.compact import Compact
     from lodbench.segmentation.nets.unets import CompactNet
     from lodbench.segmentation.nets.weights import load_own
+    from lodbench.segmentation.packaged import Compact
     from lodbench.training.nets.batches import validation_iou
-    from lodbench.training.nets.run import average_into
+    from lodbench.training.nets.loop import average_into
 
     assert train(views, tmp_path / "a", "schedule.epochs=1") == 0
     assert train(views, tmp_path / "b", "schedule.epochs=1", "seed=1") == 0

@@ -9,7 +9,7 @@ import pytest
 from lodbench.cli import main
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.photos.pictures import picture_size
-from lodbench.segmentation.compact import Compact, CompactInstances, CompactInstancesParams, CompactParams
+from lodbench.segmentation.packaged import Compact, CompactInstances, CompactInstancesParams, CompactParams
 from lodbench.training.augment import flipped, random_crop, relit
 from lodbench.training.samples import find_samples, split_samples
 from tests.training.squares import train

@@ -114,7 +114,7 @@ def test_a_training_that_torch_s_muon_had_begun_goes_on():
 
 def test_given_weights_answer_the_same_while_training():
     from lodbench.segmentation.nets.unets import CompactNet
-    from lodbench.training.nets.run import adapt_norms
+    from lodbench.training.nets.loop import adapt_norms
 
     torch.manual_seed(2)
     net, images = CompactNet(), torch.rand(4, 3, 64, 64)
@@ -189,7 +189,7 @@ def small_net():
 
 
 def test_what_is_kept_is_that_of_a_real_step():
-    from lodbench.training.nets.run import kept_bytes
+    from lodbench.training.nets.loop import kept_bytes
 
     net, shape, kept = small_net(), (2, 3, 16, 24), {}
     before = {key: value.clone() for key, value in net.state_dict().items()}
@@ -216,7 +216,7 @@ def test_what_is_kept_is_that_of_a_real_step():
 
 
 def test_a_step_that_does_not_fit_is_refused_before_it_is_made(monkeypatch):
-    from lodbench.training.nets.run import require_room
+    from lodbench.training.nets.loop import require_room
 
     net = small_net()
     require_room(net, (2, 3, 16, 24))

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from lodbench.segmentation.compact import packaged_weights
 from lodbench.segmentation.nets.unets import STRIDE, CompactNet
 from lodbench.segmentation.nets.weights import load_onnx, load_own
+from lodbench.segmentation.packaged import packaged_weights
 
 # Channels of the trunk at a quarter and at half of the photo's size: its encoder's and its decoder's.
 _QUARTER, _HALF = 40 + 48, 16 + 24

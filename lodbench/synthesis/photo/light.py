@@ -25,8 +25,7 @@ from lodbench.kernels.looks import (
     Triple,
 )
 from lodbench.params import read_settings, to_params
-from lodbench.rendering.raster import RasterRenderer
-from lodbench.rendering.textured import make_charts
+from lodbench.rendering.raster import RasterRenderer, make_charts
 from lodbench.synthesis.objects import palette
 
 _GRASSLAND = np.full((1, 1), int(SurfaceClass.GRASS), dtype=np.uint8)

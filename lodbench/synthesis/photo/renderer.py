@@ -26,8 +26,7 @@ from lodbench.kernels.looks import (
     SurfaceClass,
 )
 from lodbench.photos.pictures import encoded
-from lodbench.rendering.raster import RasterRenderer
-from lodbench.rendering.textured import grouped_scene, make_charts, triangle_groups
+from lodbench.rendering.raster import RasterRenderer, grouped_scene, make_charts, triangle_groups
 from lodbench.synthesis.objects import SceneProps
 from lodbench.synthesis.photo.light import (
     NO_LAND_COVER,

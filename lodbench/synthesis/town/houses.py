@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lodbench.synthesis.town.buildings import Plan
-from lodbench.synthesis.town.fittings import (
+from lodbench.synthesis.town.buildings import (
     Detail,
+    Plan,
     annex,
     chance,
     dormers,

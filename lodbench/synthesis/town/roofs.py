@@ -1,7 +1,7 @@
 """Roofs as cross-sections: a line of heights from one eave to the other.
 
 A new shape is a function that returns a ``Roof``, a line in ``ROOF_SHAPES`` for what all of them have in
-common, and a place that builds it: ``fittings``, ``houses`` or ``buildings``.
+common, and a place that builds it: ``houses`` or ``buildings``.
 """
 
 from __future__ import annotations

@@ -21,8 +21,7 @@ from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects import MeshBuilder, Triangles, grid_triangles, palette
 from lodbench.synthesis.town import houses
-from lodbench.synthesis.town.buildings import Age, Building, Plan, construct_all
-from lodbench.synthesis.town.fittings import chance
+from lodbench.synthesis.town.buildings import Age, Building, Plan, chance, construct_all
 from lodbench.synthesis.town.houses import OLD_LANES, SUBURB, VILLAS, Site, add_closed_block, add_houses
 from lodbench.synthesis.town.shapes import (
     Points,

@@ -14,7 +14,7 @@ from lodbench.citymodel.surface.ground import ground_under
 from lodbench.kernels.looks import SurfaceClass
 from lodbench.synthesis.town import shapes
 from lodbench.synthesis.town.build import ascii_grid_text, relief_text
-from lodbench.synthesis.town.fittings import Annex, RoofBox
+from lodbench.synthesis.town.buildings import Annex, RoofBox
 from lodbench.synthesis.town.props import demo_props
 from lodbench.synthesis.town.roofs import Body, Roof, Strip, flat, gabled, hipped, mansard, serrated
 from lodbench.synthesis.town.shapes import prism
