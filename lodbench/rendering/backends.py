@@ -26,13 +26,7 @@ from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import blender_from_opencv
 from lodbench.kernels import fill_rays, visible_buildings
 from lodbench.kernels.arguments import NEAR_M
-from lodbench.rendering.projection import (
-    bounding_spheres,
-    pose_arrays,
-    require_pinhole,
-    require_poses,
-    view_planes,
-)
+from lodbench.rendering import projection
 from lodbench.rendering.raster import plain_appearance
 
 # Shared library -> Debian and Ubuntu package.
@@ -181,7 +175,7 @@ class PyrenderRenderer:
     def __init__(self, scene: Scene, threads: int | None = None, samples: int = _SAMPLES) -> None:
         self.scene = scene
         self._samples = samples
-        self._spheres = bounding_spheres(scene)
+        self._spheres = projection.bounding_spheres(scene)
         self._library = import_pyrender()
         mesh = self._library.Mesh(
             [
@@ -216,7 +210,7 @@ class PyrenderRenderer:
 
     def _draw(self, camera: Camera, pose: Pose, near: float, far: float, samples: int) -> NDArray[np.float32]:
         """Returns (H, W) depth of what lies between two distances, metres."""
-        require_pinhole(camera)
+        projection.require_pinhole(camera)
         require_driver()
         if self._camera_node is not None:
             self._gl_scene.remove_node(self._camera_node)
@@ -232,8 +226,8 @@ class PyrenderRenderer:
 
     def _depth_range(self, camera: Camera, pose: Pose) -> tuple[float, float]:
         """Returns the distances, metres, between which the buildings in view lie."""
-        planes = view_planes(camera, 0, camera.width)
-        rotation, center = pose_arrays(pose)
+        planes = projection.view_planes(camera, 0, camera.width)
+        rotation, center = projection.pose_arrays(pose)
         spheres = self._spheres[visible_buildings(self._spheres, rotation, center, planes)]
         if not len(spheres):
             return NEAR_M, 1.0
@@ -358,7 +352,7 @@ class PyrenderTextured:
             RenderingError: The camera has lens distortion or is wider or higher than 8192 pixels, a pose
                 is not finite, or the driver fails.
         """
-        rotations, centers = require_poses(rotations, centers)
+        rotations, centers = projection.require_poses(rotations, centers)
         colours = np.empty((len(centers), camera.height, camera.width, 3), dtype=np.uint8)
         background = plain_appearance().background / 255.0
         for i, (rotation, center) in enumerate(zip(rotations, centers, strict=True)):
@@ -367,7 +361,7 @@ class PyrenderTextured:
 
     def picture(self, camera: Camera, pose: Pose, background: NDArray[np.floating]) -> NDArray[np.uint8]:
         """Returns the (H, W, 3) RGB picture from a pose before a background, (3,) RGB in [0, 1]."""
-        require_pinhole(camera)
+        projection.require_pinhole(camera)
         require_driver()
         if self._camera_node is not None:
             self._scene.remove_node(self._camera_node)
@@ -428,7 +422,7 @@ class Open3dRenderer:
         return np.where(np.isfinite(hits), hits + np.float32(NEAR_M), np.float32(0))
 
     def _rays(self, camera: Camera, pose: Pose) -> Any:
-        require_pinhole(camera)
+        projection.require_pinhole(camera)
         return self._library.core.Tensor.from_numpy(pixel_rays(camera, pose))
 
 
@@ -440,7 +434,7 @@ def pixel_rays(camera: Camera, pose: Pose) -> NDArray[np.float32]:
     rays = np.empty((camera.height, camera.width, 6), dtype=np.float32)
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-    fill_rays(x, y, *pose_arrays(pose), rays)
+    fill_rays(x, y, *projection.pose_arrays(pose), rays)
     return rays
 
 

@@ -14,20 +14,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench import kernels
 from lodbench.citymodel.scene import ROOF, WALL
 from lodbench.errors import RenderingError
-from lodbench.kernels import (
-    code_lengths_saved,
-    count_bits,
-    count_overlaps,
-    dilate,
-    distance_sums,
-    fill_padded,
-    outline_directions,
-    outline_of,
-    padded_stride,
-    sum_under,
-)
 from lodbench.rendering.masks import Words, pack_mask, words_per_row
 
 Floats = NDArray[np.float64]
@@ -82,8 +71,8 @@ class IouFit:
 
     def __call__(self, words: Words) -> Floats:
         """Returns the (N,) IoU of N silhouettes. Eq. (L3) of docs/methods/lodlocv2.md."""
-        shared, area = count_overlaps(words, self._words)
-        return _ratio(shared, area + count_bits(self._words) - shared)
+        shared, area = kernels.count_overlaps(words, self._words)
+        return _ratio(shared, area + kernels.count_bits(self._words) - shared)
 
 
 class SoftIouFit:
@@ -121,8 +110,8 @@ class SoftIouFit:
 
     def __call__(self, words: Words) -> Floats:
         """Returns the (N,) weighted soft IoU of N silhouettes. Eq. (L8) of docs/methods/lodlocv2.md."""
-        shared = sum_under(words, self._inside)
-        return _ratio(shared, sum_under(words, self._weight) + self._outside_total - shared)
+        shared = kernels.sum_under(words, self._inside)
+        return _ratio(shared, kernels.sum_under(words, self._weight) + self._outside_total - shared)
 
 
 class BoundaryFit:
@@ -149,13 +138,13 @@ class BoundaryFit:
         self.reach_px = reach_px
         self._valid = _valid_bits(*self.size)
         self._outline = np.zeros_like(self._valid)
-        outline_of(_pad_words(pack_mask(mask), self._valid), self._valid, self.size[0], self._outline)
+        kernels.outline_of(_pad_words(pack_mask(mask), self._valid), self._valid, self.size[0], self._outline)
         self._grown = _dilations(self._outline, self._valid, self.size[0], reach_px)
 
     def __call__(self, words: Words) -> Floats:
         """Returns the (N,) fit of N silhouettes' outlines. Eq. (L9) of docs/methods/lodlocv2.md."""
-        length = count_bits(self._outline)
-        to_query, from_query, lengths = distance_sums(
+        length = kernels.count_bits(self._outline)
+        to_query, from_query, lengths = kernels.distance_sums(
             words, self._outline, self._grown, self._valid, self.size[0]
         )
         has_both = (lengths > 0) & (length > 0)
@@ -210,7 +199,7 @@ def _row_sums(values: NDArray[np.int64]) -> NDArray[np.int32]:
 
 def _valid_bits(width: int, height: int) -> Words:
     """Returns the padded words of a picture that is all set."""
-    stride = padded_stride(width)
+    stride = kernels.padded_stride(width)
     rows = np.zeros((height + 2, stride), dtype=np.uint64)
     rows[1:-1, :-1] = _ALL
     if width % 64:
@@ -221,7 +210,7 @@ def _valid_bits(width: int, height: int) -> Words:
 def _pad_words(words: Words, valid: Words) -> Words:
     """Returns the padded words of a (H, S) picture."""
     padded = np.zeros_like(valid)
-    fill_padded(words, padded)
+    kernels.fill_padded(words, padded)
     return padded
 
 
@@ -231,7 +220,7 @@ def _dilations(outline: Words, valid: Words, width: int, reach: int) -> NDArray[
     dilated[0] = outline
     scratch = np.zeros_like(valid)
     for r in range(1, reach):
-        dilate(dilated[r - 1], valid, width, r % 2 == 0, scratch, dilated[r])
+        kernels.dilate(dilated[r - 1], valid, width, r % 2 == 0, scratch, dilated[r])
     return dilated
 
 
@@ -275,7 +264,7 @@ class RegionFit:
         """Returns the (N,) fit of N silhouettes. Eqs. (R2), (R3) of docs/methods/region.md."""
         saved, flat = np.empty(len(words)), words.reshape(len(words), -1)
         blank = np.zeros_like(self._totals), np.zeros(flat.shape[1], dtype=np.uint64)
-        code_lengths_saved(flat, self._bins, self._totals, self._log_gamma, *blank, saved)
+        kernels.code_lengths_saved(flat, self._bins, self._totals, self._log_gamma, *blank, saved)
         return np.asarray(np.maximum(saved, 0.0) / (self.size[0] * self.size[1]))
 
 
@@ -307,5 +296,5 @@ class ContourFit:
     def __call__(self, words: Words) -> Floats:
         """Returns the (N,) fit of N silhouettes. Eq. (R4) of docs/methods/region.md."""
         vertical_outline, level_outline = np.empty_like(words), np.empty_like(words)
-        outline_directions(words, self.size[0], vertical_outline, level_outline)
+        kernels.outline_directions(words, self.size[0], vertical_outline, level_outline)
         return np.asarray(self._horizontal(vertical_outline) + self._vertical(level_outline))

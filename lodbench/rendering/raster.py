@@ -16,27 +16,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.textured_map import TexturedMesh
+from lodbench import kernels
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.geometry import Camera, Pose
-from lodbench.kernels import (
-    draw_band,
-    resolve_buildings,
-    resolve_depth,
-    resolve_layers,
-    resolve_normals,
-    resolve_textured,
-    visible_buildings,
-)
 from lodbench.kernels.arguments import MAX_CORNERS, Appearance, Band, Buffer, LayerArrays, Mesh
 from lodbench.kernels.looks import Charts
-from lodbench.rendering.projection import (
-    bounding_spheres,
-    pose_arrays,
-    require_pinhole,
-    require_poses,
-    view_planes,
-)
+from lodbench.rendering import projection
 from lodbench.rendering.renderer import Layers
 
 _WALLS = [(222, 214, 198), (205, 205, 203), (226, 203, 172), (196, 178, 160), (235, 231, 222)]
@@ -96,7 +82,7 @@ class RasterRenderer:
             _read_only(scene.triangles),
             _read_only(scene.vertex_starts),
             _read_only(scene.triangle_starts),
-            bounding_spheres(scene),
+            projection.bounding_spheres(scene),
         )
         self._largest = int(np.diff(scene.vertex_starts).max(initial=0))
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
@@ -112,14 +98,14 @@ class RasterRenderer:
         center = np.ascontiguousarray(pose.center)
 
         def resolve(band: Band, buffer: Buffer) -> None:
-            resolve_layers(self._mesh, self._appearance, center, band, buffer, planes)
+            kernels.resolve_layers(self._mesh, self._appearance, center, band, buffer, planes)
 
         self.draw_bands(camera, pose, resolve)
         return Layers(*planes)
 
     def depth(self, camera: Camera, pose: Pose) -> NDArray[np.float32]:
         """Returns (H, W) float32 depth along the optical axis, metres; 0 where there is nothing."""
-        rotation, center = pose_arrays(pose)
+        rotation, center = projection.pose_arrays(pose)
         return np.asarray(self.depths(camera, rotation[None], center[None])[0])
 
     def depths(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.float32]:
@@ -136,7 +122,7 @@ class RasterRenderer:
         depths = np.empty((len(centers), camera.height, camera.width), dtype=np.float32)
 
         def resolve(view: int, band: Band, buffer: Buffer) -> None:
-            resolve_depth(band, buffer, depths[view])
+            kernels.resolve_depth(band, buffer, depths[view])
 
         self.draw_views(camera, rotations, centers, resolve)
         return depths
@@ -146,7 +132,7 @@ class RasterRenderer:
         normals = np.empty((len(centers), camera.height, camera.width, 3), dtype=np.float32)
 
         def resolve(view: int, band: Band, buffer: Buffer) -> None:
-            resolve_normals(self._mesh, centers[view], band, buffer, normals[view])
+            kernels.resolve_normals(self._mesh, centers[view], band, buffer, normals[view])
 
         self.draw_views(camera, rotations, centers, resolve)
         return normals
@@ -156,7 +142,7 @@ class RasterRenderer:
         buildings = np.empty((len(centers), camera.height, camera.width), dtype=np.int32)
 
         def resolve(view: int, band: Band, buffer: Buffer) -> None:
-            resolve_buildings(self._mesh, band, buffer, buildings[view])
+            kernels.resolve_buildings(self._mesh, band, buffer, buildings[view])
 
         self.draw_views(camera, rotations, centers, resolve)
         return buildings
@@ -188,7 +174,7 @@ class RasterRenderer:
 
     def draw_bands(self, camera: Camera, pose: Pose, resolve: Callable[[Band, Buffer], None]) -> None:
         """Draws a view band by band and hands each to ``resolve``; see ``Band``."""
-        rotation, center = pose_arrays(pose)
+        rotation, center = projection.pose_arrays(pose)
         self.draw_views(
             camera, rotation[None], center[None], lambda _view, band, buffer: resolve(band, buffer)
         )
@@ -201,20 +187,20 @@ class RasterRenderer:
         resolve: Callable[[int, Band, Buffer], None],
     ) -> None:
         """Draws N views, band by band, and hands each band with its view's number to ``resolve``."""
-        require_pinhole(camera)
-        rotations, centers = require_poses(rotations, centers)
-        planes, bands = view_planes(camera, 0, camera.width), tuple(_bands(camera, self._band))
+        projection.require_pinhole(camera)
+        rotations, centers = projection.require_poses(rotations, centers)
+        planes, bands = projection.view_planes(camera, 0, camera.width), tuple(_bands(camera, self._band))
 
         def work(task: tuple[int, Band, NDArray[np.int64]]) -> None:
             view, band, buildings = task
             buffer = self._blank_buffer(band)
             room = np.empty((self._largest, 5)), np.empty((2, MAX_CORNERS, 3))
-            draw_band(self._mesh, buildings, rotations[view], centers[view], band, buffer, *room)
+            kernels.draw_band(self._mesh, buildings, rotations[view], centers[view], band, buffer, *room)
             resolve(view, band, buffer)
 
         def tasks() -> Iterator[tuple[int, Band, NDArray[np.int64]]]:
             for view in range(len(centers)):
-                seen = visible_buildings(self._mesh.spheres, rotations[view], centers[view], planes)
+                seen = kernels.visible_buildings(self._mesh.spheres, rotations[view], centers[view], planes)
                 yield from ((view, band, seen) for band in bands)
 
         if self._pool is None:
@@ -241,7 +227,7 @@ def _bands(camera: Camera, width: int) -> Iterator[Band]:
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     for first in range(0, camera.width, width):
         stop = min(camera.width, first + width)
-        yield Band(first, stop, camera.height, intrinsics, view_planes(camera, first, stop))
+        yield Band(first, stop, camera.height, intrinsics, projection.view_planes(camera, first, stop))
 
 
 def _blank_buffer(columns: int, height: int) -> Buffer:
@@ -399,7 +385,7 @@ class TexturedRenderer:
 
         def resolve(view: int, band: Band, buffer: Buffer) -> None:
             pose = rotations[view], centers[view]
-            resolve_textured(band, buffer, *pose, self._charts, self._background, colours[view])
+            kernels.resolve_textured(band, buffer, *pose, self._charts, self._background, colours[view])
 
         samples = camera.scaled(2 * camera.width, 2 * camera.height)
         self._raster.draw_views(samples, rotations, centers, resolve)

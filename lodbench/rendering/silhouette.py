@@ -23,32 +23,11 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
 from lodbench.kernels import arguments, count_bits, draw_instances, draw_views, score_views
-from lodbench.kernels.arguments import (
-    BRANCH,
-    LANES,
-    MAX_CORNERS,
-    STRIP,
-    Coverage,
-    EdgeLists,
-    SceneArrays,
-    Scratch,
-    View,
-)
+from lodbench.kernels.arguments import LANES, SceneArrays, Scratch, View
 from lodbench.rendering import edges, projection
 from lodbench.rendering.edges import edge_table
 from lodbench.rendering.fit import Fit, IouFit, fit_values
 from lodbench.rendering.masks import Instances, Words, pack_mask, unpack_mask, words_per_row
-from lodbench.rendering.projection import (
-    bounding_spheres,
-    nearby_order,
-    pose_arrays,
-    require_pinhole,
-    require_poses,
-    require_size,
-    select_buildings,
-    sphere_tree,
-    view_planes,
-)
 from lodbench.rendering.renderer import IouCounts
 from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_text
 from lodbench.storage.digest import map_array, write_arrays
@@ -76,24 +55,24 @@ def blank_scratch(scene: SceneArrays, width: int, height: int) -> Scratch:
         lists=edge_lists(capacity),
         coverage=blank_coverage(width, height),
         # Not filled: of a large city most of it is never touched.
-        candidates=np.zeros((2, len(scene.order) + BRANCH), dtype=np.int64),
-        polygons=np.zeros((2, MAX_CORNERS, 3)),
+        candidates=np.zeros((2, len(scene.order) + arguments.BRANCH), dtype=np.int64),
+        polygons=np.zeros((2, arguments.MAX_CORNERS, 3)),
     )
 
 
-def blank_coverage(width: int, height: int) -> Coverage:
+def blank_coverage(width: int, height: int) -> arguments.Coverage:
     """Returns the coverage of an empty view."""
     strips = words_per_row(width)
-    return Coverage(
-        np.zeros(strips * (height + 1) * STRIP + LANES, dtype=np.int16),
+    return arguments.Coverage(
+        np.zeros(strips * (height + 1) * arguments.STRIP + LANES, dtype=np.int16),
         np.full((LANES, strips), height, dtype=np.int64),
         np.full((LANES, strips), -1, dtype=np.int64),
     )
 
 
-def edge_lists(capacity: int) -> EdgeLists:
+def edge_lists(capacity: int) -> arguments.EdgeLists:
     """Returns empty lists with room for ``capacity`` edges each, a multiple of 8."""
-    return EdgeLists(
+    return arguments.EdgeLists(
         np.zeros(LANES * capacity, dtype=np.int64),
         np.zeros(LANES * capacity, dtype=np.int64),
         np.zeros(LANES, dtype=np.int64),
@@ -136,8 +115,8 @@ def _coordinates(scene: Scene) -> dict[str, NDArray[np.generic]]:
 
 
 def _bounds(scene: Scene) -> dict[str, NDArray[np.generic]]:
-    spheres = bounding_spheres(scene)
-    return {"spheres": spheres, **sphere_tree(spheres)._asdict()}
+    spheres = projection.bounding_spheres(scene)
+    return {"spheres": spheres, **projection.sphere_tree(spheres)._asdict()}
 
 
 def _read_only(arrays: dict[str, NDArray[np.generic]]) -> dict[str, NDArray[np.generic]]:
@@ -293,7 +272,7 @@ class SilhouetteRenderer:
 
     def render_words(self, camera: Camera, pose: Pose) -> Words:
         """Returns the silhouette as (H, ceil(W / 64)) bit-packed words."""
-        view, words, (rotation, center) = _view(camera), _blank(camera), pose_arrays(pose)
+        view, words, (rotation, center) = _view(camera), _blank(camera), projection.pose_arrays(pose)
         memory, _ = self._working_memory(camera)
         draw_views(self._arrays, rotation[None], center[None], view, memory, words[None])
         return words
@@ -306,9 +285,9 @@ class SilhouetteRenderer:
         Raises:
             RenderingError: As for ``render``.
         """
-        view, (rotation, center) = _view(camera), pose_arrays(pose)
+        view, (rotation, center) = _view(camera), projection.pose_arrays(pose)
         poses = rotation[None], center[None]
-        seen = np.sort(select_buildings(self._arrays, *poses, view.planes))
+        seen = np.sort(projection.select_buildings(self._arrays, *poses, view.planes))
         scratch, words = self._working_memory(camera)
         return Instances(
             (camera.width, camera.height),
@@ -318,7 +297,7 @@ class SilhouetteRenderer:
     def silhouettes(self, camera: Camera, rotations: Floats, centers: Floats) -> Words:
         """Returns N silhouettes as (N, H, ceil(W / 64)) bit-packed words; arguments as for ``counts``."""
         view = _view(camera)
-        rotations, centers = require_poses(rotations, centers)
+        rotations, centers = projection.require_poses(rotations, centers)
         silhouettes = np.zeros((len(centers), *_blank(camera).shape), dtype=np.uint64)
 
         def work(part: NDArray[np.int64]) -> None:
@@ -341,9 +320,9 @@ class SilhouetteRenderer:
         Raises:
             RenderingError: The mask's size is not the camera's, or as for ``render``.
         """
-        require_size(camera, (mask.shape[1], mask.shape[0]))
+        projection.require_size(camera, (mask.shape[1], mask.shape[0]))
         view, query = _view(camera), pack_mask(mask)
-        rotations, centers = require_poses(rotations, centers)
+        rotations, centers = projection.require_poses(rotations, centers)
         counts = np.zeros((2, len(centers)), dtype=np.int64)
 
         def work(part: NDArray[np.int64]) -> None:
@@ -364,9 +343,9 @@ class SilhouetteRenderer:
         """
         if isinstance(fit, IouFit):
             return self.counts(camera, rotations, centers, fit.mask).iou()
-        require_size(camera, fit.size)
+        projection.require_size(camera, fit.size)
         view = _view(camera)
-        rotations, centers = require_poses(rotations, centers)
+        rotations, centers = projection.require_poses(rotations, centers)
         values = np.zeros(len(centers))
 
         def work(part: NDArray[np.int64]) -> None:
@@ -388,7 +367,7 @@ class SilhouetteRenderer:
         """Does the work on hypotheses, given by index, in parts on this renderer's threads."""
         count = len(centers)
         # Few are drawn at once, before another thread would have begun.
-        order = nearby_order(rotations, centers) if count > LANES else np.arange(count)
+        order = projection.nearby_order(rotations, centers) if count > LANES else np.arange(count)
         parts = list(_runs(order, self.threads))
         if self._pool is None or len(parts) == 1:
             for part in parts:
@@ -409,9 +388,9 @@ class SilhouetteRenderer:
 
 def _view(camera: Camera) -> View:
     """Returns what is drawn into."""
-    require_pinhole(camera)
+    projection.require_pinhole(camera)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float64)
-    return View(camera.width, camera.height, intrinsics, view_planes(camera, 0, camera.width))
+    return View(camera.width, camera.height, intrinsics, projection.view_planes(camera, 0, camera.width))
 
 
 def _blank(camera: Camera) -> Words:

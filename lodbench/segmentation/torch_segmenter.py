@@ -15,14 +15,8 @@ from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError
 from lodbench.extras import require
+from lodbench.segmentation import probability
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
-from lodbench.segmentation.probability import (
-    MemoryTiles,
-    check_normalise,
-    padded_photo,
-    resized_photo,
-    working_size,
-)
 from lodbench.segmentation.weight_files import RANDOM, weights_file
 
 _HINT = "{}= takes a file, a folder with one safetensors file, or a hub id fetched before."
@@ -48,7 +42,7 @@ class TorchSegmenter(PhotoSegmenter):
         super().__init__(params)
         for package in ("torch", "transformers", "safetensors"):
             require(package, "models", f"segmenter={params.name}")
-        self._memory = MemoryTiles(params.name, params.size, self.stride, self.can_tile)
+        self._memory = probability.MemoryTiles(params.name, params.size, self.stride, self.can_tile)
 
     @abstractmethod
     def build(self, init: str | None) -> Any:
@@ -137,9 +131,9 @@ class TorchSegmenter(PhotoSegmenter):
             QueryFault: The photo does not fit into memory, not even in tiles.
         """
         height, width = photo.shape[:2]
-        width, height = working_size(width, height, self.params.size)
+        width, height = probability.working_size(width, height, self.params.size)
         seen = (self.params.size, self.params.size) if self.is_square else (width, height)
-        image = padded_photo(resized_photo(photo, *seen), self.stride)
+        image = probability.padded_photo(probability.resized_photo(photo, *seen), self.stride)
         found = self._memory.run(image, self._run)[: seen[1], : seen[0]]
         if (seen[1], seen[0]) == (height, width):
             return found
@@ -228,7 +222,7 @@ class Sam2UNetParams:
     def __post_init__(self) -> None:
         if not 32 <= self.size <= 4096 or self.size % 32:
             raise ConfigError(f"segmenter.size={self.size} is no multiple of 32 within 32 to 4096.")
-        check_normalise(self.normalise)
+        probability.check_normalise(self.normalise)
 
 
 class Sam2UNetSegmenter(TorchSegmenter):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
+from lodbench.synthesis import objects
 from lodbench.synthesis.land_cover import (
     Ground,
     Land,
@@ -19,19 +20,7 @@ from lodbench.synthesis.land_cover import (
     ground_from_raster,
     look_down,
 )
-from lodbench.synthesis.objects import (
-    BLOCK_FACES,
-    MeshBuilder,
-    Points,
-    SceneProps,
-    Tint,
-    add_cars,
-    add_trees,
-    grid_triangles,
-    palette,
-    pick,
-    ring_walls,
-)
+from lodbench.synthesis.objects import MeshBuilder, Points, Tint, palette, pick
 from lodbench.synthesis.photo import LAND_COVER
 
 Floats = NDArray[np.float64]
@@ -81,7 +70,7 @@ def add_clutter(builder: MeshBuilder, land: Land, chances: np.random.Generator) 
             add(builder, Spot(places[k], np.array([np.cos(turn), np.sin(turn)]), land.ground), chances)
 
 
-def standing_clutter(props: SceneProps, land: Land) -> list[list[float]]:
+def standing_clutter(props: objects.SceneProps, land: Land) -> list[list[float]]:
     """Returns west, south, east and north, the city's coordinates, of containers, tents and heaps of a city.
 
     Nothing that is painted on the ground; trees and cars neither.
@@ -104,7 +93,7 @@ def _add_prism(builder: MeshBuilder, spot: Spot, local: Floats, ridge: Floats, t
     level = spot.ground.at(foot)
     low = np.column_stack([foot, level - 0.2])
     high = np.column_stack([spot.places(ridge[:, :2]), level.mean() + ridge[:, 2]])
-    builder.add(SurfaceClass.CLUTTER, np.concatenate([low, high]), BLOCK_FACES, tint)
+    builder.add(SurfaceClass.CLUTTER, np.concatenate([low, high]), objects.BLOCK_FACES, tint)
 
 
 def _rectangle(length: float, width: float, y: float) -> Floats:
@@ -146,7 +135,7 @@ def _heap(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> Non
     points[:14, 2] -= 0.3
     k = 28 + np.arange(14)
     tip = np.stack([k, np.roll(k, -1), np.full(14, 42)], axis=1)
-    triangles = np.concatenate([ring_walls(14, 3), tip])
+    triangles = np.concatenate([objects.ring_walls(14, 3), tip])
     builder.add(SurfaceClass.GROUND, points, triangles, pick(_HEAPS, chances, *_SHADES))
 
 
@@ -163,7 +152,7 @@ def _patch(
     steps = [np.linspace(-0.5, 0.5, max(2, int(side / _MESH_M) + 1)) * side for side in size]
     x, y = np.meshgrid(*steps)
     places = spot.places(np.stack([x.ravel(), y.ravel()], axis=1) + at)
-    builder.add(surface, spot.ground.on_ground(places, above_m), grid_triangles(*x.shape), tint)
+    builder.add(surface, spot.ground.on_ground(places, above_m), objects.grid_triangles(*x.shape), tint)
 
 
 def _yard(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
@@ -197,7 +186,7 @@ def _car_park(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) ->
     taken = stalls[chances.random(len(stalls)) < 0.75]
     feet = spot.places(taken)
     ways = np.sign(taken[:, 1:]) * np.array([-spot.along[1], spot.along[0]])
-    add_cars(builder, spot.ground.on_ground(feet, _ABOVE_M), ways, 0 * feet[:, 0], chances)
+    objects.add_cars(builder, spot.ground.on_ground(feet, _ABOVE_M), ways, 0 * feet[:, 0], chances)
 
 
 # What adds it, and how far from buildings and carriageways its middle is.
@@ -225,7 +214,7 @@ _TREE_CHANCE = {
 }
 
 
-def make_surroundings(scene: Scene, seed: int, terrain: str | None = None) -> tuple[SceneProps, Land]:
+def make_surroundings(scene: Scene, seed: int, terrain: str | None = None) -> tuple[objects.SceneProps, Land]:
     """Returns ground, roads, trees and cars that fit a city, in its frame; the same for a seed everywhere.
 
     Ground heights are those of a ``terrain`` raster, or of the buildings' bases.
@@ -261,7 +250,7 @@ def _plant_trees(builder: MeshBuilder, land: Land, generator: np.random.Generato
     kept = kept[generator.permutation(len(kept))[:_MAX_TREES]]
     # A crown may touch a wall.
     room_m = free_m[kept].astype(np.float64) + 0.4
-    add_trees(builder, land.ground.on_ground(places[kept]), generator, _BROADLEAF, room_m)
+    objects.add_trees(builder, land.ground.on_ground(places[kept]), generator, _BROADLEAF, room_m)
 
 
 def _park_cars(builder: MeshBuilder, land: Land, generator: np.random.Generator) -> None:
@@ -281,7 +270,7 @@ def _park_cars(builder: MeshBuilder, land: Land, generator: np.random.Generator)
     places = places + across * (outward * (wanted - away))[:, None]
     ways = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     rise = land.ground.at(places + 2.0 * ways) - land.ground.at(places - 2.0 * ways)
-    add_cars(builder, land.ground.on_ground(places), ways, rise / 4.0, generator)
+    objects.add_cars(builder, land.ground.on_ground(places), ways, rise / 4.0, generator)
 
 
 def _patches(places: Points, generator: np.random.Generator) -> Points:

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.errors import RenderingError
 from lodbench.kernels import bake, draw_from_above, light_corners
 from lodbench.kernels.looks import Shading, SurfaceClass

@@ -18,21 +18,8 @@ from lodbench.segmentation.protocol import TrainableSegmenter
 from lodbench.storage import digest_of, file_digest, make_folder, write_bytes, write_text
 from lodbench.storage.digest import digest_of_code, package_files
 from lodbench.storage.json_text import finite, parse_json
-from lodbench.training.samples import (
-    MASKS,
-    SETTINGS,
-    Sample,
-    TrainParams,
-    find_samples,
-    ground_samples,
-    is_posed,
-    posed_samples,
-    pseudo_samples,
-    repeated,
-    samples_digest,
-    split_samples,
-    traced_samples,
-)
+from lodbench.training import samples
+from lodbench.training.samples import Sample, TrainParams
 
 
 def write_curves(history: list[dict[str, float]], path: Path) -> None:
@@ -153,23 +140,23 @@ def _samples(
     segmenter: TrainableSegmenter, params: TrainParams, data: Path, out: Path
 ) -> tuple[list[Sample], list[Sample], str]:
     """Returns the views to train on, those to validate on, and what the latter are."""
-    learns = getattr(segmenter, "learns", MASKS)
-    if learns != MASKS:
+    learns = getattr(segmenter, "learns", samples.MASKS)
+    if learns != samples.MASKS:
         _require_labels(segmenter, params, data, learns)
-    if is_posed(data):
-        learnt, held_out = posed_samples(data, out / SILHOUETTES, params.city), []
+    if samples.is_posed(data):
+        learnt, held_out = samples.posed_samples(data, out / SILHOUETTES, params.city), []
     else:
-        learnt, held_out = (find_samples(data, split, learns) for split in ("train", "val"))
+        learnt, held_out = (samples.find_samples(data, split, learns) for split in ("train", "val"))
     val_data = Path(params.val_data).expanduser() if params.val_data else None
-    train, val, source = split_samples(learnt, held_out, val_data, learns)
+    train, val, source = samples.split_samples(learnt, held_out, val_data, learns)
     if params.unlabelled:
         train = train + _pseudo_labelled(segmenter, params, out)
     size = segmenter.params.size
     if params.negatives:
-        train = train + ground_samples(size, _folders(params.negatives), out / NEGATIVES)
+        train = train + samples.ground_samples(size, _folders(params.negatives), out / NEGATIVES)
     if params.traced:
-        photos = traced_samples(size, _folders(params.traced))
-        train = train + repeated(photos, params.traced_share, len(train))
+        photos = samples.traced_samples(size, _folders(params.traced))
+        train = train + samples.repeated(photos, params.traced_share, len(train))
     return train, val, source
 
 
@@ -180,11 +167,13 @@ def _folders(names: Sequence[str]) -> list[Path]:
 def _require_labels(segmenter: TrainableSegmenter, params: TrainParams, data: Path, learns: str) -> None:
     """Makes sure that all a network learns from says which building, or what surface, is where."""
     masked = {"unlabelled": params.unlabelled, "negatives": params.negatives, "traced": params.traced}
-    named = next((name for name, folders in masked.items() if folders), "data" if is_posed(data) else None)
+    named = next(
+        (name for name, folders in masked.items() if folders), "data" if samples.is_posed(data) else None
+    )
     if named:
         raise ConfigError(
             f"{segmenter.params.name} learns {learns}, and {named} has masks of buildings only.",
-            f"`data=FOLDER` of generate-training-data `{SETTINGS[learns]}=true`.",
+            f"`data=FOLDER` of generate-training-data `{samples.SETTINGS[learns]}=true`.",
         )
 
 
@@ -194,7 +183,7 @@ def _pseudo_labelled(segmenter: TrainableSegmenter, params: TrainParams, out: Pa
     if not isinstance(segmenter, PhotoSegmenter) or not str(params.init).endswith(".onnx"):
         raise ConfigError("Only networks in ONNX files label photos.", "`init=FILE.onnx`, or `init=package`.")
     teacher = type(segmenter)(replace(settings, weights=params.init))
-    return pseudo_samples(teacher, _folders(params.unlabelled), out / PSEUDO_LABELS)
+    return samples.pseudo_samples(teacher, _folders(params.unlabelled), out / PSEUDO_LABELS)
 
 
 def _epoch_line(row: dict[str, float], epochs: int) -> str:
@@ -231,12 +220,12 @@ def _record(
         "settings": settings | {"scale": list(params.scale)},
         "init": init,
         "average": [file_digest(Path(path).expanduser()) for path in params.average],
-        "train": samples_digest(train),
-        "val": samples_digest(val),
+        "train": samples.samples_digest(train),
+        "val": samples.samples_digest(val),
     }
     return identity | {
         "digest": digest_of(identity),
-        "domain": ("posed photos" if is_posed(data) else "synthetic")
+        "domain": ("posed photos" if samples.is_posed(data) else "synthetic")
         + (" and traced photos" if params.traced else ""),
         "views": {"train": len(train), "val": len(val), "validated_on": source},
         "sets": _sets(data),

@@ -13,25 +13,16 @@ from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.geometry import Camera, Pose
-from lodbench.kernels.looks import (
-    CameraResponse,
-    LandCover,
-    Look,
-    Palettes,
-    Shading,
-    Skin,
-    SunMap,
-    SurfaceClass,
-    Triple,
-)
+from lodbench.kernels import looks
+from lodbench.kernels.looks import CameraResponse, Look, SunMap, Triple
 from lodbench.params import read_settings, to_params
 from lodbench.rendering.raster import RasterRenderer, make_charts
 from lodbench.synthesis.objects import palette
 
-_GRASSLAND = np.full((1, 1), int(SurfaceClass.GRASS), dtype=np.uint8)
+_GRASSLAND = np.full((1, 1), int(looks.SurfaceClass.GRASS), dtype=np.uint8)
 _FAR, _EAST = np.full((1, 1), 1e6, dtype=np.float32), np.zeros((1, 1), dtype=np.float32)
 # One cell of grass, for scenes whose triangles all say what they are.
-NO_LAND_COVER = LandCover(_GRASSLAND, _FAR, _EAST, 0.0, 0.0, 1.0, 3.0, 1.5)
+NO_LAND_COVER = looks.LandCover(_GRASSLAND, _FAR, _EAST, 0.0, 0.0, 1.0, 3.0, 1.5)
 
 
 def linear(colours: object) -> NDArray[np.float64]:
@@ -45,12 +36,12 @@ _TILES += " 9ea09e 48505c 46608c 587062 d6d6d2"  # fibre cement, slate, painted 
 _FLATS = "969490 6e6e70 bcbab4 847c70 d6d4d0 5c5c5c 7a826c a8a094 8e969c 524e4a"
 _FLATS += " 607446 b6ae9e 2c364e 688096 e4e4e2"  # planted, gravel, solar panels, sheet metal: as over halls
 _PAINTS = "e6e6e6 1e2024 787a7e aaacb0 8c181a 22366e 3c3e42 cdc8be 18422c d6d6d2"
-PALETTES = Palettes(*(linear(palette(codes)) for codes in (_WALLS, _TILES, _FLATS, _PAINTS)))
+PALETTES = looks.Palettes(*(linear(palette(codes)) for codes in (_WALLS, _TILES, _FLATS, _PAINTS)))
 
 
-def plain_shading(skin: Skin, look: Look) -> Shading:
+def plain_shading(skin: looks.Skin, look: Look) -> looks.Shading:
     """Returns the shading of triangles that all say what they are: no land cover, no textures; no shadows."""
-    return Shading(skin, look, NO_LAND_COVER, NO_SUN_MAP, PALETTES, make_charts(None))
+    return looks.Shading(skin, look, NO_LAND_COVER, NO_SUN_MAP, PALETTES, make_charts(None))
 
 
 Range = tuple[float, float]

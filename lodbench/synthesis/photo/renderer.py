@@ -11,20 +11,9 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.geometry import Camera, Pose
-from lodbench.kernels import expose, resolve_photo
+from lodbench.kernels import expose, looks, resolve_photo
 from lodbench.kernels.arguments import MAX_LIGHT, TONE_STEPS, Band, Buffer
-from lodbench.kernels.looks import (
-    LAND_COVER,
-    TEXTURED,
-    CameraResponse,
-    Charts,
-    LandCover,
-    Look,
-    Shading,
-    Skin,
-    SunMap,
-    SurfaceClass,
-)
+from lodbench.kernels.looks import CameraResponse, Look, Skin, SurfaceClass
 from lodbench.photos.pictures import encoded
 from lodbench.rendering.raster import RasterRenderer, grouped_scene, make_charts, triangle_groups
 from lodbench.synthesis.objects import SceneProps
@@ -62,7 +51,7 @@ class PhotoRenderer:
         self,
         scene: Scene,
         props: SceneProps | None = None,
-        cover: LandCover | None = None,
+        cover: looks.LandCover | None = None,
         threads: int | None = None,
         textured: TexturedMesh | None = None,
     ) -> None:
@@ -92,7 +81,7 @@ class PhotoRenderer:
         rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
         sun_map = self._sun_map(camera, pose, look)
         made = self._render_scene
-        shading = Shading(made.skin, look, self._cover, sun_map, PALETTES, made.charts)
+        shading = looks.Shading(made.skin, look, self._cover, sun_map, PALETTES, made.charts)
 
         def resolve(band: Band, buffer: Buffer) -> None:
             resolve_photo(band, buffer, rotation, center, shading, out)
@@ -109,7 +98,7 @@ class PhotoRenderer:
         triangle = self._raster.draw(camera, pose).triangle
         return np.asarray((triangle >= 0) & self._render_scene.is_occluder[triangle])
 
-    def _sun_map(self, camera: Camera, pose: Pose, look: Look) -> SunMap:
+    def _sun_map(self, camera: Camera, pose: Pose, look: Look) -> looks.SunMap:
         if self._casters is None:
             return NO_SUN_MAP
         seen = ground_in_view(camera, pose, *self._levels_m)
@@ -164,7 +153,7 @@ _TILED_TOPS = 0.5
 _MOST_TILED_M2 = 1600.0
 ON_GROUND = [kind for kind in SurfaceClass if kind.is_ground]
 _ON_WALLS = [SurfaceClass.WINDOW, SurfaceClass.DOOR, SurfaceClass.FRAME]
-_NO_CASTERS = np.array([*ON_GROUND, *_ON_WALLS, LAND_COVER, TEXTURED], dtype=np.uint8)
+_NO_CASTERS = np.array([*ON_GROUND, *_ON_WALLS, looks.LAND_COVER, looks.TEXTURED], dtype=np.uint8)
 
 
 class RenderScene(NamedTuple):
@@ -174,7 +163,7 @@ class RenderScene(NamedTuple):
     skin: Skin  # what they look like
     is_occluder: NDArray[np.bool_]  # (T,) whether a triangle stands before buildings without being one
     casters: Scene | None  # those triangles that cast shadows worth drawing, or None if none do
-    charts: Charts  # where on its texture each textured triangle is; its ``Skin.number`` is the row
+    charts: looks.Charts  # where on its texture each textured triangle is; its ``Skin.number`` is the row
 
 
 class _Loose(NamedTuple):
@@ -263,7 +252,7 @@ def _of_props(props: SceneProps) -> _Loose:
 
 def _of_textured(mesh: TexturedMesh) -> _Loose:
     count = len(mesh.corners)
-    kinds, numbers = np.full(count, TEXTURED, np.uint8), np.arange(count, dtype=np.int32)
+    kinds, numbers = np.full(count, looks.TEXTURED, np.uint8), np.arange(count, dtype=np.int32)
     return _Loose(mesh.corners, kinds, numbers, np.zeros((count, 3), np.float32), np.ones(count, bool))
 
 

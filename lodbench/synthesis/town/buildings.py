@@ -15,28 +15,9 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.storage import random_stream
-from lodbench.synthesis.town.roofs import (
-    Body,
-    Roof,
-    Strip,
-    Wall,
-    flat,
-    gabled,
-    half_hipped,
-    hipped,
-    mansard,
-    shed,
-)
-from lodbench.synthesis.town.shapes import (
-    Points,
-    Solid,
-    TownLook,
-    area,
-    edge_directions,
-    left_of,
-    prism,
-    rectangles,
-)
+from lodbench.synthesis.town import roofs, shapes
+from lodbench.synthesis.town.roofs import Body, Roof, Strip, Wall
+from lodbench.synthesis.town.shapes import Points, Solid
 from lodbench.synthesis.town.streets import NOBODY, Occupancy, Terrain
 
 STOREY_M = 3.1
@@ -59,7 +40,7 @@ class Annex(NamedTuple):
         """Returns its plan, (4, 2), counter-clockwise, the wall's edge first, from right to left."""
         wall = body.walls[self.side, self.wing]
         start = wall.left + wall.along * self.start_m
-        end, out = start + wall.along * self.length_m, -left_of(wall.along) * self.depth_m
+        end, out = start + wall.along * self.length_m, -shapes.left_of(wall.along) * self.depth_m
         return np.stack([end, start, start + out, end + out])
 
     def add_to(self, body: Body) -> None:
@@ -88,7 +69,7 @@ class RoofBox(NamedTuple):
     def fits(self, body: Body) -> bool:
         """Returns whether it lies within its roof face, a margin from every edge."""
         face = self._corners(body)
-        left = left_of(edge_directions(face[:, :2]))
+        left = shapes.left_of(shapes.edge_directions(face[:, :2]))
         distance = np.einsum("kc,kmc->km", left, self._plan(face)[None] - face[:, None, :2])
         return bool(distance.min() >= _OPENING_MARGIN_M)
 
@@ -118,7 +99,7 @@ class RoofBox(NamedTuple):
         along = along / np.linalg.norm(along)
         u = np.array([0.0, self.width_m, self.width_m, 0.0]) + self.start_m
         v = np.array([0.0, 0.0, self.depth_m, self.depth_m]) + self.up_m
-        return np.asarray(origin + u[:, None] * along + v[:, None] * left_of(along))
+        return np.asarray(origin + u[:, None] * along + v[:, None] * shapes.left_of(along))
 
 
 def _heights(face: Points, plan: Points) -> Points:
@@ -144,21 +125,23 @@ def town_roof(eave_m: float, depth_m: float, generator: np.random.Generator, mod
     """Returns the roof of a house in a row, on a share of ``modern`` ones flat."""
     draw = float(generator.random())
     if draw < modern:
-        return flat(eave_m + 0.8)
+        return roofs.flat(eave_m + 0.8)
     if draw < modern + 0.16:
-        return mansard(eave_m, depth_m)
-    return gabled(eave_m, float(generator.uniform(36, 50)), depth_m, float(generator.uniform(0.45, 0.55)))
+        return roofs.mansard(eave_m, depth_m)
+    return roofs.gabled(
+        eave_m, float(generator.uniform(36, 50)), depth_m, float(generator.uniform(0.45, 0.55))
+    )
 
 
 def house_roof(eave_m: float, strip: Strip, generator: np.random.Generator) -> Roof:
     """Returns the roof of a house that stands alone."""
     draw, pitch, depth = float(generator.random()), float(generator.uniform(30, 46)), strip.start_depth_m
     if draw < 0.12:
-        return flat(eave_m + 0.4)
+        return roofs.flat(eave_m + 0.4)
     if draw < 0.62 or len(strip.wings) > 1:
-        return gabled(eave_m, pitch, depth)
+        return roofs.gabled(eave_m, pitch, depth)
     _, _, length, _ = strip.first_wing
-    return hipped(eave_m, min(pitch, 36.0), depth, length)
+    return roofs.hipped(eave_m, min(pitch, 36.0), depth, length)
 
 
 def dormers(strip: Strip, roof: Roof, generator: np.random.Generator) -> list[Detail]:
@@ -211,9 +194,11 @@ def chimneys(strip: Strip, roof: Roof, base_m: float, generator: np.random.Gener
         width, breadth = generator.uniform((0.5, 0.5), (0.9, 1.3)).tolist()
         top = roof.ridge_m + float(generator.uniform(0.5, 1.1))
         if at + 0.5 * breadth <= length - 0.3:
-            ring = rectangles(strip.outer[0] + along * at + across * share * depth, along, breadth, width)
+            ring = shapes.rectangles(
+                strip.outer[0] + along * at + across * share * depth, along, breadth, width
+            )
             low = base_m + roof.height_at(share) - _SUNK_M
-            stacks.append(prism([ring], low, base_m + top, SurfaceKind.INSTALLATION))
+            stacks.append(shapes.prism([ring], low, base_m + top, SurfaceKind.INSTALLATION))
     return stacks
 
 
@@ -233,9 +218,9 @@ def balconies(windows: list[Points], generator: np.random.Generator) -> list[Sol
         if column % 2 == phase and low >= lowest + 1.0:
             width = float(np.linalg.norm(right - left))
             along = (right - left) / width
-            middle = 0.5 * (left + right) - left_of(along) * (0.5 * depth - 0.04)
-            ring, floor = rectangles(middle, along, width + 1.0, depth), low - 0.9
-            slabs.append(prism([ring], floor - 0.15, floor + 0.95, SurfaceKind.INSTALLATION))
+            middle = 0.5 * (left + right) - shapes.left_of(along) * (0.5 * depth - 0.04)
+            ring, floor = shapes.rectangles(middle, along, width + 1.0, depth), low - 0.9
+            slabs.append(shapes.prism([ring], floor - 0.15, floor + 0.95, SurfaceKind.INSTALLATION))
     return slabs
 
 
@@ -339,7 +324,7 @@ def _outside(
     wall: Wall, middles: Points, width: float, place: Neighbourhood
 ) -> tuple[Points, NDArray[np.bool_], NDArray[np.bool_]]:
     """Returns what is before each place on a wall: ground height, an own annex, another building."""
-    out = -left_of(wall.along)
+    out = -shapes.left_of(wall.along)
     # Before its left end, its middle and its right end.
     along_m = middles + np.array([[-0.5], [0.0], [0.5]]) * (width + 0.6)
     at = wall.left + along_m.reshape(-1, 1) * wall.along + out * _LOOK_OUT_M
@@ -440,7 +425,11 @@ class Building(NamedTuple):
 
 
 def construct_all(
-    named: Sequence[tuple[str, Plan]], seed: int, look: TownLook, terrain: Terrain, occupancy: Occupancy
+    named: Sequence[tuple[str, Plan]],
+    seed: int,
+    look: shapes.TownLook,
+    terrain: Terrain,
+    occupancy: Occupancy,
 ) -> list[Building]:
     """Returns the buildings of identifiers and plans, whose order is that of ``occupancy``."""
     buildings = []
@@ -451,15 +440,15 @@ def construct_all(
     return buildings
 
 
-def restyled(name: str, plan: Plan, seed: int, look: TownLook) -> Plan:
+def restyled(name: str, plan: Plan, seed: int, look: shapes.TownLook) -> Plan:
     """Returns a plan whose plain gabled roof may have become another as the town's look has it."""
     strip, roof, draw = plan.strip, plan.roof, float(random_stream(seed, "demo", name, "roof").random())
     if roof.name != "gabled" or len(strip.wings) > 1 or plan.details:
         return plan
     if draw < look.half_hipped and roof.profile[1][0] == 0.5:
-        return plan._replace(roof=half_hipped(roof, strip.start_depth_m))
+        return plan._replace(roof=roofs.half_hipped(roof, strip.start_depth_m))
     if look.half_hipped <= draw < look.half_hipped + look.shed:
-        return plan._replace(roof=shed(roof.eave_m, 14.0, strip.start_depth_m))
+        return plan._replace(roof=roofs.shed(roof.eave_m, 14.0, strip.start_depth_m))
     return plan
 
 
@@ -510,7 +499,7 @@ def coarse_box(plan: Plan, base_m: float, height_error_m: float) -> Solid:
     """Returns the LoD1 box of a plan, its height off by an error, at least 2 m high."""
     rise = plan.roof.ridge_m - plan.roof.eave_m
     height = max(plan.roof.eave_m + LOD1_HEIGHT_SHARE * rise + height_error_m, 2.0)
-    return prism(_generalised(plan.strip.rings), base_m, round(base_m + height, 2))
+    return shapes.prism(_generalised(plan.strip.rings), base_m, round(base_m + height, 2))
 
 
 def plain_body(plan: Plan, base_m: float) -> Solid:
@@ -525,11 +514,11 @@ def plain_body(plan: Plan, base_m: float) -> Solid:
 
 def _generalised(rings: list[Points]) -> list[Points]:
     """Returns plan rings on the LoD1 grid, without small courtyards; unchanged where nothing is left."""
-    kept = [rings[0], *[ring for ring in rings[1:] if -area(ring) >= LOD1_COURTYARD_M2]]
+    kept = [rings[0], *[ring for ring in rings[1:] if -shapes.area(ring) >= LOD1_COURTYARD_M2]]
     snapped = []
     for ring in kept:
         coarse = np.round(ring / LOD1_GRID_M) * LOD1_GRID_M
         coarse = coarse[(coarse != np.roll(coarse, 1, axis=0)).any(axis=1)]
-        sound = len(coarse) >= 3 and area(coarse) * area(ring) > 0
+        sound = len(coarse) >= 3 and shapes.area(coarse) * shapes.area(ring) > 0
         snapped.append(coarse if sound else ring)
     return snapped

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lodbench.synthesis.town import shapes
 from lodbench.synthesis.town.buildings import (
     Detail,
     Plan,
@@ -19,18 +20,7 @@ from lodbench.synthesis.town.buildings import (
     town_roof,
 )
 from lodbench.synthesis.town.roofs import Roof, Strip, flat, gabled, hipped, mansard, serrated
-from lodbench.synthesis.town.shapes import (
-    Points,
-    area,
-    box_of,
-    contains,
-    corner_angles_deg,
-    edge_directions,
-    edge_lengths,
-    inset,
-    keeps_apart,
-    left_of,
-)
+from lodbench.synthesis.town.shapes import Points, left_of
 
 
 class Site:
@@ -38,7 +28,9 @@ class Site:
 
     def __init__(self, ring: Points, district: str, chances: np.random.Generator) -> None:
         self.ring, self.district, self.chances = ring, district, chances
-        self.along, _, _ = box_of(ring)  # (2,) unit, along the longer side of the smallest box around it
+        self.along, _, _ = shapes.box_of(
+            ring
+        )  # (2,) unit, along the longer side of the smallest box around it
         self.plans: list[Plan] = []  # what was placed, in order
         self._pieces = np.empty((0, 4, 2))
 
@@ -62,7 +54,7 @@ class Site:
         ring, pieces = self.ring if yard is None else yard, plan.pieces
         # Corners and edge middles are enough to test against a nearly convex ring.
         outlines = [np.concatenate([piece, 0.5 * (piece + np.roll(piece, -1, axis=0))]) for piece in pieces]
-        if not on_line and not all(contains(ring, outline).all() for outline in outlines):
+        if not on_line and not all(shapes.contains(ring, outline).all() for outline in outlines):
             return False
         if not all(self._is_free(piece, gap_m) for piece in pieces):
             return False
@@ -77,7 +69,7 @@ class Site:
         radii = np.linalg.norm(pieces - middles[:, None], axis=2).max(axis=1)
         distance = np.linalg.norm(middles - middles[0], axis=1)
         near = np.flatnonzero(distance[1:] < radii[1:] + radii[0] + gap_m)
-        return all(keeps_apart(piece, self._pieces[k], gap_m) for k in near)
+        return all(shapes.keeps_apart(piece, self._pieces[k], gap_m) for k in near)
 
     def places(self, spacing_m: float) -> list[Points]:
         """Returns places to try, in random order: a jittered grid along its own directions."""
@@ -111,7 +103,9 @@ OLD_LANES = Style(1.15, (2, 3), (0.8, 3.5), 1.2, 0.7, 0.1)
 def add_houses(site: Site, style: Style) -> None:
     """Adds houses on every side of a block."""
     ring = site.ring
-    for start, along, length in zip(ring, edge_directions(ring), edge_lengths(ring).tolist(), strict=True):
+    for start, along, length in zip(
+        ring, shapes.edge_directions(ring), shapes.edge_lengths(ring).tolist(), strict=True
+    ):
         _add_street(site, style, start, along, length)
 
 
@@ -201,7 +195,7 @@ _LEAST_ROW_M = 8.0
 def add_closed_block(site: Site, storeys: int) -> None:
     """Adds row houses of some storeys all around, or nothing where the block's shape leaves no courtyard."""
     depth = float(site.chances.uniform(10.5, 13.0))
-    if inset(site.ring, depth + COURTYARD_M / 2) is None:
+    if shapes.inset(site.ring, depth + COURTYARD_M / 2) is None:
         return
     legs = _corner_legs(site.ring, depth, site.chances)
     if legs is not None:
@@ -213,7 +207,7 @@ def add_closed_block(site: Site, storeys: int) -> None:
 
 def _corner_legs(ring: Points, depth: float, generator: np.random.Generator) -> Points | None:
     """Returns how far each corner house reaches back and ahead, (N, 2) metres, or None without room."""
-    count, angles, lengths = len(ring), corner_angles_deg(ring), edge_lengths(ring)
+    count, angles, lengths = len(ring), shapes.corner_angles_deg(ring), shapes.edge_lengths(ring)
     if angles.min() < _LEAST_CORNER_DEG:
         return None
     least = np.maximum(depth / np.tan(np.radians(angles) / 2), 0.0) + 2.5
@@ -239,7 +233,7 @@ class _ClosedBlock(NamedTuple):
 
     def add_corner_houses(self) -> None:
         """Adds a house with two wings at every corner."""
-        along, chances = edge_directions(self.site.ring), self.site.chances
+        along, chances = shapes.edge_directions(self.site.ring), self.site.chances
         for k, corner in enumerate(self.site.ring):
             line = [corner - along[k - 1] * self.legs[k, 0], corner, corner + along[k] * self.legs[k, 1]]
             eave = eaves(self.storeys + chance(chances, 0.3), chances)
@@ -249,9 +243,9 @@ class _ClosedBlock(NamedTuple):
     def add_rows(self) -> None:
         """Shares the streets between the corner houses out among houses that touch, with rare gaps."""
         ring, chances = self.site.ring, self.site.chances
-        free = edge_lengths(ring) - self.legs[:, 1] - np.roll(self.legs[:, 0], -1)
+        free = shapes.edge_lengths(ring) - self.legs[:, 1] - np.roll(self.legs[:, 0], -1)
         for k in np.flatnonzero(free >= _LEAST_ROW_M / 2):
-            along = edge_directions(ring)[k]
+            along = shapes.edge_directions(ring)[k]
             count = max(1, round(free[k] / chances.uniform(11.0, 16.0)))
             shares = chances.uniform(0.7, 1.3, size=count)
             edges = self.legs[k, 1] + np.concatenate([[0.0], np.cumsum(shares / shares.sum())]) * free[k]
@@ -281,10 +275,10 @@ class _ClosedBlock(NamedTuple):
     def add_yard_buildings(self) -> None:
         """Adds workshops and sheds to the courtyard."""
         site, chances = self.site, self.site.chances
-        yard = inset(site.ring, self.depth + 3.0)
+        yard = shapes.inset(site.ring, self.depth + 3.0)
         if yard is None:
             return
-        for _ in range(int(area(yard) / 260.0) + 1):
+        for _ in range(int(shapes.area(yard) / 260.0) + 1):
             corner = chances.uniform(yard.min(axis=0), yard.max(axis=0))
             length, width = chances.uniform((5.0, 4.0), (13.0, 7.0)).tolist()
             height = float(chances.uniform(2.8, 5.5))
@@ -309,9 +303,9 @@ def add_church(site: Site) -> bool:
 
 def add_town_hall(site: Site) -> None:
     """Adds the town hall at one side of the market square, the rest left open."""
-    lengths = edge_lengths(site.ring)
+    lengths = shapes.edge_lengths(site.ring)
     k = int(np.argmax(lengths))
-    along, length, depth = edge_directions(site.ring)[k], float(min(34.0, 0.6 * lengths[k])), 15.0
+    along, length, depth = shapes.edge_directions(site.ring)[k], float(min(34.0, 0.6 * lengths[k])), 15.0
     corner = site.ring[k] + along * (lengths[k] - length) / 2 + left_of(along) * 2.0
     strip, roof = Strip.bar(corner, along, length, depth), mansard(11.0, depth)
     site.place(strip, roof, "public", dormers(strip, roof, site.chances))
@@ -320,7 +314,7 @@ def add_town_hall(site: Site) -> None:
 def add_courtyard_house(site: Site) -> None:
     """Adds one building around a courtyard (a convent, a court of justice), or nothing without room."""
     depth = float(site.chances.uniform(11.0, 13.5))
-    if len(site.ring) > 6 or inset(site.ring, depth + COURTYARD_M / 2) is None:
+    if len(site.ring) > 6 or shapes.inset(site.ring, depth + COURTYARD_M / 2) is None:
         return
     strip = Strip.bent(site.ring, [depth] * len(site.ring), closed=True)
     roof = gabled(eaves(3, site.chances), float(site.chances.uniform(32, 42)), depth)
@@ -330,7 +324,7 @@ def add_courtyard_house(site: Site) -> None:
 def add_school(site: Site) -> None:
     """Adds a school with two or three wings around a yard, or nothing without room."""
     chances = site.chances
-    along, *size = box_of(site.ring)
+    along, *size = shapes.box_of(site.ring)
     wings, depth = chances.uniform(0.45, 0.6, size=2) * size, 13.0
     if wings.min() < 2 * depth + 4:
         return

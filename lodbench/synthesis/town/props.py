@@ -21,20 +21,9 @@ from lodbench.synthesis.objects import (
     palette,
     pick,
 )
+from lodbench.synthesis.town import shapes
 from lodbench.synthesis.town.buildings import Building
-from lodbench.synthesis.town.shapes import (
-    Points,
-    Solid,
-    along_line,
-    area,
-    contains,
-    edge_directions,
-    edge_lengths,
-    inset,
-    left_of,
-    length_of,
-    offset_line,
-)
+from lodbench.synthesis.town.shapes import Points
 from lodbench.synthesis.town.town import ORIGIN_M, Town, add_ground
 
 # One tree for so many square metres of open land, by district; parks have more.
@@ -68,17 +57,17 @@ def _along_streets(town: Town, chances: np.random.Generator) -> Iterator[Points]
         for side in (-1.0, 1.0):
             if street.width_m < 10.5 or chances.random() > likely * town.look.trees:
                 continue
-            line = offset_line(street.line, side * (0.5 * street.width_m + 1.1))
+            line = shapes.offset_line(street.line, side * (0.5 * street.width_m + 1.1))
             spacing = float(chances.uniform(8.0, 14.0))
-            at = np.arange(9.0, length_of(line) - 9.0, spacing)
+            at = np.arange(9.0, shapes.length_of(line) - 9.0, spacing)
             at = at[chances.random(len(at)) < 0.85]
-            yield along_line(line, at + chances.normal(0.0, 0.6, len(at)))[0]
+            yield shapes.along_line(line, at + chances.normal(0.0, 0.6, len(at)))[0]
 
 
 def _in_yards(town: Town, chances: np.random.Generator) -> Iterator[Points]:
     """Yields places of trees in gardens, courtyards and parks."""
     for number, (block, district) in enumerate(zip(town.streets.blocks, town.districts, strict=True)):
-        yard = inset(block.ring, 3.5)
+        yard = shapes.inset(block.ring, 3.5)
         if number == 0 or yard is None:
             continue
         low, high = yard.min(axis=0), yard.max(axis=0)
@@ -88,16 +77,16 @@ def _in_yards(town: Town, chances: np.random.Generator) -> Iterator[Points]:
         per_tree = _PARK_M2 if is_park else _LAND_PER_TREE_M2[district]
         count = round(float(np.prod(high - low)) / per_tree * town.look.trees)
         drawn = chances.uniform(low, high, (count, 2))
-        yield drawn[contains(yard, drawn)]
+        yield drawn[shapes.contains(yard, drawn)]
 
 
 def _along_river(town: Town, chances: np.random.Generator) -> Iterator[Points]:
     """Yields places of trees on both banks, in loose rows."""
     line = town.streets.river
-    half = 0.5 * length_of(line)
+    half = 0.5 * shapes.length_of(line)
     for side in (-1.0, 1.0):
         at = np.cumsum(chances.uniform(5.0, 26.0, 160)) + half - 1200.0
-        bank, _ = along_line(offset_line(line, side * 21.0), at)
+        bank, _ = shapes.along_line(shapes.offset_line(line, side * 21.0), at)
         yield bank + chances.normal(0.0, 1.0, bank.shape)
 
 
@@ -118,10 +107,12 @@ def _in_woods(town: Town, chances: np.random.Generator) -> Points:
 def _add_hedges(builder: MeshBuilder, town: Town, chances: np.random.Generator) -> None:
     """Adds hedges along the front gardens of the suburbs, with gaps for gates."""
     for block, district in zip(town.streets.blocks, town.districts, strict=True):
-        ring = inset(block.ring, 2.9)
-        if district not in ("garden suburb", "inner town") or ring is None or area(ring) < 900.0:
+        ring = shapes.inset(block.ring, 2.9)
+        if district not in ("garden suburb", "inner town") or ring is None or shapes.area(ring) < 900.0:
             continue
-        for start, along, length in zip(ring, edge_directions(ring), edge_lengths(ring), strict=True):
+        for start, along, length in zip(
+            ring, shapes.edge_directions(ring), shapes.edge_lengths(ring), strict=True
+        ):
             at = 1.0
             while at < length - 4.0:
                 run = min(float(chances.uniform(4.0, 15.0)), length - at - 1.0)
@@ -133,7 +124,7 @@ def _add_hedges(builder: MeshBuilder, town: Town, chances: np.random.Generator) 
 def _add_hedge(
     builder: MeshBuilder, town: Town, start: Points, way: Points, chances: np.random.Generator
 ) -> None:
-    side = left_of(way / np.linalg.norm(way)) * 0.3
+    side = shapes.left_of(way / np.linalg.norm(way)) * 0.3
     ring = np.stack([start - side, start + way - side, start + way + side, start + side])
     if (town.occupancy.at(ring) > 0).any():
         return
@@ -155,23 +146,25 @@ def add_traffic(builder: MeshBuilder, town: Town) -> None:
 def _on_streets(town: Town, chances: np.random.Generator) -> Iterator[tuple[Points, Points]]:
     """Yields places of parked and of moving cars, (N, 2), and where they point to."""
     for street in town.streets.streets:
-        width, length = street.width_m, length_of(street.line)
+        width, length = street.width_m, shapes.length_of(street.line)
         for side in (-1.0, 1.0):
             # Right-hand traffic: to the right of the line cars go along it.
             if width > 9.5:
                 parked = np.cumsum(chances.uniform(5.6, 7.6, 200)) + 7.0
                 parked = parked[(parked < length - 9.0) & (chances.random(200) < 0.4)]
-                places, along = along_line(offset_line(street.line, side * (0.5 * width - 1.2)), parked)
+                places, along = shapes.along_line(
+                    shapes.offset_line(street.line, side * (0.5 * width - 1.2)), parked
+                )
                 yield places, -side * along
             if width > 12.0:
                 moving = np.cumsum(chances.uniform(25.0, 120.0, 40)) + 4.0
-                lane = offset_line(street.line, side * 0.2 * width)
-                places, along = along_line(lane, moving[moving < length - 6.0])
+                lane = shapes.offset_line(street.line, side * 0.2 * width)
+                places, along = shapes.along_line(lane, moving[moving < length - 6.0])
                 yield places, -side * along
 
 
 # A body, and the class of all its surfaces where they have one.
-Body = tuple[Solid, SurfaceClass | None]
+Body = tuple[shapes.Solid, SurfaceClass | None]
 
 _FLAT_COSINE = 0.985  # roofs that lean less are flat: ten degrees
 _CLASSES = {

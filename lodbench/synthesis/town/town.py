@@ -20,22 +20,10 @@ import scipy
 from lodbench.kernels.looks import SurfaceClass
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects import MeshBuilder, Triangles, grid_triangles, palette
-from lodbench.synthesis.town import houses
+from lodbench.synthesis.town import houses, shapes
 from lodbench.synthesis.town.buildings import Age, Building, Plan, chance, construct_all
 from lodbench.synthesis.town.houses import OLD_LANES, SUBURB, VILLAS, Site, add_closed_block, add_houses
-from lodbench.synthesis.town.shapes import (
-    Points,
-    TownLook,
-    along_line,
-    area,
-    contains,
-    inset,
-    left_of,
-    length_of,
-    look_named,
-    offset_line,
-    rectangles,
-)
+from lodbench.synthesis.town.shapes import Points
 from lodbench.synthesis.town.streets import Block, Occupancy, Street, StreetPlan, Terrain, draw_streets
 
 # Raise it whenever a seed gives another town, queries included: results of two versions do not compare.
@@ -64,7 +52,7 @@ class Town(NamedTuple):
     """A town in local metres, x east, y north, its middle at the origin; heights above sea level."""
 
     seed: int
-    look: TownLook
+    look: shapes.TownLook
     # Block by block from the middle outward, those pulled down before the photos included.
     buildings: tuple[Building, ...]
     streets: StreetPlan
@@ -85,7 +73,7 @@ class Town(NamedTuple):
 
 def grow_town(seed: int, look_name: str = "test") -> Town:
     """Returns the town of a seed and a look, ``test`` or ``train``."""
-    look = look_named(look_name)
+    look = shapes.look_named(look_name)
     streets = draw_streets(random_stream(seed, "demo", "streets"), look.rings)
     ground = random_stream(seed, "demo", "ground")
     terrain = Terrain.draw(ground, streets.river, look.relief)
@@ -145,8 +133,8 @@ def _district_of(block: Block, to_river: Points, estate_turn: float) -> str:
 
 def _site_of(block: Block, district: str, chances: np.random.Generator) -> Site | None:
     """Returns a block behind its building line, or None where that is too small to be built on."""
-    ring = inset(block.ring, _PAVEMENTS_M[district])
-    return None if ring is None or area(ring) < _LEAST_BLOCK_M2 else Site(ring, district, chances)
+    ring = shapes.inset(block.ring, _PAVEMENTS_M[district])
+    return None if ring is None or shapes.area(ring) < _LEAST_BLOCK_M2 else Site(ring, district, chances)
 
 
 def _build_old_town(site: Site) -> None:
@@ -201,7 +189,7 @@ def add_ground(builder: MeshBuilder, town: Town) -> None:
         chances = random_stream(town.seed, "demo", "yard", number)
         shade = float(chances.uniform(0.94, 1.06))
         _drape(builder, town, SurfaceClass.PAVEMENT, block.ring, _PAVEMENT_M, _STONE * shade)
-        yard = inset(block.ring, _PAVEMENT_WIDTH_M)
+        yard = shapes.inset(block.ring, _PAVEMENT_WIDTH_M)
         # The market square, the first block, is paved all over.
         if yard is not None and number > 0:
             kind = _YARDS.get(district, SurfaceClass.GRASS)
@@ -240,7 +228,9 @@ def _add_land(builder: MeshBuilder, town: Town) -> None:
     tint = colours[scipy.spatial.cKDTree(parcels).query(middles)[1]]
     surface = np.full(len(middles), SurfaceClass.FIELD, np.uint8)
     # Streets are what blocks leave free of the land: no triangle sticks out of it.
-    is_town = np.logical_or(*[contains(bank, points) for bank in town.streets.banks])[triangles].all(axis=1)
+    is_town = np.logical_or(*[shapes.contains(bank, points) for bank in town.streets.banks])[triangles].all(
+        axis=1
+    )
     for chosen, kind, colour in (
         (river < 36.0, SurfaceClass.GRASS, town.look.grass[0]),
         (river < 18.0, SurfaceClass.GROUND, _EARTH * 0.8),
@@ -255,16 +245,16 @@ def _add_river(builder: MeshBuilder, town: Town) -> None:
     line = town.streets.river
     ribbon = _ribbon(line, _WATER_HALF_M, town.terrain.water_m)
     builder.add(SurfaceClass.WATER, *ribbon, town.look.water)
-    half = 0.5 * length_of(line)
+    half = 0.5 * shapes.length_of(line)
     for at in (half - 150.0, half + 170.0):
-        (middle,), (along,) = along_line(line, np.array([at]))
-        across = left_of(along)
+        (middle,), (along,) = shapes.along_line(line, np.array([at]))
+        across = shapes.left_of(along)
         ends = middle + np.outer([-1.0, -0.5, 0.0, 0.5, 1.0], 33.0 * across)
         heights = town.terrain.water_m + np.array([2.75, 3.3, 3.5, 3.3, 2.75])
         number = builder.new_objects(1)[0]
         builder.add(SurfaceClass.ROAD, *_ribbon(ends, 5.0, heights), town.look.road, number)
         for side in (-5.0, 5.0):
-            foot = offset_line(ends, side)
+            foot = shapes.offset_line(ends, side)
             wall = _strip(np.column_stack([foot, heights - 1.0]), np.column_stack([foot, heights + 1.0]))
             builder.add(SurfaceClass.PAVEMENT, *wall, _PARAPET, number)
 
@@ -272,7 +262,7 @@ def _add_river(builder: MeshBuilder, town: Town) -> None:
 def _ribbon(line: Points, half_m: float, height: float | Points) -> tuple[Points, Triangles]:
     """Returns a level strip along a polyline, points and triangles."""
     z = np.broadcast_to(height, len(line))
-    right, left = (np.column_stack([offset_line(line, side), z]) for side in (-half_m, half_m))
+    right, left = (np.column_stack([shapes.offset_line(line, side), z]) for side in (-half_m, half_m))
     return _strip(right, left)
 
 
@@ -283,17 +273,19 @@ def _strip(front: Points, back: Points) -> tuple[Points, Triangles]:
 
 def _add_markings(builder: MeshBuilder, town: Town, street: Street) -> None:
     """Adds the middle line of a street, and on wide ones edge lines and crossings on foot at its ends."""
-    length, width = length_of(street.line), street.width_m
+    length, width = shapes.length_of(street.line), street.width_m
     if width < 9.5 or length < 25.0:
         return
     bars = [_bars(street.line, np.arange(9.0, length - 11.0, 8.0) + 1.5, 3.0, 0.16)]
     if width > 13.0:
         for side in (-1.0, 1.0):
-            lane = offset_line(street.line, side * (0.5 * width - 2.3))
-            bars.append(_bars(lane, np.arange(10.0, length_of(lane) - 12.0, 5.0) + 2.5, 5.0, 0.13))
+            lane = shapes.offset_line(street.line, side * (0.5 * width - 2.3))
+            bars.append(_bars(lane, np.arange(10.0, shapes.length_of(lane) - 12.0, 5.0) + 2.5, 5.0, 0.13))
         stripes = np.arange(-0.5 * width + 0.8, 0.5 * width - 0.8, 1.1).tolist()
         for end in (4.5, length - 4.5):
-            bars += [_bars(offset_line(street.line, off), np.array([end]), 3.0, 0.5) for off in stripes]
+            bars += [
+                _bars(shapes.offset_line(street.line, off), np.array([end]), 3.0, 0.5) for off in stripes
+            ]
     quads = np.concatenate(bars)
     points = town.terrain.on_ground(quads.reshape(-1, 2), _MARKING_M)
     first = 4 * np.arange(len(quads))[:, None]
@@ -303,7 +295,7 @@ def _add_markings(builder: MeshBuilder, town: Town, street: Street) -> None:
 
 def _bars(line: Points, at: Points, length: float, width: float) -> Points:
     """Returns painted rectangles, (N, 4, 2), along a polyline, their middles at distances along it."""
-    return rectangles(*along_line(line, at), length, width)
+    return shapes.rectangles(*shapes.along_line(line, at), length, width)
 
 
 def filled(ring: Points) -> tuple[Points, Triangles]:
