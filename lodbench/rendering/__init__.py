@@ -33,35 +33,14 @@ if TYPE_CHECKING:
     from lodbench.rendering.renderer import open_renderer as open_renderer
     from lodbench.rendering.renderer import renderers_with as renderers_with
 
+_HOMES = {
+    "edges": "EdgeKind ViewEdges",
+    "fit": "BoundaryFit ContourFit Fit IouFit RegionFit SemanticIouFit SoftIouFit",
+    "masks": "Instances",
+    "photo_bins": "AppearanceBins EdgeBins appearance_bins edge_bins",
+    "renderer": "DEPTH INSTANCES LAYERS DepthRenderer InstanceRenderer IouCounts LayerRenderer Layers"
+    " Renderer Scorer make_renderer open_renderer renderers_with",
+}
 __all__, __getattr__, __dir__ = lazy_names(
-    __name__,
-    {
-        "AppearanceBins": "photo_bins",
-        "BoundaryFit": "fit",
-        "ContourFit": "fit",
-        "DEPTH": "renderer",
-        "DepthRenderer": "renderer",
-        "EdgeBins": "photo_bins",
-        "EdgeKind": "edges",
-        "Fit": "fit",
-        "INSTANCES": "renderer",
-        "InstanceRenderer": "renderer",
-        "Instances": "masks",
-        "IouCounts": "renderer",
-        "IouFit": "fit",
-        "LAYERS": "renderer",
-        "LayerRenderer": "renderer",
-        "Layers": "renderer",
-        "RegionFit": "fit",
-        "Renderer": "renderer",
-        "Scorer": "renderer",
-        "SemanticIouFit": "fit",
-        "SoftIouFit": "fit",
-        "ViewEdges": "edges",
-        "appearance_bins": "photo_bins",
-        "edge_bins": "photo_bins",
-        "make_renderer": "renderer",
-        "open_renderer": "renderer",
-        "renderers_with": "renderer",
-    },
+    __name__, {name: home for home, names in _HOMES.items() for name in names.split()}
 )
