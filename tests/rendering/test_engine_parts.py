@@ -1,4 +1,4 @@
-"""Parts of the engine: scenes laid out and kept, buildings selected, and kernels; against plain arithmetic."""
+"""Parts of the engine: scenes laid out and kept, buildings selected, kernels; against plain arithmetic."""
 
 from fractions import Fraction
 from math import ceil
