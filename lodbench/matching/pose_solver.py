@@ -40,15 +40,10 @@ class SolverParams:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolvedPose:
-    """A pose that many correspondences agree on.
+    """A pose that many correspondences agree on."""
 
-    Attributes:
-        pose: In the points' frame, refined on the inliers.
-        inliers: (N,) bool, which correspondences agree.
-    """
-
-    pose: Pose
-    inliers: NDArray[np.bool_]
+    pose: Pose  # in the points' frame, refined on the inliers
+    inliers: NDArray[np.bool_]  # (N,) bool, which correspondences agree
 
 
 class PoseSolver(Protocol):

@@ -22,20 +22,14 @@ FEATURES, IMAGES = "features", "images"
 class Features:
     """Points of one picture that may be found again in another.
 
-    Attributes:
-        keypoints: (N, 2) float32, x and y in pixels.
-        descriptors: (N, D) float32; what they are compared by is the matcher's business.
-        scores: (N,) float32, how sure the extractor is of each; higher is better.
-        size: Width and height of the picture.
-
     Raises:
         RenderingError: The arrays are not these, or hold what is not finite or not in the picture.
     """
 
-    keypoints: Floats
-    descriptors: Floats
-    scores: Floats
-    size: tuple[int, int]
+    keypoints: Floats  # (N, 2) float32, x and y in pixels
+    descriptors: Floats  # (N, D) float32; what they are compared by is the matcher's business
+    scores: Floats  # (N,) float32, how sure the extractor is of each; higher is better
+    size: tuple[int, int]  # width and height of the picture
 
     def __post_init__(self) -> None:
         count = len(self.keypoints)
@@ -50,18 +44,13 @@ class Features:
 class Matches:
     """Pairs of points, one in each of two pictures.
 
-    Attributes:
-        first: (M, 2) float32, x and y in the first picture, pixels.
-        second: (M, 2) float32, likewise in the second.
-        scores: (M,) float32, how sure the matcher is of each; higher is better.
-
     Raises:
         RenderingError: The arrays are not these, or hold what is not finite.
     """
 
-    first: Floats
-    second: Floats
-    scores: Floats
+    first: Floats  # (M, 2) float32, x and y in the first picture, pixels
+    second: Floats  # (M, 2) float32, likewise in the second
+    scores: Floats  # (M,) float32, how sure the matcher is of each; higher is better
 
     def __post_init__(self) -> None:
         count = len(self.first)
@@ -208,17 +197,11 @@ def open_retrieval(name: str, **settings: Any) -> Retrieval:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PicturePair:
-    """Two pictures made smaller by one factor and filled up, below and on the right, to one size.
+    """Two pictures made smaller by one factor and filled up, below and on the right, to one size."""
 
-    Attributes:
-        pictures: (2, H, W, 3) float32 RGB in [0, 1].
-        factors: (2, 2) x and y of each picture's size against the original's.
-        sizes: (2, 2) width and height of the originals, pixels.
-    """
-
-    pictures: Floats
-    factors: Floats
-    sizes: Floats
+    pictures: Floats  # (2, H, W, 3) float32 RGB in [0, 1]
+    factors: Floats  # (2, 2) x and y of each picture's size against the original's
+    sizes: Floats  # (2, 2) width and height of the originals, pixels
 
     def original(self, places: NDArray[np.generic], number: int) -> tuple[Floats, NDArray[np.bool_]]:
         """Returns where places of one of the pictures are in its original, and which of them are in it.

@@ -20,19 +20,15 @@ class EdgeTable:
     """Edges grouped by building, each between two triangles of that building, or beside one.
 
     An edge that more than two triangles share stands here several times; contributions add up.
-
-    Attributes:
-        corners: (E, 2) int32 vertex indices, in the direction triangle ``sides[:, 0]`` runs them.
-        sides: (E, 2) int32 triangle indices; equal where there is no second triangle.
-        second_weight: (E,) int32, +1 if the second triangle runs the edge the same way, -1 if the
-            other way (a well-oriented mesh), 0 if there is none.
-        starts: (B + 1,) int64 offsets by building.
     """
 
+    # (E, 2) int32 vertex indices, in the direction triangle ``sides[:, 0]`` runs them
     corners: NDArray[np.int32]
-    sides: NDArray[np.int32]
+    sides: NDArray[np.int32]  # (E, 2) int32 triangle indices; equal where there is no second triangle
+    # (E,) int32, +1 if the second triangle runs the edge the same way, -1 if the other way (a well-
+    # oriented mesh), 0 if there is none
     second_weight: NDArray[np.int32]
-    starts: NDArray[np.int64]
+    starts: NDArray[np.int64]  # (B + 1,) int64 offsets by building
 
 
 def edge_table(scene: Scene) -> EdgeTable:
@@ -70,21 +66,13 @@ Floats = NDArray[np.float64]
 
 
 class EdgePairs(NamedTuple):
-    """The edges of a scene by vertices, wherever these are.
+    """The edges of a scene by vertices, wherever these are."""
 
-    Attributes:
-        corners: (E, 2) int32 vertices that they run between.
-        opposite: (E, 2) int32 third vertex of either face; of a boundary edge twice.
-        is_boundary: (E,) whether there is one face only.
-        is_non_manifold: (E,) whether there are more than two.
-        starts: (B + 1,) int64 offsets by building.
-    """
-
-    corners: NDArray[np.int32]
-    opposite: NDArray[np.int32]
-    is_boundary: NDArray[np.bool_]
-    is_non_manifold: NDArray[np.bool_]
-    starts: NDArray[np.int64]
+    corners: NDArray[np.int32]  # (E, 2) int32 vertices that they run between
+    opposite: NDArray[np.int32]  # (E, 2) int32 third vertex of either face; of a boundary edge twice
+    is_boundary: NDArray[np.bool_]  # (E,) whether there is one face only
+    is_non_manifold: NDArray[np.bool_]  # (E,) whether there are more than two
+    starts: NDArray[np.int64]  # (B + 1,) int64 offsets by building
 
 
 def edge_pairs(scene: Scene) -> EdgePairs:
@@ -140,25 +128,15 @@ class EdgeKind(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewEdges:
-    """Pieces of model edges in one view, each wholly visible or wholly hidden.
+    """Pieces of model edges in one view, each wholly visible or wholly hidden."""
 
-    Attributes:
-        points: (S, 2, 3) float64 end points, scene metres.
-        pixels: (S, 2, 2) float64 the same in the picture, column and row; pixel centres at +0.5.
-        is_visible: (S,) whether nothing stands before it, to two pixels at its ends.
-        kind: (S,) uint8 ``EdgeKind``.
-        building: (S,) int64 index into ``scene.building_ids``.
-        corners: (S, 2) int32 the vertices of the scene between which the whole edge runs.
-        edge_fractions: (S, 2) float64 where on that edge the piece begins and ends, 0 to 1.
-    """
-
-    points: Floats
-    pixels: Floats
-    is_visible: NDArray[np.bool_]
-    kind: NDArray[np.uint8]
-    building: NDArray[np.int64]
-    corners: NDArray[np.int32]
-    edge_fractions: Floats
+    points: Floats  # (S, 2, 3) float64 end points, scene metres
+    pixels: Floats  # (S, 2, 2) float64 the same in the picture, column and row; pixel centres at +0.5
+    is_visible: NDArray[np.bool_]  # (S,) whether nothing stands before it, to two pixels at its ends
+    kind: NDArray[np.uint8]  # (S,) uint8 ``EdgeKind``
+    building: NDArray[np.int64]  # (S,) int64 index into ``scene.building_ids``
+    corners: NDArray[np.int32]  # (S, 2) int32 the vertices of the scene between which the whole edge runs
+    edge_fractions: Floats  # (S, 2) float64 where on that edge the piece begins and ends, 0 to 1
 
     def __len__(self) -> int:
         return len(self.kind)

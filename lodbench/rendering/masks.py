@@ -37,20 +37,13 @@ class Instances:
     """The silhouettes of the buildings of a view, each cut to the rows and 64-pixel words it covers.
 
     Silhouettes overlap: buildings do not hide each other. Those that cover no pixel are left out.
-
-    Attributes:
-        size: Width and height of the view, pixels.
-        buildings: (K,) int64 indices into ``scene.building_ids``, ascending.
-        boxes: (K, 4) int64: first row, last row + 1, first word, last word + 1.
-        starts: (K + 1,) int64 offsets into ``words``.
-        words: uint64, as of ``pack_mask``, box after box, row by row.
     """
 
-    size: tuple[int, int]
-    buildings: NDArray[np.int64]
-    boxes: NDArray[np.int64]
-    starts: NDArray[np.int64]
-    words: Words
+    size: tuple[int, int]  # width and height of the view, pixels
+    buildings: NDArray[np.int64]  # (K,) int64 indices into ``scene.building_ids``, ascending
+    boxes: NDArray[np.int64]  # (K, 4) int64: first row, last row + 1, first word, last word + 1
+    starts: NDArray[np.int64]  # (K + 1,) int64 offsets into ``words``
+    words: Words  # uint64, as of ``pack_mask``, box after box, row by row
 
     def __len__(self) -> int:
         return len(self.buildings)

@@ -45,15 +45,10 @@ _TEXTURE_PX = 2.0
 
 
 class AppearanceBins(NamedTuple):
-    """A quantised photo.
+    """A quantised photo."""
 
-    Attributes:
-        bins: (H, W) uint16 bin of each pixel.
-        num_bins: How many there are.
-    """
-
-    bins: NDArray[np.uint16]
-    num_bins: int
+    bins: NDArray[np.uint16]  # (H, W) uint16 bin of each pixel
+    num_bins: int  # how many there are
 
 
 def appearance_bins(photo: NDArray[Any], size: tuple[int, int], has_texture: bool = True) -> AppearanceBins:
@@ -93,17 +88,11 @@ def appearance_bins(photo: NDArray[Any], size: tuple[int, int], has_texture: boo
 
 
 class EdgeBins(NamedTuple):
-    """How strongly a photo changes, in levels.
+    """How strongly a photo changes, in levels."""
 
-    Attributes:
-        horizontal_gradient: (H, W) uint16 level of the change from left to right.
-        vertical_gradient: (H, W) uint16 level of the change from top to bottom.
-        num_bins: How many levels there are.
-    """
-
-    horizontal_gradient: NDArray[np.uint16]
-    vertical_gradient: NDArray[np.uint16]
-    num_bins: int
+    horizontal_gradient: NDArray[np.uint16]  # (H, W) uint16 level of the change from left to right
+    vertical_gradient: NDArray[np.uint16]  # (H, W) uint16 level of the change from top to bottom
+    num_bins: int  # how many levels there are
 
 
 def edge_bins(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> EdgeBins:

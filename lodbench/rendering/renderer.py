@@ -20,22 +20,16 @@ from lodbench.rendering.projection import require_poses, require_size
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layers:
-    """What every pixel of a view shows.
+    """What every pixel of a view shows."""
 
-    Attributes:
-        depth: (H, W) float32 distance along the optical axis, metres; 0 where there is no building.
-        building: (H, W) int32 index into ``scene.building_ids``, -1 where there is none.
-        triangle: (H, W) int32 index into ``scene.triangles``, -1 where there is none.
-        normal: (H, W, 3) float32 unit normal in world axes, on the camera's side of the surface, since
-            the order of corners in published models is not to be trusted; 0 where there is none.
-        colour: (H, W, 3) uint8 RGB, the building's plain colours in the sun.
-    """
-
+    # (H, W) float32 distance along the optical axis, metres; 0 where there is no building
     depth: NDArray[np.float32]
-    building: NDArray[np.int32]
-    triangle: NDArray[np.int32]
+    building: NDArray[np.int32]  # (H, W) int32 index into ``scene.building_ids``, -1 where there is none
+    triangle: NDArray[np.int32]  # (H, W) int32 index into ``scene.triangles``, -1 where there is none
+    # (H, W, 3) float32 unit normal in world axes, on the camera's side of the surface, since the order of
+    # corners in published models is not to be trusted; 0 where there is none
     normal: NDArray[np.float32]
-    colour: NDArray[np.uint8]
+    colour: NDArray[np.uint8]  # (H, W, 3) uint8 RGB, the building's plain colours in the sun
 
     @property
     def mask(self) -> NDArray[np.bool_]:
@@ -56,15 +50,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IouCounts:
-    """Pixel counts of N hypotheses against one query mask; exact integers, so ties are ties.
+    """Pixel counts of N hypotheses against one query mask; exact integers, so ties are ties."""
 
-    Attributes:
-        intersection: (N,) int64 pixels in both.
-        union: (N,) int64 pixels in either.
-    """
-
-    intersection: NDArray[np.int64]
-    union: NDArray[np.int64]
+    intersection: NDArray[np.int64]  # (N,) int64 pixels in both
+    union: NDArray[np.int64]  # (N,) int64 pixels in either
 
     def iou(self) -> Floats:
         """Returns (N,) intersection over union in [0, 1]; an empty union scores 0 (paper equation 2).

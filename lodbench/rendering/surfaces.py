@@ -30,17 +30,11 @@ _MET_M = 0.01
 
 
 class GroundPlanes(NamedTuple):
-    """The ground at N places.
+    """The ground at N places."""
 
-    Attributes:
-        height_m: (N,) scene frame; NaN where no building is near.
-        slope: (N, 2) rise a metre of way east and north.
-        sigma_m: (N,) standard deviation of the height.
-    """
-
-    height_m: Floats
-    slope: Floats
-    sigma_m: Floats
+    height_m: Floats  # (N,) scene frame; NaN where no building is near
+    slope: Floats  # (N, 2) rise a metre of way east and north
+    sigma_m: Floats  # (N,) standard deviation of the height
 
     @property
     def normals(self) -> Floats:
@@ -133,21 +127,13 @@ _AT_ONCE = 1 << 19
 
 
 class Hits(NamedTuple):
-    """What N rays meet first.
+    """What N rays meet first."""
 
-    Attributes:
-        places: (N, 3) scene frame; NaN for a ray that meets nothing.
-        normals: (N, 3) unit normals of the surfaces, towards the camera.
-        sigma_m: (N,) standard deviation of the surface along its normal.
-        building: (N,) index into ``scene.building_ids``; -1 for the ground, and for nothing.
-        kind: N names: roof, wall or ground; "" for nothing.
-    """
-
-    places: Floats
-    normals: Floats
-    sigma_m: Floats
-    building: NDArray[np.int64]
-    kind: tuple[str, ...]
+    places: Floats  # (N, 3) scene frame; NaN for a ray that meets nothing
+    normals: Floats  # (N, 3) unit normals of the surfaces, towards the camera
+    sigma_m: Floats  # (N,) standard deviation of the surface along its normal
+    building: NDArray[np.int64]  # (N,) index into ``scene.building_ids``; -1 for the ground, and for nothing
+    kind: tuple[str, ...]  # N names: roof, wall or ground; "" for nothing
 
     def is_same(self, row: int, other: Hits, other_row: int) -> bool:
         """Tells whether a ray meets the surface that a ray of other hits meets: one plane, or the ground."""

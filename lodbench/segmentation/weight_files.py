@@ -21,17 +21,11 @@ _SUFFIXES = (".bin", ".ckpt", ".onnx", ".pt", ".pth", ".safetensors")
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """Weights as their authors publish them.
+    """Weights as their authors publish them."""
 
-    Attributes:
-        identity: Hub id, or package and file.
-        licence: Of the weights.
-        megabytes: Size of the file, about.
-    """
-
-    identity: str
-    licence: str
-    megabytes: int
+    identity: str  # hub id, or package and file
+    licence: str  # of the weights
+    megabytes: int  # size of the file, about
 
 
 def installed_file(package: str, path: str, extra: str, published: Published) -> Path:

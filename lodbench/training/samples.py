@@ -52,23 +52,16 @@ LEAST_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One picture and its mask.
+    """One picture and its mask."""
 
-    Attributes:
-        key: Set, split and name: unique.
-        photo: The picture's file.
-        mask: The mask's file; that of the labels of single buildings, or surfaces, where these are learnt.
-        is_ground: Whether it is a photo without buildings, whose ground may lie elsewhere as well.
-        working_scale: Of a photo with a mask traced by hand: what brings it to the size a network works at.
-            Crops are cut from all of its pixels, at this times their own scale.
-        learns: ``masks``, ``interiors`` or ``classes``.
-    """
-
-    key: str
-    photo: Path
-    mask: Path
-    is_ground: bool = False
+    key: str  # set, split and name: unique
+    photo: Path  # the picture's file
+    mask: Path  # the mask's file; that of the labels of single buildings, or surfaces, where these are learnt
+    is_ground: bool = False  # whether it is a photo without buildings, whose ground may lie elsewhere as well
+    # of a photo with a mask traced by hand: what brings it to the size a network works at. Crops are cut
+    # from all of its pixels, at this times their own scale.
     working_scale: float | None = None
+    # ``masks``, ``interiors`` or ``classes``
     learns: str = MASKS  # ``masks`` or ``interiors``
 
     def read(self, size: int, square: bool) -> tuple[Photo, NDArray[np.float32]]:
