@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TypeVar
 
-from lodbench.bench.report import Report
+from lodbench.bench import Report
 from lodbench.cli.bench import PrintOptions, measured
 from lodbench.cli.parser import Parser, report_fault
 from lodbench.cli.settings import in_syntax_of

@@ -24,7 +24,7 @@ from lodbench.errors import ConfigError, LodbenchError
 from lodbench.execution import Ledger
 from lodbench.harness.runs.stored import read_run, read_status
 from lodbench.photos.metadata import read_photo_metadata
-from lodbench.reporting.leaderboard_entry import read_entries
+from lodbench.reporting.leaderboard import read_entries
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.onnx_file import onnx_fault
 from tests.citymodel.test_fuzz import mutate

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from lodbench.cli import main
-from lodbench.cli.commands import COMMANDS, load_command
-from lodbench.cli.parser import Parser
+from lodbench.cli.parser import COMMANDS, Parser, load_command
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted(

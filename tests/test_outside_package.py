@@ -22,7 +22,7 @@ BLOCK = re.compile(r"```\w+\n(?:# |<!-- )(pyproject\.toml|skyline/[\w./]+)(?: --
 # Runs commands in forks of a process that has imported lodbench: [[argv, ...], ...] to [[code, output], ...].
 DRIVER = """
 import json, os, sys, tempfile, traceback
-import lodbench.cli.run, lodbench.cli.dataset_list, lodbench.harness.conformance
+import lodbench.cli.run, lodbench.cli.dataset, lodbench.harness.conformance
 
 def call(words):
     with tempfile.TemporaryFile("w+") as told:

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from lodbench.cli.parts import segmenter_of
+from lodbench.cli.options import segmenter_of
 from lodbench.datasets.registry import open_dataset
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.methods.lodlocv2 import LodLocV2

@@ -5,7 +5,7 @@ from inspect import signature
 from pathlib import Path
 
 import lodbench
-from lodbench.cli.commands import COMMANDS
+from lodbench.cli.parser import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLIC = """

@@ -14,7 +14,7 @@ import pytest
 
 import lodbench
 from lodbench.errors import ConfigError
-from lodbench.evaluation.basin import basin_steps
+from lodbench.harness.runs.basin import basin_steps
 from lodbench.params import options_of
 from lodbench.plugins import load_plugin, plugin_names
 

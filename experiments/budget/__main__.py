@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from experiments.command import run
-from lodbench.bench.report import Figure, Progress, Report, no_progress
-from lodbench.bench.views import Job, of_seeds, protocol_of, sweep
+from lodbench.bench import Figure, Progress, Report, no_progress
+from lodbench.bench.accuracy import Job, of_seeds, protocol_of, sweep
 from lodbench.cli.bench_views import DrawnOptions
+from lodbench.evaluation.metrics import ERROR
 from lodbench.evaluation.pose_errors import DEFAULT_THRESHOLDS, summarize
-from lodbench.evaluation.queries import ERROR
 from lodbench.methods import Method
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.lodlocv2 import LodLocV2

@@ -17,9 +17,8 @@ import numpy as np
 
 from experiments.causes.outline_limit import share_within_reach
 from experiments.command import run
-from lodbench.bench.accuracy import drawable, names_of, share_found
-from lodbench.bench.report import Figure, Progress, Report, no_progress
-from lodbench.bench.views import Job, protocol_of, sweep
+from lodbench.bench import Figure, Progress, Report, no_progress
+from lodbench.bench.accuracy import Job, drawable, names_of, protocol_of, share_found, sweep
 from lodbench.cli.bench_views import ViewedOptions
 from lodbench.errors import ConfigError
 from lodbench.methods import Method

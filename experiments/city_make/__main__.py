@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from shapely.geometry import box, mapping
 
 from experiments.command import run
+from lodbench.bench import SEED, Figure, Progress, Report, no_progress
 from lodbench.bench.commands import Build
-from lodbench.bench.report import SEED, Figure, Progress, Report, no_progress
 from lodbench.citymodel.read import open_scene
 from lodbench.citymodel.scene import floors_and_rises
 from lodbench.errors import require_numbers

@@ -9,7 +9,7 @@ import tempfile
 from dataclasses import dataclass
 
 from experiments.command import run
-from lodbench.bench.report import Figure, Progress, Report, no_progress
+from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.errors import LodbenchError
 from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
@@ -24,7 +24,7 @@ def note(frame, event, argument):
         called.add(frame.f_code.co_filename)
 words = json.loads(sys.argv[1])
 import lodbench
-from lodbench.cli.shell import main
+from lodbench.cli import main
 threading.setprofile(note)
 sys.setprofile(note)
 lodbench.open_scene(words[0]) if len(words) == 1 else main(words)

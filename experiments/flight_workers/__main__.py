@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from experiments.command import run
+from lodbench.bench import SEED, Figure, Progress, Report, no_progress
 from lodbench.bench.commands import Build
-from lodbench.bench.report import SEED, Figure, Progress, Report, no_progress
 from lodbench.errors import LodbenchError, require_numbers
 from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from experiments.command import run
 from experiments.guided_masks.silhouettes import REFERENCE_PX, Disturbance, disturbed
+from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.bench.mask_quality import one_core
 from lodbench.bench.photo_masks import PhotoMask, labelled_photos, mean_and_interval, write_overlay
-from lodbench.bench.report import Figure, Progress, Report, no_progress
-from lodbench.cli.parts import segmenter_of
+from lodbench.cli.options import segmenter_of
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry.signed_distance import signed_distance
 from lodbench.params import flag

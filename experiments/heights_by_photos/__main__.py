@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.command import run
-from lodbench.bench.report import Figure, Progress, Report, no_progress
+from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.citymodel.scene import floors_and_rises
 from lodbench.cli.bench_views import city_file, seeds
 from lodbench.datasets.query import Dataset, Query

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.command import run
-from lodbench.bench.report import Figure, Progress, Report, no_progress
+from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.cli.bench_views import city_file, seeds
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.lines import write_lines

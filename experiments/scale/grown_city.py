@@ -13,7 +13,7 @@ import numpy as np
 from mapbox_earcut import triangulate_float64
 from numpy.typing import NDArray
 
-from lodbench.bench.report import Progress, no_progress
+from lodbench.bench import Progress, no_progress
 from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.citymodel.scene_file import read_scene, write_scene
 from lodbench.errors import CityModelError

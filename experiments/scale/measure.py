@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from experiments.scale.grown_city import TILE_BUILDINGS, grown_city, open_grown_city
 from experiments.scale.opening import Opening, open_apart
-from lodbench.bench.report import SEED, Figure, Progress, Report, no_progress
-from lodbench.bench.views import Swarm, make_swarm
+from lodbench.bench import SEED, Figure, Progress, Report, no_progress
+from lodbench.bench.silhouettes import Swarm, make_swarm
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import read_scene
 from lodbench.errors import ConfigError, DatasetError

@@ -21,7 +21,7 @@ import numpy as np
 from experiments.scale.grown_city import TILE_BUILDINGS, open_grown_city
 from experiments.scale.measure import ScaleOptions, swarms_inside
 from lodbench.bench.city import write_tiles
-from lodbench.bench.views import Swarm
+from lodbench.bench.silhouettes import Swarm
 from lodbench.citymodel.derive import keep_buildings
 from lodbench.citymodel.mesh.writer import obj_text
 from lodbench.citymodel.read import read_city_model
@@ -29,7 +29,7 @@ from lodbench.citymodel.scene_file import read_scene
 from lodbench.execution import Ledger
 from lodbench.execution.executor import PROCESS, SERIAL, ExecutorParams, spread
 from lodbench.geometry import Camera
-from lodbench.harness.tiled_city import compile_tiles
+from lodbench.harness.city import compile_tiles
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import write_text
 from lodbench.synthesis.views import FINE_SIZE, RGB_CAMERA

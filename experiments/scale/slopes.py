@@ -16,7 +16,7 @@ import numpy as np
 from experiments.command import run
 from experiments.scale.grown_city import TILE_BUILDINGS
 from experiments.scale.slope_points import Reach, points_within
-from lodbench.bench.report import SEED, Figure, Progress, Report, no_progress
+from lodbench.bench import SEED, Figure, Progress, Report, no_progress
 from lodbench.errors import ConfigError
 from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from experiments.command import run
-from lodbench.bench.report import Figure, Progress, Report, no_progress
-from lodbench.bench.views import Job, of_seeds, protocol_of, sweep
+from lodbench.bench import Figure, Progress, Report, no_progress
+from lodbench.bench.accuracy import Job, of_seeds, protocol_of, sweep
 from lodbench.cli.bench_views import DrawnOptions
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.pose_errors import FAILED

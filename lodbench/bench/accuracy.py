@@ -7,42 +7,165 @@ from another level of detail than the map that is searched.
 from __future__ import annotations
 
 import math
+import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.report import Figure, Progress, Report, no_progress
-from lodbench.bench.views import TILTS, Job, of_seeds, protocol_of, sweep
+from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.citymodel.model import lod_in_words
-from lodbench.errors import DatasetError, LodbenchError
-from lodbench.evaluation import DEFAULT_THRESHOLDS, SplitSummary
-from lodbench.evaluation.metrics import Calibration, calibrate
-from lodbench.evaluation.pose_errors import PROBABILITY_THRESHOLD, hits_of
-from lodbench.evaluation.queries import ERROR, summarize_queries
+from lodbench.datasets.prior_sources import UniformPrior
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import ConfigError, DatasetError, LodbenchError
+from lodbench.evaluation import DEFAULT_THRESHOLDS, SplitSummary, metrics
+from lodbench.evaluation.pose_errors import PROBABILITY_THRESHOLD, hits_of, pose_error
+from lodbench.harness.runs.artefacts import Run
+from lodbench.harness.runs.run import RunSettings, run_method
 from lodbench.methods import Method
+from lodbench.methods.protocol import SupportsPriorWidth
+from lodbench.plugins import blaming
 from lodbench.reporting.aligned_text import count_of, format_columns
 from lodbench.reporting.figures import draw_calibration
 from lodbench.reporting.table_heads import finite_text
-from lodbench.synthesis.views_dataset import SPLIT, ViewsParams, open_views
+from lodbench.segmentation.masks import MaskFiles, MasksParams
+from lodbench.synthesis.views import FINE_SIZE
+from lodbench.synthesis.views_dataset import SPLIT, ViewsParams, drawing_facts, open_views
 
 if TYPE_CHECKING:
     import pandas as pd
 
+# The two blocks: pitch and roll of the prior true, or drawn with an error.
+TILTS = ("truth", "prior")
 _HEAD = ("median m", "median deg", "hypotheses", "s/query", "ece %", "aurc %")
 _GLOSSARY = (
     "ece: expected calibration error, mean distance of the probability a method gives of being within "
     "(2 m, 2 deg) from the share it found; aurc: area under the risk-coverage curve, the share not found as "
     "the surest 0 to 100 % are answered, averaged."
 )
-
 # Answers that a user takes without a look, and those that are more likely right than wrong.
 _SURE, _LIKELY = 0.9, 0.5
+_CITY_HEAD = ("views", "2m-2deg %", "median m", "median deg", "vertical m", "probability %")
+_DIGITS = (".0f", ".1f", ".2f", ".2f", "+.2f", ".1f")
+_CITY_GLOSSARY = (
+    "vertical: median error in height, above 0 too high; probability: mean of what a method gives of being "
+    "within (2 m, 2 deg); mean: over cities, each counting alike; rejected: wrong answers, of all cities, "
+    "whose probability is below that of 90 % of the right ones, and how many that would be on the average "
+    "of worlds in which every probability is exact."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Job:
+    """One run of a sweep."""
+
+    method: Method  # what finds poses
+    views: ViewsParams  # of which city, drawn how
+    tilt: str = "prior"  # ``truth`` or ``prior``
+    # Columns of the sweep's table that tell this run from others.
+    labels: Mapping[str, Any] = field(default_factory=dict)
+    # How far off the method is given that priors may be; None for as far as they are.
+    stated: UniformPrior | None = None
+
+
+def sweep(jobs: Sequence[Job], progress: Progress = no_progress, threads: int | None = None) -> pd.DataFrame:
+    """Returns the queries of runs over views, one row each, as ``lodbench.evaluation.metrics`` has them.
+
+    Further columns are ``method``, ``seed``, ``seconds``, ``pose`` (the estimate in the city's frame, or
+    None), ``is_any_kept_found`` (whether that or one of its alternatives lies within (2 m, 2 deg)),
+    ``map_lod``, ``mask_lod``, ``rejections`` and the jobs' labels. A ``score`` below ``mask_iou``, what the
+    true pose would score, is a failure of the search; a higher one says that the mask fits a wrong pose
+    better. A method that can is given how far off the priors may be, tilt included (0 with the true one);
+    never whether they are.
+
+    Args:
+        jobs: The runs.
+        progress: Called after each.
+        threads: Of the engine; None for one per core. Results do not depend on it.
+
+    Raises:
+        LodbenchError: The city cannot be read, or no views can be drawn over it.
+    """
+    import pandas as pd
+
+    tables = []
+    for number, job in enumerate(jobs, start=1):
+        tables.append(_queries_of(job, threads))
+        progress(number, len(jobs))
+    return pd.concat(tables)
+
+
+def with_prior_range(method: Method, prior: UniformPrior) -> Method:
+    """Returns a method that is given how far off priors may be, if it is one that can be."""
+    if not isinstance(method, SupportsPriorWidth):
+        return method
+    with blaming("methods", method.name, "take the width of priors"):
+        made: Method = type(method)(method.params_for_prior(prior))  # type: ignore[call-arg]
+    return made
+
+
+def of_seeds(views: ViewsParams, seeds: Sequence[int]) -> list[ViewsParams]:
+    """Returns what is drawn for each seed.
+
+    Raises:
+        ConfigError: There is no seed, or one twice.
+    """
+    if not seeds or len(set(seeds)) < len(seeds):
+        raise ConfigError(f"seeds are one or more different numbers, not {list(seeds)}.")
+    return [replace(views, views_seed=seed) for seed in seeds]
+
+
+def protocol_of(views: ViewsParams, seeds: Sequence[int]) -> str:
+    """Returns in words what is drawn."""
+    prior, (width, height) = views.prior(), FINE_SIZE
+    return (
+        f"masks of {width} x {height} degraded to IoU {views.mask_iou:g}, priors +-{prior.x_m:g}/"
+        f"+-{prior.y_m:g}/+-{prior.z_m:g} m and +-{prior.yaw_deg:g} deg yaw, with tilt=prior "
+        f"+-{views.tilt_deg:g} deg pitch and roll, seed{'s' if len(seeds) > 1 else ''} "
+        + ", ".join(map(str, seeds))
+        + ("" if views.rtk_m is None else f", RTK to {views.rtk_m:g} m along each axis")
+        + ("" if views.laser_m is None else f", a laser's range to {views.laser_m:g} m")
+        + (f", {views.area}ern half of the city" if views.area else "")
+        + (f", a world of {views.world.describe()}" if views.world.describe() else "")
+    )
+
+
+def _queries_of(job: Job, threads: int | None) -> pd.DataFrame:
+    dataset = open_views(job.views)
+    method = with_prior_range(job.method, job.stated or job.views.prior(job.tilt))
+    with tempfile.TemporaryDirectory() as scratch:
+        settings = RunSettings(Path(scratch), threads=threads, tilt=job.tilt, seed=job.views.views_seed)
+        settings = replace(settings, stream_names=_stream_names)
+        run = run_method(method, dataset, MaskFiles(MasksParams()), settings)
+    answers = [run.predictions[key] for key in run.queries.index]
+    return run.queries.assign(
+        method=method.name,
+        seed=job.views.views_seed,
+        seconds=[sum(answer.seconds.values()) for answer in answers],
+        pose=np.array([answer.pose for answer in answers], dtype=object),
+        is_any_kept_found=[_is_any_found(dataset, run, key) for key in run.queries.index],
+        map_lod=run.lod or "",
+        **drawing_facts(dataset),
+        **job.labels,
+    )
+
+
+def _is_any_found(dataset: Dataset, run: Run, key: str) -> bool:
+    answer = run.predictions[key]
+    kept = [pose for pose in (answer.pose, *answer.alternatives) if pose is not None]
+    errors = [pose_error(pose, dataset.truth[key]) for pose in kept]
+    return bool(kept) and bool(hits_of(np.array(errors), PROBABILITY_THRESHOLD).any())
+
+
+def _stream_names(entry: Entry) -> tuple[str, ...]:
+    """Returns names that know neither the tilt nor the dataset's own: all blocks try the same moves."""
+    return "accuracy", Path(entry.name).stem
 
 
 class Block(NamedTuple):
@@ -94,7 +217,7 @@ def blocks_of(queries: pd.DataFrame) -> list[Block]:
     blocks = []
     for tilt, method in product(TILTS, methods):
         mine = queries[(queries["tilt"] == tilt) & (queries["method"] == method)]
-        blocks.append(Block(tilt, method, len(methods) == 1, mine, *summarize_queries(mine, SPLIT)))
+        blocks.append(Block(tilt, method, len(methods) == 1, mine, *metrics.summarize_queries(mine, SPLIT)))
     return blocks
 
 
@@ -108,13 +231,13 @@ def _drawn(views: ViewsParams, queries: pd.DataFrame) -> str:
 
 
 def _is_found(rows: pd.DataFrame) -> NDArray[np.bool_]:
-    return hits_of(rows[list(ERROR)].to_numpy(), PROBABILITY_THRESHOLD)
+    return hits_of(rows[list(metrics.ERROR)].to_numpy(), PROBABILITY_THRESHOLD)
 
 
-def _calibrations(blocks: Sequence[Block]) -> dict[str, Calibration]:
+def _calibrations(blocks: Sequence[Block]) -> dict[str, metrics.Calibration]:
     """Returns how calibrated methods are that give a probability, by method and tilt in words."""
     return {
-        f"{b.method}, tilt={b.tilt}": calibrate(
+        f"{b.method}, tilt={b.tilt}": metrics.calibrate(
             b.queries["probability"].fillna(0.0).to_numpy(), _is_found(b.queries)
         )
         for b in blocks
@@ -122,7 +245,7 @@ def _calibrations(blocks: Sequence[Block]) -> dict[str, Calibration]:
     }
 
 
-def _pictures(calibrations: dict[str, Calibration]) -> dict[str, bytes]:
+def _pictures(calibrations: dict[str, metrics.Calibration]) -> dict[str, bytes]:
     drawn = draw_calibration(calibrations) if calibrations else {}
     return {f"calibration.{kind}": picture for kind, picture in drawn.items()}
 
@@ -173,7 +296,7 @@ def _trust(blocks: Sequence[Block]) -> Iterator[str]:
             continue
         is_found, stated = _is_found(block.queries), block.queries["probability"].fillna(0.0).to_numpy()
         is_sure = stated >= _SURE
-        wrong_m = block.queries[ERROR[0]].to_numpy()[is_sure & ~is_found]
+        wrong_m = block.queries[metrics.ERROR[0]].to_numpy()[is_sure & ~is_found]
         most = f" (up to {wrong_m.max():.1f} m)" if len(wrong_m) else ""
         yield (
             f"{_whose(block)}: states {100 * stated.mean():.1f} % in the mean; of {is_sure.sum()} at {_SURE} "
@@ -194,17 +317,6 @@ def _missed(block: Block) -> str:
         f"{_whose(block)}: {len(missed)} not within (2 m, 2 deg); in {unfound} of them the truth fits better "
         f"than the estimate, in {len(missed) - unfound} it does not."
     )
-
-
-_KEPT = 0.9
-_CITY_HEAD = ("views", "2m-2deg %", "median m", "median deg", "vertical m", "probability %")
-_DIGITS = (".0f", ".1f", ".2f", ".2f", "+.2f", ".1f")
-_CITY_GLOSSARY = (
-    "vertical: median error in height, above 0 too high; probability: mean of what a method gives of being "
-    "within (2 m, 2 deg); mean: over cities, each counting alike; rejected: wrong answers, of all cities, "
-    "whose probability is below that of 90 % of the right ones, and how many that would be on the average "
-    "of worlds in which every probability is exact."
-)
 
 
 def measure_cities(
@@ -251,34 +363,6 @@ def drawable(cities: Sequence[ViewsParams], seeds: Sequence[int]) -> tuple[list[
     return drawn, left_out
 
 
-def share_rejected(queries: pd.DataFrame) -> float:
-    """Returns the share of wrong answers that go where 90 % of the right ones are kept; nan without either.
-
-    Args:
-        queries: As ``sweep`` has them. Queries without an answer count as wrong, with a probability of 0.
-    """
-    found = hits_of(queries[list(ERROR)].to_numpy(), PROBABILITY_THRESHOLD)
-    given = queries["probability"].fillna(0.0).to_numpy()
-    if found.all() or not found.any():
-        return float("nan")
-    return float(np.mean(given[~found] < np.quantile(given[found], 1.0 - _KEPT)))
-
-
-def share_rejectable(queries: pd.DataFrame) -> float:
-    """Returns what ``share_rejected`` is expected to be if every probability is exact; nan if all are 0 or 1.
-
-    How well right and wrong answers can be separated is limited by how sure the answers are: of those
-    that all say one half no more wrong ones go than right ones, however true that is.
-    """
-    given = np.sort(queries["probability"].fillna(0.0).to_numpy())
-    wrong = np.concatenate([[0.0], np.cumsum(1.0 - given)])
-    right = np.concatenate([[0.0], np.cumsum(given)])
-    if wrong[-1] <= 0 or right[-1] <= 0:
-        return float("nan")
-    lost = int(np.searchsorted(right, (1.0 - _KEPT) * right[-1] + 1e-9, side="right")) - 1
-    return float(wrong[lost] / wrong[-1])
-
-
 def names_of(cities: Sequence[ViewsParams]) -> dict[str, str]:
     """Returns what tables call each city model: its file's name, or its path where others share that."""
     files = {views.city_model: Path(views.city_model).name for views in cities}
@@ -288,7 +372,7 @@ def names_of(cities: Sequence[ViewsParams]) -> dict[str, str]:
 
 def share_found(queries: pd.DataFrame) -> float:
     """Returns the percentage within (2 m, 2 deg)."""
-    return 100.0 * float(hits_of(queries[list(ERROR)].to_numpy(), PROBABILITY_THRESHOLD).mean())
+    return 100.0 * float(hits_of(queries[list(metrics.ERROR)].to_numpy(), PROBABILITY_THRESHOLD).mean())
 
 
 def _city_table(groups: Sequence[tuple[tuple[str, str], pd.DataFrame]]) -> str:
@@ -303,16 +387,23 @@ def _city_table(groups: Sequence[tuple[tuple[str, str], pd.DataFrame]]) -> str:
 
 
 def _row(queries: pd.DataFrame) -> list[float]:
-    medians = [float(queries[name].median()) for name in (*ERROR, "vertical_error_m")]
+    medians = [float(queries[name].median()) for name in (*metrics.ERROR, "vertical_error_m")]
     given = queries["probability"]
     mean = float(given.fillna(0.0).mean()) if given.notna().any() else float("nan")
     return [len(queries), share_found(queries), *medians, 100.0 * mean]
 
 
+def _rejection(queries: pd.DataFrame) -> tuple[float, float]:
+    """Returns the share of wrong answers rejected, and what is expected; without an answer: probability 0."""
+    given = queries["probability"].fillna(0.0).to_numpy()
+    right = hits_of(queries[list(metrics.ERROR)].to_numpy(), PROBABILITY_THRESHOLD)
+    return metrics.share_rejected(given, right), metrics.share_rejectable(given)
+
+
 def _rejected_in_words(queries: pd.DataFrame) -> str:
     if not queries["probability"].notna().any():
         return "gives no probability."
-    share, most = share_rejected(queries), share_rejectable(queries)
+    share, most = _rejection(queries)
     if share != share:
         return "nothing to reject."
     bound = "" if most != most else f"; {100.0 * most:.0f} % were each probability exact"
@@ -326,7 +417,7 @@ def _city_figures(groups: Sequence[tuple[tuple[str, str], pd.DataFrame]]) -> Ite
             recalls.append(_row(of_city)[1])
             yield Figure(f"recall 2m-2deg {method} tilt={tilt} {city}", recalls[-1], "%")
         yield Figure(f"mean recall 2m-2deg {method} tilt={tilt}", float(np.mean(recalls)), "%")
-        yield Figure(f"wrong answers rejected {method} tilt={tilt}", 100.0 * share_rejected(queries), "%")
+        share, most = _rejection(queries)
+        yield Figure(f"wrong answers rejected {method} tilt={tilt}", 100.0 * share, "%")
         if queries["probability"].notna().any():
-            rejectable = 100.0 * share_rejectable(queries)
-            yield Figure(f"wrong answers rejected {method} tilt={tilt}, expected", rejectable, "%")
+            yield Figure(f"wrong answers rejected {method} tilt={tilt}, expected", 100.0 * most, "%")

@@ -8,25 +8,36 @@ above what is resident after a small file, when everything is loaded and compile
 from __future__ import annotations
 
 import json
+import math
 import re
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
+import mapbox_earcut
 import numpy as np
+from numpy.typing import NDArray
 
-from lodbench.bench.city_peers import naive_mesh, project_plainly, project_tuned, time_cjio
-from lodbench.bench.report import Figure, Progress, Report, no_progress, plain_report
+from lodbench.bench import (
+    Figure,
+    Progress,
+    Report,
+    no_progress,
+    plain_report,
+    python_output,
+    seconds_of_command,
+)
 from lodbench.citymodel import mesh_model, open_scene, read_city_model
 from lodbench.citymodel.derive import keep_buildings
 from lodbench.citymodel.gml.writer import CityGmlWriter
+from lodbench.citymodel.gml.xml import Element, local_name, parse_document
 from lodbench.citymodel.mesh.writer import obj_text
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.scene_file import read_scene
@@ -35,11 +46,8 @@ from lodbench.params import flag
 from lodbench.storage import write_chunks
 
 _MEGABYTE = 1e6
-_NAIVE_WAYS = {
-    "naive DOM, earcut per polygon": project_plainly,
-    "naive with scalar projection": project_tuned,
-}
 _PASSES_IN_TURN = 12
+_MEASURING = "The measurement"
 _CLEAR_REFS = Path("/proc/self/clear_refs")
 # What the allocator kept from the small file is given back first, or the large one could hide in it.
 _MEMORY_SCRIPT = """
@@ -74,6 +82,11 @@ for _ in range(passes):
     times.append(time.process_time() - start)
 print(json.dumps([min(times), digest]))
 """
+_GAP_M = 50.0
+_TILE_BUILDINGS = 5
+_GML = ("{http://www.opengis.net/gml}", "{http://www.opengis.net/gml/3.2}")
+_PEER_TIMEOUT_S = 600
+Projection = Callable[[NDArray[np.float64]], NDArray[np.float64] | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,9 +156,8 @@ def _beside_build(city: Path, options: CityOptions) -> Figure:
     }
     for _ in range(options.repeats):
         for python, stated in builds.items():
-            cpu_s, digest = _json_of(
-                _TURN_SCRIPT, [str(city.resolve()), options.lod or "", str(_PASSES_IN_TURN)], python
-            )
+            words = [str(city.resolve()), options.lod or "", str(_PASSES_IN_TURN)]
+            cpu_s, digest = json.loads(python_output(_MEASURING, ["-P", "-c", _TURN_SCRIPT, *words], python))
             stated.append((float(cpu_s), str(digest)))
     if len({digest for stated in builds.values() for _, digest in stated}) > 1:
         raise CityModelError("The two builds make different scenes of this city.")
@@ -203,27 +215,14 @@ def _memory(city: Path, lod: str, large_mb: int) -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         large = Path(folder) / "large.gml"
         repeat_members(city, large, int(large_mb * _MEGABYTE))
-        result = _json_of(_MEMORY_SCRIPT, [str(city), str(large), lod])
+        words = ["-P", "-c", _MEMORY_SCRIPT, str(city), str(large), lod]
+        result = json.loads(python_output(_MEASURING, words))
         size_mb = large.stat().st_size / _MEGABYTE
     above = result["peak"] - result["before"] - result["arrays"]
     title = f"{size_mb:.0f} MB file, {result['buildings']:,} buildings: peak memory"
     return [
         Figure(f"{title} above its {result['arrays'] / _MEGABYTE:.0f} MB of arrays", above / _MEGABYTE, "MB")
     ]
-
-
-def _json_of(script: str, words: list[str], python: str = sys.executable) -> Any:
-    """Returns what a script prints as JSON.
-
-    Raises:
-        CityModelError: It fails.
-    """
-    done = subprocess.run(  # noqa: S603 - this interpreter, with a script of ours
-        [python, "-P", "-c", script, *words], capture_output=True, text=True, check=False
-    )
-    if done.returncode != 0:
-        raise CityModelError(f"The measurement failed: {done.stderr.strip()[-300:]}.")
-    return json.loads(done.stdout)
 
 
 def repeat_members(source: Path, target: Path, num_bytes: int) -> None:
@@ -245,10 +244,6 @@ def repeat_members(source: Path, target: Path, num_bytes: int) -> None:
         stream.write(content[end:])
 
 
-_GAP_M = 50.0
-_TILE_BUILDINGS = 5
-
-
 def measure_tiles(model: CityModel, tiles: int, folder: Path, workers: int | None) -> list[Figure]:
     """Returns the figures of so many tiles.
 
@@ -263,7 +258,7 @@ def measure_tiles(model: CityModel, tiles: int, folder: Path, workers: int | Non
     size_mb = write_tiles(own, tiles, folder / "tiles") / 1e6
     scene = folder / "city.scene"
     words = [] if workers is None else ["--workers", str(workers)]
-    seconds = _run("city", "convert", str(folder / "tiles"), str(scene), *words)
+    seconds = seconds_of_command("city", "convert", str(folder / "tiles"), str(scene), *words)
     # Linux states kilobytes: the largest of the processes, the one that joins included.
     peak_mb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
     stated = f"{tiles:,} tiles, {size_mb:,.0f} MB, {tiles * len(own.building_ids):,} buildings"
@@ -276,7 +271,7 @@ def measure_tiles(model: CityModel, tiles: int, folder: Path, workers: int | Non
         Figure("peak memory of the largest process", peak_mb, "MB"),
         Figure("triangles of the scene", len(opened.triangles), ""),
         Figure("opening the scene, all its bytes checked", open_seconds, "s"),
-        Figure("lodbench city info SCENE", _run("city", "info", str(scene)), "s"),
+        Figure("lodbench city info SCENE", seconds_of_command("city", "info", str(scene)), "s"),
     ]
 
 
@@ -296,12 +291,141 @@ def write_tiles(model: CityModel, tiles: int, folder: Path) -> int:
     return size
 
 
-def _run(*words: str) -> float:
-    """Returns how long a command of ours takes, its start included, seconds."""
-    start = time.perf_counter()
-    done = subprocess.run(  # noqa: S603 - this interpreter, with our own module
-        [sys.executable, "-m", "lodbench", *words], capture_output=True, text=True, check=False
-    )
-    if done.returncode != 0:
-        raise CityModelError(f"lodbench {' '.join(words)} failed: {done.stderr.strip()[-300:]}")
-    return time.perf_counter() - start
+def naive_mesh(
+    path: Path, lod: str, project: Projection | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Returns points and triangles of one level of a CityGML file, read the way most scripts do.
+
+    A tree of the whole document, float() per number, one earcut per polygon; no references, no
+    reference system, no checks. For files one trusts only.
+
+    Args:
+        path: A CityGML file without compression.
+        lod: Level of detail, a whole number.
+        project: How to find a polygon's plane; ``project_plainly`` by default.
+
+    Returns:
+        points: (P, 3) in the coordinates of the file.
+        triangles: (T, 3).
+
+    Raises:
+        CityModelError: The file is no XML, or has no polygon of that level.
+    """
+    tree = parse_document(path)
+    points: list[NDArray[np.float64]] = []
+    triangles: list[NDArray[np.int64]] = []
+    count = 0
+    for polygon in tree.iter(*(prefix + "Polygon" for prefix in _GML)):
+        if _level_of(polygon) != lod:
+            continue
+        rings = list(_rings(polygon))
+        corners = _naive_triangles(rings, project or project_plainly)
+        if len(corners):
+            points.extend(rings)
+            triangles.append(corners + count)
+            count += sum(len(ring) for ring in rings)
+    if not triangles:
+        raise CityModelError(f"The naive reader finds no LoD{lod} in {path}.")
+    return np.concatenate(points), np.concatenate(triangles)
+
+
+def _level_of(element: Element) -> str | None:
+    node = element.getparent()
+    while node is not None:
+        name = local_name(node.tag)
+        if name.startswith("lod") and name[3:4].isdigit():
+            return name[3]
+        node = node.getparent()
+    return None
+
+
+def _rings(polygon: Element) -> Iterator[NDArray[np.float64]]:
+    """Returns the rings of a polygon with their closing points."""
+    for ring in polygon.iter(*(prefix + "LinearRing" for prefix in _GML)):
+        numbers = [float(text) for child in ring for text in (child.text or "").split()]
+        yield np.array(numbers).reshape(-1, 3)
+
+
+def project_plainly(outline: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Returns the axes (2, 3) of a ring's plane by vector algebra as one writes it down, or None."""
+    normal = np.cross(outline, np.roll(outline, -1, axis=0)).sum(axis=0)
+    length = np.linalg.norm(normal)
+    if length == 0.0:
+        return None
+    normal /= length
+    across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(normal, across)])
+
+
+def project_tuned(outline: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Returns the same with all that can be scalar made scalar: half the time of the naive way."""
+    normal = np.cross(outline[:-1], outline[1:]).sum(axis=0)
+    length = math.sqrt(normal @ normal)
+    if length == 0.0:
+        return None
+    x, y, z = (normal / length).tolist()
+    flat = math.hypot(x, y)
+    across = (-y / flat, x / flat, 0.0) if flat > 1e-6 else (1.0, 0.0, 0.0)
+    return np.array([across, (-z * across[1], z * across[0], x * across[1] - y * across[0])])
+
+
+_NAIVE_WAYS = {
+    "naive DOM, earcut per polygon": project_plainly,
+    "naive with scalar projection": project_tuned,
+}
+
+
+def _naive_triangles(rings: list[NDArray[np.float64]], project: Projection) -> NDArray[np.int64]:
+    """Returns triangles of a polygon in its own plane, as bent and narrow ones need it."""
+    outline = rings[0] - rings[0][0]  # coordinates far from zero would cost digits
+    axes = project(outline)
+    if axes is None:
+        return np.zeros((0, 3), np.int64)
+    points = outline if len(rings) == 1 else np.concatenate(rings) - rings[0][0]
+    ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
+    corners: NDArray[np.int64] = mapbox_earcut.triangulate_float64(points @ axes.T, ends).astype(np.int64)
+    return corners.reshape(-1, 3)
+
+
+def time_cjio(path: Path) -> tuple[float, float] | str:
+    """Returns the seconds cjio's OBJ export takes and the area of its triangles, or why it cannot run.
+
+    Args:
+        path: A CityJSON file.
+    """
+    program = shutil.which("cjio")
+    if program is None:
+        return "cjio is not installed"
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "cjio.obj"
+        start = time.perf_counter()
+        try:
+            done = subprocess.run(  # noqa: S603 - a program the user installed, with our arguments
+                [program, str(path), "export", "obj", str(target)],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                timeout=_PEER_TIMEOUT_S,
+                check=False,
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            return f"cjio failed ({error})"
+        seconds = time.perf_counter() - start
+        if done.returncode != 0 or not target.is_file():
+            last = done.stdout.decode(errors="replace").strip().rpartition("\n")[2]
+            return f"cjio failed, exit code {done.returncode}: {last[:60]}"
+        return seconds, obj_area(target)
+
+
+def obj_area(path: Path) -> float:
+    """Returns the area of the triangles of an OBJ file, square metres."""
+    points, faces = [], []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        words = line.split()
+        if words[:1] == ["v"]:
+            points.append([float(word) for word in words[1:4]])
+        elif words[:1] == ["f"]:
+            faces.append([int(word.partition("/")[0]) - 1 for word in words[1:4]])
+    corners = np.array(points)[np.array(faces, np.int64).reshape(-1, 3)]
+    vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return 0.5 * float(np.linalg.norm(vectors, axis=1).sum())

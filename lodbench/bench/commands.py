@@ -11,13 +11,12 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from lodbench.bench.report import Figure, Progress, Report, load_in_words, no_progress
+from lodbench.bench import Figure, Progress, Report, load_in_words, no_progress, seconds_of_command
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.geometry.angles import dji_from_rotation
 from lodbench.params import flag
@@ -38,15 +37,13 @@ wall_s = time.perf_counter() - started
 code = child.returncode = os.waitstatus_to_exitcode(status)
 print(json.dumps([code, used.ru_utime + used.ru_stime, wall_s, used.ru_maxrss]))
 """
+# Bytes that must be those of a serial run.
+_SAME = ("poses.txt", "queries.csv", "summary.json")
 
 
 @dataclass(frozen=True, slots=True)
 class StartupOptions:
-    """What is run.
-
-    Attributes:
-        is_cold: Whether localize is run over an empty kernel cache as well, once.
-    """
+    """What is run."""
 
     repeats: int = flag(5, "rounds of all commands in turn; the least of each counts (5)")
     beside: str | None = flag(None, "Python whose lodbench is run in turns with this one")
@@ -54,6 +51,7 @@ class StartupOptions:
     tile: str | None = flag(None, "city model for city info (20 buildings of the demo town)")
     photo: str | None = flag(None, "photo to localise, with --city (one of the demo)")
     city: str | None = flag(None, "city model of the photo (the demo town)")
+    # Whether localize is run over an empty kernel cache as well, once.
     is_cold: bool = flag(False, "localize over an empty kernel cache as well, which compiles", "--cold")
 
     def __post_init__(self) -> None:
@@ -258,13 +256,6 @@ def _in_words(cost: Cost) -> list[str]:
     return [f"{cost.cpu_s:.2f}", f"{cost.wall_s:.2f}", f"{cost.peak_mib:.0f}"]
 
 
-_RUN = "import sys; from lodbench.cli import main; sys.exit(main(sys.argv[1:]))"
-
-
-# Bytes that must be those of a serial run.
-_SAME = ("poses.txt", "queries.csv", "summary.json")
-
-
 @dataclass(frozen=True, slots=True)
 class WorkerOptions:
     """What is run."""
@@ -309,13 +300,13 @@ def measure_workers(options: WorkerOptions | None = None, progress: Progress = n
     found: dict[str, list[Timing]] = {name: [] for name in ways}
     with tempfile.TemporaryDirectory() as scratch:
         # Makes the town and compiles, once.
-        _seconds(["run", *words, "limit=1", f"paths.runs={scratch}/first"])
+        seconds_of_command("run", *words, "limit=1", f"paths.runs={scratch}/first")
         expected: list[bytes] = []
         for turn in range(options.repeats):
             for name, more in ways.items():
                 runs = Path(scratch) / f"{turn}-{len(more)}-{more[0]}"
                 command = ["run", *words, *more, f"paths.runs={runs}"]
-                whole_s, rest_s = _seconds(command), _seconds(command)
+                whole_s, rest_s = seconds_of_command(*command), seconds_of_command(*command)
                 found[name].append(Timing(whole_s, max(whole_s - rest_s, 0.0)))
                 made = [next(runs.rglob(file)).read_bytes() for file in _SAME]
                 expected = expected or made
@@ -327,15 +318,6 @@ def measure_workers(options: WorkerOptions | None = None, progress: Progress = n
         for name, times in found.items()
     }
     return Report(_worker_text(best, options), _worker_figures(best))
-
-
-def _seconds(command: Sequence[str]) -> float:
-    """Returns how long a command takes in a process of its own."""
-    started = time.perf_counter()
-    done = subprocess.run([sys.executable, "-c", _RUN, *command], capture_output=True, text=True)  # noqa: S603
-    if done.returncode:
-        raise LodbenchError(f"lodbench {' '.join(command)}: {done.stderr.strip() or done.stdout.strip()}")
-    return time.perf_counter() - started
 
 
 def _worker_figures(best: dict[str, Timing]) -> list[Figure]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from time import process_time
@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from shapely import Polygon, box, unary_union
 
-from lodbench.bench.report import Figure, Progress, Report, no_progress, plain_report
+from lodbench.bench import Figure, Progress, Report, no_progress, plain_report
 from lodbench.citymap import CityMap
 from lodbench.citymap.city_map import corrected_map
 from lodbench.citymodel.cache import open_cached_city
@@ -22,7 +23,6 @@ from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.datasets.query import Dataset, Query
 from lodbench.errors import QueryFault
 from lodbench.evaluation import pose_error
-from lodbench.evaluation.flight_findings import MapScore, score_map
 from lodbench.evaluation.metrics import Calibration, calibrate
 from lodbench.evaluation.pose_errors import FAILED, PROBABILITY_THRESHOLD, PoseError, hits_of
 from lodbench.geometry import Pose
@@ -35,13 +35,92 @@ from lodbench.storage import random_stream
 from lodbench.synthesis.flights import MAP_TRUTH_FILE, FlightsParams, drone_errors, open_flights
 from lodbench.synthesis.surroundings import make_surroundings, standing_clutter
 
+# A height is recovered within this, metres.
+RECOVERED_M = 0.5
+# A place that is found may miss the building it is by this, metres.
+_NEAR_M = 3.0
 Floats = NDArray[np.float64]
-
 # A building that so many photos show is one that a flight can speak of; of its height, if so many show its
 # roof: the silhouette would change by so many pixels if it were so much higher, metres.
 _FEWEST_PHOTOS, _FEWEST_OF_ROOF, _ROOF_PX, _ROOF_M = 3, 2, 5, 1.5
 # What counts as a gimbal recovered, degrees.
 _GIMBAL_DEG = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class MapScore:
+    """Counts; those of several flights add up."""
+
+    heights: int = 0  # buildings whose roofs photos show and whose heights the flight reports
+    recovered: int = 0  # of them, those whose height against the map is reported within 0.5 m
+    wrong: int = 0  # buildings whose roofs photos show and whose height was changed, reported or not
+    found_wrong: int = 0  # of these, those in doubt
+    doubted: int = 0  # buildings in doubt, whether photos can tell or not
+    rightly: int = 0  # of the doubted, those whose height was changed
+    demolished: int = 0  # buildings that stand in the map only, and that several photos should show
+    reported_demolished: int = 0  # buildings reported as demolished
+    rightly_demolished: int = 0  # of them, those that stand in the map only
+    unmapped: int = 0  # buildings that the map lacks, and that several photos show
+    found: int = 0  # of them, those found
+    places: int = 0  # places reported as unmapped
+    rightly_unmapped: int = 0  # of them, those where the map lacks one
+    # Of the others, those where something else stands that no map holds: containers, tents, heaps.
+    clutter: int = 0
+
+    def __add__(self, other: MapScore) -> MapScore:
+        """Returns the counts of both."""
+        return MapScore(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+
+def score_map(
+    findings: Mapping[str, Any],
+    changed: Mapping[str, Any],
+    shown: Collection[str],
+    roofs: Collection[str],
+    boxes: Mapping[str, Sequence[float]],
+    clutter: Sequence[Sequence[float]] = (),
+) -> MapScore:
+    """Returns how a flight's findings compare with what was done to the map.
+
+    Args:
+        findings: ``buildings`` and ``changes``, as ``method=flight`` reports them.
+        changed: ``heights`` (metres that a building is higher in the map than in truth, by id), ``missing``
+            and ``extra`` (ids).
+        shown: Ids of the buildings of either that at least three photos show.
+        roofs: Ids of the map's buildings whose roofs at least two photos show.
+        boxes: West, south, east and north of each missing building, the city's coordinates.
+        clutter: The same of what stands there besides.
+    """
+    truth = changed["heights"]
+    reported = {b["id"]: b for b in findings["buildings"] if b["id"] not in changed["extra"]}
+    seen = {name: b for name, b in reported.items() if name in roofs}
+    errors = [abs(b["higher_m"] + truth.get(name, 0.0)) for name, b in seen.items()]
+    doubted = [name for name, b in reported.items() if b["doubt"]]
+    reported_demolished = [c["id"] for c in findings["changes"] if c["kind"] == "demolished"]
+    outlines = [c["outline"] for c in findings["changes"] if c["kind"] == "unmapped"]
+    places = [unary_union([Polygon(ring) for ring in rings]) for rings in outlines]
+    lacking = {name: box(*boxes[name]).buffer(_NEAR_M) for name in changed["missing"] if name in boxes}
+    others = [place for place in places if not any(place.intersects(there) for there in lacking.values())]
+    standing = unary_union([box(*each) for each in clutter])
+    return MapScore(
+        heights=len(errors),
+        recovered=int(np.count_nonzero(np.array(errors) < RECOVERED_M)),
+        wrong=sum(name in roofs for name in truth),
+        found_wrong=sum(name in truth and name in roofs for name in doubted),
+        doubted=len(doubted),
+        rightly=sum(name in truth for name in doubted),
+        demolished=sum(name in shown for name in changed["extra"]),
+        reported_demolished=len(reported_demolished),
+        rightly_demolished=sum(name in changed["extra"] for name in reported_demolished),
+        unmapped=sum(name in shown for name in lacking),
+        found=sum(
+            name in shown and any(place.intersects(there) for place in places)
+            for name, there in lacking.items()
+        ),
+        places=len(places),
+        rightly_unmapped=len(places) - len(others),
+        clutter=sum(bool(place.intersects(standing)) for place in others),
+    )
 
 
 @dataclass(slots=True, eq=False)

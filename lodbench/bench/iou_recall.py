@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from lodbench.bench.accuracy import blocks_of
-from lodbench.bench.report import Figure, Progress, Report, no_progress
-from lodbench.bench.views import TILTS, Job, sweep
+from lodbench.bench import Figure, Progress, Report, no_progress
+from lodbench.bench.accuracy import TILTS, Job, blocks_of, sweep
 from lodbench.datasets.inputs import Input, declared_inputs, read_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.evaluation.metrics import InstanceMatches, match_instances
 from lodbench.evaluation.pose_errors import DEFAULT_THRESHOLDS
 from lodbench.methods import Method
 from lodbench.reporting.aligned_text import format_columns
@@ -33,6 +32,9 @@ if TYPE_CHECKING:
 
 _LABEL = DEFAULT_THRESHOLDS[0].label
 IOUS = tuple(round(0.3 + 0.1 * step, 1) for step in range(8))
+_SPLITS = ("train", "val", "test")
+# Buildings of less than some 8 x 8 pixels do not count: what is left of one behind another.
+_LEAST_PX = 64
 
 
 class Reported(NamedTuple):
@@ -141,11 +143,6 @@ def _draw_reported(axes: Any) -> None:
             )  # fmt: skip
 
 
-_SPLITS = ("train", "val", "test")
-# Buildings of less than some 8 x 8 pixels do not count: what is left of one behind another.
-_LEAST_PX = 64
-
-
 def measure_instances(segmenter: Segmenter, data: Path, progress: Progress = no_progress) -> Report:
     """Returns the panoptic quality of a segmenter's buildings, and of the coherent parts of its mask.
 
@@ -198,3 +195,56 @@ def _report(name: str, data: Path, views: int, rows: dict[str, InstanceMatches])
         ]
     which = f"{name}: single buildings of {views} views of {data.name}, those of {_LEAST_PX} pixels or more"
     return Report("\n".join([which, format_columns(cells)]), figures)
+
+
+@dataclass(frozen=True, slots=True)
+class InstanceMatches:
+    """How buildings that were found go with those that are there; sums over photos are `+`."""
+
+    matched: int = 0
+    iou_sum: float = 0.0
+    found: int = 0
+    true: int = 0
+
+    def __add__(self, other: InstanceMatches) -> InstanceMatches:
+        return InstanceMatches(
+            self.matched + other.matched,
+            self.iou_sum + other.iou_sum,
+            self.found + other.found,
+            self.true + other.true,
+        )
+
+    @property
+    def recognition(self) -> float:
+        """Returns the share of pairs among all, RQ, which is the F1 at IoU one half; NaN of nothing."""
+        either = self.found + self.true
+        return 2 * self.matched / either if either else float("nan")
+
+    @property
+    def segmentation(self) -> float:
+        """Returns the mean IoU of pairs, SQ; NaN where there is none."""
+        return self.iou_sum / self.matched if self.matched else float("nan")
+
+    @property
+    def panoptic(self) -> float:
+        """Returns PQ, the product of both; NaN of nothing."""
+        return 2 * self.iou_sum / (self.found + self.true) if self.found + self.true else float("nan")
+
+
+def match_instances(found: NDArray[np.integer], true: NDArray[np.integer], least_px: int) -> InstanceMatches:
+    """Returns how labels of a photo, (H, W) and 0 for no building, go with the true ones.
+
+    Buildings of fewer pixels than ``least_px`` do not count, on either side.
+    """
+    found_ids, a, of_found = np.unique(found, return_inverse=True, return_counts=True)
+    true_ids, b, of_true = np.unique(true, return_inverse=True, return_counts=True)
+    shared = np.zeros((len(found_ids), len(true_ids)))
+    np.add.at(shared, (a.ravel(), b.ravel()), 1)
+    counted_found = (found_ids > 0) & (of_found >= least_px)
+    counted_true = (true_ids > 0) & (of_true >= least_px)
+    iou = shared / (of_found[:, None] + of_true[None] - shared)
+    pairs = iou[counted_found][:, counted_true]
+    is_pair = pairs > 0.5
+    return InstanceMatches(
+        int(is_pair.sum()), float(pairs[is_pair].sum()), int(counted_found.sum()), int(counted_true.sum())
+    )

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.report import Figure, Progress, Report, no_progress, plain_report, words
+from lodbench.bench import Figure, Progress, Report, no_progress, plain_report, words
 from lodbench.citymap import CityMap
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import open_scene
@@ -29,8 +29,8 @@ from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError
+from lodbench.evaluation.metrics import ERROR
 from lodbench.evaluation.pose_errors import PROBABILITY_THRESHOLD, hits_of
-from lodbench.evaluation.queries import ERROR
 from lodbench.geometry import Camera
 from lodbench.harness.city import open_city
 from lodbench.harness.runs.run import RunSettings, run_method
@@ -69,6 +69,7 @@ MAPS: dict[str, tuple[str, str, str | None, bool]] = {
     "textured mesh": (CITY_FILE, "2", None, False),
 }
 _MESH, _TEXTURED = "textured mesh", ("DSM + orthophoto", "textured mesh")
+Rows = Sequence[tuple[str, str, Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,9 +280,6 @@ def _queries_of(demo: Dataset, survey: Path, name: str, method: str, options: Ma
     return run.queries.assign(
         map=name, method=method, triangles=len(scene.triangles), cpu_s=spent / max(len(run.queries), 1)
     )
-
-
-Rows = Sequence[tuple[str, str, Any]]
 
 
 def _found(queries: pd.DataFrame) -> float:

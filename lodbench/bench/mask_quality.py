@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.report import Figure, Progress, Report, no_progress
+from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.errors import ConfigError, DatasetError, LodbenchError, nearest_names, require_within
-from lodbench.evaluation.statistics import Interval, bootstrap_means, bootstrap_ratio
+from lodbench.evaluation.pose_errors import Interval, bootstrap_means, bootstrap_ratio
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.overlays import draw_outline, png_bytes
 from lodbench.segmentation import Segmenter, binary_mask, notes_of
@@ -44,6 +44,20 @@ _PER_GROUP, _TILE = 4, 448
 _EXTRA, _MISSED, _OUTLINE = (30, 120, 255), (255, 60, 190), (255, 255, 255)
 _INK, _PAPER = (235, 235, 235), (32, 28, 26)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
+# Kinds of overlaps by the name of their columns; their names in figures, and in words.
+KINDS = {
+    "mask": ("mask_iou", "IoU with the mask"),
+    "ceiling": ("mask_iou_ceiling", "  ceiling: what is visible of it"),
+    "visible": ("visible_iou", "IoU with the visible part"),
+}
+_SPLITS = ("train", "val", "test")
+# A visible part may lie outside its mask by this share of the view: none but for a file's rounding.
+_STRAY_SHARE = 1e-3
+_SAME_VIEWS = "Make it with the same settings and seed, and occluders_in_mask=true images=false."
+TOWNS: dict[str, DemoParams] = {"test": DemoParams(), "train": DemoTrainParams()}
+# Draws per view that is kept; what else a view must show is in ``_settings``.
+_DRAWS = 2.5
+_SEED = 7
 
 
 def draw_sheet(views: pd.DataFrame, title: str) -> dict[str, bytes]:
@@ -129,14 +143,6 @@ def _legend(title: str, width: int) -> Picture:
     return strip
 
 
-# Kinds of overlaps by the name of their columns; their names in figures, and in words.
-KINDS = {
-    "mask": ("mask_iou", "IoU with the mask"),
-    "ceiling": ("mask_iou_ceiling", "  ceiling: what is visible of it"),
-    "visible": ("visible_iou", "IoU with the visible part"),
-}
-
-
 class IouSummary(NamedTuple):
     """Overlaps of many views."""
 
@@ -190,24 +196,15 @@ def in_words(interval: Interval) -> str:
     return f"({interval[0]:.3f} to {interval[1]:.3f})"
 
 
-_SPLITS = ("train", "val", "test")
-# A visible part may lie outside its mask by this share of the view: none but for a file's rounding.
-_STRAY_SHARE = 1e-3
-
-
 @dataclass(frozen=True, slots=True)
 class MaskQualityOptions:
-    """What to measure.
+    """What to measure."""
 
-    Attributes:
-        data: Training set with photos and masks, or a folder of such sets; all splits count.
-        visible: The same set with ``occluders_in_mask=true``: masks of what trees and cars leave
-            visible; None to leave the ceiling out.
-        least_share: Views with fewer buildings in them do not count: one wrong shed halves their IoU.
-    """
-
-    data: Path
+    data: Path  # training set with photos and masks, or a folder of such sets; all splits count
+    # The same set with ``occluders_in_mask=true``: masks of what trees and cars leave visible; None to
+    # leave the ceiling out.
     visible: Path | None = None
+    # Views with fewer buildings in them do not count: one wrong shed halves their IoU.
     least_share: float = 0.05
 
     def __post_init__(self) -> None:
@@ -307,9 +304,6 @@ def _truth(sample: Sample, options: MaskQualityOptions) -> _Truth:
     return _Truth(mask, visible)
 
 
-_SAME_VIEWS = "Make it with the same settings and seed, and occluders_in_mask=true images=false."
-
-
 def _read(path: Path) -> Mask:
     try:
         return np.asarray(read_mask(path) >= 0.5)
@@ -319,12 +313,6 @@ def _read(path: Path) -> Mask:
 
 def _overlap(kind: str, first: Mask, second: Mask) -> dict[str, int]:
     return {f"{kind} shared": int((first & second).sum()), f"{kind} union": int((first | second).sum())}
-
-
-TOWNS: dict[str, DemoParams] = {"test": DemoParams(), "train": DemoTrainParams()}
-# Draws per view that is kept; what else a view must show is in ``_settings``.
-_DRAWS = 2.5
-_SEED = 7
 
 
 class TownSets(NamedTuple):

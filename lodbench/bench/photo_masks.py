@@ -12,24 +12,36 @@ import mapbox_earcut
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.mask_quality import SHEET_FILE, draw_all, found_mask, name_and_weights, one_core
-from lodbench.bench.report import Figure, Progress, no_progress
+from lodbench.bench import Figure, Progress, no_progress
+from lodbench.bench.mask_quality import SHEET_FILE, draw_all, found_mask, name_and_weights, one_core, tinted
 from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.evaluation.statistics import Interval, bootstrap_means
+from lodbench.evaluation.pose_errors import Interval, bootstrap_means
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.photos.files import traced_mask, traced_photos
 from lodbench.reporting.aligned_text import format_columns
-from lodbench.reporting.overlays import draw_outline, write_picture
+from lodbench.reporting.overlays import write_picture
 from lodbench.segmentation import Segmenter, notes_of
 from lodbench.segmentation.masks import polygons_of, read_mask, read_photo
 from lodbench.storage import random_stream, write_bytes
 
 Mask = NDArray[np.bool_]
 _WIDTH = 900
-# BGR: distinguished with any colour vision.
-_EXTRA, _MISSED, _OUTLINE = (30, 120, 255), (255, 60, 190), (255, 255, 255)
+# Of masks traced by hand: white is building, grey is what could not be decided.
+_BUILDING, _NOTHING = 0.75, 0.25
+Points = NDArray[np.float64]
+# How high photos hang, and what the widest side of each shows: a usual drone.
+HEIGHT_M, SIDE_M = 100.0, 120.0
+# Nothing of one photo is viewed from another.
+_APART_M = 2000.0
+# Share of the buildings that a wrong map lacks, and of what a photo shows of them at most: a map of one shed
+# is of another place.
+_MISSING, _MOST_MISSING = 0.08, 0.25
+# How far roofs go on beyond the photo's edge, of its widest side.
+_BEYOND = 0.1
+# Smaller outlines are specks of a tracing.
+_LEAST_M2 = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,18 +145,11 @@ class PhotoMaskReport:
 def write_overlay(photo: PhotoMask, folder: Path) -> None:
     """Writes a photo with the true outline white, what was wrongly found orange, what was missed violet."""
     # Traced masks are of their photo's size.
-    canvas: NDArray[np.uint8] = np.ascontiguousarray(read_photo(photo.photo)[..., ::-1])
-    for wrong, colour in ((photo.found & ~photo.truth, _EXTRA), (photo.truth & ~photo.found, _MISSED)):
-        canvas[wrong] = (0.4 * canvas[wrong] + 0.6 * np.array(colour)).astype(np.uint8)
-    draw_outline(canvas, photo.truth, _OUTLINE, 2)
+    canvas = tinted(read_photo(photo.photo)[..., ::-1], photo.found, photo.truth, 2)
     scale = min(1.0, _WIDTH / canvas.shape[1])
     small = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     (folder / photo.place).mkdir(parents=True, exist_ok=True)
     write_picture(folder / photo.place / f"{photo.photo.stem}.png", np.asarray(small, dtype=np.uint8))
-
-
-# Of masks traced by hand: white is building, grey is what could not be decided.
-_BUILDING, _NOTHING = 0.75, 0.25
 
 
 def labelled_photos(folder: Path) -> list[tuple[Path, Mask]]:
@@ -201,34 +206,15 @@ def mean_and_interval(values: list[float]) -> list[str]:
     return [f"{np.mean(values):.3f}", f"({interval[0]:.3f} to {interval[1]:.3f})"]
 
 
-Points = NDArray[np.float64]
-
-# How high photos hang, and what the widest side of each shows: a usual drone.
-HEIGHT_M, SIDE_M = 100.0, 120.0
-# Nothing of one photo is viewed from another.
-_APART_M = 2000.0
-# Share of the buildings that a wrong map lacks, and of what a photo shows of them at most: a map of one shed
-# is of another place.
-_MISSING, _MOST_MISSING = 0.08, 0.25
-# How far roofs go on beyond the photo's edge, of its widest side.
-_BEYOND = 0.1
-# Smaller outlines are specks of a tracing.
-_LEAST_M2 = 4.0
-
-
 @dataclass(frozen=True, slots=True)
 class TracedOptions:
-    """How wrong the maps are.
+    """How wrong the maps are."""
 
-    Attributes:
-        map_error_m: Outlines are simplified by so much, buildings moved by half of it and raised by it
-            (standard deviations), and one in twelve is missing, but at most a quarter of what a photo shows;
-            0 for the outlines as traced.
-        seed: Of these errors.
-    """
-
+    # Outlines are simplified by so much, buildings moved by half of it and raised by it (standard
+    # deviations), and one in twelve is missing, but at most a quarter of what a photo shows; 0 for the
+    # outlines as traced.
     map_error_m: float = 0.5
-    seed: int = 0
+    seed: int = 0  # of these errors
 
     def __post_init__(self) -> None:
         if not 0 <= self.map_error_m <= 10:

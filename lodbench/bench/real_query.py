@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.real_report import EdgeBound, report_real
-from lodbench.bench.report import Progress, Report, no_progress
+from lodbench.bench import Progress, Report, no_progress
+from lodbench.bench.real_report import EdgeBound, PhotoEdges, median_and_share, report_real
 from lodbench.citymap import CityMap
 from lodbench.citymap.places import ground_errors
 from lodbench.citymodel.scene import Scene, building_boxes
@@ -23,9 +23,8 @@ from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset, Query
 from lodbench.errors import ConfigError, DatasetError, QueryFault
 from lodbench.evaluation import pose_error
-from lodbench.evaluation.edge_distance import PhotoEdges, median_and_share
+from lodbench.evaluation.metrics import ERROR, PRIOR_ERROR
 from lodbench.evaluation.pose_errors import FAILED
-from lodbench.evaluation.queries import ERROR, PRIOR_ERROR
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.camera import pixel_rays
 from lodbench.harness.runs.queries import Preparation

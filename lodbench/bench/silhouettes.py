@@ -21,22 +21,31 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.report import SEED, Figure, Progress, Report, load_in_words, no_progress, words
-from lodbench.bench.views import HORIZON, PITCHES, STEEP, Swarm, make_swarms
+from lodbench.bench import SEED, Figure, Progress, Report, load_in_words, no_progress, words
 from lodbench.citymodel import Scene, open_scene
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import ConfigError, RenderingError
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Camera, Pose, rotations_at_yaws
 from lodbench.params import flag
 from lodbench.rendering import ContourFit, RegionFit, Scorer, appearance_bins, edge_bins, make_renderer
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.figures import SERIES, draw_figure
-from lodbench.synthesis.views import FINE_SIZE, RGB_CAMERA
+from lodbench.storage import random_stream
+from lodbench.synthesis.views import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
+# For each column of dots a name, a number per view, and the report's number for all of them.
+Columns = list[tuple[str, Any, float]]
+ENGINE = "silhouette"
+# Kinds of views, named by their pitch from nadir.
+STEEP = "pitch 20 to 60"
+HORIZON = "pitch 60 to 75"
+# Pitch of the views, degrees from nadir, by kind.
+PITCHES = {STEEP: (20.0, 60.0), HORIZON: (60.0, 75.0)}
 
 
 class Timing(NamedTuple):
@@ -155,10 +164,6 @@ def _pictures(timings: list[Timing]) -> dict[str, bytes]:
     return {f"{name}.{kind}": content for name, kinds in drawn.items() for kind, content in kinds.items()}
 
 
-# For each column of dots a name, a number per view, and the report's number for all of them.
-Columns = list[tuple[str, Any, float]]
-
-
 def _ratios(timings: list[Timing]) -> Columns:
     return [
         (f"{t.name}, beside {peer.name}", peer.us.to_numpy() / t.us.to_numpy(), peer.mean / t.mean)
@@ -201,19 +206,9 @@ def _draw_dots(axis: Axes, columns: Columns) -> None:
     axis.set_xlim(-0.6, len(columns) - 0.4)
 
 
-ENGINE = "silhouette"
-
-
 @dataclass(frozen=True, slots=True)
 class SilhouetteOptions:
-    """What to measure.
-
-    Attributes:
-        sizes: Widths and heights of the masks, pixels.
-        threads: Thread counts of the engine; () for one thread and one per core.
-        peer_hypotheses: Hypotheses around each view for peers, the first of ours: they are slow.
-        repeats: Passes over each view, peers included; the fastest counts.
-    """
+    """What to measure."""
 
     num_views: int = flag(
         20, "seeded views, pitch 20 to 60 degrees from nadir (20)", "--views", metavar="VIEWS"
@@ -222,16 +217,16 @@ class SilhouetteOptions:
         10, "with pitch 60 to 75, reported apart; 0 for none (10)", "--horizon-views", metavar="HORIZON_VIEWS"
     )
     hypotheses: int = flag(2000, "around each view (2000)")
-    sizes: tuple[tuple[int, int], ...] = (FINE_SIZE, (301, 224))
-    threads: tuple[int, ...] = ()
+    sizes: tuple[tuple[int, int], ...] = (FINE_SIZE, (301, 224))  # widths and heights of the masks, pixels
+    threads: tuple[int, ...] = ()  # thread counts of the engine; () for one thread and one per core
     peers: tuple[str, ...] = flag(
         ("pyrender", "open3d"),
         "renderers to stand beside, comma-separated (pyrender,open3d)",
         type=words,
         action="store",
     )
-    peer_hypotheses: int = 20
-    repeats: int = 3
+    peer_hypotheses: int = 20  # hypotheses around each view for peers, the first of ours: they are slow
+    repeats: int = 3  # passes over each view, peers included; the fastest counts
     seed: int = flag(0, SEED)
 
     def __post_init__(self) -> None:
@@ -397,3 +392,34 @@ def _best_pass(
         seconds = time.perf_counter() - started
         passes.append((seconds / len(centers) * 1e6, (time.process_time() - worked) / seconds))
     return min(passes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Swarm:
+    """One view and the hypotheses around it."""
+
+    pose: Pose  # the view
+    rotations: NDArray[np.float64]  # (N, 3, 3) cam_from_world
+    centers: NDArray[np.float64]  # (N, 3) metres
+
+
+def make_swarms(
+    scene: Scene, engine: Scorer, count: int, hypotheses: int, seed: int, kind: str = STEEP
+) -> tuple[list[Swarm], int]:
+    """Returns seeded views of a kind with their hypotheses, and how many draws of views were rejected."""
+    camera = RGB_CAMERA.scaled(*FINE_SIZE)
+    sampling = ViewSampling(seed=seed, pitch_deg=PITCHES[kind])
+    names = ["silhouettes"] if kind == STEEP else ["silhouettes", kind]
+    views = sample_views(scene, engine, camera, sampling, count, *names)
+    return [make_swarm(pose, i, hypotheses, seed) for i, pose in enumerate(views.poses)], views.rejections
+
+
+def make_swarm(pose: Pose, index: int, hypotheses: int, seed: int) -> Swarm:
+    """Returns a view with hypotheses around it, which depend on the seed and the view's number only."""
+    spread = UniformPrior()
+    half = np.array([spread.x_m, spread.y_m, spread.z_m, spread.yaw_deg])
+    stream = random_stream(seed, "silhouettes", index)
+    offsets = stream.uniform(-half, half, size=(hypotheses, 4))
+    pitch_deg, roll_deg, yaw_deg = pose.euler
+    rotations = rotations_at_yaws(pitch_deg, roll_deg, yaw_deg + offsets[:, 3])
+    return Swarm(pose, rotations, pose.center + offsets[:, :3])

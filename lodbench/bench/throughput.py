@@ -11,21 +11,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lodbench.bench.report import SEED, Figure, Progress, Report, load_in_words, no_progress, plain_report
+from lodbench.bench import SEED, Figure, Progress, Report, load_in_words, no_progress, plain_report
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, LodbenchError, require_within
 from lodbench.evaluation.predictions import Prediction, evaluate
-from lodbench.execution.fan_out import fan_out
+from lodbench.execution.processes import fan_out
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.harness.runs.artefacts import Result, summary_of, write_artefacts
+from lodbench.harness.runs import artefacts, places, report, verify
 from lodbench.harness.runs.inputs import queries_digest
-from lodbench.harness.runs.places import scene_of
-from lodbench.harness.runs.report import run_report
 from lodbench.harness.runs.stored import read_run
-from lodbench.harness.runs.verify import verify_run
 from lodbench.params import flag
 from lodbench.photos.pictures import encoded_mask
 from lodbench.rendering import open_renderer
@@ -37,6 +34,7 @@ from lodbench.synthesis.plan_views import PictureParts, PlannedView, ViewWriter,
 
 _CAMERA = Camera(640, 480, 500.0, 500.0, 320.0, 240.0)
 _SPLIT = "all"
+_opened: list[tuple[ViewWriter, Path]] = []
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,18 +66,18 @@ def measure_evaluation(options: EvaluationOptions | None = None, progress: Progr
         for number, poses in enumerate(methods):
             results.append(_scored(dataset, poses, number, Path(scratch), inputs))
             progress(number + 1, options.num_methods)
-        (table,) = tables_of([summary_of(result) for result in results])
+        (table,) = tables_of([artefacts.summary_of(result) for result in results])
         format_csv(table)
         score_s = time.perf_counter() - started
         stored = results[0]
         stored.folder.mkdir()
-        write_artefacts(stored, "")
+        artefacts.write_artefacts(stored, "")
         started = time.perf_counter()
         read_run(stored.folder)
         read_s = time.perf_counter() - started
         started = time.perf_counter()
-        verdict = verify_run(stored.folder, stored.config, dataset)
-        page = run_report(verdict, "prior", scene_of(verdict))
+        verdict = verify.verify_run(stored.folder, stored.config, dataset)
+        page = report.run_report(verdict, "prior", places.scene_of(verdict))
         page_s = time.perf_counter() - started
     figures = [
         Figure("evaluate all methods", score_s, "s"),
@@ -116,7 +114,7 @@ def _estimates(dataset: Dataset, options: EvaluationOptions, number: int) -> lis
 
 def _scored(
     dataset: Dataset, poses: list[Pose | None], number: int, scratch: Path, inputs: dict[str, str]
-) -> Result:
+) -> artefacts.Result:
     """Returns a method's rows, scored as `lodbench evaluate` scores them."""
     predictions = {
         entry.key: Prediction(pose, "" if pose is not None else "no pose in the pose file")
@@ -131,7 +129,9 @@ def _scored(
         "seed": "unstated",
         "renderer": "unstated",
     }
-    return Result(scratch / f"{number:03d}", config, dataset, (_SPLIT,), predictions, queries, inputs, None)
+    return artefacts.Result(
+        scratch / f"{number:03d}", config, dataset, (_SPLIT,), predictions, queries, inputs, None
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,9 +241,6 @@ def _warmed(views: tuple[PlannedView, ...], workers: int) -> list[tuple[PlannedV
     """Returns the views with a few in front that only warm the processes up."""
     warm = [(replace(views[0], name=f"warm-{k}"), True) for k in range(4 * workers)]
     return [*warm, *((view, False) for view in views)]
-
-
-_opened: list[tuple[ViewWriter, Path]] = []
 
 
 def _open(params: GenerateParams, parts: PictureParts, out: Path) -> None:

@@ -12,15 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lodbench.bench import Figure, Progress, Report, load_in_words, no_progress, plain_report
 from lodbench.bench.flights import queries_of
-from lodbench.bench.report import Figure, Progress, Report, load_in_words, no_progress, plain_report
 from lodbench.citymap import CityMap
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError
 from lodbench.evaluation import pose_error
-from lodbench.execution.guards import single_threaded_blas
+from lodbench.execution.processes import single_threaded_blas
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.angles import look_from_rotation
 from lodbench.harness.city import open_city
@@ -39,6 +39,8 @@ from lodbench.synthesis.views import RGB_CAMERA, Photographer, SyntheticQuery, v
 # Frames per second; metres per second and degrees per second of the flight; what its first pose is off by.
 _RATE, _SPEED_M, _TURN_DEG = 10.0, 4.0, 6.0
 _OFF_M, _OFF_DEG = np.array([4.0, -5.0, 6.0]), 3.0
+# What a photo's own answer is off by here: half widths. Solving 500 photos one by one is another figure.
+_ALONE = SensorErrors(1.0, 1.0, 0.3, 0.3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,10 +153,6 @@ def _tracked(
                 segmenter=segmenter,
             )
         )
-
-
-# What a photo's own answer is off by here: half widths. Solving 500 photos one by one is another figure.
-_ALONE = SensorErrors(1.0, 1.0, 0.3, 0.3)
 
 
 def measure_joint_solves(

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from lodbench.bench import SEED, Report, tracking
 from lodbench.bench.accuracy import measure_accuracy, measure_cities
 from lodbench.bench.flights import measure_flights
-from lodbench.bench.report import SEED, Report
-from lodbench.bench.tracking import TrackingOptions, measure_joint_solves, measure_tracking
-from lodbench.cli.parts import require_frames_looked_at, segmenter_of
+from lodbench.cli.options import require_frames_looked_at, segmenter_of
 from lodbench.datasets.inputs import Input
 from lodbench.errors import ConfigError, DatasetError, require_within
 from lodbench.execution import ProgressCallback
@@ -83,11 +82,7 @@ class DrawnOptions:
     )
     mask_iou: float = flag(0.88, "of the degraded masks (0.88)", sets=("dataset.mask_iou",))
     tilt_width: float = flag(
-        1.0,
-        "prior's tilt error, +- degrees (1.0)",
-        "--tilt-width",
-        "--tilt-deg",
-        sets=("dataset.tilt_deg",),
+        1.0, "prior's tilt error, +- degrees (1.0)", "--tilt-width", "--tilt-deg", sets=("dataset.tilt_deg",)
     )
     prior_range: float | None = flag(
         None, "prior's error along x, y and z, +- metres (10, 10, 30)", sets=("dataset.range_m",)
@@ -293,7 +288,7 @@ class FlightsWords:
 class TrackingWords:
     """What `bench tracking` is given."""
 
-    measured: TrackingOptions = part(TrackingOptions)
+    measured: tracking.TrackingOptions = part(tracking.TrackingOptions)
     segmenter: str = flag("compact", "(compact)", metavar="NAME")
     city: Path = flag(..., "city model")
     seeds: tuple[int, ...] = flag((0,), "comma-separated (0)", type=seeds, action="store")
@@ -331,7 +326,9 @@ def measure_flight_recall(options: FlightsWords, steps: ProgressCallback) -> Rep
             return measure_flights(flights, options.seeds, placed, steps, segmenter)
         return measure_flights(flights, options.seeds, method, steps, segmenter)
     flights = replace(flights, flights_seed=options.seeds[0], path=flights.path or "orbit")
-    return measure_joint_solves(flights, options.joint, method, traces_memory=options.memory, progress=steps)
+    return tracking.measure_joint_solves(
+        flights, options.joint, method, traces_memory=options.memory, progress=steps
+    )
 
 
 def _require_drawn(options: FlightsWords) -> None:
@@ -363,4 +360,4 @@ def measure_track(options: TrackingWords, steps: ProgressCallback) -> Report:
     require_within("--frames", options.measured.frames, 2)
     segmenter = segmenter_of(options.segmenter)
     require_frames_looked_at(segmenter, options.segmenter)
-    return measure_tracking(options.city, options.seeds, segmenter, options.measured, steps)
+    return tracking.measure_tracking(options.city, options.seeds, segmenter, options.measured, steps)

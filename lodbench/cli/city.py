@@ -49,6 +49,7 @@ how to read a file, each as --option KEY=VALUE (explained under lodbench.citymod
   ground_column=NAME  ground_m=0  terrain=FILE  surface=FILE  base=as_given|ground|sunk  sunk_m=3
   date=YYYY-MM-DD
 """
+_MEANINGS = {str(code): code for code in finding_catalogue()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,9 +210,6 @@ def _make(wanted: MakeOptions, options: ReadOptions) -> int:
         made = make_city(wanted.footprints, wanted.out, options, progress, wanted.photos, wanted.poses)
     wanted.tiles_read.write(made, lambda: format_made(made))
     return 0
-
-
-_MEANINGS = {str(code): code for code in finding_catalogue()}
 
 
 def format_info(name: str, info: dict[str, Any]) -> str:

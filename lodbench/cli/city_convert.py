@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.options import LAYERS, ReadOptions
-from lodbench.cli.parts import DATE_HELP, READ_SETTINGS, SourceProfile, load_profile
+from lodbench.cli.options import DATE_HELP, READ_SETTINGS, SourceProfile, load_profile
 from lodbench.errors import CityModelError, ConfigError, require_choice
 from lodbench.execution import ProgressCallback
 from lodbench.params import flag, part, word
@@ -70,9 +70,7 @@ class ConvertOptions:
     )
     tiles: float | None = flag(None, "write tiles of M metres, and an index of them", metavar="M")
     executor: str | None = flag(
-        None,
-        "what reads the tiles of a .scene (default: process)",
-        choices=("serial", "process", "dask"),
+        None, "what reads the tiles of a .scene (default: process)", choices=("serial", "process", "dask")
     )
     textures: bool = flag(False, "keep the textures of surfaces (.gml, .json, .jsonl, .glb, .obj)")
     workers: int | None = flag(None, "how many processes (default: one per core)")
@@ -202,7 +200,7 @@ def _chosen(wanted: ConvertOptions, model: CityModel) -> CityModel:
 def _compile(wanted: ConvertOptions, tiles: Path, out: Path, options: ReadOptions, lod: str | None) -> None:
     """Makes a scene of many tiles; goes on where it was stopped."""
     from lodbench.execution.executor import ExecutorParams
-    from lodbench.harness.tiled_city import compile_tiles
+    from lodbench.harness.city import compile_tiles
 
     executor = ExecutorParams(wanted.executor or "process", wanted.workers, None, wanted.address)
     with ProgressCallback(f"compiling {tiles.name}", "tiles") as progress:

@@ -1,36 +1,32 @@
-"""`lodbench compare RUN ...`: finished runs side by side, with paired tests."""
+"""`lodbench compare RUN ...`: runs side by side, with paired tests; `lodbench leaderboard`: ranked runs."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from lodbench.cli.parser import Parser
-from lodbench.cli.verify import DataOptions, read_config, reopen_dataset, run_folders
-from lodbench.errors import ConfigError, LodbenchError
+from lodbench.cli.verify import DataOptions, describe, read_config, reopen_dataset, run_folders, verify_folder
+from lodbench.datasets.prior_sources import prior_digest
+from lodbench.errors import ConfigError, DatasetError, LodbenchError
+from lodbench.evaluation.metrics import PROTOCOLS, has_truth
 from lodbench.evaluation.pose_errors import DEFAULT_THRESHOLDS, Threshold
-from lodbench.evaluation.queries import PROTOCOLS, has_truth
 from lodbench.harness.results import protocol_of, summary_at
-from lodbench.harness.runs.compare import (
-    agreement,
-    answers_apart,
-    budget_panels,
-    comparison_page,
-    paired_comparison,
-    require_same_queries,
-    why_other_photos,
-)
+from lodbench.harness.runs import compare
+from lodbench.harness.runs.inputs import split_digest
 from lodbench.harness.runs.photo_pairs import DrawnRun, photo_pairs_of, read_tags, tags_file_of
 from lodbench.harness.runs.stored import StoredRun, read_whole_run, require_writable
-from lodbench.harness.runs.verify import changed_files
-from lodbench.params import flag, parsed, part, word
+from lodbench.harness.runs.verify import Verdict, changed_files
+from lodbench.methods.registry import changed_settings
+from lodbench.params import add_options, flag, options_of, parsed, part, word
+from lodbench.reporting import leaderboard
 from lodbench.reporting.answers import format_answers
-from lodbench.reporting.figures import draw_budget
-from lodbench.reporting.run_figures import agreement_text, format_apart, format_comparison
-from lodbench.reporting.summaries import with_settings
+from lodbench.reporting.figures import agreement_text, draw_budget, format_apart, format_comparison
+from lodbench.reporting.summaries import with_plugin_metrics, with_settings, without_metrics
 from lodbench.reporting.table_heads import COLUMNS, FREE, names_of
 from lodbench.reporting.tables import FORMATS, format_csv, tables_of
 from lodbench.storage import make_folder, write_bytes, write_text
@@ -53,6 +49,7 @@ these differ, and the rows then say which they have. Examples:
   lodbench compare RUN ... --free lod --columns details  # levels of detail in one table
   lodbench compare RUN ... --budget pictures             # recall over poses drawn, a line a method
 """
+_ROOT = "its folder (leaderboard)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,9 +89,6 @@ class CompareOptions:
         object.__setattr__(self, "format", self.format or ("html" if is_page else "text"))
 
 
-OPTIONS = {"compare": CompareOptions}
-
-
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = parsed(Parser("lodbench compare", "Compare finished runs.", _EPILOG), argv, CompareOptions)
@@ -121,7 +115,7 @@ def main(argv: Sequence[str]) -> int:
     if options.format == "html":
         beside = Path() if options.out is None else options.out.parent
         photos = _photo_by_photo(runs, names, configs, options)
-        text = comparison_page(runs, names, shown, thresholds, beside, *photos)
+        text = compare.comparison_page(runs, names, shown, thresholds, beside, *photos)
     elif options.format == "csv":
         # It has every number, whatever columns are shown: each row once, under one head.
         text = format_csv(*tables)
@@ -167,7 +161,7 @@ def _photo_by_photo(
     if len(runs) != 2:
         return "", "Name two runs to see them photo by photo, on one page." if len(runs) > 2 else ""
     first, second = runs
-    if reason := why_other_photos(first, second):
+    if reason := compare.why_other_photos(first, second):
         return "", f"Not shown photo by photo: {reason}."
     file = tags_file_of(options.out)
     tags = {} if options.out is None else read_tags(file, first.summary["dataset"])
@@ -200,11 +194,10 @@ def _with_data(
 
 def _write_budget(runs: Sequence[StoredRun], folder: Path) -> None:
     """Draws recall over poses drawn."""
-    panels = budget_panels([run for run in runs if has_truth(run.queries).any()])
+    panels = compare.budget_panels([run for run in runs if has_truth(run.queries).any()])
     if not 1 <= len(panels) <= _MOST_PANELS:
         raise ConfigError(
-            f"The runs are of {len(panels)} splits and tilts.",
-            f"A picture has 1 to {_MOST_PANELS} of them.",
+            f"The runs are of {len(panels)} splits and tilts.", f"A picture has 1 to {_MOST_PANELS} of them."
         )
     make_folder(folder)
     for kind, picture in draw_budget(panels).items():
@@ -244,15 +237,161 @@ def _tests(runs: Sequence[StoredRun], names: Sequence[str], thresholds: tuple[Th
     """Returns the paired tests of each run against the first, or why there are none."""
     parts = []
     for run, name in zip(runs[1:], names[1:], strict=True):
-        reason = require_same_queries(runs[0], run)
+        reason = compare.require_same_queries(runs[0], run)
         head = f"\n{name} ({run.folder}) against {names[0]} ({runs[0].folder})"
         if reason:
             parts.append(f"{head}: no paired test: {reason}\n")
         else:
-            tests = paired_comparison(runs[0], run, thresholds)
+            tests = compare.paired_comparison(runs[0], run, thresholds)
             parts.append(f"{head}\n\n{format_comparison(tests, (names[0], name))}\n")
-        together = agreement_text(agreement(runs[0], run))
+        together = agreement_text(compare.agreement(runs[0], run))
         parts.append(f"{together}\n" if together else "")
         if together and not has_truth(run.queries).any():
-            parts.append(f"\n{format_apart(answers_apart(runs[0], run))}\n")
+            parts.append(f"\n{format_apart(compare.answers_apart(runs[0], run))}\n")
     return "".join(parts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddOptions:
+    """What `leaderboard add` is given."""
+
+    runs: tuple[Path, ...] = word("run folders", metavar="RUN")
+    map: str = flag("", "what the method localises against, for example 'LoD model'")
+    data: DataOptions = part(DataOptions)
+    root: Path = flag(Path("leaderboard"), _ROOT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BuildOptions:
+    """What `leaderboard build` is given."""
+
+    check: bool = flag(False, "write nothing; fail if a file is not what they make")
+    root: Path = flag(Path("leaderboard"), _ROOT)
+
+
+_ACTIONS: dict[str, tuple[type, str]] = {
+    "add": (
+        AddOptions,
+        "verify a run and store its row; oracle and unverifiable runs are kept out of the ranking",
+    ),
+    "build": (BuildOptions, "write CSV, Markdown, LaTeX and pages from the entries"),
+}
+
+
+OPTIONS = {"compare": CompareOptions, **{f"leaderboard {n}": kind for n, (kind, _) in _ACTIONS.items()}}
+
+
+def main_leaderboard(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code."""
+    parser = Parser("lodbench leaderboard", description="Rows people can trust.")
+    actions = parser.add_subparsers(dest="action", required=True, metavar="add|build")
+    for name, (kind, help_) in _ACTIONS.items():
+        add_options(actions.add_parser(name, help=help_), kind)
+    given = parser.parse_args(argv)
+    if given.action == "build":
+        built = options_of(given, BuildOptions)
+        return _build(built.root, built.check)
+    options = options_of(given, AddOptions)
+    runs = run_folders(options.runs)
+    for run in runs:
+        read_config(run)  # all of them are runs, or nothing is stored
+    return max(_add(run, options) for run in runs)
+
+
+def _add(run: Path, options: AddOptions) -> int:
+    verdict = verify_folder(run, options.data.dataset_root, options.data.city_model)
+    if verdict.differences:
+        sys.stdout.write(describe(verdict))
+        sys.stderr.write(f"lodbench: {run} was not added: its numbers are not consistent with its poses.\n")
+        return 1
+    queries = verdict.stored.queries
+    has_some = has_truth(queries).groupby(queries["split"]).any()
+    if not has_some.all():
+        without = ", ".join(map(str, has_some.index[~has_some]))
+        raise DatasetError(
+            f"{run} has no truth for {without}, without which nothing is scored.",
+            "Add a run on data with true poses.",
+        )
+    inputs = verdict.stored.summary["dataset"]
+    config = read_config(run)
+    reasons = [*leaderboard.reasons_against(config, _sizes(verdict), inputs), *_doubts(verdict)]
+    entry = leaderboard.measured_entry(
+        with_plugin_metrics(without_metrics(verdict.stored.summary, verdict.unknown), verdict.computed),
+        verdict.stored.provenance,
+        digests=_digests(verdict),
+        run=run.resolve().name,
+        map_name=options.map,
+        reasons=reasons,
+        settings=changed_settings(config["method"]),
+    )
+    text, path = leaderboard.entry_text(entry), leaderboard.entry_path(options.root, entry)
+    twin = _twin(options.root, path, entry)
+    if twin is not None:
+        raise DatasetError(f"{run} is a copy of a run that has an entry: {twin}.", "Each run is ranked once.")
+    make_folder(path.parent)
+    write_text(path, text)
+    sys.stdout.write(f"{path}\n" + "".join(f"  kept out of the ranking: {reason}\n" for reason in reasons))
+    return 0
+
+
+def _twin(root: Path, path: Path, entry: leaderboard.Entry) -> Path | None:
+    """Returns another entry of the very same files, or None."""
+    files = entry["provenance"]["files"]
+    for other in leaderboard.read_entries(root) if (root / "entries").is_dir() else ():
+        place = path.with_name(other["file"])
+        if (
+            place != path
+            and other["dataset"] == entry["dataset"]
+            and other["provenance"].get("files") == files
+        ):
+            return place
+    return None
+
+
+def _sizes(verdict: Verdict) -> dict[str, int] | None:
+    """Returns how many queries the dataset has by split; None where it is not there."""
+    if verdict.dataset is None:
+        return None
+    counts = Counter(entry.split for entry in verdict.dataset.entries)
+    return {split: counts[split] for split in verdict.dataset.splits}
+
+
+def _doubts(verdict: Verdict) -> list[str]:
+    """Returns what could not be verified."""
+    doubts = ["not verified against the truth: the dataset was not there"] if verdict.is_weak else []
+    return doubts + [f"not wholly verified: {note}" for note in verdict.notes]
+
+
+def _digests(verdict: Verdict) -> dict[str, str]:
+    digests = dict(verdict.stored.digests)
+    if verdict.entries:
+        digests |= {"prior": prior_digest(verdict.entries), "split": split_digest(verdict.entries)}
+    return digests
+
+
+def _build(root: Path, check: bool) -> int:
+    texts = leaderboard.build_leaderboard(root)
+    if not texts:
+        raise DatasetError(f"{root / 'entries'} holds no entries.", "lodbench leaderboard add RUN")
+    changed = [
+        path for path, text in texts.items() if not (path.is_file() and path.read_bytes() == text.encode())
+    ]
+    for path in changed:
+        if not check:
+            write_text(path, texts[path])
+        sys.stdout.write(f"{path}{': not what the entries make' if check else ''}\n")
+    stale = _stale(root, texts)
+    for path in stale:
+        sys.stdout.write(f"{path}: no entry makes it any more: remove it\n")
+    if not (changed or stale):
+        sys.stdout.write(f"{len(texts)} files are what the entries make\n")
+    return 1 if check and (changed or stale) else 0
+
+
+def _stale(root: Path, texts: Collection[Path]) -> list[Path]:
+    """Returns the files of boards whose last entry is gone; a board is recognised by its LaTeX."""
+    names = {path.stem for path in root.glob("*.tex")} - {path.stem for path in texts}
+    files = (
+        root / f"{name}{ending}" for name in sorted(names) for ending in (".csv", ".html", ".md", ".tex")
+    )
+    return [path for path in files if path.is_file()]

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lodbench.cli.options import CAMERA_HELP, HeightFlags, ReadingOptions, given_camera
 from lodbench.cli.parser import Parser
-from lodbench.cli.place_options import CAMERA_HELP, HeightFlags, ReadingOptions, given_camera
 from lodbench.errors import ConfigError, nearest_names, require_within
 from lodbench.params import add_options, flag, options_of, part, word
 from lodbench.plugins import plugin_names
@@ -100,10 +100,7 @@ class ImportOptions:
     images: Path | None = flag(None, "photos; without it poses and cameras only", metavar="DIR")
     cameras: Path | None = flag(None, "cameras, as in intrinsic.txt", metavar="FILE")
     city: Path | None = flag(
-        None,
-        "city model: to check where the cameras are, and for priors",
-        metavar="FILE",
-        sets=("city",),
+        None, "city model: to check where the cameras are, and for priors", metavar="FILE", sets=("city",)
     )
     reading: ReadingOptions = part(ReadingOptions)
     common: PhotoSetOptions = part(PhotoSetOptions)

@@ -20,6 +20,20 @@ from lodbench.plugins import KINDS, PlugIn, config_files, find_plugin
 from lodbench.reporting.aligned_text import count_of
 
 _JSON = "one check per line, for machines"
+_SOURCE = "source"
+# Kinds that read files of a user's.
+_OF_SAMPLES = ("city-reader", "pose-format")
+_EPILOG = """\
+docs/plugins.md has an example of each kind, and says what its check proves. Exit code: 0 it conforms to
+the protocol, 1 it does not, 2 there is no such plug-in, setting or sample.
+"""
+_EPILOG_OF_METHODS = """\
+A method is an entry point under lodbench.methods, with conf/method/NAME.yaml: see CONTRIBUTING.md, "Add a
+method". It localises three photos of seven blocks, with exact masks, several times.
+Settings are those of a run: lodbench check-method lodlocv2 method.variant=no_refine
+In another environment: lodbench check-method NAME runner.python=PATH
+Exit code: 0 it conforms to the protocol, 1 it does not, 2 there is no such method or setting.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,15 +85,6 @@ def _lines(checks: list[Check], is_thorough: bool) -> Iterator[str]:
         yield f"Optional, not ready: {optional}."
 
 
-_SOURCE = "source"
-# Kinds that read files of a user's.
-_OF_SAMPLES = ("city-reader", "pose-format")
-_EPILOG = """\
-docs/plugins.md has an example of each kind, and says what its check proves. Exit code: 0 it conforms to
-the protocol, 1 it does not, 2 there is no such plug-in, setting or sample.
-"""
-
-
 @dataclass(frozen=True, kw_only=True)
 class PluginOptions:
     """What `lodbench check-plugin` is given."""
@@ -112,7 +117,7 @@ def main_plugin(argv: Sequence[str]) -> int:
         raise ConfigError(
             f"There is no kind {options.kind!r}.", nearest_names(options.kind, [*groups, _SOURCE])
         )
-    from lodbench.harness.conformance.checks import CONFIGURED
+    from lodbench.harness.conformance import CONFIGURED
 
     if options.settings and groups.get(options.kind) not in CONFIGURED:
         hint = f"Leave {options.settings[0]} out."
@@ -151,7 +156,7 @@ def _require_sample(kind: str, sample: Path | None) -> None:
 
 
 def _checks(group: str, name: str, settings: Sequence[str], sample: Path | None) -> Iterator[Check]:
-    from lodbench.harness.conformance.checks import CONFIGURED, check_plugin, require_settings
+    from lodbench.harness.conformance import CONFIGURED, check_plugin, require_settings
 
     plug_in = find_plugin(group, name)
     try:
@@ -167,7 +172,7 @@ def _checks(group: str, name: str, settings: Sequence[str], sample: Path | None)
 
 def _settings(words: Sequence[str], section: str) -> dict[str, Any]:
     """Returns the values of settings written as ``section.key=value``."""
-    from lodbench.cli.parts import option_pairs
+    from lodbench.cli.options import option_pairs
 
     for each in words:
         if not each.startswith(f"{section}."):
@@ -177,7 +182,7 @@ def _settings(words: Sequence[str], section: str) -> dict[str, Any]:
 
 def _source_checks(name: str) -> Iterator[Check]:
     """Yields whether a profile can be read, its options are options, and its reader there is."""
-    from lodbench.cli.parts import load_profile
+    from lodbench.cli.options import load_profile
 
     if name not in config_files(_SOURCE):
         raise ConfigError(f"There is no source {name!r}.", nearest_names(name, config_files(_SOURCE)))
@@ -195,15 +200,6 @@ def _source_checks(name: str) -> Iterator[Check]:
         )
         return
     yield Check("plug-in", "profile", OK, f"{config_files(_SOURCE)[name]}, reader {reader or 'by content'}")
-
-
-_EPILOG_OF_METHODS = """\
-A method is an entry point under lodbench.methods, with conf/method/NAME.yaml: see CONTRIBUTING.md, "Add a
-method". It localises three photos of seven blocks, with exact masks, several times.
-Settings are those of a run: lodbench check-method lodlocv2 method.variant=no_refine
-In another environment: lodbench check-method NAME runner.python=PATH
-Exit code: 0 it conforms to the protocol, 1 it does not, 2 there is no such method or setting.
-"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,7 +231,7 @@ def main_method(argv: Sequence[str]) -> int:
     for setting in options.settings:
         if not setting.startswith(("method.", "runner.")):
             raise ConfigError(f"{setting} is not a setting of a method.", "Write method.KEY=VALUE.")
-    from lodbench.cli.run_dataset import remote_checks
+    from lodbench.cli.run import remote_checks
 
     # What the method prints is no line of the report's.
     with redirect_stdout(sys.stderr):

@@ -1,20 +1,30 @@
-"""`lodbench localize`: photos in; where they were taken, overlays, a table and a map out."""
+"""`lodbench localize`: photos in; poses, overlays, a table and a map out. The same from Python."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import logging
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from lodbench.cli.localize_text import describe, describe_many
+from lodbench.cli.options import (
+    HeightFlags,
+    MapOptions,
+    PlaceOptions,
+    PriorOptions,
+    city_settings,
+    option_pairs,
+    require_one_mask_source,
+    segmenter_of,
+)
 from lodbench.cli.parser import Parser
-from lodbench.cli.parts import option_pairs, require_one_mask_source, segmenter_of
-from lodbench.cli.place_options import HeightFlags, MapOptions, PlaceOptions, PriorOptions, city_settings
-from lodbench.errors import ConfigError, DatasetError
+from lodbench.errors import ConfigError, DatasetError, LodbenchError, Option, Words, nearest_names
 from lodbench.execution import Progress
 from lodbench.params import add_options, flag, options_of, part, word
 from lodbench.photos.pose import START_OF_EACH
@@ -83,6 +93,7 @@ examples:
   lodbench localize photo.jpg --city city.obj --mask mask.png --camera 'PINHOLE 400 300 290 290 200 150' \\
       --center 120 -40 95 --heading 30 --pitch -50
 """
+AnyPath = str | PathLike[str]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +180,7 @@ def main(argv: Sequence[str]) -> int:
 
     found = localized(options)
     if not isinstance(found, LocalizedPhoto):
-        return _tell_many(found, options)
+        return _print_many(found, options)
     sys.stdout.write((_json(found.to_json()) if options.json else describe(found)) + "\n")
     return 0 if found.is_trusted else NOT_TRUSTED
 
@@ -196,7 +207,7 @@ def localized(options: LocalizeOptions) -> LocalizedPhoto | Answers:
     if masks is not None:
         require_some_mask(masks, [f"{photo.parent.name}/{photo.name}" for photo in photos], photos)
     request = _with_start(_request(options, photos[0], method, masks), photos, options)
-    _tell_unused(photos, options)
+    _warn_of_unused(photos, options)
     if options.sidecars:
         require_sidecars(open_map(request).scene.crs, {photo.parent for photo in photos})
     return _one(request, options) if options.is_one else _several(request, photos, masks, options)
@@ -221,8 +232,7 @@ def _several(
     from lodbench.citymodel.surface.orthophoto import open_imagery
     from lodbench.harness.photo.flights import localize_flights
     from lodbench.harness.photo.localize import open_map
-    from lodbench.harness.photo.many import localize_photos, write_view
-    from lodbench.harness.photo.workers import default_workers
+    from lodbench.harness.photo.many import default_workers, localize_photos, write_view
     from lodbench.methods.protocol import SupportsFlights
 
     # A script that calls this must not be run again by each worker: those of the command line are none.
@@ -245,7 +255,7 @@ def _several(
     return answers
 
 
-def _tell_unused(photos: Sequence[Path], options: LocalizeOptions) -> None:
+def _warn_of_unused(photos: Sequence[Path], options: LocalizeOptions) -> None:
     """Warns of what photos have and nobody uses."""
     from lodbench.harness.photo.flight_inputs import heading_note, saved_masks_note
 
@@ -334,7 +344,7 @@ def _require_options(options: LocalizeOptions) -> None:
         )
 
 
-def _tell_many(answers: Answers, options: LocalizeOptions) -> int:
+def _print_many(answers: Answers, options: LocalizeOptions) -> int:
     """Prints what became of many photos; returns the exit code."""
     if options.json:
         values = [
@@ -356,3 +366,113 @@ def _tell_many(answers: Answers, options: LocalizeOptions) -> int:
 
 def _json(values: Any) -> str:
     return json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def localize_photo(photo: AnyPath, city: AnyPath, **options: Any) -> LocalizedPhoto:
+    """Returns where a photo was taken, by its EXIF and XMP; writes the files of `lodbench localize`.
+
+    Args:
+        photo: JPEG, PNG or TIFF as the drone stored it.
+        city: City model: file, archive, folder of tiles or scene.
+        options: Those of the command, with underscores: ``out="found"`` (folder of the results, by default
+            ``localized``), ``mask``, ``method``, ``takeoff=61.5``, ``center=(e, n, up)``,
+            ``camera="PINHOLE 400 300 290 290 200 150"``, ``option={"axis_order": "east_first"}``.
+
+    Raises:
+        ConfigError: There is no such option, its value is wrong, or the photo is a folder.
+        LodbenchError: The photo, its metadata, mask or camera, or the city is missing or not fit.
+
+    Example::
+
+        found = localize_photo("DJI_0001.JPG", "city.gml", takeoff=61.5)
+        print(found.place.latitude_deg, found.place.heading_deg, found.trust)
+    """
+    if Path(photo).is_dir():
+        raise ConfigError(f"{fspath(photo)} is a folder.", "lodbench.localize_flight takes folders.")
+    return cast("LocalizedPhoto", _localized([photo], city, options))
+
+
+def localize_flight(photos: AnyPath | Sequence[AnyPath], city: AnyPath, **options: Any) -> Answers:
+    """Returns where the photos of flights were taken, each flight solved as a whole, and writes all of it.
+
+    Args:
+        photos: A folder, or files and folders.
+        city: As of ``localize_photo``.
+        options: Likewise: ``masks``, ``reconstruction``, ``out``, ``each_alone=True``.
+
+    Returns:
+        An answer per photo (``photos``: the answer or why there is none), flights, and the files written.
+
+    Raises:
+        ConfigError: There is no such option, its value is wrong, or there is but one photo.
+        LodbenchError: The city cannot be read, or there are no photos.
+    """
+    several = [photos] if isinstance(photos, str | PathLike) else list(photos)
+    if len(several) == 1 and Path(several[0]).is_file():
+        raise ConfigError(f"{fspath(several[0])} is one photo.", "lodbench.localize_photo takes it.")
+    return cast("Answers", _localized(several, city, options))
+
+
+def _localized(
+    photos: Sequence[AnyPath], city: AnyPath, options: Mapping[str, Any]
+) -> LocalizedPhoto | Answers:
+    command = parser()
+    known = {each.dest: each for each in command._actions if each.option_strings}
+    try:
+        typed = command.parse_args(_typed(photos, city, options, known))
+        return localized(options_of(typed, LocalizeOptions))
+    except LodbenchError as error:
+        flags = {each.option_strings[-1]: each for each in known.values()}
+        error.message = as_arguments(error.message, flags)
+        error.hint = as_arguments(error.hint, flags)
+        raise
+
+
+def _typed(
+    photos: Sequence[AnyPath], city: AnyPath, options: Mapping[str, Any], known: Mapping[str, argparse.Action]
+) -> list[str]:
+    """Returns the command's words for these arguments."""
+    words: list[str] = []
+    for name, value in {"city": city, **options}.items():
+        if name not in known or name in ("help", "json"):
+            raise ConfigError(f"localize has no option {name}.", nearest_names(name, known))
+        words += _words(known[name].option_strings[-1], value, known[name])
+    return [*words, "--", *(fspath(photo) for photo in photos)]
+
+
+def as_arguments(text: Words, flags: Mapping[str, argparse.Action]) -> Words:
+    """Returns a message of the command with its flags as arguments of the functions here.
+
+    Example:
+        >>> command = parser()
+        >>> flags = {each.option_strings[-1]: each for each in command._actions if each.option_strings}
+        >>> as_arguments(Words("Give `--lat`, `--center EAST NORTH UP` and `--camera 'PINHOLE 4 3'`."), flags)
+        "Give lat, center=(EAST, NORTH, UP) and camera='PINHOLE 4 3'."
+        >>> as_arguments(Words("lodbench localize takes `--heights ellipsoid`."), flags)
+        "this function takes heights='ellipsoid'."
+    """
+
+    def argument(option: Option) -> str:
+        action = flags.get(f"--{option.name.replace('_', '-')}")
+        if action is None:
+            return option.words
+        if action.choices and option.value in action.choices:
+            return f"{action.dest}={option.value!r}"
+        several = isinstance(action.nargs, int) and action.nargs > 1 and " " in option.value
+        value = f"({', '.join(option.value.split())})" if several else option.value
+        return f"{action.dest}={value}" if value else action.dest
+
+    return Words(text.marked.replace("lodbench localize takes", "this function takes")).rewritten(argument)
+
+
+def _words(flag: str, value: Any, action: argparse.Action) -> list[str]:
+    """Returns an option as it is typed; none for None and False."""
+    if value is None or value is False:
+        return []
+    if value is True:
+        return [flag]
+    if isinstance(value, Mapping):
+        return [word for key, each in value.items() for word in (flag, f"{key}={each}")]
+    if isinstance(action.nargs, int) and action.nargs > 1:
+        return [flag, *map(str, value)]
+    return [f"{flag}={value}"]

@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING
 
 from lodbench.geometry.angles import look_from_rotation
 from lodbench.photos.map_frame import survey_sigmas
-from lodbench.reporting.aligned_text import count_of, format_columns, plain_text
+from lodbench.reporting import aligned_text, flight_words, table_heads
 from lodbench.reporting.answers import percent_text, probability_text, trust_counts, trust_word
-from lodbench.reporting.flight_words import place_columns
-from lodbench.reporting.table_heads import finite_text
 
 if TYPE_CHECKING:
     from lodbench.harness.photo.localize import LocalizedPhoto
@@ -38,7 +36,7 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
     lines += _doubt_lines(answers)
     doubted = sum(not found.is_trusted for found in answers.found)
     counts = trust_counts(answer.trust for answer in answers.photos)
-    lines.append(f"{count_of(len(answers.photos), 'photos')}: {counts}")
+    lines.append(f"{aligned_text.count_of(len(answers.photos), 'photos')}: {counts}")
     if doubted:
         helps = (
             "correct their masks (lodbench mask PHOTO)" if has_masks else "add a mask for each (--masks DIR)"
@@ -61,14 +59,14 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
 def _photo_table(answers: Answers) -> str:
     """Returns a line per photo: its place on Earth, or in the city's coordinates where that is not known."""
     is_local = bool(answers.found) and all(found.place is None for found in answers.found)
-    columns = [*place_columns(not is_local), ("moved m", "moved_m", "z.2f")]
+    columns = [*flight_words.place_columns(not is_local), ("moved m", "moved_m", "z.2f")]
     rows = [["", *(head for head, _, _ in columns), "sure", "trust"]]
     for answer in answers.photos:
         row = answer.row()
         texts = ["-" if row[name] is None else format(row[name], spec) for _, name, spec in columns]
         sure = "-" if row["probability"] is None else probability_text(row["probability"])
-        rows.append([plain_text(str(answer.photo)), *texts, sure, answer.trust])
-    return format_columns(rows)
+        rows.append([aligned_text.plain_text(str(answer.photo)), *texts, sure, answer.trust])
+    return aligned_text.format_columns(rows)
 
 
 def _failure_lines(answers: Answers) -> list[str]:
@@ -84,15 +82,17 @@ def _failure_lines(answers: Answers) -> list[str]:
             words = f"{names}: {failed[0].failure}"
         else:
             more = ", ..." if len(failed) > _MOST_NAMED else ""
-            words = f"{count_of(len(failed), 'photos')} ({names}{more}): {reason}"
-        lines.append(f"failed: {plain_text(words)}")
+            words = f"{aligned_text.count_of(len(failed), 'photos')} ({names}{more}): {reason}"
+        lines.append(f"failed: {aligned_text.plain_text(words)}")
     return lines
 
 
 def _doubt_lines(answers: Answers) -> list[str]:
     """Returns what the method says of answers that are not to be trusted: why they may be wrong."""
     doubted = [(a.photo, a.found) for a in answers.photos if a.found is not None and not a.found.is_trusted]
-    lines = [plain_text(f"{photo}: {note}") for photo, found in doubted for note in found.method_notes]
+    lines = [
+        aligned_text.plain_text(f"{photo}: {note}") for photo, found in doubted for note in found.method_notes
+    ]
     more = len(lines) - _MOST_DOUBTS
     return lines if more <= 0 else [*lines[:_MOST_DOUBTS], f"and {more} more such notes in the table"]
 
@@ -101,7 +101,7 @@ def _flight_lines(answers: Answers) -> list[str]:
     """Returns what each flight was taken with, and what it says of drone and map."""
     lines = []
     for flight in answers.flights:
-        first, *more = map(plain_text, (*flight.taken, *flight.sentences()))
+        first, *more = map(aligned_text.plain_text, (*flight.taken, *flight.sentences()))
         lines += [f"{flight.name}: {first}", *(f"  {line}" for line in more)]
     return lines
 
@@ -150,7 +150,10 @@ def _trust_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
     if found.probability is None:
         rows.append(("sure", "this method does not say"))
         rows.append(
-            ("score", f"{finite_text(found.score, '.3f')}, the method's own measure: higher is better")
+            (
+                "score",
+                f"{table_heads.finite_text(found.score, '.3f')}, the method's own measure: higher is better",
+            )
         )
     else:
         percent = f"{percent_text(found.probability)} within 2 m and 2 deg"

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.cli.localize import NOT_TRUSTED
+from lodbench.cli.options import MapOptions
 from lodbench.cli.parser import Parser
-from lodbench.cli.place_options import MapOptions
 from lodbench.errors import ConfigError, require_within
 from lodbench.params import flag, parsed, part, word
 from lodbench.reporting.aligned_text import format_columns, plain_text
@@ -59,11 +59,7 @@ class LocateOptions:
         Path("localized"), "folder that lodbench localize wrote (default: localized)", metavar="DIR"
     )
     pixel: tuple[tuple[float, float], ...] = flag(
-        (),
-        "column and row, in the photo as stored; may be repeated",
-        type=float,
-        nargs=2,
-        metavar=("U", "V"),
+        (), "column and row, in the photo as stored; may be repeated", type=float, nargs=2, metavar=("U", "V")
     )
     mask: Path | None = flag(None, "mask of the photo: its white regions become polygons", metavar="FILE")
     pixel_sigma: float | None = flag(None, "how well pixels are pointed at (default: 1)", metavar="PX")

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lodbench.cli.options import HeightFlags
 from lodbench.cli.parser import Parser
-from lodbench.cli.place_options import HeightFlags
 from lodbench.errors import ConfigError, DatasetError, require_within
 from lodbench.params import flag, parsed, part, word
 from lodbench.storage.paths import require_regular
@@ -33,6 +33,20 @@ examples:
   lodbench mask DJI_0001.JPG --no-page --export labelme        for LabelMe; then bring it back:
   lodbench mask DJI_0001.JPG --no-page --import DJI_0001_mask.labelme.json
   lodbench localize DJI_0001.JPG --city city.gml --mask DJI_0001_mask.png
+"""
+_TRACE_EPILOG = """\
+On the page a roof is outlined in two photos, its corners in the same order. Its corners and its one height
+are triangulated, then moved together until its edges lie on line segments in all photos that show it; the
+ground is taken from the model's points around it. The result is a map of LoD1 prisms, in any format that
+lodbench city convert writes.
+
+Scale and level: a known length traced, or --scale; ground traced, or the plane of the model's points. Or all
+of it, and the place: --start, or --crs with photos that state where they were taken, or --metric.
+
+examples:
+  lodbench trace sparse/0 --images photos                            trace, save traced.json, write the map
+  lodbench trace sparse/0 --images photos --polygons traced.json --compare again.json
+  lodbench trace sparse/0 --images photos --polygons traced.json --start rough.txt --benchmark town
 """
 
 
@@ -67,7 +81,7 @@ def main_mask(argv: Sequence[str]) -> int:
         _MASK_EPILOG,
     )
     options = parsed(parser, argv, MaskOptions)
-    from lodbench.cli.parts import require_one_mask_source, segmenter_of
+    from lodbench.cli.options import require_one_mask_source, segmenter_of
     from lodbench.harness.mask import Untouched, opened_session, require_untouched, require_unturned, saved
     from lodbench.photos.files import mask_name
 
@@ -179,22 +193,6 @@ def _serve_mask(
                     words = f"\nnot saved: strokes since the last Save. Go on with them: {again}\n"
                     sys.stdout.write(words)
             raise
-
-
-_TRACE_EPILOG = """\
-On the page a roof is outlined in two photos, its corners in the same order. Its corners and its one height
-are triangulated, then moved together until its edges lie on line segments in all photos that show it; the
-ground is taken from the model's points around it. The result is a map of LoD1 prisms, in any format that
-lodbench city convert writes.
-
-Scale and level: a known length traced, or --scale; ground traced, or the plane of the model's points. Or all
-of it, and the place: --start, or --crs with photos that state where they were taken, or --metric.
-
-examples:
-  lodbench trace sparse/0 --images photos                            trace, save traced.json, write the map
-  lodbench trace sparse/0 --images photos --polygons traced.json --compare again.json
-  lodbench trace sparse/0 --images photos --polygons traced.json --start rough.txt --benchmark town
-"""
 
 
 @dataclass(frozen=True, kw_only=True)

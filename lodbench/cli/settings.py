@@ -11,8 +11,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any, NamedTuple, cast, get_type_hints
 
-from lodbench.cli.commands import ACTIONS, COMMANDS
-from lodbench.cli.parser import report_old_name
+from lodbench.cli.parser import ACTIONS, COMMANDS, report_old_name
 from lodbench.errors import ConfigError, Option, Words, nearest_names
 from lodbench.params import flags_of
 from lodbench.plugins import config_files, config_folders, find_plugin
@@ -25,6 +24,19 @@ _FLAGS_OF_HYDRA = _FLAGS | _FLAGS_WITH_VALUE
 _SHORT = {"city": "dataset.city_model", "root": "dataset.root"}
 SETTINGS_COMMANDS = ("run", "basin", "evaluate", "render", "generate-training-data", "train")
 _OF_DATASETS = ("run", "basin", "evaluate")
+_LINE = re.compile(r"(?P<indent> *)(?P<key>[\w.-]+):(?: +(?P<value>[^#\s][^#]*?))? *(?:# *(?P<meaning>.*))?$")
+_DEFAULT = re.compile(r"  - (?P<group>\w+)(?:@(?P<package>\w+))?: *(?P<name>[\w.-]+)")
+_ATTRIBUTE = re.compile(r"^ {8}(\w+): (.+(?:\n {12,}.+)*)", re.MULTILINE)
+# Groups whose plug-ins' docstrings say what a setting without a comment means.
+_PLUGINS = {"method": "methods", "segmenter": "segmenters", "dataset": "datasets", "prior": "priors"}
+# Where no option is declared for a setting.
+_SAME = {name: f"--{name}" for name in ("city", "crs", "lod", "method", "segmenter")}
+# Settings of a part are words of one flag.
+_PARTS = {"method": "--method-option", "segmenter": "--segmenter-option", "prior": "--set"}
+# These take settings as ``KEY=VALUE`` alone.
+_CHECKS = ("check-method", "check-plugin")
+# What OmegaConf makes more of than YAML does: references to other settings, and 1e-3, a text in YAML 1.1.
+_OF_OMEGACONF = re.compile(r"\$\{|\d[eE]")
 
 
 def settings_of(command: str, words: Sequence[str]) -> list[str]:
@@ -99,13 +111,6 @@ def report_old_names(command: str, words: Sequence[str]) -> None:
     """Says of a command's words that were renamed what they are called now."""
     if command in _OF_DATASETS and any(word.startswith(f"{_SHORT['city']}=") for word in words):
         report_old_name(f"{_SHORT['city']}=", "city=")
-
-
-_LINE = re.compile(r"(?P<indent> *)(?P<key>[\w.-]+):(?: +(?P<value>[^#\s][^#]*?))? *(?:# *(?P<meaning>.*))?$")
-_DEFAULT = re.compile(r"  - (?P<group>\w+)(?:@(?P<package>\w+))?: *(?P<name>[\w.-]+)")
-_ATTRIBUTE = re.compile(r"^ {8}(\w+): (.+(?:\n {12,}.+)*)", re.MULTILINE)
-# Groups whose plug-ins' docstrings say what a setting without a comment means.
-_PLUGINS = {"method": "methods", "segmenter": "segmenters", "dataset": "datasets", "prior": "priors"}
 
 
 class Setting(NamedTuple):
@@ -274,14 +279,6 @@ def _attributes(described: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
                 yield f"{prefix}{name}", " ".join(words.split())
 
 
-# Where no option is declared for a setting.
-_SAME = {name: f"--{name}" for name in ("city", "crs", "lod", "method", "segmenter")}
-# Settings of a part are words of one flag.
-_PARTS = {"method": "--method-option", "segmenter": "--segmenter-option", "prior": "--set"}
-# These take settings as ``KEY=VALUE`` alone.
-_CHECKS = ("check-method", "check-plugin")
-
-
 def in_syntax_of(words: Sequence[str], text: Words) -> Words:
     """Returns a message with its options in the syntax of the command that was typed.
 
@@ -337,10 +334,6 @@ def _flag(option: Option, flag: str) -> str:
     takes_pair = flag in ("--option", *_PARTS.values())
     value = option.words.partition(".")[2] or option.words if takes_pair else option.value
     return f"{flag} {value}".rstrip()
-
-
-# What OmegaConf makes more of than YAML does: references to other settings, and 1e-3, a text in YAML 1.1.
-_OF_OMEGACONF = re.compile(r"\$\{|\d[eE]")
 
 
 def read_config(group: str, name: str) -> dict[str, Any] | None:

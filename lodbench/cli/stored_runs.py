@@ -15,9 +15,9 @@ from lodbench.cli.parser import Parser, report_fault
 from lodbench.cli.verify import DataOptions, read_config, reopen_dataset, run_folders, verify_folder
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
-from lodbench.execution.progress import format_seconds
+from lodbench.execution import format_seconds
 from lodbench.harness.city import open_city
-from lodbench.harness.export.formats import (
+from lodbench.harness.export import (
     CITY,
     CRS,
     Export,
@@ -27,10 +27,9 @@ from lodbench.harness.export.formats import (
     make_format,
     wanted_by,
 )
-from lodbench.harness.export.localized import is_localized, read_localized_folder
-from lodbench.harness.runs.places import flight_findings, pages_of_run, scene_of, view_of_run
+from lodbench.harness.photo.localized import is_localized, read_localized_folder
+from lodbench.harness.runs import places, report
 from lodbench.harness.runs.queries import FLIGHTS_FOLDER
-from lodbench.harness.runs.report import run_report, title_of
 from lodbench.harness.runs.stored import (
     RunStatus,
     StoredRun,
@@ -44,6 +43,24 @@ from lodbench.photos.map_frame import MapFrame
 from lodbench.plugins import blaming, plugin_names
 from lodbench.reporting.aligned_text import count_of, plain_text
 from lodbench.storage import write_text
+
+_ABOUT = """\
+Write one HTML page of a run, pictures inside, and one of each flight that a method solved as a whole; numbers
+are verified on the way. Beside it PAGE_3d.html shows city and cameras in three dimensions.
+"""
+_EPILOG = """\
+csv is the table for people: easting, northing, height, latitude, longitude, heading, pitch, roll, standard
+deviations, probability and trust of each photo. queries is the run's own table, with quaternions (world to
+camera) and covariances; parquet the same, typed. geojson and gpkg (GeoPackage) are maps.
+
+A folder that lodbench localize wrote is exported likewise: each photo is a query, with its camera as stored.
+
+Poses are written in the dataset's coordinates; queries without one are named, not written (in tables and maps
+they have no place). COLMAP, kapture and nerfstudio hold cameras, which come from the dataset.
+submission is what the dataset's own benchmark takes, where it takes something (docs/datasets.md).
+For the Rerun viewer the city, the priors, the truth, photos and masks are written too, in the city's local
+frame; `rerun FILE` opens it. Of files that are there only earlier exports in the format are replaced.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,12 +103,6 @@ def describe_status(status: RunStatus) -> str:
     return "\n".join(lines) + "\n"
 
 
-_ABOUT = """\
-Write one HTML page of a run, pictures inside, and one of each flight that a method solved as a whole; numbers
-are verified on the way. Beside it PAGE_3d.html shows city and cameras in three dimensions.
-"""
-
-
 @dataclass(frozen=True, kw_only=True)
 class ReportOptions:
     """What the command is given."""
@@ -120,9 +131,9 @@ def _report(run: Path, options: ReportOptions) -> int:
     verdict = verify_folder(run, options.data.dataset_root, options.data.city_model)
     out = options.out or run / "report.html"
     tilt = str(read_config(run)["tilt"])
-    scene = scene_of(verdict)
+    scene = places.scene_of(verdict)
     imagery = _imagery(options.imagery, scene)
-    flights = list(flight_findings(verdict)) if scene is not None else []
+    flights = list(places.flight_findings(verdict)) if scene is not None else []
     folder = run / FLIGHTS_FOLDER
     files = {
         # Into the run nothing is written that is requested elsewhere.
@@ -131,15 +142,17 @@ def _report(run: Path, options: ReportOptions) -> int:
     }
     pages = {"The run": out.name, **{name: _way(file, out.parent) for name, file in files.items()}}
     view = out.with_name(f"{out.stem}_3d.html")
-    view_page = "" if scene is None else view_of_run(verdict, scene, tilt, title_of(verdict), pages)
-    write_text(out, run_report(verdict, tilt, scene, view.name if view_page else "", imagery))
+    view_page = (
+        "" if scene is None else places.view_of_run(verdict, scene, tilt, report.title_of(verdict), pages)
+    )
+    write_text(out, report.run_report(verdict, tilt, scene, view.name if view_page else "", imagery))
     sys.stdout.write(f"{out}\n")
     if view_page:
         write_text(view, view_page)
         sys.stdout.write(f"{view}\n")
     if scene is not None and files:
         there = _way(view, folder if options.out is None else out.parent) if view_page else ""
-        for name, page in pages_of_run(verdict, scene, tilt, there, imagery).items():
+        for name, page in places.pages_of_run(verdict, scene, tilt, there, imagery).items():
             write_text(files[name], page)
             sys.stdout.write(f"{files[name]}\n")
     for line in verdict.differences:
@@ -161,21 +174,6 @@ def _imagery(path: Path | None, scene: Scene | None) -> Imagery | None:
 def _way(file: Path, folder: Path) -> str:
     """Returns the address of a file from the pages in a folder."""
     return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
-
-
-_EPILOG = """\
-csv is the table for people: easting, northing, height, latitude, longitude, heading, pitch, roll, standard
-deviations, probability and trust of each photo. queries is the run's own table, with quaternions (world to
-camera) and covariances; parquet the same, typed. geojson and gpkg (GeoPackage) are maps.
-
-A folder that lodbench localize wrote is exported likewise: each photo is a query, with its camera as stored.
-
-Poses are written in the dataset's coordinates; queries without one are named, not written (in tables and maps
-they have no place). COLMAP, kapture and nerfstudio hold cameras, which come from the dataset.
-submission is what the dataset's own benchmark takes, where it takes something (docs/datasets.md).
-For the Rerun viewer the city, the priors, the truth, photos and masks are written too, in the city's local
-frame; `rerun FILE` opens it. Of files that are there only earlier exports in the format are replaced.
-"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,7 +213,7 @@ def main_export(argv: Sequence[str]) -> int:
         else:
             export = _opened(options, read_whole_run(folder), form)
         with blaming("export_formats", options.format, "write the run"):
-            _tell_written(export_run(export, form, options.out), form)
+            _print_written(export_run(export, form, options.out), form)
     return 0
 
 
@@ -285,7 +283,7 @@ def _one_system(reported: Sequence[object], crs: str | None) -> str | None:
     return crs or (named[0] if named else None)
 
 
-def _tell_written(done: Exported, form: ExportFormat) -> None:
+def _print_written(done: Exported, form: ExportFormat) -> None:
     """Says what was written, and what its angles mean where they are not those of other formats."""
     sys.stdout.write(f"{done.path}: {done.count} pose{'s' * (done.count != 1)}\n")
     if convention := getattr(form, "convention", ""):

@@ -10,9 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.cli.localize import NOT_TRUSTED
+from lodbench.cli.options import (
+    HeightFlags,
+    MapOptions,
+    PlaceOptions,
+    city_settings,
+    require_frames_looked_at,
+    require_one_mask_source,
+    segmenter_of,
+)
 from lodbench.cli.parser import Parser
-from lodbench.cli.parts import require_frames_looked_at, require_one_mask_source, segmenter_of
-from lodbench.cli.place_options import HeightFlags, MapOptions, PlaceOptions, city_settings
 from lodbench.errors import ConfigError, DatasetError, require_within
 from lodbench.params import flag, parsed, part, word
 from lodbench.reporting.aligned_text import plain_text

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, cast
 from omegaconf import DictConfig
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
-from lodbench.cli.parts import profile_of
+from lodbench.cli.options import profile_of
 from lodbench.cli.settings import names_method
 from lodbench.errors import ConfigError, Words
 from lodbench.execution.executor import QUERIES, ExecutorParams
@@ -20,11 +20,11 @@ from lodbench.params import to_params
 from lodbench.plugins import blaming, load_plugin
 from lodbench.reporting.aligned_text import already_there, plain_text
 from lodbench.segmentation.protocol import make_segmenter
-from lodbench.synthesis.camera_paths import GenerateParams
-from lodbench.synthesis.generate import Generated, generate_training_data
-from lodbench.synthesis.photo import LookRanges
+from lodbench.synthesis import camera_paths, generate, photo
 from lodbench.training.samples import LEAST_SHARE, TrainParams
 from lodbench.training.train import Trained, train_network
+
+T = TypeVar("T")
 
 
 def main_render(argv: Sequence[str]) -> int:
@@ -63,10 +63,10 @@ def generate_task(config: DictConfig) -> None:
     # Asked before a town is built, which takes half a minute.
     params = with_demo(params_of(values))
     params = params if params.lod else replace(params, lod=source.lod)
-    sys.stdout.write(report_generated(generate_training_data(params, source.options, executor)))
+    sys.stdout.write(report_generated(generate.generate_training_data(params, source.options, executor)))
 
 
-def with_demo(params: GenerateParams) -> GenerateParams:
+def with_demo(params: camera_paths.GenerateParams) -> camera_paths.GenerateParams:
     """Returns settings in which ``city=demo`` is a built-in town, with its own surroundings.
 
     ``demo`` is the town to train on, ``demo:SEED`` another of its kind, ``demo:test`` the town to test on.
@@ -96,20 +96,22 @@ def with_demo(params: GenerateParams) -> GenerateParams:
     return replace(params, city=str(city), props=params.props or str(root / PROPS_FILE), lod=lod)
 
 
-def params_of(values: dict[str, Any]) -> GenerateParams:
+def params_of(values: dict[str, Any]) -> camera_paths.GenerateParams:
     """Returns the settings of a resolved configuration.
 
     Raises:
         ConfigError: A name is unknown, or a value of the wrong type or out of range.
     """
-    look = to_params(section(values, "look"), LookRanges, "look")
+    look = to_params(section(values, "look"), photo.LookRanges, "look")
     return replace(
-        to_params({key: value for key, value in values.items() if key != "look"}, GenerateParams, ""),
+        to_params(
+            {key: value for key, value in values.items() if key != "look"}, camera_paths.GenerateParams, ""
+        ),
         look=look,
     )
 
 
-def report_generated(made: Generated) -> str:
+def report_generated(made: generate.Generated) -> str:
     """Returns what is said at the end."""
     views = ", ".join(f"{count} {split}" for split, count in made.views.items())
     lines = [f"note: {note}" for note in made.notes]
@@ -121,9 +123,6 @@ def report_generated(made: Generated) -> str:
         )
     lines += [f"folder: {made.out}", f"sheet:  {made.out / 'overview.png'}"]
     return "\n".join(lines) + "\n"
-
-
-T = TypeVar("T")
 
 
 def main_train(argv: Sequence[str]) -> int:
@@ -149,9 +148,9 @@ def train_method(config: DictConfig) -> None:
         raise ConfigError(
             "Settings of a method do not apply to its training.", "Its training's settings are schedule.*"
         )
-    _tell(f"training {name} on {settings.data} into {settings.out}")
+    _print(f"training {name} on {settings.data} into {settings.out}")
     with blaming("methods", name, "be trained"):
-        weights = part.train(settings, _tell)
+        weights = part.train(settings, _print)
     sys.stdout.write(f"weights: {weights}\n")
 
 
@@ -174,10 +173,10 @@ def train_segmenter(config: DictConfig) -> None:
             "sam1_adapter.",
         )
     # Loading torch and the first step take a while: what is going on is said before.
-    _tell(f"training {name} on {params.data} into {params.out}")
+    _print(f"training {name} on {params.data} into {params.out}")
     segmenter, _ = make_segmenter(name, settings)
     with blaming("segmenters", name, "be trained"):
-        trained = train_network(cast("Any", segmenter), params, _tell)
+        trained = train_network(cast("Any", segmenter), params, _print)
     if trained.history:
         sys.stdout.write(report_trained(trained))
 
@@ -194,7 +193,7 @@ def _settings(schedule: dict[str, Any], others: dict[str, Any], kind: type[T]) -
         raise
 
 
-def _tell(line: str) -> None:
+def _print(line: str) -> None:
     sys.stderr.write(f"{plain_text(line)}\n")
     sys.stderr.flush()
 

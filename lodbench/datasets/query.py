@@ -183,7 +183,7 @@ class Dataset:
         assumed: Of ``tilt`` and ``height``, what the priors only assume: methods that require it do not run.
         crs: Reference system of the poses as the data states it, or None.
         protocol: Name of the bins and metrics that its results are reported by, of
-            ``lodbench.evaluation.queries``.
+            ``lodbench.evaluation.metrics``.
         submission: Returns the text of a submission in the benchmark's own format, from poses by
             ``Entry.key``, None for no answer; None where there is no such format.
     """

@@ -17,17 +17,8 @@ from lodbench.datasets.pose_files import is_number
 from lodbench.datasets.pose_text import FoundPose, inverted
 from lodbench.datasets.query import Entry
 from lodbench.errors import DatasetError, LodbenchError
+from lodbench.evaluation import metrics
 from lodbench.evaluation.pose_errors import FAILED, FAILED_PARTS, error_parts, pose_error
-from lodbench.evaluation.queries import (
-    EAST_NORTH,
-    ERROR,
-    GROUND,
-    NO_TRUTH,
-    PARTS,
-    PRIOR_ERROR,
-    is_without_truth,
-    queries_frame,
-)
 from lodbench.geometry import Pose
 from lodbench.photos.pictures import decoded, has_too_many_pixels
 
@@ -36,41 +27,32 @@ if TYPE_CHECKING:
 
     from lodbench.rendering import Scorer
     from lodbench.rendering.surfaces import Surfaces
+# A convention is suspected if reading the poses in another way brings them this many times closer.
+_SUSPICIOUS = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """A method's answer to one query.
+    """A method's answer to one query."""
 
-    Attributes:
-        pose: Estimate in the dataset's frame, or None.
-        failure: Why there is no estimate, or "".
-        score: The method's own measure of fit, or None.
-        hypotheses: Poses rendered and compared; None where that is not known.
-        seconds: Wall time by stage.
-        trace: Best score after each step, by stage; empty where the method states none.
-        probability: What the method said of its being within 2 m and 2 degrees, or None.
-        covariance: Upper triangle, row by row (21 numbers), of its error's covariance in x, y, z (metres),
-            pitch, roll and yaw (degrees); empty where the method states none.
-        mask_png: The query mask at 602 pixels' width or less, as a PNG of one bit per pixel in base64; ""
-            where there is none.
-        alternatives: Other poses that fit nearly as well, best first, in the dataset's frame.
-        alternative_probabilities: Of each, or empty.
-        notes: What the method would have a reader know of its answer.
-    """
-
-    pose: Pose | None
-    failure: str = ""
-    score: float | None = None
-    hypotheses: int | None = None
-    seconds: dict[str, float] = field(default_factory=dict)
+    pose: Pose | None  # estimate in the dataset's frame, or None
+    failure: str = ""  # why there is no estimate, or ""
+    score: float | None = None  # the method's own measure of fit, or None
+    hypotheses: int | None = None  # poses rendered and compared; None where that is not known
+    seconds: dict[str, float] = field(default_factory=dict)  # wall time by stage
+    # Best score after each step, by stage; empty where the method states none.
     trace: dict[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
-    probability: float | None = None
+    probability: float | None = None  # what the method said of its being within 2 m and 2 degrees, or None
+    # Upper triangle, row by row (21 numbers), of its error's covariance in x, y, z (metres), pitch, roll
+    # and yaw (degrees); empty where the method states none.
     covariance: tuple[float, ...] = field(default=(), repr=False)
+    # The query mask at 602 pixels' width or less, as a PNG of one bit per pixel in base64; "" where there
+    # is none.
     mask_png: str = field(default="", repr=False)
+    # Other poses that fit nearly as well, best first, in the dataset's frame.
     alternatives: tuple[Pose, ...] = ()
-    alternative_probabilities: tuple[float, ...] = ()
-    notes: tuple[str, ...] = ()
+    alternative_probabilities: tuple[float, ...] = ()  # of each, or empty
+    notes: tuple[str, ...] = ()  # what the method would have a reader know of its answer
 
     @property
     def mask(self) -> NDArray[np.bool_] | None:
@@ -174,7 +156,7 @@ def evaluate(
     tilt: str = "prior",
     columns: Collection[str] = (),
 ) -> pd.DataFrame:
-    """Returns the table of queries (``lodbench.evaluation.queries``); poses are in the dataset's frame.
+    """Returns the table of queries (``lodbench.evaluation.metrics``); poses are in the dataset's frame.
 
     Args:
         entries: The queries.
@@ -184,7 +166,7 @@ def evaluate(
         scorer: Renders the city, for the IoU of the masks with its silhouette at the truth; None leaves
             it out.
         tilt: ``prior`` or ``truth``: what the priors have, to be written down.
-        columns: Further errors, of ``lodbench.evaluation.queries``.
+        columns: Further errors, of ``lodbench.evaluation.metrics``.
     """
     from lodbench.rendering.surfaces import Surfaces
 
@@ -192,11 +174,11 @@ def evaluate(
         _row(entry, predictions[entry.key], truth.get(entry.key), priors.get(entry.key), scorer)
         for entry in entries
     ]
-    surfaces = None if scorer is None or GROUND not in columns else Surfaces(scorer.scene)
+    surfaces = None if scorer is None or metrics.GROUND not in columns else Surfaces(scorer.scene)
     for row, entry in zip(rows, entries, strict=True):
         errors = _more_errors(entry, predictions[entry.key].pose, truth.get(entry.key), surfaces)
         row |= {"tilt": tilt, **{name: errors[name] for name in columns}}
-    return queries_frame(rows)
+    return metrics.queries_frame(rows)
 
 
 def _more_errors(
@@ -207,7 +189,7 @@ def _more_errors(
     NaN without a truth, or where the centre shows no ground; inf without an answer.
     """
     if truth is None or pose is None:
-        return dict.fromkeys((*EAST_NORTH, GROUND), math.nan if truth is None else math.inf)
+        return dict.fromkeys((*metrics.EAST_NORTH, metrics.GROUND), math.nan if truth is None else math.inf)
     east, north, _ = map(float, pose.center - truth.center)
     ground = math.nan
     if surfaces is not None and entry.camera is not None:
@@ -221,7 +203,7 @@ def _more_errors(
         away = float(np.hypot(*(places[1] - places[0])))
         # An estimate that looks past the ground is wrong without bounds.
         ground = math.inf if math.isnan(away) and not np.isnan(places[0]).any() else away
-    return dict(zip((*EAST_NORTH, GROUND), (east, north, ground), strict=True))
+    return dict(zip((*metrics.EAST_NORTH, metrics.GROUND), (east, north, ground), strict=True))
 
 
 def mask_iou_at_truth(
@@ -252,9 +234,9 @@ def _row(
         "covariance": " ".join(map(repr, prediction.covariance)),
     }
     if truth is not None:
-        row |= zip(ERROR, FAILED if pose is None else pose_error(pose, truth), strict=True)
-        row |= zip(PRIOR_ERROR, FAILED if prior is None else pose_error(prior, truth), strict=True)
-        row |= zip(PARTS, FAILED_PARTS if pose is None else error_parts(pose, truth), strict=True)
+        row |= zip(metrics.ERROR, FAILED if pose is None else pose_error(pose, truth), strict=True)
+        row |= zip(metrics.PRIOR_ERROR, FAILED if prior is None else pose_error(prior, truth), strict=True)
+        row |= zip(metrics.PARTS, FAILED_PARTS if pose is None else error_parts(pose, truth), strict=True)
     return row
 
 
@@ -262,13 +244,9 @@ def _reason(failure: str, has_truth: bool) -> str:
     """Returns a row's reason: that there is no truth goes before why there is no estimate."""
     # A carriage return by itself would end a row of queries.csv for who reads it.
     failure = failure.replace("\r\n", "\n").replace("\r", "\n")
-    if has_truth or is_without_truth(failure):
+    if has_truth or metrics.is_without_truth(failure):
         return failure
-    return f"{NO_TRUTH}; {failure}" if failure else NO_TRUTH
-
-
-# A convention is suspected if reading the poses in another way brings them this many times closer.
-_SUSPICIOUS = 10.0
+    return f"{metrics.NO_TRUTH}; {failure}" if failure else metrics.NO_TRUTH
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from typing import Any, Protocol, TypeVar
 from uuid import uuid4
 
 from lodbench.errors import ConfigError, LodbenchError, WorkersGone, require_choice, require_within
-from lodbench.execution.fan_out import (
+from lodbench.execution.processes import (
     KEEP_DYING,
     KEEP_DYING_HINT,
     Processes,
@@ -36,18 +36,29 @@ Result = TypeVar("Result")
 
 SERIAL, PROCESS, DASK = "serial", "process", "dask"
 QUERIES, HYPOTHESES = "queries", "hypotheses"
+_LOGGER = logging.getLogger(__name__)
+# Items handed to the cluster per worker of it: one at work, one waiting.
+_AHEAD = 2
+# So often an item is tried again on another worker when the one it was on died or hung.
+_RETRIES = 3
+# A scheduler that does not answer for so long is not there, seconds.
+_CONNECT_S = 30
+# A cluster of our own gives up workers that do not come back for so long after they died, seconds: Dask's 15
+# are fewer than a start takes on a busy machine. So often it is required to put others in their place.
+_LOST_S, _REPLACE_S = 120, 30
+# What this worker has prepared, by its token; the latest only, since it may hold a city.
+_prepared: list[str] = []
+# A worker of several threads does one item at a time all the same: they would share a method and a map, which
+# counts the poses that it draws.
+_one_at_a_time = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True)
 class ExecutorParams:
-    """How the work is spread, as ``conf/executor`` says; results do not depend on it.
-
-    Attributes:
-        workers: Processes; None for one per core. Of a scheduler at an address, what it has.
-    """
+    """How the work is spread, as ``conf/executor`` says; results do not depend on it."""
 
     name: str = SERIAL
-    workers: int | None = None
+    workers: int | None = None  # processes; None for one per core; of a scheduler at an address, what it has
     threads: int | None = None
     address: str | None = None
     timeout_s: float = 3600.0
@@ -77,13 +88,9 @@ class ExecutorParams:
 
 
 class Workers(Protocol):
-    """Those who do work, in as many rounds as they are given.
+    """Those who do work, in as many rounds as they are given."""
 
-    Attributes:
-        count: How many work at a time.
-    """
-
-    count: int
+    count: int  # how many work at a time
 
     def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         """Yields the results of a module-level function on items, in the order they come.
@@ -143,18 +150,6 @@ def require_code_version(code: str) -> None:
         )
 
 
-_LOGGER = logging.getLogger(__name__)
-# Items handed to the cluster per worker of it: one at work, one waiting.
-_AHEAD = 2
-# So often an item is tried again on another worker when the one it was on died or hung.
-_RETRIES = 3
-# A scheduler that does not answer for so long is not there, seconds.
-_CONNECT_S = 30
-# A cluster of our own gives up workers that do not come back for so long after they died, seconds: Dask's 15
-# are fewer than a start takes on a busy machine. So often it is required to put others in their place.
-_LOST_S, _REPLACE_S = 120, 30
-
-
 class DaskWorkers:
     """Workers of a cluster, as ``Processes`` are of this machine.
 
@@ -181,9 +176,9 @@ class DaskWorkers:
         self._client, self._address, self._timeout_s, self._own = client, address, timeout_s, own
         threads = client.nthreads().values()
         self.count = len(threads) or max(1, workers)
-        self._has_told = False
+        self._has_warned = False
         if own is None and not threads:
-            self._tell_no_worker()
+            self._warn_of_no_worker()
         if max(threads, default=1) > 1:
             _LOGGER.warning("Dask's workers have several threads, of which one works: --nthreads 1 is better")
         # One name for all that is prepared alike: a worker does it once, a new one does it again.
@@ -252,11 +247,11 @@ class DaskWorkers:
         if self._own is not None:
             self._own.scale(len(self._own.worker_spec))
 
-    def _tell_no_worker(self) -> None:
-        if not self._has_told:
+    def _warn_of_no_worker(self) -> None:
+        if not self._has_warned:
             reported = "%s has no worker: `dask worker %s --nthreads 1` starts one"
             _LOGGER.warning(reported, self._address, self._address)
-        self._has_told = True
+        self._has_warned = True
 
     def _has_workers(self) -> bool:
         """Tells whether somebody is at work; a scheduler that does not answer is not said to have nobody."""
@@ -265,9 +260,9 @@ class DaskWorkers:
         except OSError:  # if it is gone, waiting for results tells
             return True
         if is_there:
-            self._has_told = False
+            self._has_warned = False
         else:
-            self._tell_no_worker()
+            self._warn_of_no_worker()
         return is_there
 
     def _wait(self, running: set[Any]) -> Any:
@@ -362,13 +357,6 @@ def _one_line_for(address: str) -> Iterator[None]:
             f"Dask's scheduler {address} is gone.",
             "Start it again and give the same command: what was done is kept.",
         ) from error
-
-
-# What this worker has prepared, by its token; the latest only, since it may hold a city.
-_prepared: list[str] = []
-# A worker of several threads does one item at a time all the same: they would share a method and a map, which
-# counts the poses that it draws.
-_one_at_a_time = threading.Lock()
 
 
 def _together(token: str, preparation: bytes) -> tuple[str, bytes]:

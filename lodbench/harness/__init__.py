@@ -10,7 +10,7 @@ use                 what
 ``mask``            ``lodbench mask``: masks by strokes
 ``export``          poses and results for other programs
 ``render``          ``lodbench render``
-``city``            opening the city of a command; ``tiled_city``: of many tiles
+``city``            opening the city of a command; one of many tiles
 ``conformance``     checks of plug-ins; ``doctor``: of this machine
 ``results``         runs as DataFrames
 ==================  ================================================================================

@@ -12,13 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import (
-    GEOMETRY_EMPTY,
-    HEIGHT_DEFAULTED,
-    HEIGHT_MISSING,
-    UNDERGROUND,
-    finding_catalogue,
-)
+from lodbench.citymodel import codes
 from lodbench.citymodel.convert import convert_city
 from lodbench.citymodel.derive import choose_buildings
 from lodbench.citymodel.model import CityModel, SurfaceKind
@@ -33,7 +27,7 @@ from lodbench.datasets.published.own_layout import without_lens
 from lodbench.datasets.query import Entry, Query
 from lodbench.errors import CityModelError, DatasetError
 from lodbench.findings import Finding, Findings
-from lodbench.harness.export.localized import is_localized, read_localized_folder
+from lodbench.harness.photo.localized import is_localized, read_localized_folder
 from lodbench.methods.flight.footprint_heights import SweptHeight, footprint_heights
 from lodbench.reporting.answers import is_trusted
 from lodbench.reporting.maps import Marked, draw_plan
@@ -42,12 +36,18 @@ from lodbench.storage import write_text
 
 # Why a footprint is in no city, by its finding.
 _LEFT_OUT = {
-    HEIGHT_MISSING: "no height",
-    UNDERGROUND: "below the ground",
-    GEOMETRY_EMPTY: "no area",
+    codes.HEIGHT_MISSING: "no height",
+    codes.UNDERGROUND: "below the ground",
+    codes.GEOMETRY_EMPTY: "no area",
 }
 # Blocks are this high until photos measure them, metres.
 _DEFAULT_M = 9.0
+# Rows of the table of buildings: a browser sorts them in a moment. The city file has all.
+_MAX_ROWS = 3000
+# What `height_from` says of the two kinds that matter here.
+BY_SURFACE, BY_DEFAULT, BY_PHOTOS = "surface model", "default_height_m", "photos"
+# Fewer photos compare nothing.
+_FEWEST = 3
 
 
 def make_city(
@@ -98,7 +98,7 @@ def make_city(
         if item.code in _LEFT_OUT:
             left_out[_LEFT_OUT[item.code]].append(item.object_id)
     conversion = convert_city(model, out, options=options)
-    meanings = {str(code): code.meaning for code in finding_catalogue()}
+    meanings = {str(code): code.meaning for code in codes.finding_catalogue()}
     counts = conversion.findings.counts()
     page = out.with_suffix(".html")
     reported = [(code, count, meanings[code]) for code, count in counts.items()]
@@ -149,29 +149,16 @@ def _buildings(model: CityModel) -> list[MadeBuilding]:
     ]
 
 
-# Rows of the table of buildings: a browser sorts them in a moment. The city file has all.
-_MAX_ROWS = 3000
-
-
 class MadeBuilding(NamedTuple):
-    """A building of a city that was made.
+    """A building of a city that was made."""
 
-    Attributes:
-        name: Its id.
-        height_m: Above the ground.
-        ground_m: Height of the ground.
-        height_from, ground_from: What gave them, in words.
-        rings: (N, 2) east and north each, of its outline and holes.
-        sigma_m: Standard deviation of the height, None where nothing says.
-    """
-
-    name: str
-    height_m: float
-    ground_m: float
-    height_from: str
-    ground_from: str
-    rings: Sequence[NDArray[np.float64]]
-    sigma_m: float | None = None
+    name: str  # its id
+    height_m: float  # above the ground
+    ground_m: float  # height of the ground
+    height_from: str  # what gave it, in words
+    ground_from: str  # likewise
+    rings: Sequence[NDArray[np.float64]]  # (N, 2) east and north each, of its outline and holes
+    sigma_m: float | None = None  # standard deviation of the height, None where nothing says
 
 
 def city_page(
@@ -224,12 +211,6 @@ def city_page(
 
 def _median(sigmas_m: Sequence[float]) -> str:
     return f"{np.median(sigmas_m):.2f}" if sigmas_m else ""
-
-
-# What `height_from` says of the two kinds that matter here.
-BY_SURFACE, BY_DEFAULT, BY_PHOTOS = "surface model", "default_height_m", "photos"
-# Fewer photos compare nothing.
-_FEWEST = 3
 
 
 def with_photo_heights(
@@ -303,10 +284,10 @@ def _raised(
 def _findings(findings: Findings, measured: set[str], keeps_default: bool) -> Iterator[Finding]:
     """Yields findings: of measured buildings none about heights, of others that theirs is missing."""
     for item in findings.items:
-        if item.code not in (HEIGHT_DEFAULTED, HEIGHT_MISSING):
+        if item.code not in (codes.HEIGHT_DEFAULTED, codes.HEIGHT_MISSING):
             yield item
         elif item.object_id not in measured:
-            yield item if keeps_default else replace(item, code=HEIGHT_MISSING)
+            yield item if keeps_default else replace(item, code=codes.HEIGHT_MISSING)
 
 
 def posed_photos(

@@ -18,15 +18,7 @@ import scipy
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.faults import (
-    CAMERA_UNLIKE_VIEW,
-    MASK_EXCHANGED,
-    MASK_TURNED,
-    MASK_UNLIKE_CITY,
-    PHOTO_EXCHANGED,
-    PHOTO_TWICE,
-    PHOTO_UNLIKE_CITY,
-)
+from lodbench.datasets import faults
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.pose_errors import pose_error
@@ -61,7 +53,7 @@ _SAME_GREY = 2.0
 _SAME_M, _SAME_DEG = 0.5, 0.5
 
 # Where one of them is said of a query, its photo has nothing to add.
-_SAID = (PHOTO_TWICE, CAMERA_UNLIKE_VIEW, MASK_UNLIKE_CITY)
+_SAID = (faults.PHOTO_TWICE, faults.CAMERA_UNLIKE_VIEW, faults.MASK_UNLIKE_CITY)
 
 _TURNS: dict[str, Callable[[Mask], Mask]] = {
     "mirrored": lambda mask: mask[:, ::-1],
@@ -83,23 +75,14 @@ class Reading(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class View:
-    """A query as it should look by the city.
+    """A query as it should look by the city."""
 
-    Attributes:
-        entry: The query.
-        camera: Pinhole, ``_WIDTH`` pixels wide.
-        pose: The true one, scene frame.
-        silhouette: (H, W) of the city.
-        mask: (H, W), the query's; None without one that can be read.
-        iou: Of the two; 1 where there is no mask.
-    """
-
-    entry: Entry
-    camera: Camera
-    pose: Pose
-    silhouette: Mask
-    mask: Mask | None
-    iou: float = 1.0
+    entry: Entry  # the query
+    camera: Camera  # pinhole, ``_WIDTH`` pixels wide
+    pose: Pose  # the true one, scene frame
+    silhouette: Mask  # (H, W) of the city
+    mask: Mask | None  # (H, W), the query's; None without one that can be read
+    iou: float = 1.0  # of the two; 1 where there is no mask
 
 
 class Views:
@@ -146,23 +129,27 @@ class Views:
             if best.iou >= _FITS and best.iou >= view.iou + _GAIN:
                 yield view, best
             elif view.iou < _HARDLY:
-                yield view, Reading(MASK_UNLIKE_CITY, "", view.iou)
+                yield view, Reading(faults.MASK_UNLIKE_CITY, "", view.iou)
 
     def _readings(self, view: View, doubtful: Sequence[View]) -> Iterator[Reading]:
         mask, seen = view.mask, view.silhouette
         assert mask is not None  # noqa: S101 - the caller has looked
         for words, turn in _TURNS.items():
             if (turned := turn(mask)).shape == seen.shape:
-                yield Reading(MASK_TURNED, words, _iou(seen, turned))
+                yield Reading(faults.MASK_TURNED, words, _iou(seen, turned))
         for words, camera in _other_cameras(view.camera, view.entry):
-            yield Reading(CAMERA_UNLIKE_VIEW, words, _iou(self._renderer.render(camera, view.pose), mask))
+            yield Reading(
+                faults.CAMERA_UNLIKE_VIEW, words, _iou(self._renderer.render(camera, view.pose), mask)
+            )
         for other in self.masked():
             if other is view or other.mask is None or other.mask.shape != mask.shape:
                 continue
             # The mask is the other's, or a copy of it; a neighbour's view may fit better than a poor mask.
             is_exchanged = other in doubtful and _iou(other.silhouette, mask) >= _FITS
             if is_exchanged or np.array_equal(other.mask, mask):
-                yield Reading(MASK_EXCHANGED, f"that of {other.entry.key}", _iou(other.silhouette, mask))
+                yield Reading(
+                    faults.MASK_EXCHANGED, f"that of {other.entry.key}", _iou(other.silhouette, mask)
+                )
 
     def wrong_photos(self) -> Iterator[tuple[FindingCode, str, str]]:
         """Yields photos without outlines where they should be: code, key (of all: the split), words."""
@@ -185,7 +172,7 @@ class Views:
         for split, found in own.items():
             if len(found) >= _SEVERAL and np.median(found) < _RANDOM:
                 words = f"mean rank of gradients there {np.median(found):.2f}, 0.5 anywhere"
-                yield PHOTO_UNLIKE_CITY, split, words
+                yield faults.PHOTO_UNLIKE_CITY, split, words
 
     def _photo_readings(
         self, pairs: Sequence[tuple[View, Photo]], scores: NDArray[np.float64]
@@ -206,11 +193,11 @@ class Views:
             best = int(np.argmax(np.where(is_doubtful, np.nan_to_num(others[number]), 0.0)))
             score, words = self._best_camera(view, photo)
             if copied:
-                yield PHOTO_TWICE, view.entry.key, f"that of {copied[0].entry.key}"
+                yield faults.PHOTO_TWICE, view.entry.key, f"that of {copied[0].entry.key}"
             elif others[number, best] >= max(least[number], score):
-                yield PHOTO_EXCHANGED, view.entry.key, f"it is that of {pairs[best][0].entry.key}"
+                yield faults.PHOTO_EXCHANGED, view.entry.key, f"it is that of {pairs[best][0].entry.key}"
             elif score >= max(_OUTLINES, own[number] + _MORE):
-                yield CAMERA_UNLIKE_VIEW, view.entry.key, f"the photo's outlines are {words}"
+                yield faults.CAMERA_UNLIKE_VIEW, view.entry.key, f"the photo's outlines are {words}"
 
     def _best_camera(self, view: View, photo: Photo) -> tuple[float, str]:
         """Returns the score of the other camera whose outlines a photo has best, and its words."""
@@ -233,7 +220,7 @@ def check_views(dataset: Dataset, scene: Scene | None, with_pixels: bool, findin
     """
     pairs = same_photos(dataset, dataset.entries)
     for first, second in pairs:
-        findings.add(PHOTO_TWICE, second.key, f"that of {first.key}")
+        findings.add(faults.PHOTO_TWICE, second.key, f"that of {first.key}")
     if scene is None or not with_pixels:
         return
     views = Views(dataset, dataset.entries, scene)

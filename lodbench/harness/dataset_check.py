@@ -10,31 +10,7 @@ import numpy as np
 
 from lodbench.citymodel.crs import is_same_plane
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.faults import (
-    BELOW_CITY,
-    CHECKSUM_DIFFERS,
-    CITY_NOT_IN_VIEW,
-    COUNT_UNEXPECTED,
-    CRS_DIFFERS,
-    FIELD_OF_VIEW,
-    FILE_MISSING,
-    FOCAL_UNLIKE_PHOTO,
-    HEIGHTS_UNLIKE,
-    KEY_TWICE,
-    PRINCIPAL_EXCHANGED,
-    PRINCIPAL_POINT,
-    PRIOR_FAR,
-    PRIORS_UNLIKE_PAPER,
-    TRUTH_LIKE_PLAN,
-    TRUTH_OFF_GPS,
-    WRONG_DIRECTION,
-    crop_doubt,
-    exchange_fault,
-    field_fault,
-    sample_corners,
-    sees,
-    suspect_direction,
-)
+from lodbench.datasets import faults
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.datasets.published.layout import Download
 from lodbench.datasets.query import Dataset, Entry, repeated_keys
@@ -59,6 +35,8 @@ _LEAST_POSES, _SHARE, _PLAN_M, _PLAN_DEG = 8, 0.25, 0.001, 0.001
 _NEARBY_M, _FEW, _GROUND_M, _MOST_HEIGHTS = 50.0, 8, 3.0, 20
 # GPS without corrections is within this nearly always, metres.
 _GPS_M = 15.0
+# Medians of a file that is the paper's agree to rounding; of another draw of the same kind to this.
+_SAME_MEDIAN = 0.10
 
 
 def check_parts(dataset: Dataset, scene: Scene | None, findings: Findings) -> None:
@@ -70,10 +48,10 @@ def check_parts(dataset: Dataset, scene: Scene | None, findings: Findings) -> No
         entries = [entry for entry in dataset.entries if entry.split == split and entry.key in dataset.truth]
         truths = [dataset.truth[entry.key] for entry in entries]
         if words := planned(truths):
-            findings.add(TRUTH_LIKE_PLAN, split, words)
+            findings.add(faults.TRUTH_LIKE_PLAN, split, words)
         crs = dataset.crs or (None if scene is None else scene.crs)
         if crs and (words := _off_gps([(stated[e.key], dataset.truth[e.key]) for e in entries], crs)):
-            findings.add(TRUTH_OFF_GPS, split, words)
+            findings.add(faults.TRUTH_OFF_GPS, split, words)
 
 
 def planned(truths: Sequence[Pose]) -> str:
@@ -103,9 +81,9 @@ def _check_camera(entry: Entry, photo: PhotoMetadata | None, findings: Findings)
     if camera is None:
         return
     for code, fault_of in (
-        (FIELD_OF_VIEW, field_fault),
-        (PRINCIPAL_EXCHANGED, exchange_fault),
-        (PRINCIPAL_POINT, crop_doubt),
+        (faults.FIELD_OF_VIEW, faults.field_fault),
+        (faults.PRINCIPAL_EXCHANGED, faults.exchange_fault),
+        (faults.PRINCIPAL_POINT, faults.crop_doubt),
     ):
         if fault := fault_of(camera):
             findings.add(code, entry.key, fault)
@@ -116,7 +94,7 @@ def _check_camera(entry: Entry, photo: PhotoMetadata | None, findings: Findings)
     except DatasetError:
         return
     if not 1 / _SAME_FOCAL < camera.fx / focal < _SAME_FOCAL:
-        findings.add(FOCAL_UNLIKE_PHOTO, entry.key, f"{focal:.0f} px, its camera has {camera.fx:.4g}")
+        findings.add(faults.FOCAL_UNLIKE_PHOTO, entry.key, f"{focal:.0f} px, its camera has {camera.fx:.4g}")
 
 
 def _off_gps(pairs: Sequence[tuple[PhotoMetadata | None, Pose]], crs: str) -> str:
@@ -133,57 +111,33 @@ def _off_gps(pairs: Sequence[tuple[PhotoMetadata | None, Pose]], crs: str) -> st
     return f"{middle:.0f} m in the median of {len(away)}" if middle > _GPS_M else ""
 
 
-# Medians of a file that is the paper's agree to rounding; of another draw of the same kind to this.
-_SAME_MEDIAN = 0.10
-
-
 @dataclass(frozen=True, slots=True)
 class SplitReport:
-    """What a split holds.
+    """What a split holds."""
 
-    Attributes:
-        name: Its name.
-        queries: Number of queries.
-        expected: The number the paper's percentages imply, or the card says; or None.
-        truths: Queries with a true pose.
-        priors: Queries with a prior.
-        photos: Queries with a photo.
-        masks: Queries with a mask.
-        prior: Median errors of the priors, or None without any.
-        paper_prior: The paper's, or None.
-        height_m: Lowest, median and highest camera above the city's lowest point; None without a city.
-        off_nadir_deg: Least, median and largest angle of optical axes from straight down; None without true
-            poses.
-    """
-
-    name: str
-    queries: int
-    expected: int | None
-    truths: int
-    priors: int
-    photos: int
-    masks: int
-    prior: PoseError | None
-    paper_prior: tuple[float, float] | None
+    name: str  # its name
+    queries: int  # number of queries
+    expected: int | None  # the number the paper's percentages imply, or the card says; or None
+    truths: int  # queries with a true pose
+    priors: int  # queries with a prior
+    photos: int  # queries with a photo
+    masks: int  # queries with a mask
+    prior: PoseError | None  # median errors of the priors, or None without any
+    paper_prior: tuple[float, float] | None  # the paper's, or None
+    # Lowest, median and highest camera above the city's lowest point; None without a city.
     height_m: tuple[float, float, float] | None
+    # Least, median and largest angle of optical axes from straight down; None without true poses.
     off_nadir_deg: tuple[float, float, float] | None
 
 
 @dataclass(frozen=True, slots=True)
 class DatasetReport:
-    """The outcome of a check.
+    """The outcome of a check."""
 
-    Attributes:
-        dataset: The dataset.
-        splits: One report each.
-        city: What the city model is, in words.
-        findings: Those of reading it, and of the check.
-    """
-
-    dataset: Dataset
-    splits: tuple[SplitReport, ...]
-    city: str
-    findings: Findings
+    dataset: Dataset  # the dataset
+    splits: tuple[SplitReport, ...]  # one report each
+    city: str  # what the city model is, in words
+    findings: Findings  # those of reading it, and of the check
 
 
 def check_dataset(
@@ -201,12 +155,12 @@ def check_dataset(
     """
     findings = Findings(list(dataset.findings))
     for key in repeated_keys(dataset.entries):
-        findings.add(KEY_TWICE, key)
+        findings.add(faults.KEY_TWICE, key)
     scene = None
     if dataset.city_model is None:
         known = SPECS.get(dataset.name)
         wanted = f"none of {', '.join(known.city_files)}" if known else Words(dataset.city_hint)
-        findings.add(FILE_MISSING, "city model", wanted)
+        findings.add(faults.FILE_MISSING, "city model", wanted)
     else:
         scene = city_of_dataset(dataset).scene
         _check_place(dataset, scene, findings)
@@ -279,49 +233,51 @@ def _spread(values: list[float]) -> tuple[float, float, float]:
 
 def _compare_with_paper(split: SplitReport, findings: Findings) -> None:
     if split.expected is not None and split.truths != split.expected:
-        findings.add(COUNT_UNEXPECTED, split.name, f"{split.truths} with a true pose, not {split.expected}")
+        findings.add(
+            faults.COUNT_UNEXPECTED, split.name, f"{split.truths} with a true pose, not {split.expected}"
+        )
     if split.paper_prior is None or split.prior is None:
         return
     ratios = [found / paper for found, paper in zip(split.prior, split.paper_prior, strict=True)]
     if any(abs(ratio - 1) > _SAME_MEDIAN for ratio in ratios):
         found, paper = split.prior, split.paper_prior
         detail = f"{found[0]:.2f} m / {found[1]:.2f} deg, paper {paper[0]:g} / {paper[1]:g}"
-        findings.add(PRIORS_UNLIKE_PAPER, split.name, detail)
+        findings.add(faults.PRIORS_UNLIKE_PAPER, split.name, detail)
 
 
 def _check_place(dataset: Dataset, scene: Scene, findings: Findings) -> None:
     """Looks whether the poses are in the city's coordinates, and the priors near it."""
     if dataset.crs is not None and scene.crs is not None and not is_same_plane(dataset.crs, scene.crs):
-        findings.add(CRS_DIFFERS, dataset.name, f"{dataset.crs}, city model {scene.crs}")
+        findings.add(faults.CRS_DIFFERS, dataset.name, f"{dataset.crs}, city model {scene.crs}")
         return  # a distance between coordinates of two systems is none
     for entry in dataset.entries:
         away = 0.0 if entry.prior is None else distance_outside_m(entry.prior, scene)
         if away > FURTHEST_M:
-            findings.add(PRIOR_FAR, entry.key, f"{away / 1000:.1f} km")
+            findings.add(faults.PRIOR_FAR, entry.key, f"{away / 1000:.1f} km")
 
 
 def _check_views(dataset: Dataset, scene: Scene, findings: Findings) -> None:
     """Looks whether the city lies before the cameras, and above its ground."""
-    corners, lowest = sample_corners(scene), float(scene.extent_m[0][2] + scene.origin[2])
+    corners, lowest = faults.sample_corners(scene), float(scene.extent_m[0][2] + scene.origin[2])
     for split in dataset.splits:
         entries = [entry for entry in dataset.entries if entry.split == split]
         sets = {
             "true poses": [(entry.camera, dataset.truth.get(entry.key)) for entry in entries],
             "priors": [(entry.camera, entry.prior) for entry in entries],
         }
-        wrong = {what: suspect_direction(pairs, corners, scene.origin) for what, pairs in sets.items()}
+        wrong = {what: faults.suspect_direction(pairs, corners, scene.origin) for what, pairs in sets.items()}
         for what, words in wrong.items():
             if words is not None:
-                findings.add(WRONG_DIRECTION, f"{split}: {what}", words)
+                findings.add(faults.WRONG_DIRECTION, f"{split}: {what}", words)
         if wrong["true poses"] is not None:
             continue  # one finding says it; a line per pose would hide it
         for entry in entries:
             truth = dataset.truth.get(entry.key)
             if truth is not None and truth.center[2] < lowest:
-                findings.add(BELOW_CITY, entry.key, f"{lowest - truth.center[2]:.1f} m")
+                findings.add(faults.BELOW_CITY, entry.key, f"{lowest - truth.center[2]:.1f} m")
             if truth is not None and entry.camera is not None:
-                if not sees(entry.camera, truth.shifted(-scene.origin), corners):
-                    findings.add(CITY_NOT_IN_VIEW, entry.key)
+                if not faults.sees(entry.camera, truth.shifted(-scene.origin), corners):
+                    findings.add(faults.CITY_NOT_IN_VIEW, entry.key)
 
 
 def _check_heights(dataset: Dataset, scene: Scene, findings: Findings) -> None:
@@ -338,7 +294,9 @@ def _check_heights(dataset: Dataset, scene: Scene, findings: Findings) -> None:
         above.append(float(centre[2] - near[:, 2].min()))
     middle, (low, high) = float(np.median(above)), known.camera_height_m
     if not low - _GROUND_M <= middle <= high + _GROUND_M:
-        findings.add(HEIGHTS_UNLIKE, dataset.name, f"{middle:.1f} m in the median, not {low:g} to {high:g} m")
+        findings.add(
+            faults.HEIGHTS_UNLIKE, dataset.name, f"{middle:.1f} m in the median, not {low:g} to {high:g} m"
+        )
 
 
 def _check_downloads(dataset: Dataset, findings: Findings) -> None:
@@ -347,7 +305,7 @@ def _check_downloads(dataset: Dataset, findings: Findings) -> None:
     for download in known.downloads if known else ():
         for path in _named_as(download, dataset):
             if file_digest(path) != download.sha256:
-                findings.add(CHECKSUM_DIFFERS, str(path), f"published: {download.sha256}")
+                findings.add(faults.CHECKSUM_DIFFERS, str(path), f"published: {download.sha256}")
 
 
 def _named_as(download: Download, dataset: Dataset) -> list[Path]:

@@ -24,6 +24,13 @@ from lodbench.storage.json_text import parse_json
 
 # Nothing that a page sends is larger, bytes.
 _MOST_BYTES = 1 << 20
+# No stroke has more points or a wider brush, pixels: the page ends one before.
+_MOST_POINTS, _MOST_RADIUS = 20_000, 2_000.0
+# The mask is shown in squares: after a stroke few of them are drawn again, of a photo of any size.
+_TILE_PX = 1024
+# Of what is building, and of its rim: blue, green, red, opacity.
+_INSIDE, _RIM = (0, 140, 255, 90), (255, 255, 255, 255)
+_PAGE = "templates/mask.html.jinja"
 
 
 class LocalServer(ThreadingHTTPServer):
@@ -136,15 +143,6 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, *_: Any) -> None:
         """Says nothing: the terminal is for people."""
-
-
-# No stroke has more points or a wider brush, pixels: the page ends one before.
-_MOST_POINTS, _MOST_RADIUS = 20_000, 2_000.0
-# The mask is shown in squares: after a stroke few of them are drawn again, of a photo of any size.
-_TILE_PX = 1024
-# Of what is building, and of its rim: blue, green, red, opacity.
-_INSIDE, _RIM = (0, 140, 255, 90), (255, 255, 255, 255)
-_PAGE = "templates/mask.html.jinja"
 
 
 class MaskServer(LocalServer):

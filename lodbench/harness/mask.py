@@ -277,8 +277,7 @@ class Untouched:
         for file, old, new in zip(self._files, before, self._contents, strict=True):
             if new is not None and new != old:
                 raise DatasetError(
-                    f"{file.name} was written by another program since it was read or saved here.",
-                    hint,
+                    f"{file.name} was written by another program since it was read or saved here.", hint
                 )
 
 

@@ -41,13 +41,7 @@ from lodbench.rendering import (
 from lodbench.rendering.backends import PyrenderTextured
 from lodbench.rendering.projection import require_pinhole
 from lodbench.rendering.raster import TexturedRenderer
-from lodbench.reporting.overlays import (
-    ESTIMATE_COLOUR,
-    draw_outline,
-    is_readable_picture,
-    png_bytes,
-    read_background,
-)
+from lodbench.reporting import overlays
 from lodbench.storage import make_folder, write_bytes, write_text
 
 # Grey or BGR.
@@ -56,6 +50,13 @@ Picture = NDArray[np.uint8] | NDArray[np.uint16]
 Mark = tuple[int, bytes]
 # A PNG's signature, and the chunk of its size, which is the first of every PNG.
 _AFTER_SIZE = 8 + 25
+_MOST = int(np.iinfo(np.uint16).max)
+_NPY, _INSTANCES, _NAMES = (0, b"\x93NUMPY"), (0, b'{"instances": ['), (0, b'{\n"1": ')
+# Kinds and renderers that can draw a textured map.
+_TEXTURED = (("colour", None), ("colour", "raster"), ("colour", "pyrender"))
+# What is written beside views of a textured map, so that they serve as references.
+_REFERENCES = ("poses.txt", "intrinsic.txt")
+_OTHER_FOLDER = "Name another folder: out=DIR."
 
 
 def picture_mark(kind: str) -> Mark:
@@ -73,27 +74,15 @@ def _may_replace(file: Path, mark: Mark) -> bool:
         return stream.read(start + len(stated))[start:] == stated
 
 
-_MOST = int(np.iinfo(np.uint16).max)
-_NPY, _INSTANCES, _NAMES = (0, b"\x93NUMPY"), (0, b'{"instances": ['), (0, b'{\n"1": ')
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One picture to write.
+    """One picture to write."""
 
-    Attributes:
-        name: Of the image.
-        camera: Pinhole, at the size to draw.
-        pose: World to camera; in the city's coordinates until it is drawn, in the scene's frame.
-        out: Folder to write.
-        photo: The photo taken there, or None.
-    """
-
-    name: str
-    camera: Camera
-    pose: Pose
-    out: Path
-    photo: Path | None
+    name: str  # of the image
+    camera: Camera  # pinhole, at the size to draw
+    pose: Pose  # world to camera; in the city's coordinates until it is drawn, in the scene's frame
+    out: Path  # folder to write
+    photo: Path | None  # the photo taken there, or None
 
     def file(self, suffix: str) -> Path:
         """Returns the file of a suffix; a dot in the picture's name is no suffix."""
@@ -102,25 +91,17 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of picture.
+    """A kind of picture."""
 
-    Attributes:
-        default: The renderer that is taken unless one is requested.
-        ability: The function of renderers that can draw it.
-        write: Draws and writes a view; returns its files.
-        marks: What the files it writes of a view say of themselves, by their suffixes.
-        check: Raises a LodbenchError if a scene cannot be drawn so.
-        prepare: Writes what all views of a scene share to the folder; returns its files.
-        shared: What those say of themselves, by their names.
-    """
-
-    default: str
-    ability: str
-    write: Callable[[Renderer, View], list[Path]]
-    marks: Mapping[str, Mark]
+    default: str  # the renderer that is taken unless one is requested
+    ability: str  # the function of renderers that can draw it
+    write: Callable[[Renderer, View], list[Path]]  # draws and writes a view; returns its files
+    marks: Mapping[str, Mark]  # what the files it writes of a view say of themselves, by their suffixes
+    # Raises a LodbenchError if a scene cannot be drawn so.
     check: Callable[[Scene], None] = lambda _scene: None
+    # Writes what all views of a scene share to the folder; returns its files.
     prepare: Callable[[Scene, Path], list[Path]] = lambda _scene, _out: []
-    shared: Mapping[str, Mark] = field(default_factory=dict)
+    shared: Mapping[str, Mark] = field(default_factory=dict)  # what those say of themselves, by their names
 
     def in_the_way(self, out: Path, stems: Iterable[str]) -> Path | None:
         """Returns a file that views would replace and that is no earlier one of this kind, or None."""
@@ -213,14 +194,14 @@ def column_runs(mask: NDArray[np.bool_]) -> list[int]:
 
 
 def _overlay(renderer: Renderer, view: View) -> Picture:
-    canvas = read_background(view.photo, view.camera)
-    draw_outline(canvas, renderer.render(view.camera, view.pose), ESTIMATE_COLOUR, 1)
+    canvas = overlays.read_background(view.photo, view.camera)
+    overlays.draw_outline(canvas, renderer.render(view.camera, view.pose), overlays.ESTIMATE_COLOUR, 1)
     return canvas
 
 
 def _write_png(view: View, picture: Picture, kind: str) -> list[Path]:
     """Writes a picture of a view with its kind's mark, atomically."""
-    plain, (start, mark) = png_bytes(picture), picture_mark(kind)
+    plain, (start, mark) = overlays.png_bytes(picture), picture_mark(kind)
     write_bytes(view.file(".png"), plain[:start] + mark + plain[start:])
     return [view.file(".png")]
 
@@ -249,12 +230,6 @@ KINDS = {
     "instance": Kind("silhouette", INSTANCES, _write_instances, {".json": _INSTANCES}),
 }
 
-# Kinds and renderers that can draw a textured map.
-_TEXTURED = (("colour", None), ("colour", "raster"), ("colour", "pyrender"))
-# What is written beside views of a textured map, so that they serve as references.
-_REFERENCES = ("poses.txt", "intrinsic.txt")
-_OTHER_FOLDER = "Name another folder: out=DIR."
-
 
 @dataclass(frozen=True, slots=True)
 class RenderParams:
@@ -277,16 +252,12 @@ class RenderParams:
 
 @dataclass(frozen=True, slots=True)
 class Rendered:
-    """What was drawn.
+    """What was drawn."""
 
-    Attributes:
-        files: What the views share, then the views in the order of the poses; of a textured map the
-            views, then their poses and cameras.
-        notes: What was met in the city, and how far off cameras are that see none of it.
-    """
-
+    # What the views share, then the views in the order of the poses; of a textured map the views, then
+    # their poses and cameras.
     files: tuple[Path, ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what was met in the city, and how far off cameras are that see none of it
 
 
 def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Rendered:
@@ -386,7 +357,7 @@ def _shot(params: RenderParams, name: str, pose: Pose, cameras: dict[str, Camera
     camera = cameras[name].scaled(*params.size) if params.size else cameras[name]
     require_pinhole(camera)
     photo = Path(params.images).expanduser() / name if params.images else None
-    if photo is not None and not is_readable_picture(photo):
+    if photo is not None and not overlays.is_readable_picture(photo):
         raise DatasetError(
             f"{photo} is not a picture, or not there.", "images= holds photos named as the poses."
         )

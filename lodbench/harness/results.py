@@ -12,15 +12,13 @@ from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import ConfigError, nearest_names
+from lodbench.evaluation.metrics import LODLOC, Protocol, has_truth, protocol_named, summarize_queries
 from lodbench.evaluation.pose_errors import Threshold
-from lodbench.evaluation.queries import LODLOC, Protocol, has_truth, protocol_named, summarize_queries
 from lodbench.harness.runs.stored import StoredRun, read_whole_run
 from lodbench.methods import Method
 from lodbench.methods.registry import configure_method
-from lodbench.reporting.leaderboard import blocks_of, leaderboard_frame
-from lodbench.reporting.leaderboard_entry import read_entries, slug
-from lodbench.reporting.summaries import with_seconds
-from lodbench.reporting.tables import frame_of, tables_of
+from lodbench.reporting import summaries, tables
+from lodbench.reporting.leaderboard import blocks_of, leaderboard_frame, read_entries, slug
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.protocol import chosen_segmenter, make_segmenter
 from lodbench.storage import digest_of
@@ -138,7 +136,7 @@ def compare(
     stored = [run if isinstance(run, StoredRun) else read_whole_run(run) for run in given]
     if not stored:
         raise ConfigError("There are no runs to compare.")
-    return frame_of(tables_of([summary_at(run, thresholds) for run in stored]))
+    return tables.frame_of(tables.tables_of([summary_at(run, thresholds) for run in stored]))
 
 
 def leaderboard(dataset: str, root: str | Path = "leaderboard") -> pd.DataFrame:
@@ -181,4 +179,6 @@ def summary_at(run: StoredRun, thresholds: Sequence[Threshold] | None) -> dict[s
     seconds = run.provenance.get("seconds_per_query", {})
     names = digest_of([[str(key), bool(known)] for key, known in has_truth(run.queries).sort_index().items()])
     dataset = {**run.summary["dataset"], "names": names}
-    return with_seconds({**run.summary, "dataset": dataset, "splits": splits, "prior": priors}, seconds)
+    return summaries.with_seconds(
+        {**run.summary, "dataset": dataset, "splits": splits, "prior": priors}, seconds
+    )

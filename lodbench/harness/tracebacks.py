@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from lodbench.citymap import CityMap
     from lodbench.datasets.query import Query
     from lodbench.methods.protocol import Estimate, FlightEstimate, Streams, SupportsFlights
+_LOG = logging.getLogger(__name__)
 
 
 def keep_traceback(folder: Path, name: str, error: BaseException) -> Path:
@@ -81,9 +82,6 @@ def answered_flight(
         raise
     except LodbenchError as fault:
         return FlightEstimate([QueryFault(fault.message, fault.hint)] * len(queries))
-
-
-_LOG = logging.getLogger(__name__)
 
 
 @contextmanager

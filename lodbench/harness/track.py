@@ -87,62 +87,40 @@ def _is_track_of(table: Path, source: Path, names: Iterable[str]) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackRequest(RoughRequest):
-    """What to track, and where its first frame is.
+    """What to track, and where its first frame is."""
 
-    Attributes:
-        footage: The frames.
-        masks: Folder of masks named as the frames, or None for the segmenter, a network that looks at pixels.
-        params: Of the tracker.
-    """
-
-    footage: Footage
+    footage: Footage  # the frames
+    # Folder of masks named as the frames, or None for the segmenter, a network that looks at pixels.
     masks: Path | None = None
-    params: TrackingParams = field(default_factory=TrackingParams)
+    params: TrackingParams = field(default_factory=TrackingParams)  # of the tracker
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedFrame:
-    """What became of a frame.
+    """What became of a frame."""
 
-    Attributes:
-        name: Of the frame.
-        time_s: When it was taken, seconds.
-        state: ``tracked``, ``found again`` or ``lost``.
-        pose: In the city's coordinates, None where it was lost.
-        score: IoU of silhouette and mask.
-        reason: Why there is no mask, or "".
-        sigmas: Standard deviations of its place, over all three axes (metres), and of its angles (degrees).
-        probability: Of being within (2 m, 2 deg), as far as one frame tells; 0 where it was lost.
-    """
-
-    name: str
-    time_s: float
-    state: str
-    pose: Pose | None
-    score: float
-    reason: str
+    name: str  # of the frame
+    time_s: float  # when it was taken, seconds
+    state: str  # ``tracked``, ``found again`` or ``lost``
+    pose: Pose | None  # in the city's coordinates, None where it was lost
+    score: float  # IoU of silhouette and mask
+    reason: str  # why there is no mask, or ""
+    # Standard deviations of its place, over all three axes (metres), and of its angles (degrees).
     sigmas: tuple[float, float] | None = None
-    probability: float = 0.0
+    probability: float = 0.0  # of being within (2 m, 2 deg), as far as one frame tells; 0 where it was lost
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """What became of all frames.
+    """What became of all frames."""
 
-    Attributes:
-        frames: In the order they were taken.
-        seconds: Wall time of all frames but the first, in total and by what was done: ``masks`` goes on
-            beside ``poses``.
-        cpu_s: Processor time of the same.
-        out: Folder written; None where no frame was found and the folder keeps an earlier track.
-        notes: What the reader should know.
-    """
-
-    frames: tuple[TrackedFrame, ...]
+    frames: tuple[TrackedFrame, ...]  # in the order they were taken
+    # Wall time of all frames but the first, in total and by what was done: ``masks`` goes on beside
+    # ``poses``.
     seconds: dict[str, float]
-    cpu_s: float
-    out: Path | None
-    notes: tuple[str, ...]
+    cpu_s: float  # processor time of the same
+    out: Path | None  # folder written; None where no frame was found and the folder keeps an earlier track
+    notes: tuple[str, ...]  # what the reader should know
 
     @property
     def rate(self) -> float:

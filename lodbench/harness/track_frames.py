@@ -31,6 +31,22 @@ from lodbench.storage.paths import require_regular
 
 # What photos without clocks are taken to be, a second.
 PHOTO_RATE = 1.0
+_NO_CLOCK = f"no clock to order the photos by: {PHOTO_RATE:g} a second is assumed; --fps says how many"
+_WHOLE_SECONDS = (
+    "the photos' clock counts whole seconds: those of one second are taken as evenly spaced; "
+    "--fps says how many there are"
+)
+Mask = NDArray[np.float32]
+# What FFmpeg may take a video for, whatever its content says: playlists and scripts open other files.
+_CONTAINERS = (
+    "mov,matroska,avi,mpegts,mpeg,mpegvideo,flv,asf,ogg,mxf,h264,hevc,m4v,mjpeg,ivf,yuv4mpegpipe,gif"
+)
+# What a video is taken to be where it does not say, frames per second.
+_VIDEO_RATE = 25.0
+# A video with less than this share of the frames that it says to have is not whole: some only estimate them.
+_LEAST_READ = 0.95
+# Frames whose masks are made while another is aligned.
+_AHEAD = 2
 
 
 def photo_clocks(photos: Sequence[Path]) -> tuple[list[float] | None, list[str]]:
@@ -58,13 +74,6 @@ def photo_clocks(photos: Sequence[Path]) -> tuple[list[float] | None, list[str]]
             f"photos without a clock, {len(photos) - len(rows)}, are placed between their neighbours"
         )
     return _from_first(reported), notes
-
-
-_NO_CLOCK = f"no clock to order the photos by: {PHOTO_RATE:g} a second is assumed; --fps says how many"
-_WHOLE_SECONDS = (
-    "the photos' clock counts whole seconds: those of one second are taken as evenly spaced; "
-    "--fps says how many there are"
-)
 
 
 def _stated(photos: Sequence[Path]) -> list[float | None]:
@@ -112,58 +121,28 @@ def _spread(whole: Sequence[float]) -> list[float]:
     return spread
 
 
-Mask = NDArray[np.float32]
-
-# What FFmpeg may take a video for, whatever its content says: playlists and scripts open other files.
-_CONTAINERS = (
-    "mov,matroska,avi,mpegts,mpeg,mpegvideo,flv,asf,ogg,mxf,h264,hevc,m4v,mjpeg,ivf,yuv4mpegpipe,gif"
-)
-# What a video is taken to be where it does not say, frames per second.
-_VIDEO_RATE = 25.0
-# A video with less than this share of the frames that it says to have is not whole: some only estimate them.
-_LEAST_READ = 0.95
-# Frames whose masks are made while another is aligned.
-_AHEAD = 2
-
-
 class Shot(NamedTuple):
-    """A frame as it was taken.
+    """A frame as it was taken."""
 
-    Attributes:
-        name: Of the frame.
-        time_s: When it was taken, seconds.
-        pixels: (H, W, 3) BGR, of a photo as stored, of a video as shown; None where they cannot be decoded,
-            or are of a photo whose mask is there.
-        size: Width and height, None where they are not known.
-        file: The photo, None of a video.
-    """
-
-    name: str
-    time_s: float
+    name: str  # of the frame
+    time_s: float  # when it was taken, seconds
+    # (H, W, 3) BGR, of a photo as stored, of a video as shown; None where they cannot be decoded, or are of
+    # a photo whose mask is there.
     pixels: NDArray[np.uint8] | None
-    size: tuple[int, int] | None
-    file: Path | None = None
+    size: tuple[int, int] | None  # width and height, None where they are not known
+    file: Path | None = None  # the photo, None of a video
 
 
 @dataclass(frozen=True, slots=True)
 class Footage:
-    """What is tracked.
+    """What is tracked."""
 
-    Attributes:
-        source: A video, or a folder of photos.
-        every: Every how manieth frame is taken.
-        rate: Frames per second, before what the video or the photos' clocks say.
-        masks: Folder of masks, whose pictures are no frames.
-        out: Folder of results, likewise.
-        notes: What the reader should know, once all frames were taken.
-    """
-
-    source: Path
-    every: int = 1
-    rate: float | None = None
-    masks: Path | None = None
-    out: Path | None = None
-    notes: list[str] = field(default_factory=list)
+    source: Path  # a video, or a folder of photos
+    every: int = 1  # every how manieth frame is taken
+    rate: float | None = None  # frames per second, before what the video or the photos' clocks say
+    masks: Path | None = None  # folder of masks, whose pictures are no frames
+    out: Path | None = None  # folder of results, likewise
+    notes: list[str] = field(default_factory=list)  # what the reader should know, once all frames were taken
 
     def photos(self) -> list[Path]:
         """Returns the photos of a folder, in the order of their names: 2 before 10.
@@ -248,8 +227,8 @@ class Footage:
             while video.grab():
                 # Phones vary their rate: each frame says its time, unless the container has none.
                 stamp_s = float(video.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
-                is_told = self.rate is None and math.isfinite(stamp_s) and stamp_s > time_s
-                time_s = stamp_s if is_told else (number / rate if self.rate else time_s + 1.0 / rate)
+                is_stamped = self.rate is None and math.isfinite(stamp_s) and stamp_s > time_s
+                time_s = stamp_s if is_stamped else (number / rate if self.rate else time_s + 1.0 / rate)
                 if number % self.every == 0:
                     is_whole, found = video.retrieve()
                     pixels = np.asarray(found, dtype=np.uint8) if is_whole else None
@@ -301,21 +280,13 @@ def _frame_name(number: int) -> str:
 
 @dataclass(slots=True)
 class MaskMaker:
-    """Masks of frames, from a folder or by a network.
+    """Masks of frames, from a folder or by a network."""
 
-    Attributes:
-        camera: Of the frames as stored, lens included.
-        pinhole: What is tracked.
-        folder: Of masks named as the frames; goes before the segmenter.
-        segmenter: Makes them.
-        seconds: Spent so far.
-    """
-
-    camera: Camera
-    pinhole: Camera
-    folder: Path | None
-    segmenter: Segmenter | None
-    seconds: float = 0.0
+    camera: Camera  # of the frames as stored, lens included
+    pinhole: Camera  # what is tracked
+    folder: Path | None  # of masks named as the frames; goes before the segmenter
+    segmenter: Segmenter | None  # makes them
+    seconds: float = 0.0  # spent so far
 
     def mask(self, shot: Shot) -> Mask | str:
         """Returns (H, W) the probability of building as the pinhole sees it, or why there is none."""

@@ -18,7 +18,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, LodbenchError, QueryFault
-from lodbench.execution.guards import single_threaded_blas
+from lodbench.execution.processes import single_threaded_blas
 from lodbench.geometry import Camera, CameraSigmas, Pose
 from lodbench.methods.assessment import assessed
 from lodbench.methods.lodlocv2 import LodLocV2

@@ -5,8 +5,8 @@ what                where
 ==================  ============================================================================
 tables of recalls   ``tables``; ``table_heads`` (what is shown, what rows are called)
 text of a terminal  ``aligned_text``, ``answers``, ``flight_words``
-figures             ``figures``, ``run_figures``, ``maps``
-pages               ``page`` over ``templates``; ``photo_pairs``, ``flight_words``, ``leaderboard``, ``maps``
+figures             ``figures``, ``maps``
+pages               ``page`` over ``templates``; ``flight_words``, ``leaderboard``, ``maps``
 overlays of photos  ``overlays``
 ==================  ============================================================================
 

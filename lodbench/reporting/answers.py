@@ -31,6 +31,14 @@ _COUNTED = {
     GOOD: "good", DOUBTFUL: "doubtful", UNTRUSTED: "not to be trusted", "-": "of unknown trust",
     "failed": "failed",
 }  # fmt: skip
+Floats = NDArray[np.float64]
+# What is said of the candidates' log-probabilities, best first, in a trace.
+NATS = "[nats]"
+# Standard deviations from which on 2 m and 2 degrees are in doubt.
+_SIGMA_M, _SIGMA_DEG = 1.0, 1.0
+# A candidate less probable than this, beside the best, is no reason for doubt.
+_LEAST_CANDIDATE = 0.01
+_NO_SINGLE = "the method's own estimate: nothing single stands out"
 
 
 def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction]) -> str:
@@ -39,7 +47,7 @@ def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction])
     Columns are aligned; headings are clockwise from grid north.
 
     Args:
-        queries: As ``lodbench.evaluation.queries`` has them.
+        queries: As ``lodbench.evaluation.metrics`` has them.
         predictions: By the index of the queries; poses in the dataset's frame.
     """
     head = ["", "x m", "y m", "z m", "heading deg", "pitch deg", "roll deg", "score", "probability", "trust"]
@@ -157,16 +165,6 @@ def _cells(key: str, found: Prediction) -> list[str]:
     score = finite_text(math.nan if found.score is None else found.score, ".3f")
     sure = "-" if found.probability is None else probability_text(found.probability, 3)
     return [plain_text(key), *place, score, sure, trust_of(found)]
-
-
-Floats = NDArray[np.float64]
-# What is said of the candidates' log-probabilities, best first, in a trace.
-NATS = "[nats]"
-# Standard deviations from which on 2 m and 2 degrees are in doubt.
-_SIGMA_M, _SIGMA_DEG = 1.0, 1.0
-# A candidate less probable than this, beside the best, is no reason for doubt.
-_LEAST_CANDIDATE = 0.01
-_NO_SINGLE = "the method's own estimate: nothing single stands out"
 
 
 def why_of(found: Prediction) -> tuple[str, ...]:

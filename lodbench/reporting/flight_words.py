@@ -35,6 +35,9 @@ _OF_MASKS_AND_MAP = {called for name, called in _CALLED.items() if name == _MASK
 _OTHER_ZERO_M, _BEYOND_DOUBT = 8.0, 3.0
 # A correction of fewer of its standard deviations is not significant.
 _SIGNIFICANT = 2.0
+Floats = NDArray[np.float64]
+# Of more photos the page shows so many, spread evenly: a picture has 60 kB.
+MAX_PICTURES = 240
 
 
 def constants_in_words(
@@ -195,33 +198,17 @@ def doubted_buildings(buildings: Sequence[Mapping[str, Any]]) -> list[Mapping[st
     return sorted(doubted, key=lambda each: -abs(each["higher_m"]) / max(each["sigma_m"], 1e-9))
 
 
-Floats = NDArray[np.float64]
-# Of more photos the page shows so many, spread evenly: a picture has 60 kB.
-MAX_PICTURES = 240
-
-
 class PhotoOnPage(NamedTuple):
-    """A photo of a flight that was placed.
+    """A photo of a flight that was placed."""
 
-    Attributes:
-        spot: On the map.
-        moved_m: How far from where the drone said it was.
-        turned_deg: Likewise.
-        sigma_m: Standard deviation of its place, in space, where the method knows it.
-        probability: That it is within 2 m and 2 degrees, where the method knows it.
-        score: Of the method.
-        surveyed: Its place and where it looks: ``survey_row``.
-        why: Why it is not to be trusted fully, and notes; "" for neither.
-    """
-
-    spot: Spot
-    moved_m: float | None
-    turned_deg: float | None
-    sigma_m: float | None
-    probability: float | None
-    score: float | None
-    surveyed: Mapping[str, float | None]
-    why: str = ""
+    spot: Spot  # on the map
+    moved_m: float | None  # how far from where the drone said it was
+    turned_deg: float | None  # likewise
+    sigma_m: float | None  # standard deviation of its place, in space, where the method knows it
+    probability: float | None  # that it is within 2 m and 2 degrees, where the method knows it
+    score: float | None  # of the method
+    surveyed: Mapping[str, float | None]  # its place and where it looks: ``survey_row``
+    why: str = ""  # why it is not to be trusted fully, and notes; "" for neither
 
     def numbers(self, has_earth: bool) -> list[tuple[float | None, str]]:
         """Returns the numbers of its row, and their texts."""

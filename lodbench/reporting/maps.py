@@ -28,6 +28,15 @@ _MARGIN_M = 40.0
 _MANY, _CROWD = 200, 1000
 # Of imagery under the map: its colours are to be recognised, not measured.
 _QUALITY = 75
+# Triangles beyond this are left out, those furthest from the cameras first: 100,000 take about a megabyte.
+MAX_TRIANGLES = 100_000
+# Of more photos than this the first have their picture in the view; each takes some 15 kB.
+MAX_PHOTOS = 120
+# The longer side of such a picture, pixels, and its JPEG quality.
+_PHOTO_PX, _PHOTO_QUALITY = 400, 75
+# What the city's corners are rounded to, metres.
+_STEP_M = 0.01
+_KINDS = ("prior", "estimate", "truth")
 
 
 class Spot(NamedTuple):
@@ -260,37 +269,16 @@ def _at(place: Floats, low: Floats) -> tuple[float, float]:
     return float(x), float(y)
 
 
-# Triangles beyond this are left out, those furthest from the cameras first: 100,000 take about a megabyte.
-MAX_TRIANGLES = 100_000
-# Of more photos than this the first have their picture in the view; each takes some 15 kB.
-MAX_PHOTOS = 120
-# The longer side of such a picture, pixels, and its JPEG quality.
-_PHOTO_PX, _PHOTO_QUALITY = 400, 75
-# What the city's corners are rounded to, metres.
-_STEP_M = 0.01
-_KINDS = ("prior", "estimate", "truth")
-
-
 class ViewedCamera(NamedTuple):
-    """A photo and where its camera is said to be; poses in the scene's local frame, None where there is none.
+    """A photo and where its camera is said to be; poses in the scene's local frame, None where none is."""
 
-    Attributes:
-        key: Of the query, or the photo's name.
-        facts: What is stated of it, by name.
-        camera: Its intrinsics; the lens is taken for a pinhole.
-        prior: The rough pose.
-        estimate: The pose found.
-        truth: The true pose.
-        photo: A JPEG of it as the camera sees it (``photo_jpeg``), or None.
-    """
-
-    key: str
-    facts: Mapping[str, str]
-    camera: Camera | None
-    prior: Pose | None
-    estimate: Pose | None
-    truth: Pose | None
-    photo: bytes | None
+    key: str  # of the query, or the photo's name
+    facts: Mapping[str, str]  # what is stated of it, by name
+    camera: Camera | None  # its intrinsics; the lens is taken for a pinhole
+    prior: Pose | None  # the rough pose
+    estimate: Pose | None  # the pose found
+    truth: Pose | None  # the true pose
+    photo: bytes | None  # a JPEG of it as the camera sees it (``photo_jpeg``), or None
 
 
 def draw_view3d(
@@ -378,10 +366,7 @@ def _frustum(camera: Camera | None, pose: Pose | None, middle: Floats) -> dict[s
     pixels = np.array([[0, 0], [camera.width, 0], [camera.width, camera.height], [0, camera.height]])
     rays = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
     rays = np.column_stack([rays, np.ones(4)]) @ pose.rotation
-    return {
-        "center": np.round(pose.center - middle, 3).tolist(),
-        "rays": np.round(rays, 6).ravel().tolist(),
-    }
+    return {"center": np.round(pose.center - middle, 3).tolist(), "rays": np.round(rays, 6).ravel().tolist()}
 
 
 def _packed(content: bytes) -> str:

@@ -32,25 +32,15 @@ _INK, _PAPER = (235, 235, 235), (32, 28, 26)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OverlayInput:
-    """What an overlay shows; poses are in the renderer's scene frame, None where there is none.
+    """What an overlay shows; poses are in the renderer's scene frame, None where there is none."""
 
-    Attributes:
-        camera: Intrinsics of the full-size image.
-        mask: (H, W) query mask of any size of the same aspect, or None.
-        image: The photo, as a file or its pixels, or None.
-        prior: Where the method started.
-        estimate: What it answered.
-        truth: Where the camera was.
-        caption: Line of text under the picture.
-    """
-
-    camera: Camera
-    mask: Mask | None
-    image: Path | Picture | None
-    prior: Pose | None
-    estimate: Pose | None
-    truth: Pose | None
-    caption: str
+    camera: Camera  # intrinsics of the full-size image
+    mask: Mask | None  # (H, W) query mask of any size of the same aspect, or None
+    image: Path | Picture | None  # the photo, as a file or its pixels, or None
+    prior: Pose | None  # where the method started
+    estimate: Pose | None  # what it answered
+    truth: Pose | None  # where the camera was
+    caption: str  # line of text under the picture
 
 
 def draw_overlay(shown: OverlayInput, renderer: Renderer) -> Picture:

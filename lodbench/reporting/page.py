@@ -31,21 +31,13 @@ _TEX = {
 
 
 class Picture(NamedTuple):
-    """A picture inside a page.
+    """A picture inside a page."""
 
-    Attributes:
-        content: The picture's file.
-        kind: ``png``, ``jpeg``, ``webp`` or ``svg+xml``.
-        caption: What stands below, and what is read out.
-        classes: CSS classes of the figure.
-        key: Of the query it shows, by which a page finds it; "" for none.
-    """
-
-    content: bytes
-    kind: str
-    caption: str
-    classes: str = ""
-    key: str = ""
+    content: bytes  # the picture's file
+    kind: str  # ``png``, ``jpeg``, ``webp`` or ``svg+xml``
+    caption: str  # what stands below, and what is read out
+    classes: str = ""  # CSS classes of the figure
+    key: str = ""  # of the query it shows, by which a page finds it; "" for none
 
     @property
     def inline(self) -> Any:

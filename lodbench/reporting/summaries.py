@@ -59,6 +59,11 @@ _SHAPE = {
         "notes": {"type": "array", "items": _TEXT},
     },
 }
+# What runs of one row over seeds have in common, of the digests of their inputs, and what each is called.
+_NO_SEEDS = {
+    "code": "code", "weights": "weights", "masks": "masks", "images": "photos",
+    "references": "posed pictures", "textured_map": "textured map",
+}  # fmt: skip
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
@@ -240,13 +245,6 @@ def require_one_run_a_seed(label: str, runs: Sequence[dict[str, Any]]) -> None:
             f"{seeds.count(twice)} of the runs of {label} have seed {twice}.",
             "A mean over seeds takes one run of each: leave the others out.",
         )
-
-
-# What runs of one row over seeds have in common, of the digests of their inputs, and what each is called.
-_NO_SEEDS = {
-    "code": "code", "weights": "weights", "masks": "masks", "images": "photos",
-    "references": "posed pictures", "textured_map": "textured map",
-}  # fmt: skip
 
 
 def require_seeds_alone(label: str, runs: Sequence[dict[str, Any]]) -> None:

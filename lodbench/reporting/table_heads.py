@@ -14,24 +14,25 @@ from lodbench.reporting.aligned_text import plain_text
 
 if TYPE_CHECKING:
     pass
+_SHARES = re.compile(r"(horizontal)_[\d.]+m_percent|beyond_[\d.]+m_[\d.]+deg_percent")
+# A count as it is, and a mean of counts to one digit: none of five runs' failures is rounded away.
+_COUNT = "count"
+# Parts of the protocol that may be freed to differ within a table.
+FREE = ("lod", "segmenter", "renderer", "tilt", "prior", "seed")
+# How names of a segmenter's settings begin.
+_OF_SEGMENTER = "segmenter."
+# The method that answers with the prior.
+PRIOR_METHOD = "prior_only"
 
 
 class Column(NamedTuple):
-    """What is shown of a split.
+    """What is shown of a split."""
 
-    Attributes:
-        head: Name of the column.
-        numbers: Names of the numbers in a cell; more than one are parted by a slash.
-        spec: How they are written.
-        better: 1 if more is better, -1 if less is, 0 if neither.
-        has_bounds: Whether the 95 % interval stands behind the number.
-    """
-
-    head: str
-    numbers: tuple[str, ...]
-    spec: str = ".2f"
-    better: int = 0
-    has_bounds: bool = False
+    head: str  # name of the column
+    numbers: tuple[str, ...]  # names of the numbers in a cell; more than one are parted by a slash
+    spec: str = ".2f"  # how they are written
+    better: int = 0  # 1 if more is better, -1 if less is, 0 if neither
+    has_bounds: bool = False  # whether the 95 % interval stands behind the number
 
     def value(self, row: Mapping[str, Any]) -> float:
         """Returns the first number, NaN where there is none: what rows are sorted by."""
@@ -61,11 +62,6 @@ class Column(NamedTuple):
         spread = row.get(f"{name} spread", math.nan)
         has_spread = math.isfinite(spread) and text != "-"
         return f"{text} ±{finite_text(spread, self.spec)}" if has_spread else text
-
-
-_SHARES = re.compile(r"(horizontal)_[\d.]+m_percent|beyond_[\d.]+m_[\d.]+deg_percent")
-# A count as it is, and a mean of counts to one digit: none of five runs' failures is rounded away.
-_COUNT = "count"
 
 
 def finite_text(value: float | None, spec: str) -> str:
@@ -162,12 +158,6 @@ def _recalls(labels: Sequence[str]) -> list[Column]:
 
 def _areas(labels: Sequence[str]) -> list[Column]:
     return [Column(f"AUC {label}", (f"AUC {label}",), better=1) for label in labels]
-
-
-# Parts of the protocol that may be freed to differ within a table.
-FREE = ("lod", "segmenter", "renderer", "tilt", "prior", "seed")
-# How names of a segmenter's settings begin.
-_OF_SEGMENTER = "segmenter."
 
 
 def title_of(summary: dict[str, Any], free: Collection[str] = ()) -> str:
@@ -318,26 +308,14 @@ def _short(value: Any) -> str:
     return Path(value).name if isinstance(value, str) and "/" in value else str(value)
 
 
-# The method that answers with the prior.
-PRIOR_METHOD = "prior_only"
-
-
 class Line(NamedTuple):
-    """A method in a table.
+    """A method in a table."""
 
-    Attributes:
-        label: The method, or its variant where ``group`` names the method.
-        splits: Numbers by split, in the format of ``numbers_of``.
-        group: What lines next to each other have in common: ``method | map``, or "".
-        link: Where a page's label leads, or "".
-        is_prior: Whether it is what methods start from: never the best of them.
-    """
-
-    label: str
-    splits: dict[str, dict[str, Any]]
-    group: str = ""
-    link: str = ""
-    is_prior: bool = False
+    label: str  # the method, or its variant where ``group`` names the method
+    splits: dict[str, dict[str, Any]]  # numbers by split, in the format of ``numbers_of``
+    group: str = ""  # what lines next to each other have in common: ``method | map``, or ""
+    link: str = ""  # where a page's label leads, or ""
+    is_prior: bool = False  # whether it is what methods start from: never the best of them
 
     def group_text(self) -> str:
         """Returns ``name (map)`` of a group ``name | map``."""

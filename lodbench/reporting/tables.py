@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lodbench.reporting import table_heads
 from lodbench.reporting.aligned_text import count_of, csv_cell, plain_text
 from lodbench.reporting.page import rendered
 from lodbench.reporting.summaries import (
@@ -19,19 +20,6 @@ from lodbench.reporting.summaries import (
     numbers_of,
     require_one_run_a_seed,
     require_seeds_alone,
-)
-from lodbench.reporting.table_heads import (
-    PRIOR_METHOD,
-    Column,
-    Line,
-    columns_named,
-    labels_of,
-    method_name,
-    natural,
-    paper_columns,
-    protocol_columns,
-    title_of,
-    titles_of,
 )
 from lodbench.storage import digest_of
 
@@ -46,19 +34,13 @@ _WORDS = ("group", "method", "split", "is_printed")
 
 @dataclass(frozen=True, slots=True, repr=False)
 class RecallTable:
-    """Methods over columns of splits.
+    """Methods over columns of splits."""
 
-    Attributes:
-        title: What the lines have in common: dataset, tilt, segmenter, seed.
-        lines: Top to bottom; the priors' first, where there is one.
-        columns: Columns of each split; empty for the paper's.
-        protocol: The title and a digest of all that the lines share, where that is more: only rows of one
-            protocol compare.
-    """
-
-    title: str
-    lines: tuple[Line, ...]
-    columns: tuple[Column, ...] = ()
+    title: str  # what the lines have in common: dataset, tilt, segmenter, seed
+    lines: tuple[table_heads.Line, ...]  # top to bottom; the priors' first, where there is one
+    columns: tuple[table_heads.Column, ...] = ()  # columns of each split; empty for the paper's
+    # The title and a digest of all that the lines share, where that is more: only rows of one protocol
+    # compare.
     protocol: str = ""
 
     def __repr__(self) -> str:
@@ -95,7 +77,7 @@ class RecallTable:
         Raises:
             ConfigError: There is neither.
         """
-        return replace(self, columns=columns_named(name, self.labels(), self.numbers()))
+        return replace(self, columns=table_heads.columns_named(name, self.labels(), self.numbers()))
 
     def by_split(self) -> list[RecallTable]:
         """Returns a table of each split."""
@@ -111,17 +93,20 @@ class RecallTable:
             for split in self.splits
         ]
 
-    def shown(self) -> tuple[Column, ...]:
+    def shown(self) -> tuple[table_heads.Column, ...]:
         """Returns the columns of each split."""
-        return self.columns or (*paper_columns(self.labels()), *protocol_columns(self.numbers()))
+        return self.columns or (
+            *table_heads.paper_columns(self.labels()),
+            *table_heads.protocol_columns(self.numbers()),
+        )
 
-    def cells(self, line: Line) -> Iterator[tuple[Column, Mapping[str, Any] | None]]:
+    def cells(self, line: table_heads.Line) -> Iterator[tuple[table_heads.Column, Mapping[str, Any] | None]]:
         """Yields the columns of a line with the numbers behind them, all columns of the first split first."""
         for split in self.splits:
             for column in self.shown():
                 yield column, line.splits.get(split)
 
-    def texts(self, line: Line) -> list[str]:
+    def texts(self, line: table_heads.Line) -> list[str]:
         """Returns the cells of a line as text."""
         return [column.text(numbers) for column, numbers in self.cells(line)]
 
@@ -152,7 +137,9 @@ def tables_of(
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for summary, key, seen in zip(summaries, keys, photos, strict=True):
         groups.setdefault((*key, seen), []).append(summary)
-    titles = titles_of([shared[0] for shared in groups], [members[0] for members in groups.values()])
+    titles = table_heads.titles_of(
+        [shared[0] for shared in groups], [members[0] for members in groups.values()]
+    )
     return [
         replace(
             _table(title, members, free, over_seeds, summaries), protocol=f"{title} · {digest_of(shared)}"
@@ -173,7 +160,7 @@ def _shared(summary: dict[str, Any], free: Collection[str]) -> tuple[str, ...]:
     """Returns what a run shares with all runs of its table, photos aside; first the table's title."""
     inputs = [str(summary["dataset"].get(name, "")) for name in _fixed_inputs(summary, free)]
     renderer = "" if "renderer" in free else str(summary["protocol"].get("renderer", ""))
-    return title_of(summary, free), renderer, *inputs
+    return table_heads.title_of(summary, free), renderer, *inputs
 
 
 def _fixed_inputs(summary: dict[str, Any], free: Collection[str]) -> list[str]:
@@ -199,9 +186,9 @@ def _table(
     priors = [member["prior"] for member in members]
     if all(prior == priors[0] for prior in priors):
         numbers = {split: numbers_of(value) for split, value in priors[0].items()}
-        rows.append(Line("Prior", numbers, is_prior=True))
+        rows.append(table_heads.Line("Prior", numbers, is_prior=True))
     labelled: dict[str, list[dict[str, Any]]] = {}
-    labels = labels_of(members, free - {"seed"} if over_seeds else free, others)
+    labels = table_heads.labels_of(members, free - {"seed"} if over_seeds else free, others)
     for label, member in zip(labels, members, strict=True):
         labelled.setdefault(label if over_seeds else f"{label}\0{len(labelled)}", []).append(member)
     found = []
@@ -210,10 +197,12 @@ def _table(
         require_seeds_alone(label, runs)
         shown = label.split("\0")[0] + (f" ({count_of(len(runs), 'seeds')})" if over_seeds else "")
         numbers = {name: mean_numbers(runs, name) for name in runs[0]["splits"]}
-        found.append(Line(shown, numbers, is_prior=runs[0]["method"]["name"] == PRIOR_METHOD))
-    if len({method_name(member) for member in members}) == 1:
+        found.append(
+            table_heads.Line(shown, numbers, is_prior=runs[0]["method"]["name"] == table_heads.PRIOR_METHOD)
+        )
+    if len({table_heads.method_name(member) for member in members}) == 1:
         # One method under several settings: in their order, whatever the order of the folders.
-        found.sort(key=lambda row: natural(row.label))
+        found.sort(key=lambda row: table_heads.natural(row.label))
     return RecallTable(title, tuple([*rows, *found]))
 
 
@@ -324,7 +313,7 @@ def _best(table: RecallTable) -> set[tuple[int, int]]:
     places = [(n, list(table.cells(line))) for n, line in enumerate(table.lines) if not line.is_prior]
     found: set[tuple[int, int]] = set()
     for i in range(len(places[0][1]) if places else 0):
-        column: Column = places[0][1][i][0]
+        column: table_heads.Column = places[0][1][i][0]
         rows = {n: cells[i][1] for n, cells in places}
         values = {n: np.multiply(column.better, column.values(row)) for n, row in rows.items() if row}
         known = {n: value for n, value in values.items() if np.isfinite(value).all()}
@@ -345,7 +334,7 @@ def _tex_group(table: RecallTable, start: int) -> str:
     return rf"\multirow{{{count}}}{{*}}{{{cell}}}" if count > 1 else cell
 
 
-def _grouped(table: RecallTable) -> list[tuple[str, Line]]:
+def _grouped(table: RecallTable) -> list[tuple[str, table_heads.Line]]:
     befores = (None, *table.lines)
     return [
         ("" if before is not None and before.group == line.group else line.group_text(), line)

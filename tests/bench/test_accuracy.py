@@ -1,29 +1,24 @@
 """Recall, calibration and their tables over seeded views, of one city and of several."""
 
 import json
-import math
 import shutil
 
-import numpy as np
-import pandas as pd
 import pytest
 
+from lodbench.bench import Report
 from lodbench.bench.accuracy import (
     blocks_of,
     measure_accuracy,
     measure_cities,
     names_of,
     report_accuracy,
-    share_rejectable,
-    share_rejected,
+    with_prior_range,
 )
-from lodbench.bench.report import Report
-from lodbench.bench.views import with_prior_range
 from lodbench.cli import bench_views, main
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation import PoseError
+from lodbench.evaluation.metrics import ERROR, PRIOR_ERROR, queries_frame
 from lodbench.evaluation.pose_errors import FAILED
-from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, queries_frame
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.lodlocv2 import LodLocV2, LodLocV2Params
 from lodbench.methods.registry import make_method
@@ -199,39 +194,6 @@ class TestReport:
 def test_seeds_that_make_no_sense(city, seeds):
     with pytest.raises(ConfigError, match="seeds"):
         measure_accuracy(ViewsParams(str(city)), seeds, [LodLocV2()])
-
-
-def answers(*rows):
-    errors, given = np.array([row[0] for row in rows]), [row[1] for row in rows]
-    return pd.DataFrame({ERROR[0]: errors, ERROR[1]: np.zeros(len(rows)), "probability": given})
-
-
-class TestRejected:
-    def test_wrong_answers_below_nine_tenths_of_the_right_ones(self):
-        right = [(0.5, 0.1 * k) for k in range(1, 11)]
-        # 90 % of the right ones are kept from 0.19 on.
-        assert share_rejected(
-            answers(*right, (5.0, 0.18), (5.0, 0.2), (math.inf, math.nan))
-        ) == pytest.approx(2 / 3)
-
-    def test_nothing_to_say_without_right_or_without_wrong_ones(self):
-        assert math.isnan(share_rejected(answers((0.5, 0.9))))
-        assert math.isnan(share_rejected(answers((5.0, 0.9))))
-
-
-class TestRejectable:
-    def test_answers_as_sure_as_each_other_cannot_be_told_apart(self):
-        assert share_rejectable(answers(*10 * [(0.5, 0.5)])) == pytest.approx(0.1)
-        assert share_rejectable(answers(*5 * [(0.5, 1.0)], *5 * [(9.0, 0.0)])) == 1.0
-        assert math.isnan(share_rejectable(answers((0.5, 1.0))))
-
-    def test_is_what_is_rejected_where_answers_are_right_as_often_as_they_say(self):
-        generator = np.random.default_rng(7)
-        given = generator.beta(1.5, 0.7, 40_000)
-        errors = np.where(generator.random(len(given)) < given, 0.5, 9.0)
-        drawn = answers(*zip(errors, given, strict=True))
-        assert share_rejectable(drawn) == pytest.approx(share_rejected(drawn), abs=0.01)
-        assert 0.3 < share_rejectable(drawn) < 0.9
 
 
 def test_cities_whose_files_are_called_alike_are_told_apart():

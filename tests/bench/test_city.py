@@ -3,13 +3,15 @@ from pathlib import Path
 
 import pytest
 
-from lodbench.bench.city import CityOptions, measure_city, repeat_members
-from lodbench.bench.city_peers import (
+from lodbench.bench.city import (
+    CityOptions,
     Projection,
+    measure_city,
     naive_mesh,
     obj_area,
     project_plainly,
     project_tuned,
+    repeat_members,
     time_cjio,
 )
 from lodbench.citymodel import open_scene, read_city_model

@@ -135,7 +135,7 @@ def test_three_ways_to_run(capsys) -> None:
 def fake_run(monkeypatch, content) -> None:
     """Replaces commands by ones that write results and take no time."""
 
-    def seconds(command):
+    def seconds(*command):
         from pathlib import Path
 
         folder = Path(command[-1].partition("=")[2]) / "demo" / "lodlocv2" / "0"
@@ -146,7 +146,7 @@ def fake_run(monkeypatch, content) -> None:
         whole_s = 5.0 if "executor=process" in command else 8.0 if "executor.threads=2" in command else 9.0
         return 1.0 if again else whole_s
 
-    monkeypatch.setattr(commands, "_seconds", seconds)
+    monkeypatch.setattr(commands, "seconds_of_command", seconds)
 
 
 def test_the_queries_are_the_command_less_what_it_takes_when_all_is_there(monkeypatch) -> None:

@@ -4,13 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lodbench.bench import maps
+from lodbench.bench import Figure, maps
 from lodbench.bench.maps import MapsOptions, measure_maps
-from lodbench.bench.report import Figure
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.extrude import scene_of_blocks
 from lodbench.datasets.folder import FolderParams, open_folder
-from lodbench.evaluation.queries import ERROR
+from lodbench.evaluation.metrics import ERROR
 from tests.town import write_dataset
 
 

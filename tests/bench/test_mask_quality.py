@@ -15,7 +15,7 @@ from lodbench.cli import main
 from lodbench.cli.bench import BENCHES
 from lodbench.datasets.inputs import Input
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.evaluation.statistics import bootstrap_ratio
+from lodbench.evaluation.pose_errors import bootstrap_ratio
 from lodbench.segmentation.map_guided import MapInstances, MapInstancesParams
 from lodbench.segmentation.packaged import Compact, CompactParams
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter

@@ -10,15 +10,15 @@ import pytest
 
 from lodbench.bench.photo_masks import TracedOptions, open_traced_photos
 from lodbench.bench.real_query import RealOptions, RealSet, measure_real, shared_and_own
-from lodbench.bench.real_report import flagged, flight_errors, found, held, report_real, trusted
+from lodbench.bench.real_report import flight_errors, found, held, report_real, trusted
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.cli.bench import main
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import DatasetError
+from lodbench.evaluation.metrics import ERROR
 from lodbench.evaluation.pose_errors import Threshold
-from lodbench.evaluation.queries import ERROR
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.protocol import Estimate, FlightEstimate
 from lodbench.segmentation.masks import read_mask
@@ -48,14 +48,6 @@ def trials(*ends):
 
 
 class TestTheReport:
-    def test_wrong_answers_are_flagged_by_what_right_ones_pass(self):
-        right = [(1.0, 0.1, p) for p in np.linspace(0.5, 1.0, 11)]
-        # The lowest tenth of the right ones lies below 0.55.
-        wrong = [(9.0, 0.1, p) for p in (0.1, 0.2, 0.54, 0.9)]
-        assert flagged(trials(*right, *wrong)) == 0.75
-        assert flagged(trials(*right)) is None
-        assert flagged(trials(*right, (9.0, 0.1, math.nan))) is None
-
     def test_places_are_held_by_what_was_said_of_them(self):
         ends = trials(*[(1.0, 0.1, 0.5)] * 4)
         assert held(ends) is None

@@ -6,8 +6,14 @@ import pandas as pd
 import pytest
 
 from lodbench.bench import silhouettes
-from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes, report_silhouettes
-from lodbench.bench.views import HORIZON, STEEP, make_swarms
+from lodbench.bench.silhouettes import (
+    HORIZON,
+    STEEP,
+    SilhouetteOptions,
+    make_swarms,
+    measure_silhouettes,
+    report_silhouettes,
+)
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.rendering import make_renderer

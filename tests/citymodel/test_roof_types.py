@@ -18,8 +18,7 @@ from lodbench.citymodel.scene_file import read_scene, scene_folder, write_scene
 from lodbench.citymodel.source import open_sources
 from lodbench.cli import main
 from lodbench.errors import CityModelError
-from lodbench.harness.city import city_digests
-from lodbench.harness.tiled_city import compile_tiles
+from lodbench.harness.city import city_digests, compile_tiles
 from lodbench.storage.digest import write_arrays
 
 from .gml_text import box_rings, city, member, solid_of, write

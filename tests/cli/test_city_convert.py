@@ -242,10 +242,7 @@ def test_photos_of_a_dataset_measure_roofs(photo_folder, capsys):
 
 def test_photos_with_poses_of_a_file_and_a_default_height(photo_folder):
     known = read_poses(photo_folder / "flight" / "GT_pose.txt")
-    write_colmap(
-        [FoundPose(name, "", pose, SHARP) for name, pose in known.items()],
-        photo_folder / "sparse",
-    )
+    write_colmap([FoundPose(name, "", pose, SHARP) for name, pose in known.items()], photo_folder / "sparse")
     words = ["--photos", "flight/Query_image", "--poses", "sparse", "--option", "default_height_m=7"]
     assert main([*PHOTO_WORDS, *words, "town.city.json"]) == 0
     told = attributes(photo_folder / "town.city.json")
@@ -283,17 +280,7 @@ def test_photos_elsewhere_measure_nothing(photo_folder, capsys):
     far = {name: pose.shifted([5000.0, 0.0, 0.0]) for name, pose in read_poses(path).items()}
     path.write_text("\n".join(format_pose(name, pose) for name, pose in far.items()) + "\n")
     assert (
-        main(
-            [
-                *PHOTO_WORDS,
-                "--photos",
-                "flight",
-                "--option",
-                "height_column=ground",
-                "town.city.json",
-            ]
-        )
-        == 0
+        main([*PHOTO_WORDS, "--photos", "flight", "--option", "height_column=ground", "town.city.json"]) == 0
     )
     told = attributes(photo_folder / "town.city.json")
     assert {each["height_from"] for each in told.values()} == {"column ground"}

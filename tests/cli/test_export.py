@@ -17,8 +17,8 @@ from lodbench.citymodel.cache import open_cached_scene
 from lodbench.cli import main
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_poses
-from lodbench.evaluation.queries import NO_TRUTH, queries_frame
-from lodbench.harness.export.formats import queries_with_poses
+from lodbench.evaluation.metrics import NO_TRUTH, queries_frame
+from lodbench.harness.export import queries_with_poses
 from tests.site_packages import write_package
 from tests.town import CAMERA, write_dataset
 

@@ -123,7 +123,7 @@ def test_what_cannot_be_is_one_line(capsys, folder, monkeypatch):
     assert main([*words, str(found), "--out", str(folder / "m.txt")]) == 2
     assert "for 2 folders" in capsys.readouterr().err
     with monkeypatch.context() as patched:
-        patched.setattr("lodbench.harness.export.formats.Metashape.requires", ("city",))
+        patched.setattr("lodbench.harness.export.Metashape.requires", ("city",))
         assert main(words) == 2
     assert "lodbench dataset init" in capsys.readouterr().err
     values = json.loads((found / "a.json").read_text())
@@ -132,7 +132,7 @@ def test_what_cannot_be_is_one_line(capsys, folder, monkeypatch):
     assert "poses in EPSG:25832 (a.jpg) and in a local frame (b.jpg)" in capsys.readouterr().err
     (found / "a.json").write_text(json.dumps({**values, "covariance": [1.0]}))
     assert main(words) == 2
-    assert "a.json is no answer that can be exported" in capsys.readouterr().err
+    assert "a.json is no answer that can be read" in capsys.readouterr().err
     for name in ("a", "b"):
         (found / f"{name}.json").unlink()
     assert main(words) == 2

@@ -15,9 +15,14 @@ from lodbench.cli import main
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.pose_text import FoundPose
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.harness.photo.many import FINDINGS_FILE, FLIGHTS_FILE, PhotoAnswer, write_answers
+from lodbench.harness.photo.many import (
+    FINDINGS_FILE,
+    FLIGHTS_FILE,
+    PhotoAnswer,
+    default_workers,
+    write_answers,
+)
 from lodbench.harness.photo.prepare import PhotoRequest
-from lodbench.harness.photo.workers import default_workers
 from lodbench.methods.region import Region
 from lodbench.rendering import make_renderer
 from lodbench.reporting.answers import UNTRUSTED

@@ -158,7 +158,7 @@ def test_what_cannot_be_placed_is_one_line(capsys, found, tmp_path):
             "no results of lodbench localize",
         ),
         ([photo, "--city", city, "--found", str(tmp_path / "empty"), *one], "holds no pose of DJI_0001.JPG"),
-        ([photo, "--city", city, "--found", str(tmp_path / "old"), *one], "an earlier version"),
+        ([photo, "--city", city, "--found", str(tmp_path / "old"), *one], "is no answer that can be read"),
         ([photo, *here, *one, "--out", str(tmp_path / "other.geojson")], "would be written over"),
         ([photo, "--city", str(tmp_path / "other.obj"), *here[2:], *one], "in no reference system"),
         ([photo, *here, "--mask", str(tmp_path / "black.png")], "is black"),
@@ -186,6 +186,8 @@ class TestWithoutReferenceSystem:
         (tmp_path / "found").mkdir()
         values = {
             "sha256": file_digest(photo),
+            "photo": photo.name,
+            **dict.fromkeys(("score", "probability")),
             "crs": None,
             "pose": {"quat_wxyz": pose.quat_wxyz, "translation_m": pose.translation.tolist()},
             "covariance": np.diag([0.5, 0.5, 0.5, 0.02, 0.02, 0.02]).tolist(),

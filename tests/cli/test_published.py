@@ -294,11 +294,7 @@ def show_map(root: Path, is_plain: bool) -> None:
 
 @pytest.mark.parametrize(
     ("words", "is_found"),
-    [
-        ("method=region", True),
-        ("method=region dataset.focal=unknown", False),
-        ("method=uavd4l", True),
-    ],
+    [("method=region", True), ("method=region dataset.focal=unknown", False), ("method=uavd4l", True)],
 )
 def test_methods_run_over_a_surface_model_with_its_orthophoto(
     lodbench, tmp_path, monkeypatch, words, is_found

@@ -10,8 +10,8 @@ import pytest
 
 from lodbench.citymodel import open_scene
 from lodbench.cli.hydra_app import plain, register_config_sources, single_job
-from lodbench.cli.parts import option_pairs
-from lodbench.cli.run_dataset import with_date
+from lodbench.cli.options import option_pairs
+from lodbench.cli.run import with_date
 from lodbench.cli.settings import Setting, settings_in, settings_of
 from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
 from lodbench.datasets.query import Dataset

@@ -14,7 +14,7 @@ from lodbench.datasets.real_flights import RealFlightParams, open_real_flight
 from lodbench.errors import DatasetError
 from lodbench.geometry.similarity import Similarity
 from lodbench.harness.runs.predict import _batches
-from lodbench.harness.runs.requirements import tell_flights
+from lodbench.harness.runs.requirements import warn_of_flights
 from lodbench.methods.registry import make_method
 from tests.town import write_dataset
 
@@ -33,7 +33,7 @@ def test_map_lies_beside_and_all_photos_are_one_flight(flight, caplog):
     assert dataset.city_model == city
     assert dataset.splits == ("ochota",)
     method = make_method("flight")
-    tell_flights(method, dataset.entries)
+    warn_of_flights(method, dataset.entries)
     assert not caplog.records
     (batch,) = _batches(method, dataset.entries, dataset.entries[:1])
     assert [entry.name for entry in batch] == ["view_00.png", "view_01.png", "view_02.png"]
@@ -43,10 +43,10 @@ def test_what_finds_photos_from_the_ones_before_refuses_photos_of_no_flight(flig
     root, city = flight
     unnamed = open_folder(FolderParams(str(root), str(city))).entries
     with pytest.raises(DatasetError, match=r"method=tracking .* flights of 3 photos of") as caught:
-        tell_flights(make_method("tracking"), unnamed)
+        warn_of_flights(make_method("tracking"), unnamed)
     assert "sequences.txt" in caught.value.hint
-    tell_flights(make_method("tracking"), unnamed[:1])
-    tell_flights(make_method("tracking"), open_real_flight(RealFlightParams(str(root))).entries)
+    warn_of_flights(make_method("tracking"), unnamed[:1])
+    warn_of_flights(make_method("tracking"), open_real_flight(RealFlightParams(str(root))).entries)
 
 
 def test_files_that_name_flights_are_believed(flight, tmp_path):

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lodbench.bench.flights import MapScore, score_map
+from lodbench.bench.real_report import PhotoEdges, median_and_share, roof_edges
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.real_flights import RealFlightParams, open_real_flight
 from lodbench.errors import ConfigError
-from lodbench.evaluation.basin import basin_steps, protocol_lines
-from lodbench.evaluation.edge_distance import PhotoEdges, median_and_share, roof_edges
-from lodbench.evaluation.flight_findings import MapScore, score_map
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.harness.runs.basin import basin_steps, protocol_lines
 from lodbench.segmentation.masks import read_photo
 from tests.town import box_obj
 

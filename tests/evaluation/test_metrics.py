@@ -1,4 +1,4 @@
-"""Metrics by hand, calibration, panoptic quality; metrics of other packages, left out where they fail."""
+"""Metrics by hand, calibration; metrics of other packages, left out where they fail."""
 
 import math
 import re
@@ -7,14 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from lodbench.evaluation import metrics
-from lodbench.evaluation.metrics import InstanceMatches, calibrate, match_instances, risk_coverage
+from lodbench.evaluation.metrics import (
+    COLUMNS,
+    ERROR,
+    PARTS,
+    calibrate,
+    queries_frame,
+    risk_coverage,
+    share_rejectable,
+    share_rejected,
+    summarize_queries,
+)
 from lodbench.evaluation.pose_errors import FAILED, FAILED_PARTS
-from lodbench.evaluation.queries import COLUMNS, ERROR, PARTS, queries_frame, summarize_queries
 from lodbench.plugins import PlugIn, installed
 from lodbench.storage import random_stream
 
@@ -193,43 +199,27 @@ def test_nothing_to_judge():
     assert math.isnan(calibration.aurc)
 
 
-LABELS = arrays(np.uint16, (12, 9), elements=st.integers(0, 4))
+class TestRejected:
+    def test_wrong_answers_below_nine_tenths_of_the_right_ones(self):
+        right = np.arange(1, 11) * 0.1
+        # 90 % of the right ones are kept from 0.19 on.
+        given = np.array([*right, 0.18, 0.2, 0.0])
+        assert share_rejected(given, np.arange(13) < 10) == pytest.approx(2 / 3)
+
+    def test_nothing_to_say_without_right_or_wrong_ones_or_a_probability(self):
+        for given, right in (([0.9], [True]), ([0.9], [False]), ([0.9, math.nan], [True, False])):
+            assert math.isnan(share_rejected(np.array(given), np.array(right)))
 
 
-def test_two_buildings_taken_for_one_are_one_pair_or_none():
-    true = np.zeros((10, 20), np.uint16)
-    true[:, :12], true[:, 12:] = 1, 2
-    matches = match_instances(np.ones_like(true), true, 1)
-    # The larger covers 120 of 200 pixels: it is matched, the other is missed.
-    assert matches == InstanceMatches(1, 0.6, 1, 2)
-    assert matches.recognition == pytest.approx(2 / 3)
-    assert matches.segmentation == pytest.approx(0.6)
-    assert matches.panoptic == pytest.approx(0.4)
-    true[:, :10], true[:, 10:] = 1, 2
-    assert match_instances(np.ones_like(true), true, 1).matched == 0
+class TestRejectable:
+    def test_answers_as_sure_as_each_other_cannot_be_told_apart(self):
+        assert share_rejectable(np.full(10, 0.5)) == pytest.approx(0.1)
+        assert share_rejectable(np.repeat([1.0, 0.0], 5)) == 1.0
+        assert math.isnan(share_rejectable(np.array([1.0])))
 
-
-def test_small_ones_do_not_count_on_either_side():
-    true = np.zeros((10, 10), np.uint16)
-    true[:2, :2], true[5:, 5:] = 1, 2
-    found = np.where(true == 2, 7, 0)
-    found[0, 9] = 3
-    assert match_instances(found, true, 5) == InstanceMatches(1, 1.0, 1, 1)
-    assert match_instances(found, true, 1) == InstanceMatches(1, 1.0, 2, 2)
-
-
-@given(LABELS)
-def test_labels_agree_with_themselves_by_any_name(labels):
-    renamed = np.where(labels > 0, 9 - labels, 0)
-    matches = match_instances(renamed, labels, 1)
-    count = len(np.unique(labels[labels > 0]))
-    assert matches == InstanceMatches(count, float(count), count, count)
-
-
-@given(LABELS, LABELS)
-def test_it_is_symmetric_and_sums(one, other):
-    ahead, back = match_instances(one, other, 1), match_instances(other, one, 1)
-    assert (ahead.matched, ahead.iou_sum) == (back.matched, pytest.approx(back.iou_sum))
-    both = ahead + back
-    assert both.found == both.true
-    assert ahead.matched <= min(ahead.found, ahead.true)
+    def test_is_what_is_rejected_where_answers_are_right_as_often_as_they_say(self):
+        generator = np.random.default_rng(7)
+        given = generator.beta(1.5, 0.7, 40_000)
+        right = generator.random(len(given)) < given
+        assert share_rejectable(given) == pytest.approx(share_rejected(given, right), abs=0.01)
+        assert 0.3 < share_rejectable(given) < 0.9

@@ -12,8 +12,7 @@ from scipy.stats import binomtest
 
 from lodbench.datasets.pose_text import format_pose
 from lodbench.evaluation import DEFAULT_THRESHOLDS, PoseError, Threshold, pose_error, summarize
-from lodbench.evaluation.pose_errors import FAILED, error_parts
-from lodbench.evaluation.statistics import wilson_interval
+from lodbench.evaluation.pose_errors import FAILED, error_parts, wilson_interval
 from lodbench.geometry import EulerAngles, Pose
 
 angles = st.tuples(st.floats(-180, 180), st.floats(-89, 89), st.floats(-180, 180))

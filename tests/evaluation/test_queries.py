@@ -9,8 +9,7 @@ import pytest
 from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError
-from lodbench.evaluation.predictions import Prediction, encoded_mask, evaluate
-from lodbench.evaluation.queries import (
+from lodbench.evaluation.metrics import (
     COLUMNS,
     EAST_NORTH,
     GROUND,
@@ -19,6 +18,7 @@ from lodbench.evaluation.queries import (
     queries_csv,
     summarize_queries,
 )
+from lodbench.evaluation.predictions import Prediction, encoded_mask, evaluate
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.rendering import make_renderer
 from tests.town import CAMERA, box_obj, write_dataset

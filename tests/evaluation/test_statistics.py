@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from lodbench.evaluation import statistics
-from lodbench.evaluation.statistics import bootstrap_means, bootstrap_median, mcnemar, paired_medians
+from lodbench.evaluation import pose_errors
+from lodbench.evaluation.pose_errors import bootstrap_means, bootstrap_median, mcnemar, paired_medians
 
 values = st.lists(st.floats(0, 100), min_size=2, max_size=60)
 
@@ -111,21 +111,21 @@ def test_the_same_intervals_whether_resamples_are_drawn_at_once_or_in_parts(monk
     first, second = np.random.default_rng(3).exponential(size=(2, 37))
 
     def measured():
-        statistics._median_ranks.cache_clear()
+        pose_errors._median_ranks.cache_clear()
         table = np.column_stack([first, second])
-        means, ratio = statistics.bootstrap_means(table), statistics.bootstrap_ratio(first, second)
+        means, ratio = pose_errors.bootstrap_means(table), pose_errors.bootstrap_ratio(first, second)
         return [
             *means,
             ratio,
-            statistics.bootstrap_median(first),
-            statistics.paired_medians(first, second)[1],
+            pose_errors.bootstrap_median(first),
+            pose_errors.paired_medians(first, second)[1],
         ]
 
     whole = measured()
     drawn = []
-    make = statistics._drawn
-    monkeypatch.setattr(statistics, "_drawn", lambda g, r, n: drawn.append(r) or make(g, r, n))
-    monkeypatch.setattr(statistics, "_AT_ONCE", 300 * 37)
+    make = pose_errors._drawn
+    monkeypatch.setattr(pose_errors, "_drawn", lambda g, r, n: drawn.append(r) or make(g, r, n))
+    monkeypatch.setattr(pose_errors, "_AT_ONCE", 300 * 37)
     np.testing.assert_allclose(measured(), whole, rtol=1e-12)
     assert set(drawn) == {300, 100}
-    statistics._median_ranks.cache_clear()
+    pose_errors._median_ranks.cache_clear()

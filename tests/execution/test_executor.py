@@ -16,10 +16,9 @@ from typing import Any
 import pytest
 
 from lodbench.errors import WorkersGone
-from lodbench.execution import fan_out
-from lodbench.execution import fan_out as ctrl_c
+from lodbench.execution import processes
 from lodbench.execution.executor import DaskWorkers, _on_worker, dask_workers
-from lodbench.execution.fan_out import ctrl_c_for_this_thread, start_tracker
+from lodbench.execution.processes import ctrl_c_for_this_thread, start_tracker
 
 # The server imports a module that tells whether Ctrl-C would reach it.
 _MODULE = (
@@ -27,7 +26,7 @@ _MODULE = (
 )
 _SCRIPT = """
 import multiprocessing, time
-from lodbench.execution.fan_out import expect_workers
+from lodbench.execution.processes import expect_workers
 if __name__ == "__main__":
     expect_workers(("told",))
     process = multiprocessing.get_context("forkserver").Process(target=time.sleep, args=(0,))
@@ -54,7 +53,7 @@ def test_ctrl_c_while_the_server_imports_is_this_process_to_answer(tmp_path):
 
 def test_where_no_signal_can_be_blocked_workers_start_all_the_same(monkeypatch):
     monkeypatch.delattr(signal, "pthread_sigmask")
-    monkeypatch.setattr(ctrl_c.resource_tracker, "ensure_running", lambda: pytest.fail("Windows has none"))
+    monkeypatch.setattr(processes.resource_tracker, "ensure_running", lambda: pytest.fail("Windows has none"))
     start_tracker()
     with ctrl_c_for_this_thread():
         pass
@@ -63,9 +62,9 @@ def test_where_no_signal_can_be_blocked_workers_start_all_the_same(monkeypatch):
 def test_the_tracker_runs_before_workers_where_there_is_no_server_too(monkeypatch):
     """As on macOS: the first worker would start it, and Ctrl-C would come through."""
     begun = []
-    monkeypatch.setattr(fan_out, "_START", "spawn")
-    monkeypatch.setattr(ctrl_c.resource_tracker, "ensure_running", lambda: begun.append(True))
-    fan_out.expect_workers(("told",))
+    monkeypatch.setattr(processes, "_START", "spawn")
+    monkeypatch.setattr(processes.resource_tracker, "ensure_running", lambda: begun.append(True))
+    processes.expect_workers(("told",))
     assert begun
 
 
@@ -255,5 +254,5 @@ def test_the_dashboard_is_for_this_machine_alone() -> None:
 def test_what_cannot_go_to_another_process_is_said_in_a_line():
     held = threading.Lock()
     with pytest.raises(WorkersGone, match="cannot go to another process: cannot pickle") as fault:
-        list(fan_out.fan_out(str, [1, 2], 2, print, (held,)))
+        list(processes.fan_out(str, [1, 2], 2, print, (held,)))
     assert "executor=serial" in fault.value.hint

@@ -10,12 +10,12 @@ import pytest
 import scipy.linalg  # noqa: F401 - its BLAS is one of its own
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from lodbench.execution.guards import only_one_in, single_threaded_blas
+from lodbench.execution.processes import only_one_in, single_threaded_blas
 
 pytestmark = pytest.mark.attack
 
 CODE = (
-    "import sys; from pathlib import Path; from lodbench.execution.guards import only_one_in\n"
+    "import sys; from pathlib import Path; from lodbench.execution.processes import only_one_in\n"
     "with only_one_in(Path(sys.argv[1])): print('in', flush=True)\n"
 )
 
@@ -94,7 +94,7 @@ def test_a_blas_that_is_loaded_inside_has_one_thread_and_later_ones_as_many_as_b
     script = """
 import os
 from threadpoolctl import threadpool_info
-from lodbench.execution.guards import single_threaded_blas
+from lodbench.execution.processes import single_threaded_blas
 
 @single_threaded_blas
 def inside():

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
+from lodbench.evaluation.metrics import ERROR, NO_TRUTH, queries_frame
 from lodbench.evaluation.pose_errors import DEFAULT_THRESHOLDS, FAILED, PoseError
 from lodbench.evaluation.predictions import Prediction
-from lodbench.evaluation.queries import ERROR, NO_TRUTH, queries_frame
 from lodbench.geometry import Pose
 from lodbench.harness.runs import report as trace_pictures
 from lodbench.harness.runs.artefacts import variant_of

@@ -13,7 +13,7 @@ import pytest
 from lodbench.cli import main
 from lodbench.datasets.faults import KEY_TWICE
 from lodbench.errors import ConfigError, DatasetError, QueryFault
-from lodbench.evaluation.queries import queries_csv
+from lodbench.evaluation.metrics import queries_csv
 from lodbench.harness import RunSettings, run_method
 from lodbench.harness.conformance.data import export_rules, metric_rules
 from lodbench.harness.conformance.pictures import segmenter_rules

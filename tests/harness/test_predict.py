@@ -308,7 +308,7 @@ def words(tmp_path):
 @pytest.fixture
 def drawn(monkeypatch):
     """The pictures that are drawn, by name, and how often renderers were warmed up."""
-    names, real, warm = [], gallery.write_picture, predict._warm_up
+    names, real, warm = [], gallery.overlays.write_picture, predict._warm_up
 
     def write_picture(path, picture):
         names.append(path.name)
@@ -318,7 +318,7 @@ def drawn(monkeypatch):
         names.append("warm-up")
         warm(city_map)
 
-    monkeypatch.setattr(gallery, "write_picture", write_picture)
+    monkeypatch.setattr(gallery.overlays, "write_picture", write_picture)
     monkeypatch.setattr(predict, "_warm_up", warm_up)
     return names
 

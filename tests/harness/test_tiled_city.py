@@ -15,7 +15,7 @@ from lodbench.citymodel import ReadOptions, mesh_model, read_city_model
 from lodbench.citymodel.scene_file import read_scene, scene_info
 from lodbench.errors import CityModelError
 from lodbench.execution.executor import ExecutorParams
-from lodbench.harness.tiled_city import compile_tiles
+from lodbench.harness.city import compile_tiles
 from tests.citymodel.gml_text import box_rings, city, member, solid_of, write
 
 
@@ -105,13 +105,13 @@ def test_one_id_in_two_tiles(tiles: Path, tmp_path: Path) -> None:
 _KILLED = """
 import sys, time
 from pathlib import Path
-from lodbench.harness import tiled_city
-meshed = tiled_city._mesh_tile
+from lodbench.harness import city
+meshed = city._mesh_tile
 def slowly(job, source):
     time.sleep(0.05)
     return meshed(job, source)
-tiled_city._mesh_tile = slowly
-tiled_city.compile_tiles(Path(sys.argv[1]), Path(sys.argv[2]))
+city._mesh_tile = slowly
+city.compile_tiles(Path(sys.argv[1]), Path(sys.argv[2]))
 """
 
 

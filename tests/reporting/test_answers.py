@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
+from lodbench.evaluation.metrics import NO_TRUTH, queries_frame
 from lodbench.evaluation.predictions import Prediction
-from lodbench.evaluation.queries import NO_TRUTH, queries_frame
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.region.trust import SIGNS_STAGE
 from lodbench.reporting.answers import (

@@ -11,13 +11,17 @@ from lodbench.evaluation.pose_errors import summarize
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.reporting.figures import (
     BudgetPoint,
+    ErrorSample,
     RecallCurve,
+    Trace,
     draw_budget,
     draw_calibration,
+    draw_error_curves,
     draw_recall_curves,
+    draw_traces,
+    shares_below,
 )
 from lodbench.reporting.overlays import ESTIMATE_COLOUR, OverlayInput, draw_overlay, write_picture
-from lodbench.reporting.run_figures import ErrorSample, Trace, draw_error_curves, draw_traces, shares_below
 from tests.town import CAMERA, box_obj, prior_of, true_poses
 
 

@@ -17,10 +17,13 @@ from lodbench.reporting.aligned_text import csv_cell, plain_text
 from lodbench.reporting.leaderboard import (
     blocks_of,
     build_leaderboard,
+    entry_path,
+    entry_text,
     format_leaderboard_csv,
     leaderboard_frame,
+    reasons_against,
+    schema_faults,
 )
-from lodbench.reporting.leaderboard_entry import entry_path, entry_text, reasons_against, schema_faults
 from tests.reporting.browser import DESK, PHONE, column_texts, fits, opened, press
 
 DIGEST = "0123456789ab"

@@ -109,7 +109,7 @@ class PublishedSpec:
         photo_crs: CRS of which the local frame is a shift, to place photos by their GPS.
         downloads: What can be fetched by itself.
         parts: Files of a layout of its own; empty for LoD-Loc's.
-        protocol: Name of its bins and metrics, of ``lodbench.evaluation.queries``.
+        protocol: Name of its bins and metrics, of ``lodbench.evaluation.metrics``.
         year: Of its publication.
         camera_height_m: Between which heights above the ground its cameras are; None where not stated.
     """

@@ -6,6 +6,7 @@ import io
 from collections.abc import Iterator
 from contextlib import redirect_stdout
 from dataclasses import fields, is_dataclass, replace
+from functools import cache
 from inspect import signature
 from io import StringIO
 from pathlib import Path
@@ -24,17 +25,21 @@ from lodbench.datasets.pose_text import FoundPose
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.errors import LodbenchError
-from lodbench.evaluation.metrics import is_taken
+from lodbench.evaluation.metrics import ERROR, PARTS, is_taken, queries_frame
 from lodbench.evaluation.pose_errors import FAILED, FAILED_PARTS
 from lodbench.evaluation.predictions import Prediction, evaluate
-from lodbench.evaluation.queries import ERROR, PARTS, queries_frame
 from lodbench.geometry import Pose
 from lodbench.harness.conformance.trial import CAMERA, Rules, Tried, refuses, require
-from lodbench.harness.export.formats import CITY, CRS, DATASET, Export, ExportFormat, export_run, wanted_by
+from lodbench.harness.export import CITY, CRS, DATASET, Export, ExportFormat, export_run, wanted_by
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.params import to_params
 from lodbench.rendering import DEPTH, open_renderer
 from lodbench.rendering.masks import pack_mask
+
+# Where the blocks could stand.
+_CRS = "EPSG:25832"
+# Pixels on the outline may be drawn or not: no more of all than this.
+_MOST_DIFFERENT = 0.01
 
 
 def dataset_rules(tried: Tried) -> Rules:
@@ -200,10 +205,6 @@ def _require_pose(pose: Pose | None, where: str) -> None:
         Pose.from_matrix(pose.cam_from_world)
 
 
-# Where the blocks could stand.
-_CRS = "EPSG:25832"
-
-
 def export_rules(tried: Tried) -> Rules:
     """Returns the rules of an export format."""
 
@@ -253,10 +254,6 @@ def _contents(path: Path) -> Iterator[tuple[str, bytes]]:
             yield str(file.relative_to(path)), file.read_bytes()
 
 
-# Pixels on the outline may be drawn or not: no more of all than this.
-_MOST_DIFFERENT = 0.01
-
-
 def reader_rules(tried: Tried) -> Rules:
     """Returns the rules of a reader of city models, and of a format."""
     reads = getattr(tried.part, "read", tried.part)
@@ -286,7 +283,7 @@ def reader_rules(tried: Tried) -> Rules:
 
 def renderer_rules(tried: Tried) -> Rules:
     """Returns the rules of a renderer."""
-    renderer = _Once(lambda: tried.part(tried.scene, 1))
+    renderer = cache(lambda: tried.part(tried.scene, 1))
 
     def same_again() -> str:
         before = tried.scene.vertices.copy(), tried.scene.triangles.copy()
@@ -340,18 +337,6 @@ def _depth(tried: Tried, renderer: Any) -> str:
         differing <= _MOST_DIFFERENT, f"{100 * differing:.1f} % of the pixels: depth here, silhouette not"
     )
     return f"{found[found > 0].min():.1f} to {found.max():.1f} m, 0 beside the buildings"
-
-
-class _Once:
-    """Makes something when it is first requested, and keeps it."""
-
-    def __init__(self, make: Any) -> None:
-        self._make, self._made = make, None
-
-    def __call__(self) -> Any:
-        if self._made is None:
-            self._made = self._make()
-        return self._made
 
 
 def fit_rules(tried: Tried) -> Rules:

@@ -30,6 +30,11 @@ from lodbench.segmentation import (
 from lodbench.segmentation.masks import read_photo
 from lodbench.storage import file_digest, random_stream
 
+Floats = NDArray[np.float64]
+_COUNT, _OUTLIERS = 300, 0.3
+# What makes each kind of masks.
+_MEMBERS = {Input.MASK: "segment", Input.INSTANCES: "segment_instances", Input.CLASSES: "segment_classes"}
+
 
 def _picture(tried: Tried, number: int = 0) -> NDArray[np.uint8]:
     photo = np.asarray(cv2.imread(str(tried.entries[number].image)), np.uint8)
@@ -172,11 +177,6 @@ def retrieval_rules(tried: Tried) -> Rules:
     return [("describe", described), ("same again", same_again), ("found again", found_again)]
 
 
-Floats = NDArray[np.float64]
-
-_COUNT, _OUTLIERS = 300, 0.3
-
-
 def solver_rules(tried: Tried) -> Rules:
     """Returns the rules of a pose solver."""
 
@@ -240,14 +240,6 @@ def _correspondences(truth: Pose, outliers: float, number: int) -> tuple[Floats,
         wrong = stream.uniform(size=_COUNT) < outliers
         pixels[wrong] = stream.uniform(size=(int(wrong.sum()), 2)) * (CAMERA.width, CAMERA.height)
     return points, pixels
-
-
-# What makes each kind of masks.
-_MEMBERS = {
-    Input.MASK: "segment",
-    Input.INSTANCES: "segment_instances",
-    Input.CLASSES: "segment_classes",
-}
 
 
 def segmenter_rules(tried: Tried) -> Rules:

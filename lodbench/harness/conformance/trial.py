@@ -27,6 +27,41 @@ from lodbench.methods.protocol import Estimate, Method, Streams, SupportsFlights
 from lodbench.rendering import LayerRenderer, open_renderer
 from lodbench.storage import random_stream
 
+# No multiple of 64 wide: packed rows end within a word.
+CAMERA = Camera(310, 230, 231.0, 229.0, 156.5, 113.0)
+Rules = Sequence[tuple[str, Callable[[], str]]]
+# West, south, east, north, base, top, metres: nothing repeats, so that every pose is unique.
+_BLOCKS = (
+    (-72.0, -48.0, -40.0, -12.0, 0.0, 16.0),
+    (-14.0, -60.0, 10.0, -44.0, 1.0, 33.0),
+    (34.0, -38.0, 66.0, -2.0, 0.0, 11.0),
+    (-50.0, 8.0, -31.0, 56.0, 0.0, 22.0),
+    (-4.0, 2.0, 20.0, 27.0, 2.0, 38.0),
+    (38.0, 24.0, 60.0, 70.0, 0.0, 14.0),
+    (-76.0, 66.0, -12.0, 82.0, 1.0, 8.0),
+)
+# Far from zero, as map coordinates are: an answer in another frame than the query's shows at once.
+_ORIGIN = np.array([281_000.0, 5_657_000.0, 60.0])
+_QUERY_CAMERA = Camera(320, 240, 231.0, 229.0, 161.5, 118.0)
+# Pitch, roll, yaw (degrees) and x, y, z (metres) of the cameras; the priors are off by a fixed step.
+_TRUTHS = (
+    (22.0, 0.4, -70.0, 4.0, 9.0, 121.0),
+    (31.0, -0.3, 25.0, -11.0, 3.0, 128.0),
+    (26.0, 0.2, 140.0, 8.0, -10.0, 133.0),
+)
+_REFERENCES = (
+    (24.0, 0.0, -60.0, 9.0, 5.0, 124.0),
+    (28.0, 0.0, 30.0, -6.0, -2.0, 126.0),
+    (25.0, 0.0, 150.0, 3.0, -4.0, 130.0),
+)
+_PRIOR_OFF_M, _PRIOR_OFF_YAW_DEG = np.array([5.0, -4.0, 6.0]), 3.0
+# The frame of the queries' reconstruction, for a method that requires one.
+_RECONSTRUCTION = Similarity(
+    0.04, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.full(3, 7.0)
+)
+# Of the textured map: side of a speckled square, metres, and how far the ground reaches.
+_SPECKLES_M, _GROUND_M = 25.0, 160.0
+
 
 class Violation(Exception):
     """A rule is not kept."""
@@ -36,33 +71,19 @@ class Violation(Exception):
         self.hint = hint
 
 
-# No multiple of 64 wide: packed rows end within a word.
-CAMERA = Camera(310, 230, 231.0, 229.0, 156.5, 113.0)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Tried:
-    """A plug-in, and what it is tried on.
+    """A plug-in, and what it is tried on."""
 
-    Attributes:
-        part: The class or function of its entry point.
-        name: Its name.
-        config: Its section of the configuration; empty for kinds that have none, None where there is none.
-        make: Makes it anew from that, for kinds that are made from parameters.
-        folder: An empty folder.
-        scene: The blocks.
-        dataset: Photos, masks, priors and truth; the scene's frame is the dataset's.
-        sample: A file that the user named, for readers of formats.
-    """
-
-    part: Any
-    name: str
+    part: Any  # the class or function of its entry point
+    name: str  # its name
+    # Its section of the configuration; empty for kinds that have none, None where there is none.
     config: Mapping[str, Any] | None
-    make: Callable[[], Any]
-    folder: Path
-    scene: Scene
-    dataset: Dataset
-    sample: Path | None
+    make: Callable[[], Any]  # makes it anew from that, for kinds that are made from parameters
+    folder: Path  # an empty folder
+    scene: Scene  # the blocks
+    dataset: Dataset  # photos, masks, priors and truth; the scene's frame is the dataset's
+    sample: Path | None  # a file that the user named, for readers of formats
 
     @property
     def entries(self) -> tuple[Entry, ...]:
@@ -76,24 +97,13 @@ class Tried:
 
 
 class Rule(NamedTuple):
-    """A rule of a protocol.
+    """A rule of a protocol."""
 
-    Attributes:
-        title: What it is called.
-        check: Returns how it is kept, or raises a violation.
-        needs: Title of a rule without which it says nothing.
-        on_purpose: What to do where something else was raised on purpose.
-        ends: Whether nothing is to be said of the others where it is violated.
-    """
-
-    title: str
-    check: Callable[[], str]
-    needs: str = ""
-    on_purpose: str = ""
-    ends: bool = False
-
-
-Rules = Sequence[tuple[str, Callable[[], str]]]
+    title: str  # what it is called
+    check: Callable[[], str]  # returns how it is kept, or raises a violation
+    needs: str = ""  # title of a rule without which it says nothing
+    on_purpose: str = ""  # what to do where something else was raised on purpose
+    ends: bool = False  # whether nothing is to be said of the others where it is violated
 
 
 def check_rules(rules: Iterable[Rule], section: str = "answers") -> Iterator[Check]:
@@ -161,56 +171,15 @@ def trial_dataset(folder: Path) -> tuple[Scene, Dataset]:
     return scene, Dataset("trial", "", folder, None, None, ("trial",), tuple(entries), truth)
 
 
-# West, south, east, north, base, top, metres: nothing repeats, so that every pose is unique.
-_BLOCKS = (
-    (-72.0, -48.0, -40.0, -12.0, 0.0, 16.0),
-    (-14.0, -60.0, 10.0, -44.0, 1.0, 33.0),
-    (34.0, -38.0, 66.0, -2.0, 0.0, 11.0),
-    (-50.0, 8.0, -31.0, 56.0, 0.0, 22.0),
-    (-4.0, 2.0, 20.0, 27.0, 2.0, 38.0),
-    (38.0, 24.0, 60.0, 70.0, 0.0, 14.0),
-    (-76.0, 66.0, -12.0, 82.0, 1.0, 8.0),
-)
-# Far from zero, as map coordinates are: an answer in another frame than the query's shows at once.
-_ORIGIN = np.array([281_000.0, 5_657_000.0, 60.0])
-_QUERY_CAMERA = Camera(320, 240, 231.0, 229.0, 161.5, 118.0)
-# Pitch, roll, yaw (degrees) and x, y, z (metres) of the cameras; the priors are off by a fixed step.
-_TRUTHS = (
-    (22.0, 0.4, -70.0, 4.0, 9.0, 121.0),
-    (31.0, -0.3, 25.0, -11.0, 3.0, 128.0),
-    (26.0, 0.2, 140.0, 8.0, -10.0, 133.0),
-)
-_REFERENCES = (
-    (24.0, 0.0, -60.0, 9.0, 5.0, 124.0),
-    (28.0, 0.0, 30.0, -6.0, -2.0, 126.0),
-    (25.0, 0.0, 150.0, 3.0, -4.0, 130.0),
-)
-_PRIOR_OFF_M, _PRIOR_OFF_YAW_DEG = np.array([5.0, -4.0, 6.0]), 3.0
-# The frame of the queries' reconstruction, for a method that requires one.
-_RECONSTRUCTION = Similarity(
-    0.04, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.full(3, 7.0)
-)
-# Of the textured map: side of a speckled square, metres, and how far the ground reaches.
-_SPECKLES_M, _GROUND_M = 25.0, 160.0
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """A map, and queries with exact masks.
+    """A map, and queries with exact masks."""
 
-    Attributes:
-        city_map: The map, on one thread.
-        queries: Each with a photo.
-        truths: Their true poses, scene frame; no method sees them.
-        references: Pictures of the place.
-        folder: For what methods prepare.
-    """
-
-    city_map: CityMap
-    queries: tuple[Query, ...]
-    truths: tuple[Pose, ...]
-    references: tuple[Reference, ...]
-    folder: Path
+    city_map: CityMap  # the map, on one thread
+    queries: tuple[Query, ...]  # each with a photo
+    truths: tuple[Pose, ...]  # their true poses, scene frame; no method sees them
+    references: tuple[Reference, ...]  # pictures of the place
+    folder: Path  # for what methods prepare
 
     def prepared(self, method: Method) -> Method:
         """Returns a method that has prepared, if it does."""

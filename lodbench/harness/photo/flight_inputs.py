@@ -212,17 +212,11 @@ def heading_note(photos: Sequence[Path], heading_deg: float | None) -> str | Non
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoughStart:
-    """Where a reconstruction is, roughly.
+    """Where a reconstruction is, roughly."""
 
-    Attributes:
-        similarity: From the model to the city's coordinates.
-        source: Where it came from, in words.
-        notes: What the reader should know of it.
-    """
-
-    similarity: Similarity
-    source: str
-    notes: tuple[str, ...] = ()
+    similarity: Similarity  # from the model to the city's coordinates
+    source: str  # where it came from, in words
+    notes: tuple[str, ...] = ()  # what the reader should know of it
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,14 +19,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import LodbenchError, QueryFault
 from lodbench.evaluation import PoseError
 from lodbench.geometry import Pose
-from lodbench.harness.photo.flight_inputs import (
-    masks_of,
-    names_of,
-    picture_file,
-    poses_in_model,
-    tied_notes,
-    with_small_mask,
-)
+from lodbench.harness.photo import flight_inputs
 from lodbench.harness.photo.localize import LocalizedPhoto, inputs_of, open_map, write_answer
 from lodbench.harness.photo.many import (
     FINDINGS_FILE,
@@ -34,13 +27,15 @@ from lodbench.harness.photo.many import (
     Answers,
     FlightAnswer,
     PhotoAnswer,
+    PhotoWorker,
+    PhotoWorkers,
     hint_for_many,
     numbered,
+    photo_workers,
     write_answers,
 )
 from lodbench.harness.photo.outputs import city_and_marks, contradiction_features
 from lodbench.harness.photo.prepare import PhotoRequest, PreparedPhoto, prepare_photo
-from lodbench.harness.photo.workers import PhotoWorker, PhotoWorkers, photo_workers
 from lodbench.harness.tracebacks import answered_flight, reported_as_fault
 from lodbench.methods import Estimate
 from lodbench.methods.protocol import FlightEstimate, Streams, SupportsFlights, SupportsPhotosAlone
@@ -48,14 +43,14 @@ from lodbench.photos.files import Flight, split_flights
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.measurements import height_notes, refused_notes
 from lodbench.photos.pictures import read_picture
-from lodbench.reporting.aligned_text import count_of
+from lodbench.reporting import aligned_text, flight_words, maps, overlays
 from lodbench.reporting.answers import reasons_for_doubt
-from lodbench.reporting.flight_words import PriorSource, chosen_for_pictures, flight_page, photo_on_page
-from lodbench.reporting.maps import Underlay
-from lodbench.reporting.overlays import jpeg_bytes
 from lodbench.reporting.page import Picture
 from lodbench.storage import random_stream, write_text
 from lodbench.storage.json_text import finite
+
+# A photo as it goes from process to process: file, mask, and all that is known of it but the request.
+_Sent = tuple[Path, Path | None, dict[str, Any]]
 
 
 def localize_flights(
@@ -63,7 +58,7 @@ def localize_flights(
     photos: Sequence[Path],
     masks: Path | None,
     reconstruction: Path | None = None,
-    imagery: Underlay | None = None,
+    imagery: maps.Underlay | None = None,
 ) -> Answers:
     """Returns what became of photos that flights took, each flight solved as a whole; writes all of it.
 
@@ -80,10 +75,10 @@ def localize_flights(
         LodbenchError: The city or the model cannot be read, the model has none of the photos, or the method
             does not work on photos.
     """
-    known = poses_in_model(reconstruction, photos)
+    known = flight_inputs.poses_in_model(reconstruction, photos)
     place = open_map(request)
-    names = names_of(photos)
-    own_masks, failures = masks_of(photos, masks)
+    names = flight_inputs.names_of(photos)
+    own_masks, failures = flight_inputs.masks_of(photos, masks)
     city_map = CityMap(place.scene)
     flights: list[FlightAnswer] = []
     estimates: dict[int, Estimate] = {}
@@ -106,12 +101,12 @@ def localize_flights(
                 else:
                     estimates[row] = estimate
             taken = _taken(flight, [names[row] for row in rows])
-            taken += tied_notes(reconstruction, [photos[row] for row in mine], known)
+            taken += flight_inputs.tied_notes(reconstruction, [photos[row] for row in mine], known)
             taken += refused_notes([ready[row].photo.stated for row in mine])
             if not request.has_height:
                 taken += height_notes([ready[row].photo.stated for row in mine], request.heights)
             name, paths = f"flight {len(flights) + 1}", tuple(photos[row] for row in mine)
-            source: PriorSource = "metadata" if request.start is None else "poses"
+            source: flight_words.PriorSource = "metadata" if request.start is None else "poses"
             flights.append(FlightAnswer(name, paths, tuple(taken), found.findings, source))
         sent = {row: (ready[row].sent, ready[row].prior, each) for row, each in sorted(estimates.items())}
         located = dict(workers.each("overlays", _written, sent, photos))
@@ -136,23 +131,13 @@ def localize_flights(
     return written
 
 
-# A photo as it goes from process to process: file, mask, and all that is known of it but the request.
-_Sent = tuple[Path, Path | None, dict[str, Any]]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ready:
-    """A photo that can be used.
+    """A photo that can be used."""
 
-    Attributes:
-        photo: The photo.
-        prior: Its rough pose, in the city's coordinates.
-        image: Its pixels as its pinhole sees them; None where they cannot be decoded.
-    """
-
-    photo: PreparedPhoto
-    prior: Pose
-    image: Path | None
+    photo: PreparedPhoto  # the photo
+    prior: Pose  # its rough pose, in the city's coordinates
+    image: Path | None  # its pixels as its pinhole sees them; None where they cannot be decoded
 
     @property
     def sent(self) -> _Sent:
@@ -175,9 +160,9 @@ def _prepared(
     try:
         wanted = replace(worker.request, photo=photo, mask=mask)
         assert wanted.method is not None  # noqa: S101 - the caller has chosen
-        prepared = with_small_mask(prepare_photo(wanted, inputs_of(wanted.method)))
+        prepared = flight_inputs.with_small_mask(prepare_photo(wanted, inputs_of(wanted.method)))
         prior = prepared.prior(worker.place().scene, worker.place().frame)
-        image = picture_file(prepared, copy)
+        image = flight_inputs.picture_file(prepared, copy)
     except LodbenchError as fault:
         return fault.message.rstrip("."), hint_for_many(fault)
     return _Ready(prepared, prior, image).sent, prior, image
@@ -208,7 +193,7 @@ def _solve(
     workers: PhotoWorkers,
 ) -> FlightEstimate:
     """Returns the answers to the photos of a flight, in the city's coordinates."""
-    method, names = request.method, names_of(photos)
+    method, names = request.method, flight_inputs.names_of(photos)
     assert isinstance(method, SupportsFlights)  # noqa: S101 - the caller has looked
     queries = {
         row: Query(
@@ -285,7 +270,9 @@ def _taken(flight: Flight, names: Sequence[str]) -> list[str]:
     if flight.started is not None and flight.ended is not None:
         when = f"{flight.started:%Y-%m-%d %H:%M:%S} to {flight.ended:%H:%M:%S}"
     first, last = names[flight.rows[0]], names[flight.rows[-1]]
-    lines = [f"{count_of(len(flight.rows), 'photos')}, {first} to {last}, {flight.camera}, {when}"]
+    lines = [
+        f"{aligned_text.count_of(len(flight.rows), 'photos')}, {first} to {last}, {flight.camera}, {when}"
+    ]
     if flight.odd_clocks:
         odd = [names[row] for row in flight.odd_clocks]
         listed = ", ".join(odd[:3]) + (", ..." if len(odd) > 3 else "")
@@ -319,13 +306,13 @@ def page_of_photos(
     answers: Sequence[PhotoAnswer],
     scene: Scene,
     view: str = "",
-    imagery: Underlay | None = None,
+    imagery: maps.Underlay | None = None,
 ) -> str:
     """Returns the page of a flight whose photos `lodbench localize` found."""
     mine = [answer for answer in answers if answer.flight == flight.name]
     placed = {names[answer.photo]: (answer, answer.found) for answer in mine if answer.found is not None}
     photos = [
-        photo_on_page(
+        flight_words.photo_on_page(
             key,
             (found.prior, found.pose, None),
             found.covariance,
@@ -345,16 +332,16 @@ def page_of_photos(
         for key, (answer, found) in placed.items()
     ]
     pictures = []
-    for key in chosen_for_pictures(list(placed)):
+    for key in flight_words.chosen_for_pictures(list(placed)):
         answer, found = placed[key]
         drawn = read_picture(found.overlay)
         if drawn is not None:
             caption = _caption(key, answer.trust, found.moved)
-            pictures.append(Picture(jpeg_bytes(drawn), "jpeg", caption, "", key))
+            pictures.append(Picture(overlays.jpeg_bytes(drawn), "jpeg", caption, "", key))
     # Photos that are on no flight are on every flight's page: nobody knows which they belong to.
     left_out = [(names[each.photo], each.failure) for each in answers if each.found is None]
-    title = f"{flight.name[0].upper()}{flight.name[1:]}: {count_of(len(photos), 'photos')}"
-    return flight_page(
+    title = f"{flight.name[0].upper()}{flight.name[1:]}: {aligned_text.count_of(len(photos), 'photos')}"
+    return flight_words.flight_page(
         title,
         flight.taken,
         flight.findings,

@@ -46,6 +46,14 @@ from lodbench.storage import file_digest, make_folder, write_text
 from lodbench.storage.json_text import finite, parse_json
 
 _SIGMA_NAMES = ("x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg")
+# What photos have; masks come with --mask or from a segmenter, a flight's other poses from a reconstruction.
+_GIVEN = frozenset(
+    {
+        *(Input.MASK, Input.MASK_ON_DEMAND, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP),
+        Input.RECONSTRUCTION,
+    }
+)
+STEPS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +175,7 @@ def _pose_values(pose: Pose) -> dict[str, Any]:
 
 
 @contextmanager
-def telling_of_depth(prior: Pose, scene: Scene) -> Iterator[None]:
+def _noting_depth(prior: Pose, scene: Scene) -> Iterator[None]:
     """Adds to the fault of a photo that nothing fits that its rough pose lies below the whole city.
 
     Rough heights are off by tens of metres, so such a prior is no fault of its own.
@@ -182,18 +190,6 @@ def telling_of_depth(prior: Pose, scene: Scene) -> Iterator[None]:
             f"{fault.message.rstrip('.')}; its rough place is {-height:.0f} m below the city's lowest point"
         )
         raise NothingFits(words, HEIGHT_HINT) from fault
-
-
-# What photos have; masks come with --mask or from a segmenter, a flight's other poses from a reconstruction.
-_GIVEN = frozenset(
-    {
-        *(Input.MASK, Input.MASK_ON_DEMAND, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP),
-        Input.RECONSTRUCTION,
-    }
-)
-
-
-STEPS = 3
 
 
 def localize_photo(
@@ -223,7 +219,7 @@ def localize_photo(
     with TemporaryDirectory() as folder:
         image = undistorted_photo(view, Path(folder)) if Input.IMAGE in requires else None
         reported = reported_as_fault(f"method {method.name}", request.out, request.photo.name)
-        with telling_of_depth(prior, place.scene), reported:
+        with _noting_depth(prior, place.scene), reported:
             estimate = localize(
                 place.scene,
                 photo.pinhole,
@@ -282,11 +278,7 @@ def open_map(request: PhotoRequest) -> OpenMap:
 
 
 def write_answer(
-    photo: PreparedPhoto,
-    view: PhotoView,
-    place: OpenMap,
-    prior: Pose,
-    estimate: Estimate,
+    photo: PreparedPhoto, view: PhotoView, place: OpenMap, prior: Pose, estimate: Estimate
 ) -> LocalizedPhoto:
     """Writes a photo's overlay, map and numbers, never over those of another photo; returns the answer.
 

@@ -1,31 +1,151 @@
-"""Many photos over one city: each localised by itself; a table, a map of all, and what failed and why."""
+"""Many photos over one city: each localised by itself, over processes that open the city once.
+
+What comes out is the same with one process: a table, a map of all, and what failed and why.
+"""
 
 from __future__ import annotations
 
 import csv
 import itertools
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.exchange.geojson import nowhere_feature, write_geojson
 from lodbench.datasets.own import find_mask
-from lodbench.errors import DatasetError, LodbenchError
+from lodbench.errors import DatasetError, LodbenchError, WorkersGone
+from lodbench.execution import Progress
+from lodbench.execution.processes import Processes, single_threaded_blas
 from lodbench.harness.city import open_city
-from lodbench.harness.photo.localize import LocalizedPhoto, localize_photo
+from lodbench.harness.photo.localize import LocalizedPhoto, OpenMap, localize_photo, open_map
 from lodbench.harness.photo.prepare import PhotoRequest
-from lodbench.harness.photo.workers import PhotoWorker, photo_workers
 from lodbench.harness.tracebacks import kept_when_stopped
 from lodbench.photos.files import find_photos, require_photos
 from lodbench.photos.map_frame import SURVEY_COLUMNS, survey_row
 from lodbench.photos.pose import PoseNotStated
+from lodbench.reporting import flight_words, maps, table_heads
 from lodbench.reporting.answers import percent_text, rounded_down
-from lodbench.reporting.flight_words import PriorSource, constants_in_words, map_in_words, place_columns
-from lodbench.reporting.maps import MAX_PHOTOS, ViewedCamera, draw_view3d
-from lodbench.reporting.table_heads import finite_text
+from lodbench.segmentation.photo_segmenter import PackagedNetwork
 from lodbench.storage import hide_formula, make_folder, write_text
 from lodbench.storage.disk import writable
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+# A worker begins within what two photos take: it is started for no fewer than this.
+_PHOTOS_PER_WORKER = 4
+TABLE_FILE, MAP_FILE, VIEW_FILE = "localized.csv", "localized.geojson", "localized_3d.html"
+GEOPACKAGE_FILE = "localized.gpkg"
+FLIGHTS_FILE, FINDINGS_FILE = "flights.json", "map_findings.geojson"
+COLUMNS = (
+    "photo", *SURVEY_COLUMNS, "probability", "trust", "crs", "moved_m", "score", "failure", "flight", "notes",
+)  # fmt: skip
+
+
+def default_workers(request: PhotoRequest, photos: int) -> int:
+    """Returns how many processes suit so many photos; others' methods and large networks run in this one."""
+    is_own = type(request.method).__module__.startswith("lodbench.")
+    if not is_own or not isinstance(request.segmenter, PackagedNetwork | None):
+        return 1
+    return max(1, min(os.cpu_count() or 1, photos // _PHOTOS_PER_WORKER))
+
+
+@dataclass(slots=True, eq=False)
+class PhotoWorker:
+    """What works on photos: the request, and its city from where it is first looked at."""
+
+    request: PhotoRequest  # as for one photo; the photo's own fields count for nothing
+    opened: OpenMap | None = None  # the city, where the process has it open; None else
+    _city_map: CityMap | None = None
+
+    def place(self) -> OpenMap:
+        """Returns the city.
+
+        Raises:
+            LodbenchError: It cannot be read.
+        """
+        self.opened = self.opened or open_map(self.request)
+        return self.opened
+
+    @property
+    def city_map(self) -> CityMap:
+        """Returns the map; beside other workers it is drawn by one thread."""
+        self._city_map = self._city_map or CityMap(self.place().scene, threads=self.request.threads)
+        return self._city_map
+
+
+class PhotoWorkers:
+    """Processes that work on photos, or this one; use ``photo_workers``."""
+
+    def __init__(self, processes: Processes) -> None:
+        self._processes = processes
+
+    def each(
+        self,
+        label: str,
+        work: Callable[[PhotoWorker, Item], Result],
+        items: Mapping[int, Item],
+        photos: Sequence[Path],
+    ) -> Iterator[tuple[int, Result]]:
+        """Yields the results of work on photos with their numbers, as they come, beside progress.
+
+        Photos of one name are worked on one after the other: their files are numbered in their order.
+
+        Args:
+            label: Of the progress.
+            work: Module-level function; what it takes and returns goes from process to process.
+            items: By number in ``photos``.
+            photos: All of them; those without an item are done.
+        """
+        batches: dict[object, list[tuple[int, Item]]] = {}
+        for number, item in items.items():
+            key = number if self._processes.count == 1 else photos[number].stem
+            batches.setdefault(key, []).append((number, item))
+        with Progress(label, len(photos), done=len(photos) - len(items)) as progress:
+            for results in self._processes.map(partial(_work_here, work), batches.values()):
+                yield from results
+                progress.advance(len(results))
+
+
+@contextmanager
+def photo_workers(request: PhotoRequest, opened: OpenMap | None = None) -> Iterator[PhotoWorkers]:
+    """Holds ``request.workers`` processes for the block; one is this process.
+
+    Args:
+        request: As for one photo.
+        opened: Its city, if it is open here.
+
+    Raises:
+        WorkersGone: They keep dying.
+    """
+    own = opened if request.workers == 1 else None
+    try:
+        with closing(Processes(request.workers, _begin_here, (request, own))) as processes:
+            yield PhotoWorkers(processes)
+    except WorkersGone as fault:
+        raise WorkersGone(fault.message, "`--workers 1` works in one process, with less memory.") from fault
+    finally:
+        _here.clear()
+
+
+# What this process works with; set once, before its first photo.
+_here: list[PhotoWorker] = []
+
+
+def _begin_here(request: PhotoRequest, opened: OpenMap | None) -> None:
+    _here[:] = [PhotoWorker(request, opened)]
+
+
+@single_threaded_blas
+def _work_here(
+    work: Callable[[PhotoWorker, Item], Result], batch: Sequence[tuple[int, Item]]
+) -> list[tuple[int, Result]]:
+    return [(number, work(_here[0], item)) for number, item in batch]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,12 +156,12 @@ class FlightAnswer:
     photos: tuple[Path, ...]
     taken: tuple[str, ...]
     findings: dict[str, Any]
-    source: PriorSource = "metadata"
+    source: flight_words.PriorSource = "metadata"
 
     def sentences(self) -> list[str]:
         """Returns what the flight says of drone, camera and map."""
-        lines = constants_in_words(self.findings.get("constants", {}), self.source)
-        lines += map_in_words(self.findings)
+        lines = flight_words.constants_in_words(self.findings.get("constants", {}), self.source)
+        lines += flight_words.map_in_words(self.findings)
         lines += self.findings.get("notes", [])
         reasons = self.findings.get("reasons", {})
         for name in self.findings.get("lost", []):
@@ -60,31 +180,15 @@ class FlightAnswer:
         }
 
 
-TABLE_FILE, MAP_FILE, VIEW_FILE = "localized.csv", "localized.geojson", "localized_3d.html"
-GEOPACKAGE_FILE = "localized.gpkg"
-FLIGHTS_FILE, FINDINGS_FILE = "flights.json", "map_findings.geojson"
-COLUMNS = (
-    "photo", *SURVEY_COLUMNS, "probability", "trust", "crs", "moved_m", "score", "failure", "flight", "notes",
-)  # fmt: skip
-
-
 @dataclass(frozen=True, slots=True)
 class PhotoAnswer:
-    """What became of one of many photos.
+    """What became of one of many photos."""
 
-    Attributes:
-        photo: The file.
-        found: The answer, or None.
-        failure: Why there is none, or "".
-        hint: What would help, or "".
-        flight: It was taken on, where that was looked for.
-    """
-
-    photo: Path
-    found: LocalizedPhoto | None
-    failure: str = ""
-    flight: str = ""
-    hint: str = ""
+    photo: Path  # the file
+    found: LocalizedPhoto | None  # the answer, or None
+    failure: str = ""  # why there is none, or ""
+    flight: str = ""  # it was taken on, where that was looked for
+    hint: str = ""  # what would help, or ""
 
     @property
     def trust(self) -> str:
@@ -291,37 +395,34 @@ def _stated(answer: PhotoAnswer, feature: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_view(
-    path: Path,
-    request: PhotoRequest,
-    found: Sequence[LocalizedPhoto],
-    pages: Mapping[str, str] | None = None,
+    path: Path, request: PhotoRequest, found: Sequence[LocalizedPhoto], pages: Mapping[str, str] | None = None
 ) -> None:
     """Writes a page of city, photos, rough poses and answers; it leads to ``pages``, addresses by name."""
     city = open_city(request.city, request.lod, request.options, request.roof_height)
     origin = city.scene.origin
     cameras = [
-        ViewedCamera(
+        maps.ViewedCamera(
             key=each.photo,
             facts=_facts(each),
             camera=each.camera,
             prior=each.prior.shifted(-origin),
             estimate=each.pose.shifted(-origin),
             truth=None,
-            photo=each.thumbnail if number < MAX_PHOTOS else None,
+            photo=each.thumbnail if number < maps.MAX_PHOTOS else None,
         )
         for number, each in enumerate(found)
     ]
     title = f"{len(found)} photo{'s' if len(found) > 1 else ''} over {request.city.name}"
-    write_text(path, draw_view3d(title, city.scene, cameras, pages))
+    write_text(path, maps.draw_view3d(title, city.scene, cameras, pages))
 
 
 def _facts(found: LocalizedPhoto) -> dict[str, str]:
     row = survey_row(found.pose, found.place)
-    columns = place_columns(found.place is not None)
+    columns = flight_words.place_columns(found.place is not None)
     x, y, *others = [format(row[name], spec) for _, name, spec in columns]
     place = {", ".join(head for head, _, _ in columns[:2]): f"{x}, {y}", "height m": others[0]}
     facts = {"trust": found.trust} | place | {"heading, pitch, roll deg": ", ".join(others[1:])}
     if found.probability is not None:
         facts["sure"] = percent_text(found.probability)
     moved = f"{found.moved.translation_m:.2f} m, {found.moved.rotation_deg:.2f} deg"
-    return {**facts, "from the prior": moved, "score": finite_text(found.score, ".3f")}
+    return {**facts, "from the prior": moved, "score": table_heads.finite_text(found.score, ".3f")}

@@ -21,34 +21,29 @@ from lodbench.methods import Estimate
 from lodbench.photos.camera import undistorted
 from lodbench.photos.map_frame import MapFrame
 from lodbench.rendering import Renderer
-from lodbench.reporting.answers import rounded_down
-from lodbench.reporting.flight_words import doubted_buildings, map_rows
-from lodbench.reporting.maps import Marked, photo_jpeg
-from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
-from lodbench.reporting.table_heads import finite_text
+from lodbench.reporting import answers, flight_words, maps, overlays, table_heads
 from lodbench.segmentation import binary_mask
 from lodbench.storage import can_write
 from lodbench.storage.json_text import finite
 
 # The ground is where the lowest corners of the city are, this near a camera; a few may be cellars.
 _NEAR_M, _LOWEST_PERCENT = 400.0, 5.0
+# Polygons, each its rings, (N, 2) east and north.
+Outline = list[list[NDArray[np.float64]]]
+# Digits of a degree, a millimetre or so; triangles smaller than this from above are walls, square metres; and
+# points nearer than this are one, metres.
+_DIGITS, _LEAST_M2, _SAME_M = 8, 1e-3, 0.01
 
 
 class PhotoView(NamedTuple):
-    """A photo as the camera took it, and as it was localised.
+    """A photo as the camera took it, and as it was localised."""
 
-    Attributes:
-        name: File name.
-        pixels: (H, W, 3) uint8 of the photo as stored, or None where it cannot be decoded.
-        camera: Its camera, lens included.
-        pinhole: The camera that was localised.
-        mask: (H, W) probability of building as the pinhole sees it; None where no mask was looked at.
-    """
-
-    name: str
+    name: str  # file name
+    # (H, W, 3) uint8 of the photo as stored, or None where it cannot be decoded.
     pixels: NDArray[np.uint8] | None
-    camera: Camera
-    pinhole: Camera
+    camera: Camera  # its camera, lens included
+    pinhole: Camera  # the camera that was localised
+    # (H, W) probability of building as the pinhole sees it; None where no mask was looked at.
     mask: NDArray[np.float32] | None
 
     def undistorted(self) -> NDArray[np.uint8] | None:
@@ -58,7 +53,7 @@ class PhotoView(NamedTuple):
     def thumbnail(self) -> bytes | None:
         """Returns these pixels as a small JPEG."""
         pixels = self.undistorted()
-        return None if pixels is None else photo_jpeg(pixels)
+        return None if pixels is None else maps.photo_jpeg(pixels)
 
 
 def write_photo_overlay(
@@ -66,16 +61,16 @@ def write_photo_overlay(
 ) -> None:
     """Writes the photo with the city's outline at the estimate beside it at the prior."""
     mask, origin = view.mask, renderer.scene.origin
-    shown = OverlayInput(
+    shown = overlays.OverlayInput(
         camera=view.pinhole,
         mask=None if mask is None else binary_mask(mask, mask.shape[1], mask.shape[0]),
         image=view.undistorted(),
         prior=prior.shifted(-origin),
         estimate=estimate.pose.shifted(-origin),
         truth=None,
-        caption=f"{view.name}: score {finite_text(estimate.score, '.3f')}",
+        caption=f"{view.name}: score {table_heads.finite_text(estimate.score, '.3f')}",
     )
-    write_picture(path, draw_overlay(shown, renderer))
+    overlays.write_picture(path, overlays.draw_overlay(shown, renderer))
 
 
 def photo_features(
@@ -88,7 +83,7 @@ def photo_features(
         "score": finite(round(float(estimate.score), 4)),
     }
     if estimate.probability is not None:
-        stated["probability"] = rounded_down(estimate.probability, 4)
+        stated["probability"] = answers.rounded_down(estimate.probability, 4)
     footprint = footprint_feature(
         frame, camera, estimate.pose, ground_below_m(scene, estimate.pose), {"name": name}
     )
@@ -165,13 +160,6 @@ def _listed(what: str, files: list[Path]) -> str:
     return f"; {len(files)} {what}: {names}" if files else ""
 
 
-# Polygons, each its rings, (N, 2) east and north.
-Outline = list[list[NDArray[np.float64]]]
-# Digits of a degree, a millimetre or so; triangles smaller than this from above are walls, square metres; and
-# points nearer than this are one, metres.
-_DIGITS, _LEAST_M2, _SAME_M = 8, 1e-3, 0.01
-
-
 def building_outline(scene: Scene, building: int) -> Outline:
     """Returns the polygons of a building seen from above, each its rings, the outer one first.
 
@@ -203,7 +191,7 @@ def contradictions(scene: Scene, findings: Mapping[str, Any]) -> list[tuple[dict
 
     found: list[tuple[dict[str, Any], Outline]] = [
         ({"kind": "height", **each}, outline(each["id"]))
-        for each in doubted_buildings(findings.get("buildings", []))
+        for each in flight_words.doubted_buildings(findings.get("buildings", []))
     ]
     for change in findings.get("changes", []):
         said = {key: value for key, value in change.items() if key != "outline"}
@@ -228,12 +216,12 @@ def contradiction_features(
 
 def city_and_marks(
     scene: Scene, findings: Mapping[str, Any]
-) -> tuple[tuple[NDArray[np.float64], NDArray[np.int32]], list[Marked]]:
+) -> tuple[tuple[NDArray[np.float64], NDArray[np.int32]], list[maps.Marked]]:
     """Returns the city in its coordinates for a page, and what a flight contradicts in it."""
     outlines = [outline for _, outline in contradictions(scene, findings)]
     marks = [
-        Marked(f"{name}: {said}", [ring for polygon in outline for ring in polygon])
-        for (name, said, _), outline in zip(map_rows(findings), outlines, strict=True)
+        maps.Marked(f"{name}: {said}", [ring for polygon in outline for ring in polygon])
+        for (name, said, _), outline in zip(flight_words.map_rows(findings), outlines, strict=True)
     ]
     return (scene.vertices + scene.origin, scene.triangles), marks
 

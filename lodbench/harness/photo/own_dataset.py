@@ -13,17 +13,8 @@ import numpy as np
 from lodbench import __version__
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
+from lodbench.datasets import own
 from lodbench.datasets.exchange.kapture_nerfstudio import unposed_images
-from lodbench.datasets.own import (
-    LeftOut,
-    OwnImage,
-    Written,
-    images_from_photos,
-    images_from_poses,
-    require_new_folder,
-    require_some_mask,
-    write_dataset,
-)
 from lodbench.datasets.pose_files import brought, read_pose_file
 from lodbench.datasets.pose_text import DEGREES_CRS, FoundPose, read_known_cameras
 from lodbench.errors import ConfigError, DatasetError
@@ -39,47 +30,31 @@ from lodbench.photos.pose import HeightOptions
 
 @dataclass(frozen=True, slots=True)
 class OwnRequest:
-    """What goes into a dataset folder.
+    """What goes into a dataset folder."""
 
-    Attributes:
-        folder: New folder.
-        photos: Folder of photos, or None for poses alone.
-        poses: Another program's poses, taken as the truth; None for photos alone.
-        format: Of ``poses``: an entry point under ``lodbench.pose_formats``, or ``auto``.
-        masks: Folder of building masks of the photos as they are stored, or None.
-        cameras: Camera file by image name, for formats without cameras; or None.
-        camera: Intrinsics of all images, or None.
-        camera_sigmas: How well these are known, None for exactly.
-        offset_m: Added to the positions of ``poses`` (east, north, up), before they are brought from the
-            reference system that their file declares to the city's.
-        city: City model, or None to trust that the poses are in its coordinates.
-        lod: Level of detail, or None.
-        options: How to read the city.
-        heights: How the drone's heights become the city's.
-        apart_m: Keep only photos whose views, up to this far, do not meet; None keeps all.
-    """
-
-    folder: Path
-    photos: Path | None = None
-    poses: Path | None = None
-    format: str = "auto"
-    masks: Path | None = None
-    cameras: Path | None = None
-    camera: Camera | None = None
-    camera_sigmas: CameraSigmas | None = None
+    folder: Path  # new folder
+    photos: Path | None = None  # folder of photos, or None for poses alone
+    poses: Path | None = None  # another program's poses, taken as the truth; None for photos alone
+    format: str = "auto"  # of ``poses``: an entry point under ``lodbench.pose_formats``, or ``auto``
+    masks: Path | None = None  # folder of building masks of the photos as they are stored, or None
+    cameras: Path | None = None  # camera file by image name, for formats without cameras; or None
+    camera: Camera | None = None  # intrinsics of all images, or None
+    camera_sigmas: CameraSigmas | None = None  # how well these are known, None for exactly
+    # Added to the positions of ``poses`` (east, north, up), before they are brought from the reference
+    # system that their file declares to the city's.
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    city: Path | None = None
-    lod: str | None = None
-    options: ReadOptions = field(default_factory=ReadOptions)
-    heights: HeightOptions = field(default_factory=HeightOptions)
-    apart_m: float | None = None
+    city: Path | None = None  # city model, or None to trust that the poses are in its coordinates
+    lod: str | None = None  # level of detail, or None
+    options: ReadOptions = field(default_factory=ReadOptions)  # how to read the city
+    heights: HeightOptions = field(default_factory=HeightOptions)  # how the drone's heights become the city's
+    apart_m: float | None = None  # keep only photos whose views, up to this far, do not meet; None keeps all
 
 
 @dataclass(frozen=True, slots=True)
 class OwnDataset:
     """What was made."""
 
-    written: Written
+    written: own.Written
     has_truth: bool
     num_priors: int
     notes: tuple[str, ...]
@@ -92,14 +67,16 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
         LodbenchError: The photos, poses or the city cannot be read, no image can be used, or the folder
             is not new.
     """
-    require_new_folder(request.folder)
+    own.require_new_folder(request.folder)
     for path in (request.photos, request.poses, request.masks, request.cameras):
         if path is not None and not path.exists():
             raise DatasetError(f"{path} does not exist.", "Check the path.")
     scene, frame = _open_frame(request)
     images, left_out, kind, reported = _images(request, frame)
     if request.masks is not None:
-        require_some_mask(request.masks, [image.name for image in images], [image.photo for image in images])
+        own.require_some_mask(
+            request.masks, [image.name for image in images], [image.photo for image in images]
+        )
     if scene is not None:
         images, far = _near(images, scene)
         left_out += far
@@ -115,7 +92,7 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
         "city_model": None if request.city is None else _relative(request.city, request.folder),
     }
     with Progress(f"writing {request.folder.name}", len(images)) as progress:
-        written = write_dataset(images, request.folder, about, progress.advance, left_out)
+        written = own.write_dataset(images, request.folder, about, progress.advance, left_out)
     kept = [image for image in images if image.file_name in set(written.names)]
     notes = [*reported, *_prior_notes(kept, frame, request.heights)]
     if request.masks is not None:
@@ -124,7 +101,7 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
     return OwnDataset(written, request.poses is not None, priors, tuple(notes))
 
 
-def _prior_notes(images: Sequence[OwnImage], frame: MapFrame | None, heights: HeightOptions) -> list[str]:
+def _prior_notes(images: Sequence[own.OwnImage], frame: MapFrame | None, heights: HeightOptions) -> list[str]:
     """Returns what the reader should know of rough poses from photos: how sure they are, and which lack."""
     stated = [image.stated for image in images if image.stated is not None]
     notes = [*place_notes(frame, stated, heights), *filter(None, [xmp_note(stated)])] if stated else []
@@ -139,7 +116,7 @@ def _prior_notes(images: Sequence[OwnImage], frame: MapFrame | None, heights: He
     return notes
 
 
-def _mask_notes(folder: Path, images: Sequence[OwnImage]) -> list[str]:
+def _mask_notes(folder: Path, images: Sequence[own.OwnImage]) -> list[str]:
     """Returns what the reader should know of the masks: those that lack, are of nothing, or are scaled."""
     lacking = [image.name for image in images if image.mask is None]
     used = {image.mask.resolve() for image in images if image.mask is not None}
@@ -184,14 +161,14 @@ def _open_frame(request: OwnRequest) -> tuple[Scene | None, MapFrame | None]:
 
 def _images(
     request: OwnRequest, frame: MapFrame | None
-) -> tuple[list[OwnImage], LeftOut, str, tuple[str, ...]]:
+) -> tuple[list[own.OwnImage], own.LeftOut, str, tuple[str, ...]]:
     """Returns the images, those left out, what they were read from, and what the reader should know of it."""
     if request.poses is not None:
         kind, found = read_pose_file(request.poses, request.format)
         placed, reported = brought(
             [_as_asked(image, request) for image in found], None if frame is None else frame.crs
         )
-        images, left_out = images_from_poses(
+        images, left_out = own.images_from_poses(
             placed,
             photos=request.photos,
             masks=request.masks,
@@ -213,7 +190,7 @@ def _images(
         raise ConfigError(
             "There are no photos and no poses.", "Give `--images DIR`, `--city FILE`, or a model."
         )
-    images, left_out = images_from_photos(
+    images, left_out = own.images_from_photos(
         request.photos,
         frame,
         request.heights,
@@ -231,8 +208,8 @@ def _as_asked(image: FoundPose, request: OwnRequest) -> FoundPose:
 
 
 def without_common_view(
-    images: Sequence[OwnImage], ground_m: float, reach_m: float
-) -> tuple[list[OwnImage], LeftOut]:
+    images: Sequence[own.OwnImage], ground_m: float, reach_m: float
+) -> tuple[list[own.OwnImage], own.LeftOut]:
     """Returns images of which no two see the same ground, the first of each such two, and the others.
 
     Args:
@@ -240,9 +217,9 @@ def without_common_view(
         ground_m: Height of level ground, in the coordinates of the poses.
         reach_m: How far a view goes, in plan.
     """
-    kept: list[OwnImage] = []
+    kept: list[own.OwnImage] = []
     views: list[Any] = []
-    left_out: LeftOut = []
+    left_out: own.LeftOut = []
     for image in images:
         pose = image.truth or image.prior
         view = None if pose is None else _view_in_plan(image.camera, pose, ground_m, reach_m)
@@ -274,7 +251,7 @@ def _view_in_plan(camera: Camera, pose: Pose, ground_m: float, reach_m: float) -
     return MultiPoint(pose.center[:2] + scale[:, None] * rays[:, :2]).convex_hull
 
 
-def _near(images: Sequence[OwnImage], scene: Scene) -> tuple[list[OwnImage], LeftOut]:
+def _near(images: Sequence[own.OwnImage], scene: Scene) -> tuple[list[own.OwnImage], own.LeftOut]:
     kept, left_out, hint = [], [], ""
     for image in images:
         pose = image.truth or image.prior

@@ -1,8 +1,7 @@
-"""Pixels and regions of a localised photo on the map: what ``localize`` wrote is read, GeoJSON written."""
+"""Pixels and regions of a localised photo on the map: as GeoJSON."""
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,18 +25,17 @@ from lodbench.citymap.places import (
 )
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.geojson import write_geojson
-from lodbench.datasets.pose_text import parse_camera
 from lodbench.errors import DatasetError
 from lodbench.execution import Progress
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Camera
 from lodbench.harness.city import open_city
+from lodbench.harness.photo.localized import Localized, read_localized
 from lodbench.harness.photo.outputs import on_earth
 from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.metadata import read_photo_metadata
 from lodbench.rendering.surfaces import MAP_SIGMA_M, Surfaces
 from lodbench.segmentation import check_mask
 from lodbench.segmentation.masks import MaskPolygon, polygons_of, read_mask
-from lodbench.storage import file_digest
 from lodbench.storage.json_text import parse_json
 
 Floats = NDArray[np.float64]
@@ -52,49 +50,15 @@ _KIND = "located"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Localized:
-    """What ``localize`` wrote of a photo.
-
-    Attributes:
-        file: The JSON file.
-        camera: Of the photo as stored.
-        pose: In the city's coordinates.
-        covariance: (6, 6), or None.
-        crs: Of the city, or None.
-        is_trusted: Whether the pose is more likely right than wrong.
-        trust: In a word.
-        is_laser_used: Whether pose and covariance include a laser's range.
-    """
-
-    file: Path
-    camera: Camera
-    pose: Pose
-    covariance: Floats | None
-    crs: str | None
-    is_trusted: bool
-    trust: str
-    is_laser_used: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class PlacedFeature:
-    """A pixel or a region on the map.
+    """A pixel or a region on the map."""
 
-    Attributes:
-        name: Of it: ``812 604``, or ``region 1``.
-        pixel: (2,) the pixel, or the region's inner point.
-        found: Its place, in the city's coordinates.
-        outline: Of a region, east and north; None for a pixel.
-        heights_m: Lowest and highest of the outline.
-        shows: All that it shows.
-    """
-
-    name: str
-    pixel: Floats
-    found: LocatedPixel
-    outline: shapely.Geometry | None = None
-    heights_m: tuple[float, float] | None = None
-    shows: tuple[str, ...] = ()
+    name: str  # of it: ``812 604``, or ``region 1``
+    pixel: Floats  # (2,) the pixel, or the region's inner point
+    found: LocatedPixel  # its place, in the city's coordinates
+    outline: shapely.Geometry | None = None  # of a region, east and north; None for a pixel
+    heights_m: tuple[float, float] | None = None  # lowest and highest of the outline
+    shows: tuple[str, ...] = ()  # all that it shows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,35 +152,20 @@ def _feature(each: PlacedFeature, frame: MapFrame, localized: Localized) -> dict
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlacesRequest:
-    """What to place.
+    """What to place."""
 
-    Attributes:
-        photo: The photo, as it was localised.
-        found: Folder that ``localize`` wrote.
-        city: City model.
-        pixels: Columns and rows, in the photo as stored.
-        mask: Its white regions are placed; None for none.
-        out: GeoJSON to write; None for a file in ``found``.
-        lod: Level of detail, or None for the lowest.
-        options: How to read the city.
-        roof_height: Rule by which an absent level 1 is derived, or None.
-        pixel_sigma_px: As of ``locate``; so are the other sigmas.
-        map_sigma_m: See there.
-        ground_sigma_m: See there.
-    """
-
-    photo: Path
-    found: Path
-    city: Path
-    pixels: Sequence[tuple[float, float]] = ()
-    mask: Path | None = None
-    out: Path | None = None
-    lod: str | None = None
-    options: ReadOptions = field(default_factory=ReadOptions)
-    roof_height: str | None = None
-    pixel_sigma_px: float = PIXEL_SIGMA_PX
-    map_sigma_m: float = MAP_SIGMA_M
-    ground_sigma_m: float | None = None
+    photo: Path  # the photo, as it was localised
+    found: Path  # folder that ``localize`` wrote
+    city: Path  # city model
+    pixels: Sequence[tuple[float, float]] = ()  # columns and rows, in the photo as stored
+    mask: Path | None = None  # its white regions are placed; None for none
+    out: Path | None = None  # GeoJSON to write; None for a file in ``found``
+    lod: str | None = None  # level of detail, or None for the lowest
+    options: ReadOptions = field(default_factory=ReadOptions)  # how to read the city
+    roof_height: str | None = None  # rule by which an absent level 1 is derived, or None
+    pixel_sigma_px: float = PIXEL_SIGMA_PX  # as of ``locate``; so are the other sigmas
+    map_sigma_m: float = MAP_SIGMA_M  # see there
+    ground_sigma_m: float | None = None  # see there
 
 
 def place_photo(request: PlacesRequest) -> PlacedPhoto:
@@ -260,48 +209,6 @@ def place_photo(request: PlacesRequest) -> PlacedPhoto:
     if frame is not None:
         write_geojson([_feature(each, frame, localized) for each in features], out)
     return PlacedPhoto(localized, tuple(features), frame, None if frame is None else out, tuple(notes))
-
-
-def read_localized(photo: Path, folder: Path) -> Localized:
-    """Returns what ``localize`` wrote of a photo, which is known by its content.
-
-    Raises:
-        DatasetError: The photo or the folder is not there, there is no answer, or it is one of a version that
-            did not keep the camera.
-    """
-    if not photo.is_file():
-        raise DatasetError(f"The photo {photo} does not exist.", "Check the path.")
-    quoted = shlex.quote(str(photo)), shlex.quote(str(folder))
-    hint = f"Localise it first: lodbench localize {quoted[0]} --city FILE --out {quoted[1]}"
-    if not folder.is_dir():
-        raise DatasetError(f"There are no results of lodbench localize in {folder}.", hint)
-    digest = file_digest(photo)
-    for file in sorted(folder.glob("*.json")):
-        try:
-            values = parse_json(file.read_text(encoding="utf-8"))
-            if values["sha256"] != digest:
-                continue
-            pose, camera = values["pose"], values["camera"]["as_stored"]
-            covariance = values["covariance"]
-            return Localized(
-                file,
-                parse_camera(camera.split())[0],
-                Pose.from_quaternion(pose["quat_wxyz"], pose["translation_m"]),
-                None if covariance is None else np.array(covariance, dtype=np.float64),
-                values["crs"],
-                bool(values["trusted"]),
-                str(values["trust"]),
-                bool(values.get("laser_used")),
-            )
-        except KeyError as fault:
-            if fault.args[0] == "as_stored":
-                raise DatasetError(
-                    f"{file} does not say the photo's camera: an earlier version wrote it.",
-                    "Localise the photo again.",
-                ) from fault
-        except (OSError, ValueError, TypeError):
-            continue  # a file of somebody else's
-    raise DatasetError(f"{folder} holds no pose of {photo.name}.", hint)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -48,44 +48,29 @@ from lodbench.segmentation.masks import read_mask
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CityRequest:
-    """A city model, how it is read, and how photos are laid on it.
+    """A city model, how it is read, and how photos are laid on it."""
 
-    Attributes:
-        city: City model.
-        out: Folder to write.
-        segmenter: Makes masks where there are none.
-        heights: How the drone's heights become the city's.
-        lod: Level of detail, or None for the lowest.
-        options: How to read the city.
-        roof_height: Rule by which an absent level 1 is derived, or None.
-    """
-
-    city: Path
-    out: Path
-    segmenter: Segmenter | None = None
-    heights: HeightOptions = field(default_factory=HeightOptions)
-    lod: str | None = None
-    options: ReadOptions = field(default_factory=ReadOptions)
-    roof_height: str | None = None
+    city: Path  # city model
+    out: Path  # folder to write
+    segmenter: Segmenter | None = None  # makes masks where there are none
+    heights: HeightOptions = field(default_factory=HeightOptions)  # how the drone's heights become the city's
+    lod: str | None = None  # level of detail, or None for the lowest
+    options: ReadOptions = field(default_factory=ReadOptions)  # how to read the city
+    roof_height: str | None = None  # rule by which an absent level 1 is derived, or None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoughRequest(CityRequest):
     """Besides, what is known of a photo before what it states.
 
-    Attributes:
-        camera: Intrinsics of the photo as stored, lens distortion included.
-        camera_sigmas: How well these are known, None for exactly.
-        given: Rough place and angles.
-        center: Rough place in the city's coordinates (east, north, up, metres); goes before all others.
-
     Raises:
         ConfigError: A coordinate of ``center`` is not finite.
     """
 
-    camera: Camera | None = None
-    camera_sigmas: CameraSigmas | None = None
-    given: RoughPlace = field(default_factory=RoughPlace)
+    camera: Camera | None = None  # intrinsics of the photo as stored, lens distortion included
+    camera_sigmas: CameraSigmas | None = None  # how well these are known, None for exactly
+    given: RoughPlace = field(default_factory=RoughPlace)  # rough place and angles
+    # Rough place in the city's coordinates (east, north, up, metres); goes before all others.
     center: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -94,17 +79,11 @@ class RoughRequest(CityRequest):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoughPoses:
-    """What a file says of photos.
+    """What a file says of photos."""
 
-    Attributes:
-        source: The file.
-        poses: By the photo's file, in the city's coordinates.
-        notes: What the reader should know of them.
-    """
-
-    source: Path
-    poses: Mapping[Path, Pose]
-    notes: tuple[str, ...] = ()
+    source: Path  # the file
+    poses: Mapping[Path, Pose]  # by the photo's file, in the city's coordinates
+    notes: tuple[str, ...] = ()  # what the reader should know of them
 
     def of(self, photo: Path) -> Pose:
         """Returns the rough pose of a photo.
@@ -121,25 +100,18 @@ class RoughPoses:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotoRequest(RoughRequest):
-    """What to localise, and how.
+    """What to localise, and how."""
 
-    Attributes:
-        photo: The photo.
-        mask: Building mask of the photo as it is stored, white = building; goes before the segmenter.
-        method: How to localise; LoD-Loc v2 by default.
-        seed: Seed of the search.
-        start: Rough poses of photos, which go before all else that is known of these; None without any.
-        has_prior_range: Whether a person said how far off rough poses may be: photos are not asked then.
-        workers: Processes that several photos are shared out to; 1 for this one.
-    """
-
-    photo: Path
+    photo: Path  # the photo
+    # Building mask of the photo as it is stored, white = building; goes before the segmenter.
     mask: Path | None = None
-    method: Method | None = None
-    seed: int = 0
+    method: Method | None = None  # how to localise; LoD-Loc v2 by default
+    seed: int = 0  # seed of the search
+    # Rough poses of photos, which go before all else that is known of these; None without any.
     start: RoughPoses | None = None
+    # Whether a person said how far off rough poses may be: photos are not asked then.
     has_prior_range: bool = False
-    workers: int = 1
+    workers: int = 1  # processes that several photos are shared out to; 1 for this one
 
     def measured_of(self, stated: PhotoMetadata) -> Measurements | None:
         """Returns what was measured beside a photo, deviations of those numbers that are its own among it."""
@@ -164,28 +136,17 @@ class PhotoRequest(RoughRequest):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedPhoto:
-    """What is known of a photo before the city is.
+    """What is known of a photo before the city is."""
 
-    Attributes:
-        request: The request.
-        stated: What its metadata say.
-        camera: Of the photo as stored, lens included.
-        camera_source: Where the camera's numbers came from.
-        lens_percent: As of ``PhotoCamera``.
-        camera_sigmas: Likewise.
-        measured: What was measured beside it.
-        pinhole: The camera that is localised.
-        mask: (H, W) probability of building as the pinhole sees it; None where no mask is looked at.
-    """
-
-    request: PhotoRequest
-    stated: PhotoMetadata
-    camera: Camera
-    camera_source: str
-    lens_percent: float | None
-    camera_sigmas: CameraSigmas
-    measured: Measurements | None
-    pinhole: Camera
+    request: PhotoRequest  # the request
+    stated: PhotoMetadata  # what its metadata say
+    camera: Camera  # of the photo as stored, lens included
+    camera_source: str  # where the camera's numbers came from
+    lens_percent: float | None  # as of ``PhotoCamera``
+    camera_sigmas: CameraSigmas  # likewise
+    measured: Measurements | None  # what was measured beside it
+    pinhole: Camera  # the camera that is localised
+    # (H, W) probability of building as the pinhole sees it; None where no mask is looked at.
     mask: NDArray[np.float32] | None
 
     def view(self) -> PhotoView:

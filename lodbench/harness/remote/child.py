@@ -23,27 +23,12 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query, Reference
 from lodbench.errors import LodbenchError
-from lodbench.execution.guards import single_threaded_blas
+from lodbench.execution.processes import single_threaded_blas
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.remote.process import (
-    MalformedMessage,
-    drawn_bytes,
-    fault_message,
-    fault_of,
-    numbered,
-    packed,
-    unpacked,
-)
+from lodbench.harness import remote
 from lodbench.harness.runs.inputs import code_digest, words_in
+from lodbench.methods import protocol
 from lodbench.methods.localize import weight_files
-from lodbench.methods.protocol import (
-    Estimate,
-    Method,
-    SupportsFlights,
-    SupportsPrepare,
-    SupportsTrial,
-    Workspace,
-)
 from lodbench.methods.registry import configure_method
 from lodbench.rendering import Fit, IouCounts
 
@@ -61,7 +46,7 @@ class Pipe:
 
     def send(self, message: dict[str, Any]) -> None:
         """Sends a message, with the number of the one it answers."""
-        self._target.write(packed({"number": self._number, **message}))
+        self._target.write(remote.packed({"number": self._number, **message}))
         self._target.flush()
 
     def receive(self) -> dict[str, Any]:
@@ -78,8 +63,8 @@ class Pipe:
 
         self._number += 1
         try:
-            return numbered(unpacked(read), self._number)
-        except MalformedMessage as error:
+            return remote.numbered(remote.unpacked(read), self._number)
+        except remote.MalformedMessage as error:
             raise SystemExit(error.message) from error
 
     def ask(self, *words: Any) -> Any:
@@ -87,7 +72,7 @@ class Pipe:
         self.send({"ask": list(words)})
         answer = self.receive()
         if "fault" in answer:
-            raise fault_of(answer)
+            raise remote.fault_of(answer)
         return answer["answer"]
 
 
@@ -145,7 +130,7 @@ class RemoteMap:
 
 def portions(camera: Camera, kind: str, count: int) -> list[slice]:
     """Returns poses in their order, as many together as one answer may hold; one empty part for none."""
-    size = max(1, _PORTION_BYTES // max(1, drawn_bytes(kind, camera, 1)))
+    size = max(1, _PORTION_BYTES // max(1, remote.drawn_bytes(kind, camera, 1)))
     return [slice(start, start + size) for start in range(0, max(1, count), size)]
 
 
@@ -178,7 +163,7 @@ class Served:
 
     def __init__(self, pipe: Pipe) -> None:
         self._pipe = pipe
-        self._method: Method | None = None
+        self._method: protocol.Method | None = None
         self._map: Any = None
 
     def make(self, settings: dict[str, Any], tilt: str) -> dict[str, Any]:
@@ -190,9 +175,11 @@ class Served:
             "name": method.name,
             "requires": sorted(str(word) for word in method.requires),
             "params": asdict(configured.params),
-            "trial_params": asdict(method.params_for_trial()) if isinstance(method, SupportsTrial) else None,
-            "answers_flights": isinstance(method, SupportsFlights),
-            "prepares": isinstance(method, SupportsPrepare),
+            "trial_params": asdict(method.params_for_trial())
+            if isinstance(method, protocol.SupportsTrial)
+            else None,
+            "answers_flights": isinstance(method, protocol.SupportsFlights),
+            "prepares": isinstance(method, protocol.SupportsPrepare),
             "weights": [Path(file) for file in weight_files(method)],
             "code": [code_digest(method, names=names), sys.version, version("numpy")],
         }
@@ -204,11 +191,11 @@ class Served:
     @single_threaded_blas
     def prepare(self, references: Sequence[Reference], folder: Path) -> None:
         """Lets the method prepare."""
-        assert isinstance(self._method, SupportsPrepare)  # noqa: S101
-        self._method.prepare(cast("CityMap", self._map), references, Workspace(folder))
+        assert isinstance(self._method, protocol.SupportsPrepare)  # noqa: S101
+        self._method.prepare(cast("CityMap", self._map), references, protocol.Workspace(folder))
 
     @single_threaded_blas
-    def localize(self, query: Query, offers: dict[str, bool]) -> Estimate:
+    def localize(self, query: Query, offers: dict[str, bool]) -> protocol.Estimate:
         """Returns the method's estimate."""
         segment = partial(self._pipe.ask, "segment") if offers["segment"] else None
         true_pixels = partial(self._pipe.ask, "true_pixels") if offers["true_pixels"] else None
@@ -231,7 +218,7 @@ def main() -> None:
         try:
             pipe.send({"done": offered[name](*values)})
         except LodbenchError as fault:
-            pipe.send(fault_message(fault))
+            pipe.send(remote.fault_message(fault))
 
 
 if __name__ == "__main__":

@@ -11,27 +11,11 @@ from typing import Any, cast
 
 import numpy as np
 
+from lodbench import errors
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query, Reference
-from lodbench.errors import (
-    ConfigError,
-    LodbenchError,
-    QueryFault,
-    RenderingError,
-    WorkersGone,
-    require_choice,
-    require_numbers,
-)
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.remote.process import (
-    KINDS,
-    Child,
-    MalformedMessage,
-    ProcessFault,
-    RunnerFault,
-    drawn_bytes,
-    fault_of,
-)
+from lodbench.harness import remote
 from lodbench.methods.protocol import Estimate, Streams, Workspace
 from lodbench.storage.paths import path_name
 
@@ -56,10 +40,10 @@ class RunnerParams:
     prepare_timeout_s: float = 86400.0
 
     def __post_init__(self) -> None:
-        require_choice("runner", self.name, (INPROCESS, SUBPROCESS))
+        errors.require_choice("runner", self.name, (INPROCESS, SUBPROCESS))
         if self.name == SUBPROCESS and not self.python:
-            raise ConfigError("runner=subprocess needs a Python.", "Set `runner.python=PATH`.")
-        require_numbers(self, "runner", ("timeout_s", "prepare_timeout_s"), 0, 1e6, "(]")
+            raise errors.ConfigError("runner=subprocess needs a Python.", "Set `runner.python=PATH`.")
+        errors.require_numbers(self, "runner", ("timeout_s", "prepare_timeout_s"), 0, 1e6, "(]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +80,7 @@ class About:
             )
         )
         if not is_sound:
-            raise MalformedMessage("the method's process wrote no description of the method")
+            raise remote.MalformedMessage("the method's process wrote no description of the method")
         return cls(**values)
 
 
@@ -124,7 +108,7 @@ class RemoteMethod:
 
     def __init__(self, settings: Mapping[str, Any], runner: RunnerParams, tilt: str = "prior") -> None:
         self._settings, self._runner, self._tilt = dict(settings), runner, tilt
-        self._child: Child | None = None
+        self._child: remote.Child | None = None
         self._known_map: CityMap | None = None
         self._prepared_in: tuple[Sequence[Reference], Path] | None = None
         about = self._start()
@@ -134,7 +118,7 @@ class RemoteMethod:
         self.remote_code = about.code
         self._weights, self._prepares = about.weights, about.prepares
         if about.answers_flights:
-            raise ConfigError(
+            raise errors.ConfigError(
                 f"method={self.name} answers whole flights, which go over no pipe.", "Leave out `runner=`."
             )
 
@@ -156,8 +140,8 @@ class RemoteMethod:
         self._known_map = None
         try:
             self._send_map(city_map)
-        except ProcessFault as fault:
-            raise ConfigError(f"method={self.name} cannot prepare: {fault}.") from fault
+        except remote.ProcessFault as fault:
+            raise errors.ConfigError(f"method={self.name} cannot prepare: {fault}.") from fault
 
     def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
         """Returns the method's estimate.
@@ -188,7 +172,7 @@ class RemoteMethod:
         # What this environment tells its Python is no matter of the other's.
         kept = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
         # -P: nothing is imported from the folder that this was started in; plug-ins are installed there.
-        child = self._child = Child([cast("str", self._runner.python), "-P", "-m", _MODULE], kept)
+        child = self._child = remote.Child([cast("str", self._runner.python), "-P", "-m", _MODULE], kept)
         weakref.finalize(self, child.close)
         self._known_map = None
         try:
@@ -196,9 +180,9 @@ class RemoteMethod:
                 ["make", self._settings, self._tilt], _nothing, max(_START_S, self._runner.timeout_s)
             )
             return About.of(made)
-        except (ProcessFault, MalformedMessage) as fault:
+        except (remote.ProcessFault, remote.MalformedMessage) as fault:
             self.close()
-            raise RunnerFault(
+            raise remote.RunnerFault(
                 f"runner.python={self._runner.python}: {fault}.",
                 "lodbench must be installed there, and the method's package.",
             ) from fault
@@ -224,20 +208,20 @@ class RemoteMethod:
         assert self._child is not None  # noqa: S101
         try:
             said = self._child.call({"do": words}, answer, timeout_s)
-        except (ProcessFault, WorkersGone):
+        except (remote.ProcessFault, errors.WorkersGone):
             self._child = None
             raise
         if "fault" in said:
-            raise fault_of(said)
+            raise remote.fault_of(said)
         return said.get("done")
 
 
 def _nothing(words: list[Any]) -> Any:
-    raise LodbenchError(f"there is nothing to ask yet: {words[:2]}")
+    raise errors.LodbenchError(f"there is nothing to ask yet: {words[:2]}")
 
 
 def _no_streams(stage: str, step: int) -> np.random.Generator:
-    raise LodbenchError("random numbers are a query's")
+    raise errors.LodbenchError("random numbers are a query's")
 
 
 def answered(words: list[Any], query: Query | None, city_map: CityMap, streams: Streams) -> Any:
@@ -259,27 +243,29 @@ def answered(words: list[Any], query: Query | None, city_map: CityMap, streams: 
         return query.segment(_pose(*values))
     if kind == "true_pixels" and query is not None and query.true_pixels is not None:
         return query.true_pixels(np.asarray(values[0], dtype=np.float64))
-    if kind == "draw" and values and values[0] in KINDS:
+    if kind == "draw" and values and values[0] in remote.KINDS:
         return _drawn(city_map, *values)
-    raise LodbenchError(f"there is no {kind!r} to ask for")
+    raise errors.LodbenchError(f"there is no {kind!r} to ask for")
 
 
 def _counted(city_map: CityMap, kind: str, poses: int) -> None:
     if not isinstance(poses, int) or poses < 0:
-        raise RenderingError(f"{poses!r} poses cannot be counted")
+        raise errors.RenderingError(f"{poses!r} poses cannot be counted")
     city_map.usage.add(str(kind), poses)
 
 
 def _drawn(city_map: CityMap, kind: str, named: dict[str, Any], camera: Any, *arguments: Any) -> Any:
     if not isinstance(camera, Camera) or not arguments:
-        raise RenderingError(f"{kind} is requested with a camera and poses")
+        raise errors.RenderingError(f"{kind} is requested with a camera and poses")
     views = 1 if kind == "render" else len(arguments[0])
-    if not 0 <= drawn_bytes(kind, camera, views) <= _MOST_BYTES:
-        raise RenderingError(f"{views} views of {camera.width} x {camera.height} are too many at a time")
+    if not 0 <= remote.drawn_bytes(kind, camera, views) <= _MOST_BYTES:
+        raise errors.RenderingError(
+            f"{views} views of {camera.width} x {camera.height} are too many at a time"
+        )
     return getattr(city_map, kind)(camera, *arguments, **named)
 
 
 def _pose(*values: Any) -> Pose:
     if len(values) != 1 or not isinstance(values[0], Pose):
-        raise QueryFault("a mask is requested from a pose")
+        raise errors.QueryFault("a mask is requested from a pose")
     return replace(values[0])

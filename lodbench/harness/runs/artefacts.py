@@ -17,13 +17,13 @@ from lodbench.citymodel.options import PATH_OPTIONS
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.prior_sources import prior_text
 from lodbench.datasets.query import Dataset
+from lodbench.evaluation.metrics import LODLOC, protocol_named, queries_csv, summarize_queries
 from lodbench.evaluation.predictions import Prediction
-from lodbench.evaluation.queries import LODLOC, protocol_named, queries_csv, summarize_queries
 from lodbench.harness.runs.inputs import words_in
 from lodbench.harness.runs.queries import Preparation
 from lodbench.plugins import blaming, installed, load_plugin, of_kind
 from lodbench.rendering import Scorer
-from lodbench.reporting.leaderboard_entry import has_random_weights
+from lodbench.reporting.leaderboard import has_random_weights
 from lodbench.reporting.summaries import SUMMARY_SCHEMA
 from lodbench.storage import hide_formula, write_text
 from lodbench.storage.digest import LIBRARIES, versions_of
@@ -31,31 +31,31 @@ from lodbench.storage.paths import is_sealed, seal_of
 
 if TYPE_CHECKING:
     import pandas as pd
+# Settings of a configuration's sections that hold a path, and are not the dataset's root and city.
+_NAMED = {
+    "dataset": ("references", "textured_map", "prior_file"),
+    "segmenter": ("weights", "encoder_weights"),
+}
+# More of them, sealed where they are set: seals of older versions stay good. No run writes the last two.
+_NAMED_LATER = {
+    "segmenter": ("mask_weights", "folder"), "prior": ("path",), "source.options": PATH_OPTIONS,
+}  # fmt: skip
+# Sections that may be of a plug-in: which of its settings are paths only its author knows.
+_GROUPS = {"dataset": "datasets", "segmenter": "segmenters", "prior": "priors"}
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Result:
-    """Rows and all that the tables and artefacts say about where they came from.
+    """Rows and all that the tables and artefacts say about where they came from."""
 
-    Attributes:
-        folder: The run folder.
-        config: The resolved configuration.
-        dataset: The dataset.
-        splits: Splits scored, in order.
-        predictions: What was answered, by ``Entry.key``.
-        queries: One row per query (``lodbench.evaluation.queries``).
-        inputs: Digests of what went in.
-        lod: Level of detail localised against; None where no city was opened or it has no name.
-    """
-
-    folder: Path
-    config: dict[str, Any]
-    dataset: Dataset
-    splits: tuple[str, ...]
-    predictions: Mapping[str, Prediction]
-    queries: pd.DataFrame
-    inputs: dict[str, str]
-    lod: str | None
+    folder: Path  # the run folder
+    config: dict[str, Any]  # the resolved configuration
+    dataset: Dataset  # the dataset
+    splits: tuple[str, ...]  # splits scored, in order
+    predictions: Mapping[str, Prediction]  # what was answered, by ``Entry.key``
+    queries: pd.DataFrame  # one row per query (``lodbench.evaluation.metrics``)
+    inputs: dict[str, str]  # digests of what went in
+    lod: str | None  # level of detail localised against; None where no city was opened or it has no name
 
     def __repr__(self) -> str:
         name = self.config["method"]["name"]
@@ -82,19 +82,6 @@ class Run(Result):
     preparation: Preparation
     scorer: Scorer
     resumed: int
-
-
-# Settings of a configuration's sections that hold a path, and are not the dataset's root and city.
-_NAMED = {
-    "dataset": ("references", "textured_map", "prior_file"),
-    "segmenter": ("weights", "encoder_weights"),
-}
-# More of them, sealed where they are set: seals of older versions stay good. No run writes the last two.
-_NAMED_LATER = {
-    "segmenter": ("mask_weights", "folder"), "prior": ("path",), "source.options": PATH_OPTIONS,
-}  # fmt: skip
-# Sections that may be of a plug-in: which of its settings are paths only its author knows.
-_GROUPS = {"dataset": "datasets", "segmenter": "segmenters", "prior": "priors"}
 
 
 def named_by(provenance: dict[str, Any], config: dict[str, Any]) -> list[Any]:

@@ -1,38 +1,125 @@
-"""A convergence basin: runs over ever wider priors, mean cost around the truth; tables and pictures."""
+"""A convergence basin: how far off a prior may be before a method no longer finds the pose.
+
+The protocol is fixed, so that basins of two methods compare: priors uniform around the truth, a search
+as wide as the prior's error (twice its half width) at the method's own stride, every pose of the grid
+kept, one random stream per query. The paper gives the ranges and the stride and leaves the rest open
+(its Table 3); the orientation twin of that table is in an appendix that is not published.
+"""
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Entry
-from lodbench.errors import QueryFault
-from lodbench.evaluation.basin import ORIENTATION, TRANSLATION, BasinStep
+from lodbench.errors import ConfigError, QueryFault, require_within
+from lodbench.evaluation.metrics import summarize_queries
 from lodbench.evaluation.pose_errors import SplitSummary
-from lodbench.evaluation.queries import summarize_queries
 from lodbench.execution import Ledger, Progress
 from lodbench.geometry import rotations_at_yaws
 from lodbench.harness.runs.artefacts import Run, summary_of
 from lodbench.harness.runs.inputs import chosen_entries
 from lodbench.harness.runs.queries import Preparation
 from lodbench.rendering import Scorer
-from lodbench.reporting.aligned_text import count_of
-from lodbench.reporting.figures import RecallCurve, draw_cost_maps, draw_recall_curves
-from lodbench.reporting.summaries import numbers_of
-from lodbench.reporting.table_heads import Line, title_of
+from lodbench.reporting import aligned_text, figures, summaries, table_heads
 from lodbench.reporting.tables import RecallTable, format_latex, format_markdown
 from lodbench.segmentation import binary_mask
 from lodbench.storage import digest_of, make_folder, write_bytes, write_text
 
-_AXES = {
-    TRANSLATION: "prior's half width in x, y and z, m",
-    ORIENTATION: "prior's half width in yaw, deg",
-}
+TRANSLATION, ORIENTATION = "translation", "orientation"
+_UNITS = {TRANSLATION: "m", ORIENTATION: "deg"}
+# What stays as it is while the other part of the prior is widened: the published priors.
+_BASE = UniformPrior()
+_AXES = {TRANSLATION: "prior's half width in x, y and z, m", ORIENTATION: "prior's half width in yaw, deg"}
+Floats = NDArray[np.float64]
+# The size at which the coarse stage compares.
+_SIZE = (301, 224)
+
+
+@dataclass(frozen=True, slots=True)
+class BasinStep:
+    """One row of a basin table."""
+
+    kind: str  # ``translation`` or ``orientation``
+    half_width: float  # half width of the prior's error: along x, y and z in metres, or of yaw in degrees
+    limit: int | None  # at most this many queries per split, or None
+
+    @property
+    def unit(self) -> str:
+        """Returns ``m`` or ``deg``."""
+        return _UNITS[self.kind]
+
+    @property
+    def label(self) -> str:
+        """Returns ``Delta 30 m``."""
+        return f"Delta {self.half_width:g} {self.unit}"
+
+    def prior(self) -> UniformPrior:
+        """Returns the priors of this row."""
+        if self.kind == TRANSLATION:
+            return replace(_BASE, x_m=self.half_width, y_m=self.half_width, z_m=self.half_width)
+        return replace(_BASE, yaw_deg=self.half_width)
+
+
+def basin_steps(
+    ranges_m: Sequence[float], yaw_ranges_deg: Sequence[float], limits: Sequence[int | None]
+) -> tuple[BasinStep, ...]:
+    """Returns the rows of both tables, cheapest first within each.
+
+    Args:
+        ranges_m: Half widths of the translation table.
+        yaw_ranges_deg: Half widths of the orientation table.
+        limits: Queries per split by translation range; one for all, or as many as ranges.
+
+    Raises:
+        ConfigError: A range is not a positive number within reason, or occurs twice; or the limits
+            are not as many as the ranges.
+    """
+    require_within("ranges", ranges_m, 0, 1e4, "(]")
+    require_within("yaw_ranges", yaw_ranges_deg, 0, 180, "(]")
+    for kind, widths in ((TRANSLATION, ranges_m), (ORIENTATION, yaw_ranges_deg)):
+        if len(set(widths)) < len(widths):
+            raise ConfigError(f"A {kind} range occurs twice: {list(widths)}.")
+    if not ranges_m and not yaw_ranges_deg:
+        raise ConfigError("There is no range to run.", "Set `ranges='[30,50,100,200]'`.")
+    if len(limits) not in (1, len(ranges_m)):
+        raise ConfigError(f"{len(limits)} limits are not one per range: there are {len(ranges_m)} ranges.")
+    each = list(limits) * len(ranges_m) if len(limits) == 1 else list(limits)
+    far = [
+        BasinStep(TRANSLATION, *pair) for pair in sorted(zip(ranges_m, each, strict=True), key=lambda p: p[0])
+    ]
+    fewest = min((n for n in limits if n is not None), default=None) if len(limits) == 1 else None
+    return (*far, *(BasinStep(ORIENTATION, width, fewest) for width in sorted(yaw_ranges_deg)))
+
+
+def protocol_lines(tilt: str, seed: int, takes_width: bool) -> list[str]:
+    """Returns the protocol in words, as it is printed with every basin.
+
+    ``takes_width`` is whether the method searches as far as priors are off, not as far as it is set.
+    """
+    tilts = {
+        "truth": "the true pitch and roll (an oracle, as the paper's tables most likely have)",
+        "prior": f"pitch and roll +-{_BASE.pitch_deg:g} deg",
+    }
+    search = (
+        "2 x Delta wide on each axis, ends included, at the method's stride; no pose is dropped, "
+        "not even one below a roof or the ground"
+    )
+    return [
+        "priors: uniform around the truth, +-Delta in x, y and z, +-"
+        f"{_BASE.yaw_deg:g} deg in yaw (translation table); +-Delta in yaw, "
+        f"+-{_BASE.x_m:g}/{_BASE.y_m:g}/{_BASE.z_m:g} m in x/y/z (orientation table)",
+        f"tilt={tilt}: {tilts.get(tilt, tilt)}",
+        f"search: {search if takes_width else 'as the method is set, whatever Delta: it takes no width'}",
+        f"random numbers: one stream per query, seed {seed}; a wider prior errs the same way, only further",
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +166,7 @@ def write_basin(basin: Basin, grid: CostGrid | None) -> Path:
     panels = [
         (_AXES[kind], _curves(basin, kind)) for kind in (TRANSLATION, ORIENTATION) if basin.of_kind(kind)
     ]
-    _write_figure(folder / "recall", draw_recall_curves(panels))
+    _write_figure(folder / "recall", figures.draw_recall_curves(panels))
     if grid is not None:
         _write_maps(folder, max((run for _, run in basin.steps), key=lambda run: len(run.queries)), grid)
     return folder
@@ -93,7 +180,7 @@ def _write_maps(folder: Path, run: Run, grid: CostGrid) -> None:
     if maps is None:
         return
     write_text(folder / "cost_maps.csv", cost_csv(maps))
-    pictures = draw_cost_maps(
+    pictures = figures.draw_cost_maps(
         maps.num_queries,
         grid.xy(),
         maps.xy,
@@ -113,20 +200,24 @@ def _table(basin: Basin, kind: str) -> RecallTable:
     summary = summary_of(rows[0][1])
     body = []
     for step, run in rows:
-        cells = {split: numbers_of(basin.summary(step, split).to_json()) for split in run.splits}
+        cells = {split: summaries.numbers_of(basin.summary(step, split).to_json()) for split in run.splits}
         counts = {numbers["queries"] for numbers in cells.values()}
-        queries = "" if len(rows) == 1 else f" ({count_of('/'.join(map(str, sorted(counts))), 'queries')})"
-        body.append(Line(f"{step.label}{queries}", cells))
+        queries = (
+            ""
+            if len(rows) == 1
+            else f" ({aligned_text.count_of('/'.join(map(str, sorted(counts))), 'queries')})"
+        )
+        body.append(table_heads.Line(f"{step.label}{queries}", cells))
     method = f"{summary['method']['name']} {summary['method']['variant']}".strip()
-    title = f"{method}, {kind} of the prior · {title_of(summary, {'prior'})}"
+    title = f"{method}, {kind} of the prior · {table_heads.title_of(summary, {'prior'})}"
     return RecallTable(title, tuple(body))
 
 
-def _curves(basin: Basin, kind: str) -> list[RecallCurve]:
+def _curves(basin: Basin, kind: str) -> list[figures.RecallCurve]:
     rows = basin.of_kind(kind)
     widths = tuple(step.half_width for step, _ in rows)
     return [
-        RecallCurve(split, widths, tuple(basin.summary(step, split) for step, _ in rows))
+        figures.RecallCurve(split, widths, tuple(basin.summary(step, split) for step, _ in rows))
         for split in rows[0][1].splits
     ]
 
@@ -169,11 +260,6 @@ def _basin_csv(basin: Basin) -> str:
     return str(pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"))
 
 
-Floats = NDArray[np.float64]
-# The size at which the coarse stage compares.
-_SIZE = (301, 224)
-
-
 @dataclass(frozen=True, slots=True)
 class CostGrid:
     """Offsets from the truth: half widths and steps."""
@@ -200,25 +286,15 @@ class CostGrid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CostMaps:
-    """IoU with the query mask at offsets from the truth, averaged over queries.
+    """IoU with the query mask at offsets from the truth, averaged over queries."""
 
-    Attributes:
-        grid: The offsets.
-        num_queries: Queries averaged over.
-        xy: (Y, X) mean IoU.
-        z: (Z,) mean IoU.
-        z_spread: (Z,) standard deviation over queries.
-        yaw: (A,) mean IoU.
-        yaw_spread: (A,) standard deviation over queries.
-    """
-
-    grid: CostGrid
-    num_queries: int
-    xy: Floats
-    z: Floats
-    z_spread: Floats
-    yaw: Floats
-    yaw_spread: Floats
+    grid: CostGrid  # the offsets
+    num_queries: int  # queries averaged over
+    xy: Floats  # (Y, X) mean IoU
+    z: Floats  # (Z,) mean IoU
+    z_spread: Floats  # (Z,) standard deviation over queries
+    yaw: Floats  # (A,) mean IoU
+    yaw_spread: Floats  # (A,) standard deviation over queries
 
 
 def measure_cost_maps(

@@ -12,31 +12,16 @@ from typing import Any
 import numpy as np
 
 from lodbench.citymodel.model import lod_in_words
-from lodbench.evaluation.pose_errors import (
-    DEFAULT_THRESHOLDS,
-    PROBABILITY_THRESHOLD,
-    Apart,
-    Threshold,
-    apart,
-    hits_of,
-    pose_error,
-)
+from lodbench.evaluation import pose_errors
+from lodbench.evaluation.metrics import ERROR, PRIOR_ERROR, has_truth, of_split
+from lodbench.evaluation.pose_errors import Agreement, Comparison, mcnemar, paired_medians
 from lodbench.evaluation.predictions import Prediction
-from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, of_split
-from lodbench.evaluation.statistics import Agreement, Comparison, mcnemar, paired_medians
 from lodbench.geometry import Pose
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, open_predictions
 from lodbench.harness.runs.stored import StoredRun
+from lodbench.reporting import figures
 from lodbench.reporting.aligned_text import count_of
-from lodbench.reporting.figures import BudgetPoint
 from lodbench.reporting.page import Picture, markup, rendered
-from lodbench.reporting.run_figures import (
-    PAIRED_NOTE,
-    ErrorCurve,
-    agreement_text,
-    comparison_cells,
-    draw_comparison,
-)
 from lodbench.reporting.tables import RecallTable, format_html
 
 # A pose read back from text is off by rounding: 1e-9 m at coordinates of 5,000 km. A number that
@@ -44,6 +29,8 @@ from lodbench.reporting.tables import RecallTable, format_html
 TOLERANCE_M, TOLERANCE_DEG = 1e-6, 1e-6
 # What a method says of an answer, which is written with all its digits.
 _SAID = ("score", "hypotheses", "probability")
+_LABEL = pose_errors.DEFAULT_THRESHOLDS[0].label
+Curves = dict[str, list[figures.BudgetPoint]]
 
 
 def is_without_ledger(stored: StoredRun) -> bool:
@@ -86,7 +73,7 @@ def _is_equal(reported: float, stored: float | None) -> bool:
 def _is_same(one: Pose | None, other: Pose | None) -> bool:
     if one is None or other is None:
         return one is other
-    error = pose_error(one, other)
+    error = pose_errors.pose_error(one, other)
     return error.translation_m <= TOLERANCE_M and error.rotation_deg <= TOLERANCE_DEG
 
 
@@ -109,7 +96,7 @@ def require_same_queries(first: StoredRun, second: StoredRun) -> str:
 
 
 def paired_comparison(
-    first: StoredRun, second: StoredRun, thresholds: Sequence[Threshold]
+    first: StoredRun, second: StoredRun, thresholds: Sequence[pose_errors.Threshold]
 ) -> list[Comparison]:
     """Returns the tests of each split: recall at each threshold, and the median errors."""
     found = []
@@ -120,7 +107,7 @@ def paired_comparison(
         errors = list(ERROR)
         a, b = scored[errors].to_numpy(), second.queries.loc[scored.index, errors].to_numpy()
         for threshold in thresholds:
-            hits = hits_of(a, threshold), hits_of(b, threshold)
+            hits = pose_errors.hits_of(a, threshold), pose_errors.hits_of(b, threshold)
             before, after = (100.0 * float(hit.mean()) for hit in hits)
             found.append(Comparison(split, f"recall {threshold.label}", "%", before, after, mcnemar(*hits)))
         for column, (name, unit) in enumerate((("median translation", "m"), ("median rotation", "deg"))):
@@ -152,10 +139,10 @@ def why_other_photos(first: StoredRun, second: StoredRun) -> str:
     return ""
 
 
-def answers_apart(first: StoredRun, second: StoredRun) -> dict[str, Apart]:
+def answers_apart(first: StoredRun, second: StoredRun) -> dict[str, pose_errors.Apart]:
     """Returns how far the answers of two runs lie apart, by ``split/query``, where both answered."""
     shared = [key for key in first.poses if key in second.poses]
-    return {key: apart(second.poses[key], first.poses[key]) for key in shared}
+    return {key: pose_errors.apart(second.poses[key], first.poses[key]) for key in shared}
 
 
 def agreement(first: StoredRun, second: StoredRun) -> Agreement | None:
@@ -167,13 +154,9 @@ def agreement(first: StoredRun, second: StoredRun) -> Agreement | None:
         return None
     errors = np.array([each.error for each in found])
     parts = np.abs([[each.parts.horizontal_m, each.parts.vertical_m] for each in found])
-    within = int(hits_of(errors, PROBABILITY_THRESHOLD).sum())
+    within = int(pose_errors.hits_of(errors, pose_errors.PROBABILITY_THRESHOLD).sum())
     medians = [*np.median(errors, axis=0), *np.median(parts, axis=0)]
     return Agreement(len(found), within, *map(float, medians))
-
-
-_LABEL = DEFAULT_THRESHOLDS[0].label
-Curves = dict[str, list[BudgetPoint]]
 
 
 def budget_panels(runs: Sequence[StoredRun]) -> dict[str, Curves]:
@@ -205,8 +188,8 @@ def budget_panels(runs: Sequence[StoredRun]) -> dict[str, Curves]:
     }
 
 
-def _point(numbers: dict[str, Any]) -> BudgetPoint:
-    return BudgetPoint(
+def _point(numbers: dict[str, Any]) -> figures.BudgetPoint:
+    return figures.BudgetPoint(
         float(numbers["hypotheses_per_query"] or 0.0),
         float(numbers["recall"][_LABEL]),
         *map(float, numbers["recall_interval_95"][_LABEL]),
@@ -247,7 +230,7 @@ def comparison_page(
     runs: Sequence[StoredRun],
     names: Sequence[str],
     tables: Sequence[RecallTable],
-    thresholds: Sequence[Threshold],
+    thresholds: Sequence[pose_errors.Threshold],
     beside: Path,
     photos: str,
     no_photos: str,
@@ -255,7 +238,9 @@ def comparison_page(
     """Returns the page, whose links start in ``beside``; ``photos`` is its part by ``photo_pairs_of``."""
     scored = [(run, name) for run, name in zip(runs, names, strict=True) if has_truth(run.queries).any()]
     pictures = [
-        Picture(draw_comparison(_curves(found, split))["svg"], "svg+xml", _caption(split, of), "chart")
+        Picture(
+            figures.draw_comparison(_curves(found, split))["svg"], "svg+xml", _caption(split, of), "chart"
+        )
         for (split, of), found in _charts(scored).items()
     ]
     pairs = []
@@ -267,19 +252,20 @@ def comparison_page(
             (
                 f"{name} against {names[0]}",
                 reason,
-                comparison_cells(tests, (names[0], name)),
-                agreement_text(together),
+                figures.comparison_cells(tests, (names[0], name)),
+                figures.agreement_text(together),
             )
         )
     return rendered(
         "compare.html.jinja",
         runs=[
-            (name, str(run.folder), _link(run.folder, beside)) for run, name in zip(runs, names, strict=True)
+            (name, str(run.folder), link_to(run.folder / "report.html", beside))
+            for run, name in zip(runs, names, strict=True)
         ],
         tables=[markup(format_html(table)) for table in tables],
         pictures=pictures,
         pairs=pairs,
-        note=PAIRED_NOTE if any(not reason for _, reason, _, _ in pairs) else "",
+        note=figures.PAIRED_NOTE if any(not reason for _, reason, _, _ in pairs) else "",
         photos=markup(photos),
         no_photos=no_photos,
     )
@@ -305,15 +291,15 @@ def _charts(scored: Sequence[tuple[StoredRun, str]]) -> dict[tuple[str, str], li
     return charts
 
 
-def _curves(scored: Sequence[tuple[StoredRun, str]], split: str) -> list[ErrorCurve]:
+def _curves(scored: Sequence[tuple[StoredRun, str]], split: str) -> list[figures.ErrorCurve]:
     """Returns the errors of each run in a split, and of the priors where all started from the same."""
     curves, priors = [], []
     for run, name in scored:
         mine = of_split(run.queries, split)
-        curves.append(ErrorCurve(name, mine[list(ERROR)].to_numpy()))
+        curves.append(figures.ErrorCurve(name, mine[list(ERROR)].to_numpy()))
         priors.append(mine[list(PRIOR_ERROR)].to_numpy())
     if all(prior.shape == priors[0].shape and (prior == priors[0]).all() for prior in priors):
-        curves.append(ErrorCurve("prior", priors[0]))
+        curves.append(figures.ErrorCurve("prior", priors[0]))
     return curves
 
 
@@ -325,7 +311,6 @@ def _caption(split: str, of: str) -> str:
     )
 
 
-def _link(folder: Path, beside: Path) -> str:
-    """Returns where a run's own page is from here; "" if it has none yet."""
-    page = folder / "report.html"
+def link_to(page: Path, beside: Path) -> str:
+    """Returns where a page is from a folder; "" if it is not there."""
     return Path(os.path.relpath(page.resolve(), beside.resolve())).as_posix() if page.is_file() else ""

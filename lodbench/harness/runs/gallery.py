@@ -14,19 +14,17 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Entry
 from lodbench.errors import STOPPED
+from lodbench.evaluation.metrics import ERROR, PRIOR_ERROR, has_truth, is_answered, own_failure
 from lodbench.evaluation.predictions import Prediction
-from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, is_answered, own_failure
 from lodbench.execution import Progress
-from lodbench.execution.guards import staying_here
+from lodbench.execution.processes import staying_here
 from lodbench.geometry import Pose
-from lodbench.harness.runs.artefacts import Result
-from lodbench.harness.runs.predict import PREDICTIONS_FILE
+from lodbench.harness.runs import artefacts, predict
 from lodbench.harness.runs.queries import Preparation, prior_of
 from lodbench.harness.runs.verify import Verdict
 from lodbench.plugins import blaming
 from lodbench.rendering import Renderer, make_renderer
-from lodbench.reporting.answers import percent_text, trust_of, why_of
-from lodbench.reporting.overlays import OverlayInput, draw_overlay, jpeg_bytes, write_picture
+from lodbench.reporting import answers, overlays
 from lodbench.reporting.page import Picture
 from lodbench.segmentation import Segmenter, binary_mask, check_mask
 from lodbench.storage import make_folder, remove_leftovers
@@ -44,10 +42,15 @@ _ENDS = {
     "score": ("highest_score", "lowest_score"),
 }
 _NAMES = "|".join(name for ends in _ENDS.values() for name in ends)
+# Of more queries than this the page shows the worst and the best, half of it each: a picture has 60 kB.
+MAX_PICTURES = 240
 
 
 def write_overlays(
-    result: Result, preparation: Preparation, renderer: Callable[[], Renderer], was_written: bool = False
+    result: artefacts.Result,
+    preparation: Preparation,
+    renderer: Callable[[], Renderer],
+    was_written: bool = False,
 ) -> list[Path]:
     """Writes pictures of the worst and best queries of each split, removes others; returns their files.
 
@@ -63,7 +66,7 @@ def write_overlays(
     remove_leftovers(folder)
     entries = {entry.key: entry for entry in result.dataset.entries}
     written: list[Path] = []
-    sources = [result.folder / PREDICTIONS_FILE, *_code_of_pictures()] if was_written else []
+    sources = [result.folder / predict.PREDICTIONS_FILE, *_code_of_pictures()] if was_written else []
     for split in result.splits:
         for kind, chosen in chosen_queries(result.queries, split).items():
             for rank, (key, row) in enumerate(chosen.iterrows(), start=1):
@@ -78,8 +81,8 @@ def write_overlays(
                 shown = _shown(preparation, entry, row, result.predictions[entry.key])
                 drawer = renderer()
                 with blaming("renderers", drawer.name, "draw"):
-                    picture = draw_overlay(shown, drawer)
-                write_picture(path, picture)
+                    picture = overlays.draw_overlay(shown, drawer)
+                overlays.write_picture(path, picture)
     # A query tried again has another place among the best and the worst: its old picture is wrong.
     for path in sorted(folder.glob("*.png")):
         if path not in written and re.search(rf"_({_NAMES})_\d+_", path.name):
@@ -128,10 +131,10 @@ def overlay_name(split: str, kind: str, rank: int, name: str) -> str:
 
 def _shown(
     preparation: Preparation, entry: Entry, row: pd.Series[Any], prediction: Prediction
-) -> OverlayInput:
+) -> overlays.OverlayInput:
     assert entry.camera is not None  # noqa: S101 - the caller has looked
     prior, truth = preparation.prior(entry), preparation.dataset.truth.get(entry.key)
-    return OverlayInput(
+    return overlays.OverlayInput(
         camera=entry.camera,
         mask=_mask(preparation.segmenter, entry, prediction),
         image=entry.image,
@@ -176,10 +179,6 @@ def _caption(row: pd.Series[Any], is_answered: bool) -> str:
     )
 
 
-# Of more queries than this the page shows the worst and the best, half of it each: a picture has 60 kB.
-MAX_PICTURES = 240
-
-
 def query_pictures(verdict: Verdict, scene: Scene, tilt: str) -> list[Picture]:
     """Returns a picture of each query, the worst first; of a large run those at both ends."""
     queries = _ordered(verdict.stored.queries)
@@ -202,9 +201,9 @@ def picture_of(verdict: Verdict, renderer: Renderer, tilt: str, entry: Entry) ->
     """Returns the picture of a query; None where its camera cannot be drawn, which is its own fault."""
     if entry.camera is None or entry.camera.distortion:
         return None
-    drawn = draw_overlay(_shown_picture(verdict, renderer.scene, tilt, entry), renderer)
+    drawn = overlays.draw_overlay(_shown_picture(verdict, renderer.scene, tilt, entry), renderer)
     row = verdict.stored.queries.loc[[entry.key]].iloc[0]
-    return Picture(jpeg_bytes(drawn), "jpeg", _place_caption(verdict, row), "", entry.key)
+    return Picture(overlays.jpeg_bytes(drawn), "jpeg", _place_caption(verdict, row), "", entry.key)
 
 
 def _ordered(queries: pd.DataFrame) -> pd.DataFrame:
@@ -215,7 +214,7 @@ def _ordered(queries: pd.DataFrame) -> pd.DataFrame:
     return queries.sort_values([by, "query"], na_position="first")
 
 
-def _shown_picture(verdict: Verdict, scene: Scene, tilt: str, entry: Entry) -> OverlayInput:
+def _shown_picture(verdict: Verdict, scene: Scene, tilt: str, entry: Entry) -> overlays.OverlayInput:
     assert verdict.dataset is not None  # noqa: S101 - there are entries
     assert entry.camera is not None  # noqa: S101 - the caller has looked
     found = verdict.stored.predictions.get(entry.key)
@@ -223,7 +222,7 @@ def _shown_picture(verdict: Verdict, scene: Scene, tilt: str, entry: Entry) -> O
     def local(pose: Pose | None) -> Pose | None:
         return None if pose is None else pose.shifted(-np.asarray(scene.origin))
 
-    return OverlayInput(
+    return overlays.OverlayInput(
         camera=entry.camera,
         mask=None if found is None else found.mask,
         image=entry.image,
@@ -242,7 +241,7 @@ def _place_caption(verdict: Verdict, row: pd.Series[Any]) -> str:
     words = [] if math.isnan(metres) else [f"{metres:.2f} m, {degrees:.2f} deg"]
     words += [] if math.isnan(row["score"]) else [f"score {row['score']:.3f}"]
     if found.probability is not None:
-        words.append(f"probability {percent_text(found.probability)}")
-    if trust_of(found) != "-":
-        words.append(trust_of(found))
-    return f"{row.name}: {'; '.join([', '.join(words), *why_of(found)])}"
+        words.append(f"probability {answers.percent_text(found.probability)}")
+    if answers.trust_of(found) != "-":
+        words.append(answers.trust_of(found))
+    return f"{row.name}: {'; '.join([', '.join(words), *answers.why_of(found)])}"

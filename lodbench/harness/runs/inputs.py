@@ -19,7 +19,7 @@ from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Dataset, Entry, Reference, repeated_keys
 from lodbench.errors import STOPPED, ConfigError, DatasetError, LodbenchError
 from lodbench.evaluation.predictions import pose_numbers
-from lodbench.execution.guards import single_threaded_blas, staying_here
+from lodbench.execution.processes import single_threaded_blas, staying_here
 from lodbench.harness.tracebacks import keep_traceback, words_of
 from lodbench.methods import Method
 from lodbench.methods.localize import weight_files
@@ -31,6 +31,11 @@ from lodbench.storage.json_text import parse_json
 
 if TYPE_CHECKING:
     pass
+_OURS = "lodbench"
+# The name that a requirement begins with.
+_NAME = re.compile(r"\w[\w.-]*")
+# What a workspace's content depends on, of a run's inputs.
+_PREPARED_FROM = ("scene", "roofs", "code", "weights", "references", "textured_map")
 
 
 def chosen_entries(dataset: Dataset, splits: tuple[str, ...], limit: int | None) -> tuple[Entry, ...]:
@@ -81,11 +86,6 @@ def truth_digest(dataset: Dataset, entries: tuple[Entry, ...]) -> str:
 def split_digest(entries: tuple[Entry, ...]) -> str:
     """Returns a digest of which queries are scored, in which splits."""
     return digest_of([entry.key for entry in entries])
-
-
-_OURS = "lodbench"
-# The name that a requirement begins with.
-_NAME = re.compile(r"\w[\w.-]*")
 
 
 def code_digest(*parts: object, names: Collection[object] = ()) -> str:
@@ -202,10 +202,6 @@ def _cells_of(thing: object) -> set[str]:
     members = [*vars(thing).values()] if isinstance(thing, type) else [thing]
     plain = [getattr(each, "__func__", getattr(each, "fget", each)) for each in members]
     return {each.__code__.co_filename for each in plain if inspect.isfunction(each)}
-
-
-# What a workspace's content depends on, of a run's inputs.
-_PREPARED_FROM = ("scene", "roofs", "code", "weights", "references", "textured_map")
 
 
 def method_inputs(method: Method, dataset: Dataset, entries: Sequence[Entry]) -> dict[str, str]:

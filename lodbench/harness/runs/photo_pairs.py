@@ -1,14 +1,17 @@
-"""Two stored runs photo by photo: differences, both outlines over each photo, and a map of the cameras."""
+"""Two stored runs photo by photo: differences, both outlines over each photo, and a map of the cameras.
+
+First what a page shows of each photo, from plain data; then how it is made of the runs; tags at the end.
+"""
 
 from __future__ import annotations
 
+import json
 import math
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
@@ -17,53 +20,248 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError
-from lodbench.evaluation.pose_errors import PoseError
-from lodbench.evaluation.queries import ERROR
+from lodbench.evaluation.metrics import ERROR
+from lodbench.evaluation.pose_errors import Apart, PoseError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.runs.compare import answers_apart
+from lodbench.harness.runs.compare import answers_apart, link_to
 from lodbench.harness.runs.gallery import MAX_PICTURES
 from lodbench.harness.runs.places import city_of
 from lodbench.harness.runs.queries import prior_of
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.rendering import Renderer, make_renderer
-from lodbench.reporting.answers import trust_of
+from lodbench.reporting import overlays
+from lodbench.reporting.answers import percent_text, probability_text, trust_of
 from lodbench.reporting.maps import Spot, draw_map
-from lodbench.reporting.overlays import (
-    ESTIMATE_COLOUR,
-    PRIOR_COLOUR,
-    SECOND_COLOUR,
-    TRUTH_COLOUR,
-    camera_of_pictures,
-    jpeg_bytes,
-    mask_layer,
-    outline_layer,
-    read_background,
-)
-from lodbench.reporting.page import Picture
-from lodbench.reporting.photo_pairs import PhotoPair, Said, in_order, photo_pairs_section
+from lodbench.reporting.page import Picture, markup, rendered
 from lodbench.storage import digest_of
 from lodbench.storage.json_text import parse_json
 
+# What lies over a photo, from below, and whether it is shown at first.
+LAYERS = (
+    ("mask", False), ("mask_a", False), ("mask_b", False), ("prior", False), ("truth", True), ("a", True),
+    ("b", True),
+)  # fmt: skip
 # Of the outlines of run A, B, prior and truth, pixels: where both answers agree A is still seen below B.
 _WIDTHS = {"a": 3, "b": 1, "prior": 1, "truth": 2}
-_COLOURS = {"a": ESTIMATE_COLOUR, "b": SECOND_COLOUR, "prior": PRIOR_COLOUR, "truth": TRUTH_COLOUR}
+_COLOURS = {
+    "a": overlays.ESTIMATE_COLOUR,
+    "b": overlays.SECOND_COLOUR,
+    "prior": overlays.PRIOR_COLOUR,
+    "truth": overlays.TRUTH_COLOUR,
+}
 _VIEW = "report_3d.html"
+_ENDING = ".tags.json"
+_HINT = "Export it from the page again, or move it away."
+
+
+class Answer(NamedTuple):
+    """What a run answers to a photo."""
+
+    is_answered: bool  # whether there is a pose
+    error: PoseError | None  # from the truth, (inf, 180) without a pose; None where there is no truth
+    probability: float | None  # of a pose within 2 m and 2 degrees; 0 without one; None where nobody says
+    trust: str  # in a word
+    view: str  # address of the photo in the run's page in three dimensions; "" for none
+
+
+class PhotoPair(NamedTuple):
+    """A photo that two runs, A and B, worked on."""
+
+    key: str  # ``split/query``
+    apart: Apart | None  # how far the answer of B lies from that of A; None unless both have one
+    a: Answer
+    b: Answer
+    spot: Spot  # where the cameras are on the map
+    pictures: Mapping[str, Picture]  # the photo, what lies over it by a name of ``LAYERS``; empty for none
+
+    @property
+    def distance_m(self) -> float:
+        """Returns how far the answers lie apart; infinite if one is missing, NaN if both are."""
+        if self.apart is not None:
+            return self.apart.error.translation_m
+        return math.inf if self.a.is_answered or self.b.is_answered else math.nan
+
+    @property
+    def caption(self) -> str:
+        """Returns what stands below its picture."""
+        words = [f"{name}: {_words_of(answer)}" for name, answer in (("A", self.a), ("B", self.b))]
+        if self.apart is not None:
+            (metres, degrees), parts = self.apart
+            words.insert(
+                0,
+                f"{metres:.2f} m and {degrees:.2f} deg apart, {parts.horizontal_m:.2f} m in plan, "
+                f"B {abs(parts.vertical_m):.2f} m {'higher' if parts.vertical_m >= 0 else 'lower'}",
+            )
+        return f"{self.key}: {'; '.join(words)}"
+
+
+class Cell(NamedTuple):
+    """A cell of the table: its text, and the number it sorts by; None for a text."""
+
+    text: str
+    value: float | None = None
+
+
+class Column(NamedTuple):
+    """A column of the table."""
+
+    name: str  # in the page's script
+    head: str  # what is above it
+    title: str  # what the head means, in full
+    test: str  # what a reader may filter it by: ``least``, ``most`` or ``is``; "" for nothing
+    cell: Callable[[PhotoPair], Cell]  # returns the cell of a photo
+
+
+def in_order(pairs: Sequence[PhotoPair]) -> list[PhotoPair]:
+    """Returns photos with one answer, then those whose answers lie furthest apart, those with none last."""
+    return sorted(
+        pairs,
+        key=lambda pair: (
+            math.isnan(pair.distance_m),
+            -np.nan_to_num(pair.distance_m, posinf=math.inf),
+            pair.key,
+        ),
+    )
+
+
+def columns_of(pairs: Sequence[PhotoPair]) -> list[Column]:
+    """Returns the columns that hold anything."""
+    return [
+        column
+        for column in _COLUMNS
+        if column.name == "photo" or any(column.cell(pair).text != "-" for pair in pairs)
+    ]
+
+
+def photo_pairs_section(
+    pairs: Sequence[PhotoPair],
+    names: tuple[str, str],
+    map_html: str,
+    notes: Sequence[str],
+    tags: Mapping[str, Any],
+) -> str:
+    """Returns the part of a page that shows two runs photo by photo, as HTML.
+
+    Args:
+        pairs: The photos, in the order of the rows.
+        names: Of run A and run B.
+        map_html: The map (``draw_map``); "" for none.
+        notes: What a reader should know of the pictures.
+        tags: What the page's script needs of tags: ``of`` names the photos for the browser's memory,
+            ``dataset`` and ``version`` are written into the file ``file``, ``tags`` are by key.
+    """
+    columns = columns_of(pairs)
+    called = {"a": f"A {names[0]}", "b": f"B {names[1]}", "mask_a": "mask of A", "mask_b": "mask of B"}
+    return rendered(
+        "photo_pairs.html.jinja",
+        names=names,
+        furthest=max((p for p in pairs if p.apart is not None), key=lambda p: p.distance_m, default=None),
+        alone=sum(math.isinf(pair.distance_m) for pair in pairs),
+        pairs=pairs,
+        columns=columns,
+        rows=[(pair, [column.cell(pair) for column in columns]) for pair in pairs],
+        choices={c.name: sorted({c.cell(pair).text for pair in pairs}) for c in columns if c.test == "is"},
+        layers=[
+            (name, called.get(name, name), is_shown)
+            for name, is_shown in LAYERS
+            if any(name in pair.pictures for pair in pairs)
+        ],
+        order=[name for name, _ in LAYERS],
+        has_views=any(pair.a.view or pair.b.view for pair in pairs),
+        map=markup(map_html),
+        notes=notes,
+        tags_file=tags["file"],
+        # No text of a file ends the script that it stands in.
+        tags=markup(json.dumps(tags, ensure_ascii=True).replace("<", "\\u003c")),
+    )
+
+
+def _words_of(answer: Answer) -> str:
+    if not answer.is_answered:
+        return "no answer"
+    words = [] if answer.error is None else ["{:.2f} m and {:.2f} deg off".format(*answer.error)]
+    words += [] if answer.probability is None else [f"probability {percent_text(answer.probability)}"]
+    return ", ".join([*words, *([] if answer.trust == "-" else [answer.trust])]) or "answered"
+
+
+def _number(value: float | None, spec: str = ".2f", sorts_by: float | None = None) -> Cell:
+    """Returns a number as a cell; "-" where it is not known, "failed" where it is infinite."""
+    if value is None or math.isnan(value):
+        return Cell("-")
+    if math.isinf(value):
+        return Cell("failed", value)
+    return Cell(format(value, spec), value if sorts_by is None else sorts_by)
+
+
+def _sure(probability: float | None) -> Cell:
+    return Cell("-") if probability is None else Cell(probability_text(probability), probability)
+
+
+def _apart_cell(part: Callable[[Apart], float], spec: str = ".2f") -> Callable[[PhotoPair], Cell]:
+    def cell(pair: PhotoPair) -> Cell:
+        if pair.apart is not None:
+            return _number(part(pair.apart), spec, abs(part(pair.apart)))
+        if not (pair.a.is_answered or pair.b.is_answered):
+            return Cell("-")
+        # An answer that the other run lacks is no small difference.
+        return Cell("only A" if pair.a.is_answered else "only B", math.inf)
+
+    return cell
+
+
+def _answer_columns(name: str) -> list[Column]:
+    def answer(pair: PhotoPair) -> Answer:
+        return pair.a if name == "A" else pair.b
+
+    def error(part: int) -> Callable[[PhotoPair], Cell]:
+        def cell(pair: PhotoPair) -> Cell:
+            found = answer(pair).error
+            if found is None:
+                return Cell("-")
+            return Cell("failed", math.inf) if math.isinf(found[0]) else _number(found[part])
+
+        return cell
+
+    key = name.lower()
+    return [
+        Column(f"error_{key}", f"error {name} m", f"error of {name}, m", "least", error(0)),
+        Column(f"turned_{key}", f"error {name} deg", f"error of {name}, deg", "", error(1)),
+    ]
+
+
+def _worse(pair: PhotoPair) -> Cell:
+    """Returns how much further B is from the truth than A."""
+    if pair.a.error is None or pair.b.error is None:
+        return Cell("-")
+    # Where both failed neither is worse.
+    is_same = pair.a.error[0] == pair.b.error[0]
+    return _number(0.0 if is_same else pair.b.error[0] - pair.a.error[0], "+.2f")
+
+
+_COLUMNS = (
+    Column("photo", "photo", "photo", "", lambda pair: Cell(pair.key)),
+    Column("apart", "apart m", "answers apart, m", "least", _apart_cell(lambda d: d.error.translation_m)),
+    Column("turned", "apart deg", "answers apart, deg", "least", _apart_cell(lambda d: d.error.rotation_deg)),
+    Column("plan", "in plan m", "apart in plan, m", "", _apart_cell(lambda d: d.parts.horizontal_m)),
+    Column("height", "in height m", "B above A, m", "", _apart_cell(lambda d: d.parts.vertical_m, "+.2f")),
+    *_answer_columns("A"),
+    *_answer_columns("B"),
+    Column("worse", "B worse by m", "B worse by, m", "least", _worse),
+    Column("sure_a", "prob. A", "probability of A", "most", lambda pair: _sure(pair.a.probability)),
+    Column("sure_b", "prob. B", "probability of B", "most", lambda pair: _sure(pair.b.probability)),
+    Column("trust_a", "trust A", "trust in A", "is", lambda pair: Cell(pair.a.trust)),
+    Column("trust_b", "trust B", "trust in B", "is", lambda pair: Cell(pair.b.trust)),
+)
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnRun:
-    """A run with the data that its pictures are made of.
+    """A run with the data that its pictures are made of."""
 
-    Attributes:
-        stored: The run.
-        dataset: As it is now.
-        tilt: Which prior it had.
-    """
-
-    stored: StoredRun
-    dataset: Dataset
-    tilt: str
+    stored: StoredRun  # the run
+    dataset: Dataset  # as it is now
+    tilt: str  # which prior it had
 
     def prior(self, key: str) -> Pose | None:
         """Returns the prior of a query in the dataset's frame, or None."""
@@ -94,7 +292,7 @@ def photo_pairs_of(
         beside: Folder of the page, where links start.
         tags_file: File of the tags beside the page.
         tags: What it holds.
-        why_no_pictures: Said where ``drawn`` is None.
+        why_no_pictures: Reported where ``drawn`` is None.
     """
     pairs = in_order(_pairs(runs, drawn, beside))
     scenes = None if drawn is None else _scenes(drawn)
@@ -127,14 +325,14 @@ def _pairs(
     found = answers_apart(first, second)
     truth = {} if drawn is None else drawn[0].dataset.truth
     keys = dict.fromkeys(str(key) for run in runs for key in run.queries.index)
-    views = [_view_of(run, beside) for run in runs]
-    said = [_said(run, view) for run, view in zip(runs, views, strict=True)]
+    views = [quote(link_to(run.folder / _VIEW, beside)) for run in runs]
+    answers = [_answers(run, view) for run, view in zip(runs, views, strict=True)]
     return [
         PhotoPair(
             key,
             found.get(key),
-            said[0].get(key, _NOT_ASKED),
-            said[1].get(key, _NOT_ASKED),
+            answers[0].get(key, _NOT_ASKED),
+            answers[1].get(key, _NOT_ASKED),
             Spot(
                 key,
                 None,
@@ -148,34 +346,26 @@ def _pairs(
     ]
 
 
-_NOT_ASKED = Said(False, None, None, "not asked", "")
+_NOT_ASKED = Answer(False, None, None, "not asked", "")
 
 
-def _said(run: StoredRun, view: str) -> dict[str, Said]:
+def _answers(run: StoredRun, view: str) -> dict[str, Answer]:
     """Returns what a run says of each photo, by key."""
-    said, predictions = {}, run.predictions
+    answers, predictions = {}, run.predictions
     errors = run.queries[list(ERROR)].to_numpy()
     has_probability = run.queries["probability"].notna().any()
     for key, (metres, degrees) in zip(map(str, run.queries.index), errors, strict=True):
         found = predictions[key]
         # A query without an answer has probability 0 wherever probabilities are counted.
         is_lost = found.pose is None and has_probability
-        said[key] = Said(
+        answers[key] = Answer(
             found.pose is not None,
             None if math.isnan(metres) else PoseError(float(metres), float(degrees)),
             0.0 if is_lost else found.probability,
             trust_of(found),
             f"{view}#{quote(key)}" if view else "",
         )
-    return said
-
-
-def _view_of(run: StoredRun, beside: Path) -> str:
-    """Returns the address of a run's page in three dimensions from a folder; "" where it has none."""
-    page = run.folder / _VIEW
-    if not page.is_file():
-        return ""
-    return quote(Path(os.path.relpath(page.resolve(), beside.resolve())).as_posix())
+    return answers
 
 
 def _place(pose: Pose | None) -> NDArray[np.float64] | None:
@@ -236,7 +426,7 @@ def _pictures(
     full: Camera,
 ) -> dict[str, Picture]:
     """Returns a photo, and transparent pictures of its size, or shape, to lay over it, by name."""
-    camera, key = camera_of_pictures(full), pair.key
+    camera, key = overlays.camera_of_pictures(full), pair.key
     first, second = drawn
     priors = [pose for pose in (first.prior(key), second.prior(key)) if pose is not None]
     truth = first.dataset.truth.get(key)
@@ -246,7 +436,9 @@ def _pictures(
         "a": [(renderers[0], pose) for pose in [first.stored.poses.get(key)] if pose is not None],
         "b": [(renderers[1], pose) for pose in [second.stored.poses.get(key)] if pose is not None],
     }
-    found = {"photo": Picture(jpeg_bytes(read_background(image, camera)), "jpeg", pair.caption)}
+    found = {
+        "photo": Picture(overlays.jpeg_bytes(overlays.read_background(image, camera)), "jpeg", pair.caption)
+    }
     found |= {name: Picture(layer, "webp", "") for name, layer in _masks(drawn, key).items()}
     for name, posed in outlines.items():
         masks = [
@@ -254,25 +446,17 @@ def _pictures(
             for renderer, pose in posed
         ]
         if masks:
-            found[name] = Picture(outline_layer(masks, _COLOURS[name], _WIDTHS[name]), "webp", "")
+            found[name] = Picture(overlays.outline_layer(masks, _COLOURS[name], _WIDTHS[name]), "webp", "")
     return found
 
 
 def _masks(drawn: tuple[DrawnRun, DrawnRun], key: str) -> dict[str, bytes]:
-    said = [run.stored.predictions.get(key) for run in drawn]
-    stored = [None if each is None or not each.mask_png else each for each in said]
-    if stored[0] and stored[1] and stored[0].mask_png == stored[1].mask_png:
-        return {"mask": _tinted(stored[0].mask)}
-    return {name: _tinted(each.mask) for name, each in zip(("mask_a", "mask_b"), stored, strict=True) if each}
-
-
-def _tinted(mask: NDArray[np.bool_] | None) -> bytes:
-    assert mask is not None  # noqa: S101 - the caller has looked
-    return mask_layer(mask)
-
-
-_ENDING = ".tags.json"
-_HINT = "Export it from the page again, or move it away."
+    found = [run.stored.predictions.get(key) for run in drawn]
+    first, second = (None if each is None or not each.mask_png else each.mask for each in found)
+    if first is not None and second is not None and np.array_equal(first, second):
+        return {"mask": overlays.mask_layer(first)}
+    masks = {"mask_a": first, "mask_b": second}
+    return {name: overlays.mask_layer(mask) for name, mask in masks.items() if mask is not None}
 
 
 def tags_file_of(page: Path | None) -> Path:

@@ -14,7 +14,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pose_text import read_json
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError
-from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, own_failure
+from lodbench.evaluation.metrics import ERROR, PRIOR_ERROR, own_failure
 from lodbench.geometry import Pose
 from lodbench.harness.city import FURTHEST_M, city_of_dataset, distance_outside_m
 from lodbench.harness.photo.outputs import city_and_marks
@@ -25,29 +25,17 @@ from lodbench.harness.runs.verify import Verdict
 from lodbench.photos.map_frame import SURVEY_COLUMNS, MapFrame, survey_row
 from lodbench.photos.pictures import read_picture
 from lodbench.rendering import make_renderer
+from lodbench.reporting import flight_words, maps
 from lodbench.reporting.aligned_text import count_of
 from lodbench.reporting.answers import percent_text, rounded_down, trust_of, why_of
-from lodbench.reporting.flight_words import (
-    PhotoOnPage,
-    chosen_for_pictures,
-    constants_in_words,
-    flight_page,
-    map_in_words,
-    photo_on_page,
-)
-from lodbench.reporting.maps import (
-    MAX_PHOTOS,
-    Spot,
-    Underlay,
-    ViewedCamera,
-    draw_map,
-    draw_view3d,
-    photo_jpeg,
-)
 from lodbench.storage import hide_formula
 
 if TYPE_CHECKING:
     import pandas as pd
+_COLUMNS = ("photo", "split", *SURVEY_COLUMNS, "probability", "trust", "crs", "failure")
+Floats = NDArray[np.float64]
+# What runs of version 0.1 call changes of the map; whether photos determine a constant they call told.
+_KINDS_OF_0_1 = {"gone": "demolished", "missing": "unmapped"}
 
 
 def scene_of(verdict: Verdict) -> Scene | None:
@@ -64,7 +52,7 @@ def city_of(dataset: Dataset) -> Scene | None:
 
 
 def draw_places(
-    verdict: Verdict, scene: Scene | None, tilt: str, view: str, imagery: Underlay | None = None
+    verdict: Verdict, scene: Scene | None, tilt: str, view: str, imagery: maps.Underlay | None = None
 ) -> str:
     """Returns the map of a run's page as HTML; "" where the dataset is not there."""
     dataset = verdict.dataset
@@ -78,10 +66,10 @@ def draw_places(
     for entry in verdict.entries:
         prior, estimate, truth = map(place, _poses(verdict, entry, tilt, scene))
         found = verdict.stored.predictions.get(entry.key)
-        spots.append(Spot(entry.key, prior, estimate, truth, "-" if found is None else trust_of(found)))
+        spots.append(maps.Spot(entry.key, prior, estimate, truth, "-" if found is None else trust_of(found)))
     if scene is None:
-        return draw_map(spots, None, None)
-    return draw_map(spots, scene.vertices + scene.origin, scene.triangles, view=view, imagery=imagery)
+        return maps.draw_map(spots, None, None)
+    return maps.draw_map(spots, scene.vertices + scene.origin, scene.triangles, view=view, imagery=imagery)
 
 
 def view_of_run(
@@ -94,11 +82,11 @@ def view_of_run(
             None if pose is None else pose.shifted(-scene.origin)
             for pose in _poses(verdict, entry, tilt, scene)
         )
-        photo = read_picture(entry.image) if number < MAX_PHOTOS and entry.image is not None else None
-        jpeg = None if photo is None else photo_jpeg(photo)
+        photo = read_picture(entry.image) if number < maps.MAX_PHOTOS and entry.image is not None else None
+        jpeg = None if photo is None else maps.photo_jpeg(photo)
         facts = _facts(verdict, entry.key)
-        cameras.append(ViewedCamera(entry.key, facts, entry.camera, prior, estimate, truth, jpeg))
-    return draw_view3d(title, scene, cameras, pages)
+        cameras.append(maps.ViewedCamera(entry.key, facts, entry.camera, prior, estimate, truth, jpeg))
+    return maps.draw_view3d(title, scene, cameras, pages)
 
 
 def _poses(
@@ -133,9 +121,6 @@ def _facts(verdict: Verdict, key: str) -> dict[str, str]:
 def _error(row: pd.Series[Any], columns: tuple[str, ...]) -> str:
     metres, degrees = (float(row[name]) for name in columns)
     return f"{metres:.2f} m, {degrees:.2f} deg" if math.isfinite(metres) else ""
-
-
-_COLUMNS = ("photo", "split", *SURVEY_COLUMNS, "probability", "trust", "crs", "failure")
 
 
 def survey_table(run: StoredRun, crs: str | None) -> pd.DataFrame:
@@ -175,11 +160,8 @@ def survey_csv(run: StoredRun, crs: str | None) -> str:
     return str(table.to_csv(index=False, lineterminator="\n"))
 
 
-Floats = NDArray[np.float64]
-
-
 def pages_of_run(
-    verdict: Verdict, scene: Scene, tilt: str, view: str = "", imagery: Underlay | None = None
+    verdict: Verdict, scene: Scene, tilt: str, view: str = "", imagery: maps.Underlay | None = None
 ) -> dict[str, str]:
     """Returns the pages of a run's flights, by the name of the file of what each says."""
     found = flight_findings(verdict)
@@ -187,10 +169,6 @@ def pages_of_run(
         name: _page_of_sequence(verdict, scene, tilt, name, said, view, imagery)
         for name, said in found.items()
     }
-
-
-# What runs of version 0.1 call changes of the map; whether photos determine a constant they call told.
-_KINDS_OF_0_1 = {"gone": "demolished", "missing": "unmapped"}
 
 
 def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
@@ -208,7 +186,7 @@ def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
             for constant in said.get("constants", {}).values():
                 if "told" in constant:
                     constant["determined"] = constant.pop("told")
-            constants_in_words(said.get("constants", {})), map_in_words(said)
+            flight_words.constants_in_words(said.get("constants", {})), flight_words.map_in_words(said)
             len(said.get("lost", [])), dict(said.get("reasons", {})), list(said.get("notes", []))
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise DatasetError(
@@ -225,12 +203,12 @@ def _page_of_sequence(
     name: str,
     findings: Mapping[str, Any],
     view: str,
-    imagery: Underlay | None,
+    imagery: maps.Underlay | None,
 ) -> str:
     dataset, stored = verdict.dataset, verdict.stored
     assert dataset is not None  # noqa: S101 - the caller has opened it
     entries = [e for e in verdict.entries if flight_name(e) == name]
-    photos: list[PhotoOnPage] = []
+    photos: list[flight_words.PhotoOnPage] = []
     left_out: list[tuple[str, str]] = []
     surveyed = survey_table(stored, scene.crs).replace({math.nan: None}).to_dict("index")
     for entry in entries:
@@ -241,7 +219,7 @@ def _page_of_sequence(
         poses = prior_of(entry, dataset, tilt), found.pose, dataset.truth.get(entry.key)
         spread = _full(found.covariance)
         photos.append(
-            photo_on_page(
+            flight_words.photo_on_page(
                 entry.name,
                 poses,
                 spread,
@@ -252,7 +230,7 @@ def _page_of_sequence(
                 why_of(found),
             )
         )
-    chosen = set(chosen_for_pictures([photo.spot.key for photo in photos]))
+    chosen = set(flight_words.chosen_for_pictures([photo.spot.key for photo in photos]))
     renderer = make_renderer("silhouette", scene)
     pictures = [
         picture._replace(key=entry.name)
@@ -260,7 +238,7 @@ def _page_of_sequence(
         if entry.name in chosen and (picture := picture_of(verdict, renderer, tilt, entry)) is not None
     ]
     lines = [f"{dataset.name} {dataset.version}".strip(), f"run {stored.folder.resolve().name}"]
-    return flight_page(
+    return flight_words.flight_page(
         f"{name}: {count_of(len(photos), 'photos')}",
         lines,
         findings,

@@ -43,25 +43,18 @@ Floats = NDArray[np.float64]
 
 # Hypotheses handed to a worker at a time: a second or so of work, against milliseconds to send them.
 PART = 4096
+PREDICTIONS_FILE = "predictions.jsonl"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """Some hypotheses of a call.
+    """Some hypotheses of a call."""
 
-    Attributes:
-        which: Their places in the call.
-        camera: Pinhole.
-        rotations: (N, 3, 3) cam_from_world.
-        centers: (N, 3) camera centres, scene metres.
-        fit: What they are compared with.
-    """
-
-    which: NDArray[np.int64]
-    camera: Camera
-    rotations: Floats
-    centers: Floats
-    fit: Fit
+    which: NDArray[np.int64]  # their places in the call
+    camera: Camera  # pinhole
+    rotations: Floats  # (N, 3, 3) cam_from_world
+    centers: Floats  # (N, 3) camera centres, scene metres
+    fit: Fit  # what they are compared with
 
 
 def score(scorer: Scorer, part: Part) -> tuple[NDArray[np.int64], tuple[NDArray[Any], ...]]:
@@ -116,9 +109,6 @@ class SharedScorer:
         return results
 
 
-PREDICTIONS_FILE = "predictions.jsonl"
-
-
 def open_predictions(folder: Path, read_only: bool = False) -> Ledger:
     """Returns the stored predictions of a run folder, as JSON objects by ``Entry.key``."""
     path, older = folder / PREDICTIONS_FILE, folder / "ledger.jsonl"
@@ -127,27 +117,23 @@ def open_predictions(folder: Path, read_only: bool = False) -> Ledger:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Work:
-    """What a process needs to answer queries: the city is opened there, from the cache.
-
-    Attributes:
-        threads: Of the renderer; None for one per core.
-        contents: SHA-256 of the files that are read again for single queries.
-        code: Digest of the command's code and libraries (``own_digest``), "" where workers have no others.
-    """
+    """What a process needs to answer queries: the city is opened there, from the cache."""
 
     method: Method
     dataset: Dataset
     segmenter: Segmenter
     renderer: str
-    threads: int | None
+    threads: int | None  # of the renderer; None for one per core
     tilt: str
     needs: frozenset[Input]
     seed: int
     params: object
     inputs: dict[str, str]
     folder: Path
+    # SHA-256 of the files that are read again for single queries.
     contents: Mapping[Path, str] = field(default_factory=dict)
     stream_names: Callable[[Entry], tuple[str, ...]] | None = None
+    # Digest of the command's code and libraries (``own_digest``), "" where workers have no others.
     code: str = ""
 
     def streams_of(self, entry: Entry) -> Streams:

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench import segmentation
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.faults import camera_fault
@@ -24,7 +25,7 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import STOPPED, ConfigError, InputChanged, LodbenchError, QueryFault, WorkersGone
 from lodbench.evaluation.predictions import Prediction, encoded_mask
-from lodbench.execution.guards import staying_here
+from lodbench.execution.processes import staying_here
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.runs.requirements import require_near, require_photo, require_tilt
 from lodbench.harness.tracebacks import answered_flight, keep_traceback, words_of
@@ -40,18 +41,6 @@ from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
 from lodbench.photos.measurements import Measurements
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
-from lodbench.segmentation import (
-    ClassSegmenter,
-    InstanceSegmenter,
-    MapGuidedInstanceSegmenter,
-    MapGuidedSegmenter,
-    Segmenter,
-    binary_mask,
-    check_classes,
-    check_instances,
-    check_mask,
-    no_wider,
-)
 from lodbench.segmentation.oracle import Oracle
 from lodbench.storage import make_folder, write_text
 from lodbench.storage.disk import writable
@@ -59,29 +48,29 @@ from lodbench.storage.disk import writable
 Points = NDArray[np.float64]
 # Beside the words that there is no truth, of a query whose tilt, mask or matches would come from it.
 _NOT_ASKED = "not asked, for that would take the true pose"
+# What flights say besides poses, one file each.
+FLIGHTS_FOLDER = "flights"
+# Masks are stored, and compared with the truth, at most at this width, pixels: the paper's fine size.
+_MASK_WIDTH = 602
+# Those of a flight are held at most at this width, pixels: of 500 drone's photos the whole have 40 GB.
+_HELD_WIDTH = 2 * _MASK_WIDTH
+# No query is to blame for these. A plug-in's sys.exit is a fault like others: it would end a run silently.
+_ENDS_RUN = (ConfigError, InputChanged, WorkersGone, *STOPPED)
 
 
 @dataclass(frozen=True, eq=False)
 class Preparation:
-    """How entries become queries in a run.
+    """How entries become queries in a run."""
 
-    Attributes:
-        dataset: Where the entries come from.
-        scene: The city; queries are moved into its local frame.
-        segmenter: Makes the masks.
-        tilt: ``prior``, or ``truth`` to replace the prior's pitch and roll by the true ones.
-        needs: What is looked at of ``mask``, ``mask_on_demand``, ``instances`` and ``classes``, which
-            the segmenter makes, of the truth, ``true_pixels``, and of ``image``, which must then be fit for
-            the camera; no more is made. ``reconstruction``: photos that have a pose in one may lack a mask.
-        city_map: The map that a segmenter may look at; one of its own if None.
-    """
-
-    dataset: Dataset
-    scene: Scene
-    segmenter: Segmenter
-    tilt: str
+    dataset: Dataset  # where the entries come from
+    scene: Scene  # the city; queries are moved into its local frame
+    segmenter: segmentation.Segmenter  # makes the masks
+    tilt: str  # ``prior``, or ``truth`` to replace the prior's pitch and roll by the true ones
+    # What is looked at of ``mask``, ``mask_on_demand``, ``instances`` and ``classes``, which the segmenter
+    # makes, of the truth, ``true_pixels``, and of ``image``, which must then be fit for the camera; no more
+    # is made. ``reconstruction``: photos that have a pose in one may lack a mask.
     needs: frozenset[Input] = frozenset({Input.MASK})
-    city_map: CityMap | None = None
+    city_map: CityMap | None = None  # the map that a segmenter may look at; one of its own if None
 
     def __post_init__(self) -> None:
         require_tilt(self.tilt, self.dataset)
@@ -126,7 +115,7 @@ class Preparation:
             require_photo(entry)
         camera, local = entry.camera, self.local(prior)
         needs_mask = Input.MASK in self.needs
-        again = needs_mask and isinstance(self.segmenter, MapGuidedSegmenter)
+        again = needs_mask and isinstance(self.segmenter, segmentation.MapGuidedSegmenter)
         segments = again or Input.MASK_ON_DEMAND in self.needs
         probability = None
         try:
@@ -174,32 +163,32 @@ class Preparation:
         """Returns the checked mask of a query, guided from a pose (scene frame) where the segmenter is."""
         if isinstance(self.segmenter, Oracle):
             found = self._from_truth(self.segmenter, entry, camera)
-        elif isinstance(self.segmenter, MapGuidedSegmenter):
+        elif isinstance(self.segmenter, segmentation.MapGuidedSegmenter):
             found = self.segmenter.segment_from(entry, pose, self._map)
         else:
             found = self.segmenter.segment(entry)
-        return check_mask(found, camera)
+        return segmentation.check_mask(found, camera)
 
     def _instances(self, entry: Entry, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         if isinstance(self.segmenter, Oracle):
             small, truth = self._true_view(self.segmenter, entry, camera)
             (seen,) = self._raster.buildings(small, truth.rotation[None], truth.center[None])
             return self.segmenter.from_buildings(seen, entry.key)
-        if isinstance(self.segmenter, MapGuidedInstanceSegmenter):
+        if isinstance(self.segmenter, segmentation.MapGuidedInstanceSegmenter):
             found = self.segmenter.segment_instances_from(entry, pose, self._map)
-            return check_instances(found, camera)
-        if not isinstance(self.segmenter, InstanceSegmenter):
+            return segmentation.check_instances(found, camera)
+        if not isinstance(self.segmenter, segmentation.InstanceSegmenter):
             raise QueryFault(f"segmenter={self.segmenter.name} has no segment_instances")
-        return check_instances(self.segmenter.segment_instances(entry), camera)
+        return segmentation.check_instances(self.segmenter.segment_instances(entry), camera)
 
     def _classes(self, entry: Entry, camera: Camera) -> NDArray[np.uint8]:
         if isinstance(self.segmenter, Oracle):
             small, truth = self._true_view(self.segmenter, entry, camera)
             (seen,) = self._raster.classes(small, truth.rotation[None], truth.center[None])
             return self.segmenter.from_classes(seen, entry.key)
-        if not isinstance(self.segmenter, ClassSegmenter):
+        if not isinstance(self.segmenter, segmentation.ClassSegmenter):
             raise QueryFault(f"segmenter={self.segmenter.name} has no segment_classes")
-        return check_classes(self.segmenter.segment_classes(entry), camera)
+        return segmentation.check_classes(self.segmenter.segment_classes(entry), camera)
 
     def _from_truth(self, oracle: Oracle, entry: Entry, camera: Camera) -> NDArray[np.float32]:
         return oracle.from_silhouette(
@@ -237,35 +226,16 @@ def tilted(prior: Pose, truth: Pose | None, tilt: str) -> Pose:
     return prior if truth is None or tilt == "prior" else prior.with_tilt_of(truth)
 
 
-# What flights say besides poses, one file each.
-FLIGHTS_FOLDER = "flights"
-# Masks are stored, and compared with the truth, at most at this width, pixels: the paper's fine size.
-_MASK_WIDTH = 602
-# Those of a flight are held at most at this width, pixels: of 500 drone's photos the whole have 40 GB.
-_HELD_WIDTH = 2 * _MASK_WIDTH
-# No query is to blame for these. A plug-in's sys.exit is a fault like others: it would end a run silently.
-_ENDS_RUN = (ConfigError, InputChanged, WorkersGone, *STOPPED)
-
-
 @dataclass(slots=True)
 class PendingQuery:
-    """A query on its way to a prediction.
+    """A query on its way to a prediction."""
 
-    Attributes:
-        entry: As the dataset stores it.
-        streams: Its random numbers.
-        query: As the method sees it, once it is made.
-        prepare_s: How long that took, seconds.
-        estimate: The method's, if there is one.
-        failure: Why there is none.
-    """
-
-    entry: Entry
-    streams: Streams
-    query: Query | None = None
-    prepare_s: float = 0.0
-    estimate: Estimate | None = None
-    failure: str = ""
+    entry: Entry  # as the dataset stores it
+    streams: Streams  # its random numbers
+    query: Query | None = None  # as the method sees it, once it is made
+    prepare_s: float = 0.0  # how long that took, seconds
+    estimate: Estimate | None = None  # the method's, if there is one
+    failure: str = ""  # why there is none
 
     def prediction(self, preparation: Preparation, folder: Path) -> Prediction:
         """Returns what is stored: the estimate, or why there is none; an odd estimate is a fault too."""
@@ -339,7 +309,7 @@ def _with_small_mask(query: Query) -> Query:
     """Returns a query whose mask is no larger than methods need: those of a whole flight are held."""
     if query.building_probability is None:
         return query
-    small = no_wider(query.building_probability, _HELD_WIDTH, query.camera)
+    small = segmentation.no_wider(query.building_probability, _HELD_WIDTH, query.camera)
     return replace(query, building_probability=small)
 
 
@@ -388,7 +358,7 @@ def _stored_mask(query: Query) -> str:
     height, width = query.building_probability.shape
     if width > _MASK_WIDTH:
         height, width = max(1, round(_MASK_WIDTH * height / width)), _MASK_WIDTH
-    return encoded_mask(binary_mask(query.building_probability, width, height))
+    return encoded_mask(segmentation.binary_mask(query.building_probability, width, height))
 
 
 def _upper_triangle(covariance: NDArray[np.float64] | None) -> tuple[float, ...]:

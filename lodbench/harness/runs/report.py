@@ -12,31 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.scene import Scene
 from lodbench.evaluation import pose_error
-from lodbench.evaluation.metrics import calibrate
+from lodbench.evaluation.metrics import ERROR, PARTS, PRIOR_ERROR, calibrate, has_truth, of_split, own_failure
 from lodbench.evaluation.pose_errors import PROBABILITY_THRESHOLD, hits_of
 from lodbench.evaluation.predictions import Prediction
-from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, has_truth, of_split, own_failure
 from lodbench.harness.runs.gallery import chosen_queries, query_pictures
 from lodbench.harness.runs.places import draw_places, flight_findings, survey_table
 from lodbench.harness.runs.predict import open_predictions
 from lodbench.harness.runs.queries import prior_of
 from lodbench.harness.runs.verify import Verdict
-from lodbench.reporting.aligned_text import count_of
-from lodbench.reporting.answers import (
-    NATS,
-    columns_legend,
-    probability_text,
-    trust_counts,
-    trust_of,
-    untrusted_note,
-    why_of,
-)
-from lodbench.reporting.figures import draw_calibration
-from lodbench.reporting.flight_words import constants_in_words, map_in_words
-from lodbench.reporting.maps import Underlay
-from lodbench.reporting.page import Picture, facts, markup, rendered
-from lodbench.reporting.run_figures import ErrorSample, Trace, draw_error_curves, draw_evidence, draw_traces
-from lodbench.reporting.summaries import plugin_metrics, with_plugin_metrics, with_seconds
+from lodbench.reporting import aligned_text, answers, figures, flight_words, maps, page, summaries
 from lodbench.reporting.table_heads import metric_columns
 from lodbench.reporting.tables import format_html, tables_of
 
@@ -47,64 +31,6 @@ if TYPE_CHECKING:
 _NO_SCORES = "]"
 # Of more queries than this with other candidates the closest calls are shown.
 _MOST_CHARTS = 60
-
-
-def score_pictures(folder: Path, queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
-    """Returns how the scores of the gallery's queries rose, by the run's predictions; none without steps."""
-    reported = [Trace(title, _scores(stages)) for title, stages in _stages(folder, queries, splits)]
-    traces = [trace for trace in reported if any(len(scores) > 2 for scores in trace.stages.values())]
-    caption = "Best score after each step: every beam, and the best of them."
-    return [_chart(draw_traces(traces), caption)] if traces else []
-
-
-def evidence_pictures(predictions: Mapping[str, Prediction]) -> list[Picture]:
-    """Returns by how much each answer is ahead of the query's other candidates, closest first; or none."""
-    reported = [Trace(key, _behind(found.trace)) for key, found in predictions.items()]
-    traces = [trace for trace in reported if any(len(nats) > 1 for nats in trace.stages.values())]
-    if not traces:
-        return []
-    traces.sort(key=lambda trace: (min(n[1] for n in trace.stages.values() if len(n) > 1), trace.name))
-    shown = traces[:_MOST_CHARTS]
-    which = f"{count_of(len(traces), 'queries')} with more than one candidate"
-    if len(shown) < len(traces):
-        which = f"The {len(shown)} closest of {which}"
-    caption = (
-        f"{which}, of {len(predictions)}: log-probability of the candidate poses, best first, in nats below "
-        "the best: one nat is e times less probable. Logarithmic beyond 10."
-    )
-    return [_chart(draw_evidence(shown), caption)]
-
-
-def _stages(
-    folder: Path, queries: pd.DataFrame, splits: Sequence[str]
-) -> list[tuple[str, dict[str, tuple[float, ...]]]]:
-    stored = open_predictions(folder, read_only=True)
-    found = []
-    for split in splits:
-        for kind, chosen in reversed(chosen_queries(queries, split).items()):
-            for key in chosen.index:
-                stages = stored[key].get("trace", {}) if key in stored else {}
-                title = f"{kind.replace('_', ' ')}: {key}"
-                found.append((title, {name: tuple(values) for name, values in stages.items()}))
-    return found
-
-
-def _scores(stages: dict[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
-    return {name: values for name, values in stages.items() if not name.endswith(_NO_SCORES)}
-
-
-def _behind(stages: Mapping[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
-    return {
-        name.removesuffix(NATS).strip(): tuple(max(values) - value for value in values)
-        for name, values in stages.items()
-        if name.endswith(NATS) and values
-    }
-
-
-def _chart(drawn: dict[str, bytes], caption: str) -> Picture:
-    return Picture(drawn["svg"], "svg+xml", caption, "chart")
-
-
 # Head, column and format of the table of every query; texts have no format.
 _SCORED_COLUMNS = (
     ("m", ERROR[0], ".2f"), ("deg", ERROR[1], ".2f"), ("along the ground m", PARTS[0], ".2f"),
@@ -128,13 +54,69 @@ _LAST_COLUMNS = (
 )  # fmt: skip
 
 
+def score_pictures(folder: Path, queries: pd.DataFrame, splits: Sequence[str]) -> list[page.Picture]:
+    """Returns how the scores of the gallery's queries rose, by the run's predictions; none without steps."""
+    reported = [figures.Trace(title, _scores(stages)) for title, stages in _stages(folder, queries, splits)]
+    traces = [trace for trace in reported if any(len(scores) > 2 for scores in trace.stages.values())]
+    caption = "Best score after each step: every beam, and the best of them."
+    return [_chart(figures.draw_traces(traces), caption)] if traces else []
+
+
+def evidence_pictures(predictions: Mapping[str, Prediction]) -> list[page.Picture]:
+    """Returns by how much each answer is ahead of the query's other candidates, closest first; or none."""
+    reported = [figures.Trace(key, _behind(found.trace)) for key, found in predictions.items()]
+    traces = [trace for trace in reported if any(len(nats) > 1 for nats in trace.stages.values())]
+    if not traces:
+        return []
+    traces.sort(key=lambda trace: (min(n[1] for n in trace.stages.values() if len(n) > 1), trace.name))
+    shown = traces[:_MOST_CHARTS]
+    which = f"{aligned_text.count_of(len(traces), 'queries')} with more than one candidate"
+    if len(shown) < len(traces):
+        which = f"The {len(shown)} closest of {which}"
+    caption = (
+        f"{which}, of {len(predictions)}: log-probability of the candidate poses, best first, in nats below "
+        "the best: one nat is e times less probable. Logarithmic beyond 10."
+    )
+    return [_chart(figures.draw_evidence(shown), caption)]
+
+
+def _stages(
+    folder: Path, queries: pd.DataFrame, splits: Sequence[str]
+) -> list[tuple[str, dict[str, tuple[float, ...]]]]:
+    stored = open_predictions(folder, read_only=True)
+    found = []
+    for split in splits:
+        for kind, chosen in reversed(chosen_queries(queries, split).items()):
+            for key in chosen.index:
+                stages = stored[key].get("trace", {}) if key in stored else {}
+                title = f"{kind.replace('_', ' ')}: {key}"
+                found.append((title, {name: tuple(values) for name, values in stages.items()}))
+    return found
+
+
+def _scores(stages: dict[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
+    return {name: values for name, values in stages.items() if not name.endswith(_NO_SCORES)}
+
+
+def _behind(stages: Mapping[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
+    return {
+        name.removesuffix(answers.NATS).strip(): tuple(max(values) - value for value in values)
+        for name, values in stages.items()
+        if name.endswith(answers.NATS) and values
+    }
+
+
+def _chart(drawn: dict[str, bytes], caption: str) -> page.Picture:
+    return page.Picture(drawn["svg"], "svg+xml", caption, "chart")
+
+
 def run_report(
-    verdict: Verdict, tilt: str, scene: Scene | None, view: str = "", imagery: Underlay | None = None
+    verdict: Verdict, tilt: str, scene: Scene | None, view: str = "", imagery: maps.Underlay | None = None
 ) -> str:
     """Returns the page of a run that has been verified; ``view`` names its page in three dimensions."""
     stored = verdict.stored
-    summary = with_plugin_metrics(stored.summary, verdict.computed)
-    summary = with_seconds(summary, stored.provenance.get("seconds_per_query", {}))
+    summary = summaries.with_plugin_metrics(stored.summary, verdict.computed)
+    summary = summaries.with_seconds(summary, stored.provenance.get("seconds_per_query", {}))
     splits = tuple(summary["splits"])
     is_scored = bool(has_truth(stored.queries).any())
     pictures = [] if scene is None else query_pictures(verdict, scene, tilt)
@@ -151,17 +133,17 @@ def run_report(
         ("provenance", "Provenance", _provenance(verdict), []),
     ]
     answered = sum(found.pose is not None for found in stored.predictions.values())
-    return rendered(
+    return page.rendered(
         "run.html.jinja",
         title=title_of(verdict),
         differences=verdict.differences,
         is_weak=verdict.is_weak,
         has_truth=is_scored,
         answered=f"{answered} of {len(stored.queries)} queries have an answer{_counts(stored.predictions)}.",
-        untrusted=untrusted_note(stored.predictions.values()),
-        protocol=facts(summary["protocol"]),
+        untrusted=answers.untrusted_note(stored.predictions.values()),
+        protocol=page.facts(summary["protocol"]),
         sections=[
-            (key, title, markup(html), pictures)
+            (key, title, page.markup(html), pictures)
             for key, title, html, pictures in sections
             if html or pictures
         ],
@@ -172,7 +154,7 @@ def _counts(predictions: Mapping[str, Prediction]) -> str:
     """Returns how many answers are good, doubtful and not to be trusted; "" where no probability is known."""
     if all(found.probability is None for found in predictions.values()):
         return ""
-    return f": {trust_counts(map(trust_of, predictions.values()))}"
+    return f": {answers.trust_counts(map(answers.trust_of, predictions.values()))}"
 
 
 def title_of(verdict: Verdict) -> str:
@@ -196,7 +178,7 @@ def _tables(summary: dict[str, Any]) -> str:
         # Wide ones split by split: no column is cut off.
         parts = table.by_split() if key == "details" else [table]
         tables += [replace(part.with_columns(key), title=title) for part in parts]
-    if others := plugin_metrics(summary):
+    if others := summaries.plugin_metrics(summary):
         tables.append(replace(table, title="Metrics of plug-ins", columns=metric_columns(others)))
     return "".join(map(format_html, tables))
 
@@ -210,7 +192,7 @@ def _query_table(verdict: Verdict, tilt: str, crs: str | None) -> str:
 
     def number(name: str, value: float, spec: str) -> str:
         if name == "probability":
-            return probability_text(value)
+            return answers.probability_text(value)
         # Adding 0 turns the -0.00 of a rounded small number into 0.00.
         return format(round(value, int(spec[1])) + 0.0, spec)
 
@@ -218,8 +200,8 @@ def _query_table(verdict: Verdict, tilt: str, crs: str | None) -> str:
     is_scored = has_truth(queries).any()
     said = [verdict.stored.predictions.get(str(key)) for key in queries.index]
     frame = queries.assign(
-        trust=["-" if found is None else trust_of(found) for found in said],
-        why=["" if found is None else "; ".join(why_of(found)) for found in said],
+        trust=["-" if found is None else answers.trust_of(found) for found in said],
+        why=["" if found is None else "; ".join(answers.why_of(found)) for found in said],
     )
     if not is_scored:
         # That there is no truth is no failure of an answer.
@@ -234,8 +216,8 @@ def _query_table(verdict: Verdict, tilt: str, crs: str | None) -> str:
     kept = [column for column in columns if _holds_anything(frame[column[1]])]
     rows = list(zip(map(str, frame.index), frame.to_dict("records"), strict=True))
     names = {name for _, name, _ in kept}
-    legend = columns_legend("probability" in names, "score" in names)
-    return rendered(
+    legend = answers.columns_legend("probability" in names, "score" in names)
+    return page.rendered(
         "queries.html.jinja", rows=rows, columns=kept, legend=legend, isfinite=math.isfinite, number=number
     )
 
@@ -271,21 +253,21 @@ def _answers(verdict: Verdict, tilt: str, crs: str | None) -> pd.DataFrame:
     return table[[name for _, name, _ in _ANSWER_COLUMNS]]
 
 
-def _error_curves(queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
+def _error_curves(queries: pd.DataFrame, splits: Sequence[str]) -> list[page.Picture]:
     samples = []
     for split in splits:
         mine = of_split(queries, split)
         if len(mine):
             samples.append(
-                ErrorSample(split, mine[list(ERROR)].to_numpy(), mine[list(PRIOR_ERROR)].to_numpy())
+                figures.ErrorSample(split, mine[list(ERROR)].to_numpy(), mine[list(PRIOR_ERROR)].to_numpy())
             )
     if not samples:
         return []
     caption = "Share of all queries below an error; a failed query is never below."
-    return [Picture(draw_error_curves(samples)["svg"], "svg+xml", caption, "chart")]
+    return [page.Picture(figures.draw_error_curves(samples)["svg"], "svg+xml", caption, "chart")]
 
 
-def _calibration(queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
+def _calibration(queries: pd.DataFrame, splits: Sequence[str]) -> list[page.Picture]:
     """Returns reliability and risk over coverage by split; none where the method gave no probability."""
     curves = {}
     for split in splits:
@@ -296,18 +278,18 @@ def _calibration(queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
     if not curves:
         return []
     caption = "Left: share within over confidence. Right: error rate over coverage, most confident first."
-    return [Picture(draw_calibration(curves)["svg"], "svg+xml", caption, "chart")]
+    return [page.Picture(figures.draw_calibration(curves)["svg"], "svg+xml", caption, "chart")]
 
 
 def _flights(verdict: Verdict) -> str:
     said = {
         name: [
-            *constants_in_words(found.get("constants", {}), "poses"),
-            *map_in_words(found),
+            *flight_words.constants_in_words(found.get("constants", {}), "poses"),
+            *flight_words.map_in_words(found),
         ]
         for name, found in flight_findings(verdict).items()
     }
-    return rendered("run_flights.html.jinja", flights=said) if said else ""
+    return page.rendered("run_flights.html.jinja", flights=said) if said else ""
 
 
 def _provenance(verdict: Verdict) -> str:
@@ -318,11 +300,13 @@ def _provenance(verdict: Verdict) -> str:
     shown["run"] = stored.folder.resolve().name
     inputs = stored.summary["dataset"].items()
     shown |= {f"{key} digest": value for key, value in inputs if key not in ("name", "version")}
-    failures = {reason: count_of(count, "queries") for reason, count in _failures(verdict).items()}
-    return rendered(
+    failures = {
+        reason: aligned_text.count_of(count, "queries") for reason, count in _failures(verdict).items()
+    }
+    return page.rendered(
         "provenance.html.jinja",
-        facts=facts(shown),
-        failures=facts(failures) if failures else "",
+        facts=page.facts(shown),
+        failures=page.facts(failures) if failures else "",
         notes=[*stored.summary["notes"], *verdict.notes],
         params=json.dumps(stored.summary["method"]["params"], indent=1, ensure_ascii=False),
     )

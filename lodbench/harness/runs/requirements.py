@@ -15,16 +15,7 @@ import numpy as np
 
 from lodbench.citymodel.crs import is_same_plane
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.faults import (
-    GPS_IN_IMAGE,
-    IMAGE_SIZE,
-    IMAGE_UNREADABLE,
-    MASK_UNFIT,
-    camera_fault,
-    is_decodable,
-    mask_fault,
-    photo_fault,
-)
+from lodbench.datasets import faults
 from lodbench.datasets.inputs import (
     Input,
     declared_inputs,
@@ -52,6 +43,13 @@ from lodbench.segmentation.oracle import Oracle
 # What segmenters make, from whatever they themselves need.
 SEGMENTED = frozenset({Input.MASK, Input.INSTANCES, Input.CLASSES, Input.MASK_ON_DEMAND})
 _LACKING = "the dataset has none"
+_LOG = logging.getLogger(__name__)
+# Share of a map's area below which it has no surfaces of a class.
+_LEAST_AREA = 0.01
+# Masks that a run looks at before it begins.
+_FEW = 24
+_TILE_HINT = "Is it the right tile, and its reference system right? lodbench city info says where it is."
+TILTS = ("prior", "truth")
 
 
 def needs_segmenter(method: object) -> bool:
@@ -104,14 +102,6 @@ def require_run_inputs(
         require_inputs(f"method={method.name}", requires & SEGMENTED, made, f"{name} makes none")
         require_inputs(name, declared_inputs(segmenter, "requires"), has, _LACKING)
     require_inputs(f"method={method.name}", requires - SEGMENTED, has, _LACKING)
-
-
-_LOG = logging.getLogger(__name__)
-# Share of a map's area below which it has no surfaces of a class.
-_LEAST_AREA = 0.01
-# Masks that a run looks at before it begins.
-_FEW = 24
-_TILE_HINT = "Is it the right tile, and its reference system right? lodbench city info says where it is."
 
 
 def looks_at_photos(method: Method, segmenter: Segmenter) -> bool:
@@ -178,7 +168,7 @@ def require_photo(entry: Entry) -> None:
     Raises:
         QueryFault: It is not.
     """
-    fault = photo_fault(entry)
+    fault = faults.photo_fault(entry)
     if fault:
         raise QueryFault(fault)
 
@@ -196,12 +186,12 @@ def require_pictures(
     """
     if looks_at_photos(method, segmenter):
         hint = "intrinsic.txt must be of the photos as they are stored; lodbench dataset check lists all."
-        _require_some([entry for entry in entries if entry.image is not None], photo_fault, hint)
+        _require_some([entry for entry in entries if entry.image is not None], faults.photo_fault, hint)
     if needs_segmenter(method) and isinstance(segmenter, MaskFiles):
         masked = [entry for entry in entries if entry.mask is not None and entry.camera is not None]
         hint = "A mask shows what its photo shows, in any size."
         _require_some(masked, _mask_fault, hint)
-        _tell_scaled(masked)
+        _warn_of_scaled(masked)
 
 
 def require_cameras(entries: Sequence[Entry]) -> None:
@@ -240,7 +230,7 @@ def doubts_of(
     return tuple(notes)
 
 
-def tell_flights(method: Method, entries: Sequence[Entry]) -> None:
+def warn_of_flights(method: Method, entries: Sequence[Entry]) -> None:
     """Says which photos are taken for one flight because nothing names theirs: they may not be one.
 
     Raises:
@@ -273,16 +263,16 @@ def _require_some(entries: Sequence[Entry], fault_of: Callable[[Entry], str], hi
 
 def _camera_fault(entry: Entry) -> str:
     assert entry.camera is not None  # noqa: S101 - the caller has looked
-    return camera_fault(entry.camera)
+    return faults.camera_fault(entry.camera)
 
 
 def _mask_fault(entry: Entry) -> str:
     assert entry.mask is not None  # noqa: S101 - the caller has looked
     assert entry.camera is not None  # noqa: S101 - likewise
-    return mask_fault(entry.mask, (entry.camera.width, entry.camera.height))
+    return faults.mask_fault(entry.mask, (entry.camera.width, entry.camera.height))
 
 
-def _tell_scaled(entries: Sequence[Entry]) -> None:
+def _warn_of_scaled(entries: Sequence[Entry]) -> None:
     other = [
         (entry, size)
         for entry in entries
@@ -312,7 +302,7 @@ def check_photos(dataset: Dataset, with_pixels: bool, findings: Findings) -> Non
     """
     for entry in dataset.entries:
         for fault in _mask_files_faults(entry, with_pixels):
-            findings.add(MASK_UNFIT, entry.key, fault)
+            findings.add(faults.MASK_UNFIT, entry.key, fault)
     entries = [entry for entry in dataset.entries if entry.image is not None]
     with Progress("photos", len(entries)) as progress:
         for entry in entries:
@@ -331,7 +321,7 @@ def _mask_files_faults(entry: Entry, with_pixels: bool) -> Iterator[str]:
         if file is None:
             continue
         size = None if entry.camera is None else (entry.camera.width, entry.camera.height)
-        fault = "" if size is None else mask_fault(file, size)
+        fault = "" if size is None else faults.mask_fault(file, size)
         if not fault and with_pixels:
             try:
                 read(file)
@@ -347,19 +337,16 @@ def _check_photo(entry: Entry, with_pixels: bool, findings: Findings) -> None:
     try:
         header = read_photo_metadata(entry.image)
     except DatasetError as error:
-        findings.add(IMAGE_UNREADABLE, entry.key, error.message)
+        findings.add(faults.IMAGE_UNREADABLE, entry.key, error.message)
         return
     if header.has_position:
-        findings.add(GPS_IN_IMAGE, entry.key)
+        findings.add(faults.GPS_IN_IMAGE, entry.key)
     camera = entry.camera
     if camera is not None and (header.width, header.height) != (camera.width, camera.height):
         detail = f"{header.width} x {header.height}, intrinsics {camera.width} x {camera.height}"
-        findings.add(IMAGE_SIZE, entry.key, detail)
-    if with_pixels and not is_decodable(entry.image):
-        findings.add(IMAGE_UNREADABLE, entry.key, f"{entry.image} is damaged or cut off")
-
-
-TILTS = ("prior", "truth")
+        findings.add(faults.IMAGE_SIZE, entry.key, detail)
+    if with_pixels and not faults.is_decodable(entry.image):
+        findings.add(faults.IMAGE_UNREADABLE, entry.key, f"{entry.image} is damaged or cut off")
 
 
 def require_choices(tilt: str, limit: int | None = None) -> None:

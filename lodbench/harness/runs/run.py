@@ -19,12 +19,12 @@ from lodbench.datasets.inputs import Input, with_inputs
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError
+from lodbench.evaluation.metrics import protocol_named
 from lodbench.evaluation.predictions import Prediction, evaluate
-from lodbench.evaluation.queries import protocol_named
 from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams
-from lodbench.execution.fan_out import expect_workers
-from lodbench.execution.guards import only_one_in
+from lodbench.execution.processes import expect_workers, only_one_in
 from lodbench.harness.city import city_digests, city_of_dataset
+from lodbench.harness.runs import requirements
 from lodbench.harness.runs.artefacts import Run
 from lodbench.harness.runs.inputs import (
     chosen_entries,
@@ -38,21 +38,6 @@ from lodbench.harness.runs.inputs import (
 )
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
 from lodbench.harness.runs.queries import Preparation
-from lodbench.harness.runs.requirements import (
-    doubts_of,
-    is_oracle,
-    looks_at_photos,
-    made_inputs,
-    require_cameras,
-    require_choices,
-    require_pictures,
-    require_run_inputs,
-    require_same_place,
-    require_surfaces,
-    require_tilt,
-    required_inputs,
-    tell_flights,
-)
 from lodbench.harness.runs.stored import PLAN_FILE
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsFlights
@@ -67,33 +52,24 @@ from lodbench.storage.paths import path_name
 
 @dataclass(frozen=True, slots=True)
 class RunSettings:
-    """What a run is given besides its method, dataset and segmenter.
+    """What a run is given besides its method, dataset and segmenter."""
 
-    Attributes:
-        runs_root: Folder that run folders are made in.
-        config: The resolved configuration that defines the result, as JSON values; it names the
-            run folder together with the content of the inputs.
-        renderer: Name of the renderer.
-        threads: Threads of the engine in this process, None for one per core; never changes a result.
-        tilt: ``prior`` or ``truth``.
-        seed: Seed of the random streams.
-        splits: Splits to run; empty for all.
-        limit: At most this many queries per split, or None.
-        retries_failed: Whether queries that failed in an earlier run into the same folder are tried again.
-        executor: Where queries are answered; never changes a result.
-        stream_names: Returns the names of a query's random streams; its dataset and key if None.
-    """
-
-    runs_root: Path
+    runs_root: Path  # folder that run folders are made in
+    # The resolved configuration that defines the result, as JSON values; it names the run folder together
+    # with the content of the inputs.
     config: dict[str, Any] = field(default_factory=dict)
-    renderer: str = "silhouette"
+    renderer: str = "silhouette"  # name of the renderer
+    # Threads of the engine in this process, None for one per core; never changes a result.
     threads: int | None = None
-    tilt: str = "prior"
-    seed: int = 0
-    splits: tuple[str, ...] = ()
-    limit: int | None = None
+    tilt: str = "prior"  # ``prior`` or ``truth``
+    seed: int = 0  # seed of the random streams
+    splits: tuple[str, ...] = ()  # splits to run; empty for all
+    limit: int | None = None  # at most this many queries per split, or None
+    # Whether queries that failed in an earlier run into the same folder are tried again.
     retries_failed: bool = False
+    # Where queries are answered; never changes a result.
     executor: ExecutorParams = field(default_factory=ExecutorParams)
+    # Returns the names of a query's random streams; its dataset and key if None.
     stream_names: Callable[[Entry], tuple[str, ...]] | None = None
 
     def names(self) -> frozenset[str]:
@@ -111,7 +87,9 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     runs = settings.runs_root / path_name("dataset", dataset.name) / path_name("method", method.name)
     dataset, splits, entries, city_map, textured = _opened(method, dataset, segmenter, settings)
     columns = protocol_named(dataset.protocol).columns
-    needs = made_inputs(method) | ({Input.IMAGE} if looks_at_photos(method, segmenter) else set())
+    needs = requirements.made_inputs(method) | (
+        {Input.IMAGE} if requirements.looks_at_photos(method, segmenter) else set()
+    )
     preparation = Preparation(dataset, city_map.scene, segmenter, settings.tilt, needs, city_map)
     inputs = {
         **_fixed_inputs(method, segmenter, dataset, entries, city_map.scene, textured, settings.names()),
@@ -162,13 +140,13 @@ def required_queries(
     Raises:
         LodbenchError: A fault of the settings, or an input that the dataset lacks.
     """
-    require_choices(settings.tilt, settings.limit)
+    requirements.require_choices(settings.tilt, settings.limit)
     require_writable(settings.runs_root)
     splits = select_splits(dataset, settings.splits)
     entries = chosen_entries(dataset, splits, settings.limit)
-    require_tilt(settings.tilt, dataset)
+    requirements.require_tilt(settings.tilt, dataset)
     load_plugin("renderers", settings.renderer)
-    require_run_inputs(method, segmenter, dataset, entries)
+    requirements.require_run_inputs(method, segmenter, dataset, entries)
     return splits, entries
 
 
@@ -180,17 +158,17 @@ def _opened(
     if settings.executor.name == PROCESS:
         # Workers import while this process opens the city.
         expect_workers((predict.__module__, type(method).__module__, type(segmenter).__module__))
-    dataset = with_inputs(dataset, required_inputs(method, segmenter))
+    dataset = with_inputs(dataset, requirements.required_inputs(method, segmenter))
     # Once more: what was made for single queries is theirs.
     entries = chosen_entries(dataset, splits, settings.limit)
-    require_cameras(entries)
-    require_pictures(dataset, entries, method, segmenter)
-    tell_flights(method, entries)
+    requirements.require_cameras(entries)
+    requirements.require_pictures(dataset, entries, method, segmenter)
+    requirements.warn_of_flights(method, entries)
     scene, dataset = _open_city(dataset)
-    require_surfaces(method, scene)
-    require_same_place(dataset, entries, scene)
+    requirements.require_surfaces(method, scene)
+    requirements.require_same_place(dataset, entries, scene)
     require_direction(dataset, entries, scene)
-    doubts = doubts_of(dataset, entries, scene, method, segmenter)
+    doubts = requirements.doubts_of(dataset, entries, scene, method, segmenter)
     dataset = replace(dataset, notes=dataset.notes + doubts)
     textured, dataset = _open_textured(dataset, scene)
     city_map = CityMap(scene, settings.renderer, settings.threads, textured)
@@ -244,7 +222,7 @@ def _fixed_inputs(
         "priors": prior_digest(entries),
         "code": code_digest(method, segmenter, names=names),
     }
-    if is_oracle(method, segmenter):
+    if requirements.is_oracle(method, segmenter):
         inputs["truth"] = truth_digest(dataset, entries)
     if isinstance(method, SupportsFlights) and (tied := flights_digest(entries)) is not None:
         inputs["flights"] = tied

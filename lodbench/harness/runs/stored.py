@@ -15,23 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from lodbench.datasets.pose_text import parse_pose
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
+from lodbench.evaluation import metrics
 from lodbench.evaluation.predictions import Prediction
-from lodbench.evaluation.queries import (
-    COLUMNS,
-    ERROR,
-    MORE,
-    PRIOR_ERROR,
-    TEXTS,
-    fill_failures,
-    has_truth,
-    is_without_truth,
-    queries_frame,
-)
 from lodbench.geometry import Pose
 from lodbench.harness.runs.predict import open_predictions
-from lodbench.reporting.answers import format_answers
-from lodbench.reporting.summaries import read_summary
-from lodbench.reporting.tables import format_html, tables_of
+from lodbench.reporting import answers, summaries, tables
 from lodbench.storage import show_formula
 from lodbench.storage.json_text import parse_json
 
@@ -49,21 +37,18 @@ _FOLDER_HINT = "Name a folder that `lodbench run` or `lodbench evaluate` made."
 _LATER = {"probability", "covariance"}
 # What no run writes anything beyond.
 _BOUNDS = {
-    **dict.fromkeys((ERROR[0], PRIOR_ERROR[0], "hypotheses"), (0.0, math.inf)),
-    **dict.fromkeys((ERROR[1], PRIOR_ERROR[1]), (0.0, 180.0)),
+    **dict.fromkeys((metrics.ERROR[0], metrics.PRIOR_ERROR[0], "hypotheses"), (0.0, math.inf)),
+    **dict.fromkeys((metrics.ERROR[1], metrics.PRIOR_ERROR[1]), (0.0, 180.0)),
     **dict.fromkeys(("probability", "mask_iou"), (0.0, 1.0)),
 }
+PLAN_FILE = "plan.json"
 
 
 @dataclass(frozen=True, slots=True)
 class PictureFile:
-    """A PNG on disk, which a notebook shows in its place.
+    """A PNG on disk, which a notebook shows in its place."""
 
-    Attributes:
-        path: The file.
-    """
-
-    path: Path
+    path: Path  # the file
 
     def _repr_png_(self) -> bytes:
         return self.path.read_bytes()
@@ -77,7 +62,7 @@ class StoredRun:
         folder: The run folder.
         summary: ``summary.json``.
         provenance: ``provenance.json``; empty where there is none.
-        queries: ``queries.csv`` as a table, one row per query (``lodbench.evaluation.queries``).
+        queries: ``queries.csv`` as a table, one row per query (``lodbench.evaluation.metrics``).
         poses: Estimates by ``split/query``, in the dataset's frame.
         strays: Names in ``poses.txt`` that are no query of the run.
         digests: SHA-256 of the files that follow from the inputs alone.
@@ -98,9 +83,9 @@ class StoredRun:
 
     def _repr_html_(self) -> str:
         """Returns the tables of the run, or where there is no truth its answers: what a notebook shows."""
-        if has_truth(self.queries).any():
-            return "".join(map(format_html, tables_of([self.summary])))
-        return f"<pre>{html.escape(format_answers(self.queries, self.predictions))}</pre>"
+        if metrics.has_truth(self.queries).any():
+            return "".join(map(tables.format_html, tables.tables_of([self.summary])))
+        return f"<pre>{html.escape(answers.format_answers(self.queries, self.predictions))}</pre>"
 
     @property
     def overlays(self) -> dict[str, PictureFile]:
@@ -157,7 +142,7 @@ def read_whole_run(folder: str | Path) -> StoredRun:
         DatasetError: As ``read_run``, or rows are missing, or there are more of them.
     """
     run = read_run(folder)
-    rows = run.queries["split"][has_truth(run.queries)].value_counts()
+    rows = run.queries["split"][metrics.has_truth(run.queries)].value_counts()
     counts = {split: numbers["num_queries"] for split, numbers in run.summary["splits"].items()}
     hint = f"lodbench verify {run.folder} says what else is not as it was written."
     for split in dict.fromkeys([*counts, *run.queries["split"]]):
@@ -180,7 +165,7 @@ def read_run(folder: str | Path) -> StoredRun:
         DatasetError: A file is missing or cannot be read; the message names it, and the line.
     """
     folder = Path(folder)
-    summary = read_summary(folder)
+    summary = summaries.read_summary(folder)
     found = _read_poses(folder / "poses.txt")
     queries = _read_queries(folder / "queries.csv")
     names = queries.index if queries["split"].nunique() > 1 else queries["query"]
@@ -250,23 +235,23 @@ def _read_queries(path: Path) -> pd.DataFrame:
         cells = pd.read_csv(io.StringIO(_read(path)), dtype=str, keep_default_na=False, index_col=False)
     except ValueError as error:  # what pandas' own parser errors are
         raise DatasetError(f"{path}: {str(error).strip()}.", _FOLDER_HINT) from error
-    lacking = [name for name in COLUMNS if name not in cells and name not in _LATER]
+    lacking = [name for name in metrics.COLUMNS if name not in cells and name not in _LATER]
     if lacking:
         raise DatasetError(f"{path} has no column {lacking[0]}.", _FOLDER_HINT)
     if cells.isna().any(axis=None):
         raise DatasetError(f"{path} has rows of different lengths.", _FOLDER_HINT)
-    columns = {name: cells[name] if name in cells else pd.Series("", cells.index) for name in COLUMNS}
-    columns |= {name: cells[name] for name in MORE if name in cells}
+    columns = {name: cells[name] if name in cells else pd.Series("", cells.index) for name in metrics.COLUMNS}
+    columns |= {name: cells[name] for name in metrics.MORE if name in cells}
     columns |= {name: columns[name].map(show_formula) for name in ("query", "split", "failure")}
     numbers = {
         name: _numbers(list(column), path, *_BOUNDS.get(name, (-math.inf, math.inf)))
         for name, column in columns.items()
-        if name not in TEXTS
+        if name not in metrics.TEXTS
     }
-    frame = queries_frame(pd.DataFrame({**columns, **numbers}))
+    frame = metrics.queries_frame(pd.DataFrame({**columns, **numbers}))
     if frame.index.has_duplicates:
         raise DatasetError(f"{path}: {frame.index[frame.index.duplicated()][0]} occurs twice.", _FOLDER_HINT)
-    return fill_failures(frame, ~frame["failure"].map(is_without_truth).astype(bool))
+    return metrics.fill_failures(frame, ~frame["failure"].map(metrics.is_without_truth).astype(bool))
 
 
 def _numbers(cells: Sequence[str], path: Path, least: float, most: float) -> list[float]:
@@ -282,9 +267,6 @@ def _numbers(cells: Sequence[str], path: Path, least: float, most: float) -> lis
             raise DatasetError(f"{path}, line {line}: {cell} is not a finite number{within}.", _FOLDER_HINT)
         numbers.append(number)
     return numbers
-
-
-PLAN_FILE = "plan.json"
 
 
 @dataclass(frozen=True, slots=True)

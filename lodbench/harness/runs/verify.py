@@ -20,23 +20,12 @@ from lodbench.datasets.folder import select_splits
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
+from lodbench.evaluation import metrics
 from lodbench.evaluation.predictions import evaluate
-from lodbench.evaluation.queries import (
-    ERROR,
-    LODLOC,
-    NO_TRUTH,
-    PARTS,
-    PRIOR_ERROR,
-    has_truth,
-    is_without_truth,
-    protocol_named,
-)
 from lodbench.geometry import wrap_deg
 from lodbench.harness.city import city_digests, city_of_dataset
-from lodbench.harness.runs.artefacts import Result, summary_of
-from lodbench.harness.runs.compare import TOLERANCE_DEG, TOLERANCE_M, changed_answers, is_without_ledger
+from lodbench.harness.runs import artefacts, compare, predict
 from lodbench.harness.runs.inputs import chosen_entries, flights_digest, queries_digest
-from lodbench.harness.runs.predict import PREDICTIONS_FILE
 from lodbench.harness.runs.queries import prior_of
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.rendering import Scorer, make_renderer
@@ -49,11 +38,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _COMPARED = (
-    (ERROR[0], "error", " m", TOLERANCE_M),
-    (ERROR[1], "error", " deg", TOLERANCE_DEG),
-    (PRIOR_ERROR[0], "prior error", " m", TOLERANCE_M),
-    (PRIOR_ERROR[1], "prior error", " deg", TOLERANCE_DEG),
-    *((name, name.replace("_", " "), "", TOLERANCE_M) for name in PARTS),
+    (metrics.ERROR[0], "error", " m", compare.TOLERANCE_M),
+    (metrics.ERROR[1], "error", " deg", compare.TOLERANCE_DEG),
+    (metrics.PRIOR_ERROR[0], "prior error", " m", compare.TOLERANCE_M),
+    (metrics.PRIOR_ERROR[1], "prior error", " deg", compare.TOLERANCE_DEG),
+    *((name, name.replace("_", " "), "", compare.TOLERANCE_M) for name in metrics.PARTS),
     ("mask_iou", "mask IoU", "", 0.0),
 )
 # Sums may be taken in another order on another machine.
@@ -62,26 +51,17 @@ _RELATIVE = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
-    """What verifying a run found.
+    """What verifying a run found."""
 
-    Attributes:
-        stored: The run.
-        differences: One line each; empty if all numbers follow.
-        notes: What could not be looked at, and why.
-        is_weak: True if the truth was not there, so that errors were taken as written.
-        dataset: The dataset, or None.
-        entries: The queries scored; empty without the dataset.
-        unknown: Metrics of plug-ins that only the run has, or only what is installed now: not compared.
-        computed: The summary that follows from the run's rows, with the metrics that are installed now.
-    """
-
-    stored: StoredRun
-    differences: tuple[str, ...]
-    notes: tuple[str, ...]
-    is_weak: bool
-    dataset: Dataset | None
-    entries: tuple[Entry, ...]
+    stored: StoredRun  # the run
+    differences: tuple[str, ...]  # one line each; empty if all numbers follow
+    notes: tuple[str, ...]  # what could not be looked at, and why
+    is_weak: bool  # True if the truth was not there, so that errors were taken as written
+    dataset: Dataset | None  # the dataset, or None
+    entries: tuple[Entry, ...]  # the queries scored; empty without the dataset
+    # Metrics of plug-ins that only the run has, or only what is installed now: not compared.
     unknown: tuple[str, ...] = ()
+    # The summary that follows from the run's rows, with the metrics that are installed now.
     computed: dict[str, Any] = field(default_factory=dict)
 
 
@@ -107,11 +87,11 @@ def verify_run(
         LodbenchError: A file of the run cannot be read, or the configuration is of another kind.
     """
     stored = read_run(folder)
-    differences = [*changed_files(stored), *_changed_rows(stored, config), *changed_answers(stored)]
+    differences = [*changed_files(stored), *_changed_rows(stored, config), *compare.changed_answers(stored)]
     notes = [] if "files" in stored.provenance else ["provenance.json holds no digests of the files"]
-    if is_without_ledger(stored):
+    if compare.is_without_ledger(stored):
         notes.append(
-            f"{PREDICTIONS_FILE} is missing: scores, probabilities and masks are those of queries.csv"
+            f"{predict.PREDICTIONS_FILE} is missing: scores, probabilities and masks are those of queries.csv"
         )
     entries: tuple[Entry, ...] = ()
     inputs, lod = _inputs(stored), stored.summary["protocol"].get("lod")
@@ -147,8 +127,8 @@ def verify_run(
             reported = _with_words_of_the_map(reported, stored)
         differences += _changed_errors(stored, entries, dataset, str(config["tilt"]), scorer)
     splits = tuple(stored.queries["split"].unique())
-    computed = summary_of(
-        Result(folder, config, reported, splits, stored.predictions, stored.queries, inputs, lod)
+    computed = artefacts.summary_of(
+        artefacts.Result(folder, config, reported, splits, stored.predictions, stored.queries, inputs, lod)
     )
     # Plug-ins may have come and gone since.
     unknown = plugin_metrics(stored.summary) ^ plugin_metrics(computed)
@@ -202,10 +182,12 @@ def changed_files(stored: StoredRun) -> list[str]:
 def _changed_rows(stored: StoredRun, config: dict[str, Any]) -> list[str]:
     queries = stored.queries
     lines = [f"poses.txt: {name} is not a query of queries.csv" for name in stored.strays]
-    for key, failure, error_m in zip(queries.index, queries["failure"], queries[ERROR[0]], strict=True):
+    for key, failure, error_m in zip(
+        queries.index, queries["failure"], queries[metrics.ERROR[0]], strict=True
+    ):
         is_answered = key in stored.poses
         # A pose with nothing to compare it with is an answer all the same.
-        if failure not in ("", NO_TRUTH) and is_answered:
+        if failure not in ("", metrics.NO_TRUTH) and is_answered:
             lines.append(f"queries.csv: {key} has a failure, and a pose in poses.txt")
         if not failure and not is_answered:
             lines.append(f"queries.csv: {key} has no failure, and no pose in poses.txt")
@@ -226,11 +208,11 @@ def _changed_errors(
     lines += [f"queries.csv: {key} is not a query of the dataset" for key in rows.index.difference(keys)]
     there = [entry for entry in entries if entry.key in rows.index]
     priors = {entry.key: prior_of(entry, dataset, tilt) for entry in there}
-    columns = protocol_named(dataset.protocol).columns
+    columns = metrics.protocol_named(dataset.protocol).columns
     expected = evaluate(there, stored.predictions, dataset.truth, priors, scorer, tilt, columns)
     found = rows.loc[expected.index]
-    known = has_truth(expected)
-    for key in expected.index[known == found["failure"].map(is_without_truth).astype(bool)]:
+    known = metrics.has_truth(expected)
+    for key in expected.index[known == found["failure"].map(metrics.is_without_truth).astype(bool)]:
         lines.append(f"queries.csv: {key} fails with {found['failure'][key]!r}, against the truth list")
     return lines + [line for column in _COMPARED for line in _other_numbers(found, expected, *column)]
 
@@ -272,7 +254,7 @@ def _stand_in(stored: StoredRun) -> Dataset:
     """Returns a dataset that only tells what the summary says of it."""
     said = stored.summary["dataset"]
     notes = tuple(stored.summary.get("notes", ()))
-    bins = stored.summary["protocol"].get("bins", LODLOC)
+    bins = stored.summary["protocol"].get("bins", metrics.LODLOC)
     return Dataset(said["name"], said["version"], stored.folder, None, None, (), (), {}, notes, protocol=bins)
 
 

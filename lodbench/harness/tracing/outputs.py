@@ -37,6 +37,12 @@ KINDS = {"roof": 3, "ground": 1, "length": 2}
 _LAYOUT = (
     '{"traced": [{"kind": "roof", "name": "A1", "photos": {"a.jpg": [[u, v], ...], "b.jpg": [[u, v], ...]}}]}'
 )
+# A building of another map is the same where the footprints overlap by so much of their union.
+_SAME_IOU = 0.2
+Floats = NDArray[np.float64]
+# A ray is drawn in the other photo through so many places, between the nearest and the furthest of these
+# shares of the model's points, and a little beyond.
+_LINE_POINTS, _DEPTH_SHARES, _BEYOND = 30, (0.02, 0.98), 1.3
 
 
 def read_tracing(path: Path, photos: Collection[str]) -> tuple[Traced, ...]:
@@ -111,10 +117,6 @@ def write_tracing(traced: Sequence[Traced], path: Path) -> None:
     ]
     lines = ",\n  ".join(json.dumps(item, ensure_ascii=False) for item in listed)
     write_text(path, f'{{"traced": [\n  {lines}\n]}}\n')
-
-
-# A building of another map is the same where the footprints overlap by so much of their union.
-_SAME_IOU = 0.2
 
 
 def map_of(buildings: Sequence[Building], crs: str | None) -> CityModel:
@@ -261,13 +263,6 @@ def to_json(solved: TracedMap) -> list[dict[str, Any]]:
             }
         )
     return rows
-
-
-Floats = NDArray[np.float64]
-
-# A ray is drawn in the other photo through so many places, between the nearest and the furthest of these
-# shares of the model's points, and a little beyond.
-_LINE_POINTS, _DEPTH_SHARES, _BEYOND = 30, (0.02, 0.98), 1.3
 
 
 class TraceServer(LocalServer):

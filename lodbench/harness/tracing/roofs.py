@@ -17,48 +17,50 @@ from lodbench.geometry.camera import distort
 from lodbench.segmentation.masks import read_photo
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Traced:
-    """One thing traced in two or more photos, its points in the same order in each.
-
-    Attributes:
-        kind: ``roof``: the corners of a level roof; ``ground``: places on level ground; ``length``: the two
-            ends of a known length.
-        name: Of the building, or of whatever it is.
-        pixels: By photo, (N, 2) column and row in the photo as stored, the first pixel's centre at 0.5.
-        metres: Of a ``length``.
-    """
-
-    kind: str
-    name: str
-    pixels: Mapping[str, Floats]
-    metres: float | None = None
-
-
 # Shorter line segments are texture, pixels.
 _SHORTEST_PX = 12.0
 # The fixed point of a lens's inverse: photos of drones need five rounds.
 _LENS_ROUNDS = 30
+# How well a corner is traced by hand, pixels: what holds corners where no edge does.
+_TRACED_PX = 4.0
+# An edge is looked at every so many pixels, and this far from its ends, as a share.
+_EVERY_PX, _MARGIN = 12.0, 0.08
+# Segments are parallel to an edge within this, degrees; an edge is found where one is this near, pixels.
+_PARALLEL_DEG, _FOUND_PX = 8.0, 3.0
+# Heights, and ways across each edge, tried: standard deviations of the tracing.
+_STEPS = np.linspace(-2.5, 2.5, 41)
+# Beyond this a segment counts less and less, pixels; a fit is as good as a segment is near in it.
+_NEAR_PX = 1.5
+_ROUNDS = 8
+# What a standard deviation away from the tracing costs, as a share of the edge on segments.
+_PULL = 0.03
+# A step that brings so much less of an edge onto segments is e times less likely.
+_RIVAL = 0.05
+_STEP_M = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Traced:
+    """One thing traced in two or more photos, its points in the same order in each."""
+
+    # ``roof``: the corners of a level roof; ``ground``: places on level ground; ``length``: the two ends of
+    # a known length.
+    kind: str
+    name: str  # of the building, or of whatever it is
+    # By photo, (N, 2) column and row in the photo as stored, the first pixel's centre at 0.5.
+    pixels: Mapping[str, Floats]
+    metres: float | None = None  # of a ``length``
 
 
 @dataclass(slots=True, eq=False)
 class View:
-    """A posed photo.
+    """A posed photo."""
 
-    Attributes:
-        name: As the model calls it.
-        camera: Of the photo as stored, lens distortion included.
-        pose: World to camera.
-        photo: Its file.
-        kept: Its line segments, once they were looked for: copies of the view share them.
-    """
-
-    name: str
-    camera: Camera
-    pose: Pose
-    photo: Path
+    name: str  # as the model calls it
+    camera: Camera  # of the photo as stored, lens distortion included
+    pose: Pose  # world to camera
+    photo: Path  # its file
+    # Its line segments, once they were looked for: copies of the view share them.
     kept: list[Floats] = field(default_factory=list, repr=False)
 
     def project(self, points: Floats) -> Floats:
@@ -118,46 +120,20 @@ def triangulated(pixels: Mapping[str, Floats], views: Mapping[str, View]) -> Flo
     return np.asarray(np.linalg.solve(normal, side[..., None])[..., 0])
 
 
-# How well a corner is traced by hand, pixels: what holds corners where no edge does.
-_TRACED_PX = 4.0
-# An edge is looked at every so many pixels, and this far from its ends, as a share.
-_EVERY_PX, _MARGIN = 12.0, 0.08
-# Segments are parallel to an edge within this, degrees; an edge is found where one is this near, pixels.
-_PARALLEL_DEG, _FOUND_PX = 8.0, 3.0
-# Heights, and ways across each edge, tried: standard deviations of the tracing.
-_STEPS = np.linspace(-2.5, 2.5, 41)
-# Beyond this a segment counts less and less, pixels; a fit is as good as a segment is near in it.
-_NEAR_PX = 1.5
-_ROUNDS = 8
-# What a standard deviation away from the tracing costs, as a share of the edge on segments.
-_PULL = 0.03
-# A step that brings so much less of an edge onto segments is e times less likely.
-_RIVAL = 0.05
-_STEP_M = 1e-3
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Roof:
-    """A level roof.
+    """A level roof."""
 
-    Attributes:
-        name: Of the building.
-        corners: (N, 2) plan, world.
-        height: Of the roof, world.
-        covariance: (2N + 1, 2N + 1) of the corners, x and y by turns, and the height.
-        residual_px: Median distance of its edges to the segments found for them; of a roof that is not
-            snapped, of its corners to those traced.
-        found: Share of the places along its edges for which a segment was found; NaN where not snapped.
-        photos: How many show it.
-    """
-
-    name: str
-    corners: Floats
-    height: float
-    covariance: Floats
+    name: str  # of the building
+    corners: Floats  # (N, 2) plan, world
+    height: float  # of the roof, world
+    covariance: Floats  # (2N + 1, 2N + 1) of the corners, x and y by turns, and the height
+    # Median distance of its edges to the segments found for them; of a roof that is not snapped, of its
+    # corners to those traced.
     residual_px: float
+    # Share of the places along its edges for which a segment was found; NaN where not snapped.
     found: float = np.nan
-    photos: int = 0
+    photos: int = 0  # how many show it
 
     @property
     def points(self) -> Floats:

@@ -23,30 +23,34 @@ from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.pose import HeightOptions
 from lodbench.storage import random_stream
 
+Floats = NDArray[np.float64]
+# Points this near a wall are on it; they are taken from this far around, then from further, metres.
+_WALL_M, _AROUND_M, _FEWEST_POINTS = 1.0, (10.0, 20.0, 40.0, 80.0), 60
+# Ground is even to so much; so many points, and this share of those at the height with most, are a peak.
+_BAND_M, _PEAK_POINTS, _PEAK_SHARE, _POINT_M = 0.8, 4.0, 0.15, 0.1
+# Fewer traced places on the ground span no plane.
+_FEWEST_GROUND, _FEWEST_GROUND_POINTS = 3, 100
+# Planes tried through three points each; how near one a point is, as a share of the model's reach; refits.
+_PLANES, _NEAR_SHARE, _REFITS = 500, 0.02, 5
+# Share of the model's points below which its ground is put to 0.
+_GROUND_SHARE = 0.1
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TraceRequest:
-    """A reconstruction, and how its frame becomes the map's.
+    """A reconstruction, and how its frame becomes the map's."""
 
-    Attributes:
-        model: Folder of a COLMAP model.
-        images: Folder that its names are relative to.
-        start: Rough poses in the map's coordinates, or a similarity of ``lodbench georeference``; or None.
-        crs: The map's reference system; with no ``start``, the photos' own positions place the model in it.
-        scale: Metres per unit of the model, or None.
-        is_metric: Whether the model is in the map's coordinates already.
-        heights: How the drone's heights become the map's.
-        queries: Patterns of names of photos that the map must not use, as they are the benchmark's queries;
-            empty for every second one that nothing is traced in; None where there is no benchmark.
-    """
-
-    model: Path
-    images: Path
+    model: Path  # folder of a COLMAP model
+    images: Path  # folder that its names are relative to
+    # Rough poses in the map's coordinates, or a similarity of ``lodbench georeference``; or None.
     start: Path | None = None
+    # The map's reference system; with no ``start``, the photos' own positions place the model in it.
     crs: str | None = None
-    scale: float | None = None
-    is_metric: bool = False
-    heights: HeightOptions = field(default_factory=HeightOptions)
+    scale: float | None = None  # metres per unit of the model, or None
+    is_metric: bool = False  # whether the model is in the map's coordinates already
+    heights: HeightOptions = field(default_factory=HeightOptions)  # how the drone's heights become the map's
+    # Patterns of names of photos that the map must not use, as they are the benchmark's queries; empty for
+    # every second one that nothing is traced in; None where there is no benchmark.
     queries: tuple[str, ...] | None = None
 
 
@@ -73,29 +77,14 @@ def posed_views(images: Sequence[FoundPose], photos: Path, similarity: Similarit
     return views
 
 
-Floats = NDArray[np.float64]
-
-# Points this near a wall are on it; they are taken from this far around, then from further, metres.
-_WALL_M, _AROUND_M, _FEWEST_POINTS = 1.0, (10.0, 20.0, 40.0, 80.0), 60
-# Ground is even to so much; so many points, and this share of those at the height with most, are a peak.
-_BAND_M, _PEAK_POINTS, _PEAK_SHARE, _POINT_M = 0.8, 4.0, 0.15, 0.1
-
-
 @dataclass(frozen=True, slots=True)
 class Building:
-    """A building of the map.
+    """A building of the map."""
 
-    Attributes:
-        roof: Snapped.
-        traced: The roof as it was traced.
-        ground: Height of the ground around it.
-        ground_sigma: Standard deviation of that.
-    """
-
-    roof: Roof
-    traced: Roof
-    ground: float
-    ground_sigma: float
+    roof: Roof  # snapped
+    traced: Roof  # the roof as it was traced
+    ground: float  # height of the ground around it
+    ground_sigma: float  # standard deviation of that
 
     @property
     def footprint(self) -> Polygon:
@@ -112,19 +101,12 @@ class Building:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TracedMap:
-    """A traced map.
+    """A traced map."""
 
-    Attributes:
-        buildings: Of it.
-        placed: Where the model is.
-        images: Of the model, in the map's coordinates.
-        queries: Names of photos not used for the map.
-    """
-
-    buildings: tuple[Building, ...]
-    placed: PlacedModel
-    images: tuple[FoundPose, ...]
-    queries: tuple[str, ...]
+    buildings: tuple[Building, ...]  # of it
+    placed: PlacedModel  # where the model is
+    images: tuple[FoundPose, ...]  # of the model, in the map's coordinates
+    queries: tuple[str, ...]  # names of photos not used for the map
 
 
 class Model:
@@ -230,27 +212,13 @@ def ground_height(
     return float(np.median(band)), sigma
 
 
-# Fewer traced places on the ground span no plane.
-_FEWEST_GROUND, _FEWEST_GROUND_POINTS = 3, 100
-# Planes tried through three points each; how near one a point is, as a share of the model's reach; refits.
-_PLANES, _NEAR_SHARE, _REFITS = 500, 0.02, 5
-# Share of the model's points below which its ground is put to 0.
-_GROUND_SHARE = 0.1
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedModel:
-    """Where a model is.
+    """Where a model is."""
 
-    Attributes:
-        similarity: From its frame to the map's.
-        crs: Of the map, or None for a frame of its own.
-        notes: Where scale, level and place come from.
-    """
-
-    similarity: Similarity
-    crs: str | None
-    notes: tuple[str, ...]
+    similarity: Similarity  # from its frame to the map's
+    crs: str | None  # of the map, or None for a frame of its own
+    notes: tuple[str, ...]  # where scale, level and place come from
 
 
 def placed_model(

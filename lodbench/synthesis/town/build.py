@@ -21,7 +21,7 @@ from lodbench.citymodel import open_scene
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.errors import DatasetError
-from lodbench.execution.progress import Progress
+from lodbench.execution import Progress
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import digest_of, file_digest, random_stream, write_text

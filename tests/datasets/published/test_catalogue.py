@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from lodbench.cli.dataset_list import config_card, main_card
+from lodbench.cli.dataset import config_card, main_card
 from lodbench.datasets.faults import CATALOGUE
 from lodbench.datasets.pose_text import format_pose
 from lodbench.datasets.published.catalogue import SPECS, card_croissant, croissant_text, fetch, read_card

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from lodbench.errors import RenderingError, WorkersGone
 from lodbench.geometry import Camera, Pose
+from lodbench.harness.remote import Child, MalformedMessage, ProcessFault, packed, unpacked
 from lodbench.harness.remote.child import Pipe
-from lodbench.harness.remote.process import Child, MalformedMessage, ProcessFault, packed, unpacked
 
 pytestmark = pytest.mark.attack
 
@@ -275,7 +275,7 @@ class Scripted(Child):
         self._script, self._waiting, self._exit = list(script), b"", 3
         self.is_closed = False
 
-    def _has_said(self) -> bool:
+    def _has_unrequested(self) -> bool:
         return bool(self._waiting)
 
     def _write(self, content: bytes, deadline: float) -> None:

@@ -1,8 +1,12 @@
-"""What `lodbench localize` left in a folder, as a run for the formats of exports: photos are its queries."""
+"""What `lodbench localize` left in a folder: the answer to one photo, or all as a run that can be exported.
+
+A run's queries are the photos. Files of answers are written by ``harness.photo.localize.write_answer``.
+"""
 
 from __future__ import annotations
 
 import csv
+import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,15 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymodel.crs import is_same_plane
 from lodbench.datasets.pose_text import parse_camera
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError
+from lodbench.evaluation.metrics import NO_TRUTH, queries_frame
 from lodbench.evaluation.predictions import Prediction, encoded_mask
-from lodbench.evaluation.queries import NO_TRUTH, queries_frame
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.export.formats import Export
+from lodbench.harness.export import Export
 from lodbench.harness.photo.flight_inputs import names_of
 from lodbench.harness.photo.many import TABLE_FILE
 from lodbench.harness.runs.stored import StoredRun
@@ -31,18 +36,98 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _SPLIT = "localized"
-_NUMBERS = ("score", "probability")
 # What the file of an answer has at least.
 _KEYS = {"sha256", "photo", "pose", "camera", "crs", "trusted"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Answer:
+class Localized:
+    """What ``localize`` wrote of a photo.
+
+    Attributes:
+        file: The JSON file.
+        digest: SHA-256 of the photo.
+        photo: Its name.
+        camera: Of the photo as stored.
+        pose: In the city's coordinates.
+        covariance: (6, 6) of the pose, or None.
+        score: Of the method, or None.
+        probability: Of a pose within (2 m, 2 deg), or None.
+        crs: Of the city, or None.
+        is_trusted: Whether the pose is more likely right than wrong.
+        trust: In a word.
+        is_laser_used: Whether pose and covariance include a laser's range.
+    """
+
+    file: Path
     digest: str
     photo: str
     camera: Camera
-    prediction: Prediction
+    pose: Pose
+    covariance: NDArray[np.float64] | None
+    score: float | None
+    probability: float | None
     crs: str | None
+    is_trusted: bool
+    trust: str
+    is_laser_used: bool
+
+    @classmethod
+    def read(cls, file: Path, values: Mapping[str, Any]) -> Localized:
+        """Returns the answer that the values of a file hold.
+
+        Raises:
+            DatasetError: An earlier version wrote it, or it was changed.
+        """
+        try:
+            numbers = {n: None if values[n] is None else float(values[n]) for n in ("score", "probability")}
+            covariance = values["covariance"]
+            return cls(
+                file=file,
+                digest=str(values["sha256"]),
+                photo=str(values["photo"]),
+                camera=parse_camera(values["camera"]["as_stored"].split())[0],
+                pose=Pose.from_quaternion(values["pose"]["quat_wxyz"], values["pose"]["translation_m"]),
+                covariance=None if covariance is None else np.array(covariance, np.float64).reshape(6, 6),
+                crs=values["crs"],
+                is_trusted=bool(values["trusted"]),
+                trust=str(values["trust"]),
+                is_laser_used=bool(values.get("laser_used")),
+                **numbers,
+            )
+        except (LodbenchError, KeyError, TypeError, ValueError, AttributeError) as fault:
+            raise DatasetError(
+                f"{file} is no answer that can be read ({type(fault).__name__}: {fault}).",
+                "An earlier version wrote it, or it was changed: localize the photo again.",
+            ) from fault
+
+    def prediction(self) -> Prediction:
+        """Returns the answer as a run stores it."""
+        whole = () if self.covariance is None else tuple(self.covariance[np.triu_indices(6)].tolist())
+        found = Prediction(self.pose, score=self.score, probability=self.probability, covariance=whole)
+        if not self.is_trusted and is_trusted(found.probability, found.score, has_mask=False):
+            # It was the overlap with a mask that was too small, and any mask says that there was one.
+            found = replace(found, mask_png=encoded_mask(np.ones((1, 1), np.bool_)))
+        return found
+
+
+def read_localized(photo: Path, folder: Path) -> Localized:
+    """Returns the answer to a photo, which is known by its content.
+
+    Raises:
+        DatasetError: The photo or the folder is not there, there is no answer, or it cannot be read.
+    """
+    if not photo.is_file():
+        raise DatasetError(f"The photo {photo} does not exist.", "Check the path.")
+    quoted = shlex.quote(str(photo)), shlex.quote(str(folder))
+    hint = f"Localise it first: lodbench localize {quoted[0]} --city FILE --out {quoted[1]}"
+    if not folder.is_dir():
+        raise DatasetError(f"There are no results of lodbench localize in {folder}.", hint)
+    digest = file_digest(photo)
+    for file, values in _values_in(folder):
+        if values["sha256"] == digest:
+            return Localized.read(file, values)
+    raise DatasetError(f"{folder} holds no pose of {photo.name}.", hint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +163,13 @@ def read_localized_folder(folder: Path) -> Export:
     failed = {photo: failure for photo, failure in rows if failure}
     # Of a photo that was localised before, and could not be again, the earlier answer is still there.
     lost = {photo.name for photo in failed} - {photo.name for photo in posed}
-    answers = [answer for answer in _answers_in(folder) if answer.photo not in lost]
+    read = [Localized.read(file, values) for file, values in _values_in(folder)]
+    answers = [answer for answer in read if answer.photo not in lost]
     if not answers:
         raise DatasetError(f"{folder} holds no poses.", f"{TABLE_FILE} says why each photo failed.")
     crs = _one_crs(folder, answers)
     names = names_of([*_paths_of(folder, answers, posed), *failed])
-    known = [answer.prediction for answer in answers]
+    known = [answer.prediction() for answer in answers]
     known += [Prediction(None, failure) for failure in failed.values()]
     predictions = {f"{_SPLIT}/{name}": each for name, each in zip(names, known, strict=True)}
     run = LocalizedFolder(
@@ -113,35 +199,6 @@ def _values_in(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
             yield file, values
 
 
-def _answers_in(folder: Path) -> list[_Answer]:
-    answers = []
-    for file, values in _values_in(folder):
-        try:
-            pose = Pose.from_quaternion(values["pose"]["quat_wxyz"], values["pose"]["translation_m"])
-            score, probability = (None if (v := values[n]) is None else float(v) for n in _NUMBERS)
-            covariance = _triangle(values["covariance"])
-            found = Prediction(pose, score=score, probability=probability, covariance=covariance)
-            if not values["trusted"] and is_trusted(found.probability, found.score, has_mask=False):
-                # It was the overlap with a mask that was too small, and any mask says that there was one.
-                found = replace(found, mask_png=encoded_mask(np.ones((1, 1), np.bool_)))
-            camera = parse_camera(values["camera"]["as_stored"].split())[0]
-            answers.append(_Answer(values["sha256"], str(values["photo"]), camera, found, values["crs"]))
-        except (LodbenchError, KeyError, TypeError, ValueError, AttributeError) as fault:
-            raise DatasetError(
-                f"{file} is no answer that can be exported ({type(fault).__name__}: {fault}).",
-                "An earlier version wrote it, or it was changed: localize the photo again.",
-            ) from fault
-    return answers
-
-
-def _triangle(covariance: object) -> tuple[float, ...]:
-    """Returns what is on and above the diagonal of a covariance, row by row; nothing of one not known."""
-    if covariance is None:
-        return ()
-    whole = np.array(covariance, dtype=np.float64).reshape(6, 6)
-    return tuple(whole[np.triu_indices(6)].tolist())
-
-
 def _table_rows(folder: Path) -> Iterator[tuple[Path, str]]:
     """Yields the photos in the tables of a folder, and why those without a pose have none."""
     for table in sorted(folder.glob(f"{Path(TABLE_FILE).stem}*.csv")):
@@ -153,7 +210,7 @@ def _table_rows(folder: Path) -> Iterator[tuple[Path, str]]:
         yield from rows
 
 
-def _paths_of(folder: Path, answers: Sequence[_Answer], posed: Sequence[Path]) -> list[Path]:
+def _paths_of(folder: Path, answers: Sequence[Localized], posed: Sequence[Path]) -> list[Path]:
     """Returns the photos' files, by the paths in the tables where several photos have one name."""
     counts = Counter(answer.photo for answer in answers)
     repeated = [photo for photo in posed if counts[photo.name] > 1 and photo.is_file()]
@@ -170,7 +227,7 @@ def _paths_of(folder: Path, answers: Sequence[_Answer], posed: Sequence[Path]) -
     return paths
 
 
-def _one_crs(folder: Path, answers: Sequence[_Answer]) -> str | None:
+def _one_crs(folder: Path, answers: Sequence[Localized]) -> str | None:
     """Returns the reference system of all answers; None for a local frame."""
     first = answers[0]
     for other in answers[1:]:

@@ -1,7 +1,13 @@
-"""Fan-out: items of work over processes, with results as they come and memory that does not grow."""
+"""Processes: items of work handed to them, and what work in one of them is kept from.
+
+Results come back as they are made, in memory that does not grow. Work is kept from threads of BLAS, from
+other processes in its folder, and from another working folder.
+"""
 
 from __future__ import annotations
 
+import fcntl
+import logging
 import multiprocessing
 import os
 import signal
@@ -11,13 +17,36 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
+from functools import cache, wraps
 from itertools import islice
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait as wait_for
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
 
 from lodbench.errors import ConfigError, LodbenchError, WorkersGone
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Arguments = ParamSpec("Arguments")
+# Items handed out per worker: one at work, one waiting.
+_AHEAD = 2
+KEEP_DYING = "Workers keep dying, perhaps for lack of memory, or give no result."
+KEEP_DYING_HINT = "Fewer workers need less; `executor.timeout_s=SECONDS` is how long one may take."
+# Workers that may die one after the other with no result in between.
+_DEATHS = 3
+# Fresh processes, not forks of this one: a fork would copy locks that other threads hold. On Linux they fork
+# from a server that has imported what they need and holds no lock; elsewhere system libraries forbid it.
+_START = "forkserver" if sys.platform == "linux" else "spawn"
+# Why this worker cannot work: reported with its first item, as a pool whose workers raise at once is silent.
+_cannot_begin: list[LodbenchError] = []
+_lock = threading.Lock()
+# What the first of the calls under way set aside, and None for each of the others.
+_under_way: list[Any] = []
+# Read by OpenBLAS when it is loaded; what loads SciPy's.
+_THREADS, _SCIPY = "OPENBLAS_NUM_THREADS", "scipy.linalg"
+_LOGGER = logging.getLogger(__name__)
 
 
 @contextmanager
@@ -47,20 +76,6 @@ def start_tracker() -> None:
     """
     if hasattr(signal, "pthread_sigmask"):
         resource_tracker.ensure_running()
-
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-
-# Items handed out per worker: one at work, one waiting.
-_AHEAD = 2
-KEEP_DYING = "Workers keep dying, perhaps for lack of memory, or give no result."
-KEEP_DYING_HINT = "Fewer workers need less; `executor.timeout_s=SECONDS` is how long one may take."
-# Workers that may die one after the other with no result in between.
-_DEATHS = 3
-# Fresh processes, not forks of this one: a fork would copy locks that other threads hold. On Linux they fork
-# from a server that has imported what they need and holds no lock; elsewhere system libraries forbid it.
-_START = "forkserver" if sys.platform == "linux" else "spawn"
 
 
 def expect_workers(modules: tuple[str, ...]) -> None:
@@ -229,10 +244,6 @@ def begin(prepare: Callable[..., None], prepare_with: tuple[Any, ...]) -> None:
         raise WorkersGone(f"A worker cannot begin: {reason}") from error
 
 
-# Why this worker cannot work: reported with its first item, as a pool whose workers raise at once is silent.
-_cannot_begin: list[LodbenchError] = []
-
-
 def _do(work: Callable[[Item], Result], item: Item) -> Result:
     if _cannot_begin:
         raise _cannot_begin[0]
@@ -258,3 +269,93 @@ def _end_with_parent() -> None:
     if parent is not None:
         wait_for([parent.sentinel])
         os._exit(1)
+
+
+def single_threaded_blas(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Returns a function that runs with BLAS on one thread; what was set before is set again after it.
+
+    The libraries' thread counts are the process's: threads that call at the same time share them, and the
+    last one to leave restores. SciPy brings a BLAS of its own: one that is loaded meanwhile keeps one thread.
+    """
+
+    @wraps(function)
+    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        with _lock:
+            _under_way.append(None if _under_way else (_take_control(_limit), os.environ.get(_THREADS)))
+            os.environ[_THREADS] = "1"
+        try:
+            return function(*args, **kwargs)
+        finally:
+            with _lock:
+                if len(_under_way) == 1:
+                    limits, threads = _under_way[0]
+                    _take_control(limits.restore_original_limits)
+                    os.environ.pop(_THREADS)
+                    os.environ |= {} if threads is None else {_THREADS: threads}
+                # The first stays until the last has left.
+                _under_way.pop()
+
+    return limited
+
+
+def _limit() -> Any:
+    return _libraries(_SCIPY in sys.modules).limit(limits=1, user_api="blas")
+
+
+def _take_control(change: Callable[[], Result]) -> Result:
+    """Returns what a change of limits returns, made by this thread whoever made the last one."""
+    from threadpoolctl import OpenBLASController
+
+    # Newer versions of threadpoolctl let one thread change limits alone; here the last to leave restores.
+    give_up = getattr(OpenBLASController, "clear_controlling_thread", None)
+    if give_up is None:
+        return change()
+    give_up(force=True)
+    try:
+        return change()
+    finally:
+        give_up(force=True)
+
+
+@cache
+def _libraries(_has_scipy: bool) -> Any:
+    """Returns the libraries that are loaded; looked for once without SciPy and once with it."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+@contextmanager
+def only_one_in(folder: Path) -> Iterator[None]:
+    """Holds a folder for this process; waits, and says so, while another has it.
+
+    The lock is the system's and ends with the process, however that happens; no file is left. Where the file
+    system knows no locks there is none.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            _LOGGER.warning("Another process is at work in %s: waiting for it.", folder)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        except OSError:
+            pass
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def staying_here() -> Iterator[None]:
+    """Returns to the working folder after the block, whatever it did; decorates functions too."""
+    try:
+        here = Path.cwd()
+    except FileNotFoundError:  # it was removed: no relative path leads anywhere
+        yield
+        return
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            os.chdir(here)

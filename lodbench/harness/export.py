@@ -1,4 +1,4 @@
-"""A run for other programs: what formats are given, where they write, and all but Rerun's."""
+"""A run for other programs: what formats are given, where they write, and the formats."""
 
 from __future__ import annotations
 
@@ -8,28 +8,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import is_own_geopackage
-from lodbench.datasets.exchange.colmap import write_colmap
-from lodbench.datasets.exchange.colmap_moved import require_no_binary
-from lodbench.datasets.exchange.geojson import (
-    camera_feature,
-    nowhere_feature,
-    write_geojson,
-    write_geopackage,
-)
-from lodbench.datasets.exchange.kapture_nerfstudio import write_kapture, write_nerfstudio
+from lodbench.datasets.exchange import colmap, colmap_moved, geojson, kapture_nerfstudio, photogrammetry
 from lodbench.datasets.exchange.lines import write_lines, write_tum
-from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm, write_pix4d
 from lodbench.datasets.pose_text import FoundPose
-from lodbench.datasets.query import Dataset
+from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.evaluation.queries import own_failure, queries_csv
+from lodbench.evaluation.metrics import ERROR, PRIOR_ERROR, own_failure, queries_csv
+from lodbench.extras import require
+from lodbench.geometry import Camera, Pose
 from lodbench.harness.runs.places import survey_csv
+from lodbench.harness.runs.queries import prior_of
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.photos.map_frame import MapFrame
+from lodbench.photos.pictures import read_picture
 from lodbench.plugins import blaming, load_plugin
 from lodbench.reporting.answers import trust_of
+from lodbench.reporting.overlays import ESTIMATE_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR
 from lodbench.storage import make_folder, scratch_folder, write_bytes, write_text
 from lodbench.storage.disk import disk
 
@@ -40,6 +39,19 @@ if TYPE_CHECKING:
 _HEAD_BYTES = 4096
 # What a format may require beside the run.
 DATASET, CITY, CRS = "dataset", "city", "crs"
+_OF_CSV = (
+    "those of csv: heading from true north, pitch -90 straight down and 0 level, roll about the optical axis"
+)
+_OMEGA_PHI_KAPPA = (
+    "omega, phi, kappa about the axes of the coordinates, all 0 straight down with grid north on top; "
+    f"{_OF_CSV}"
+)
+# BGR of each kind of pose, as in the overlays.
+_COLOURS = {"prior": PRIOR_COLOUR, "truth": TRUTH_COLOUR, "estimate": ESTIMATE_COLOUR}
+_CITY_RGB = (176, 172, 164)
+# How far before a camera its picture is shown, metres.
+_PICTURE_M = 20.0
+_TIMELINE = "query"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,15 +201,6 @@ def _put_in_place(written: Path, path: Path) -> None:
         disk().rename(written, path)
 
 
-_OF_CSV = (
-    "those of csv: heading from true north, pitch -90 straight down and 0 level, roll about the optical axis"
-)
-_OMEGA_PHI_KAPPA = (
-    "omega, phi, kappa about the axes of the coordinates, all 0 straight down with grid north on top; "
-    f"{_OF_CSV}"
-)
-
-
 class _Poses:
     """A format of poses alone, written by a function of poses, path and, where it is required, CRS."""
 
@@ -220,12 +223,17 @@ def _poses(of: str, file_name: str, writer: Any, *requires: str, **more: Any) ->
 
 
 Colmap = _poses(
-    "COLMAP's text model: a folder of cameras and images.", "colmap", write_colmap, DATASET,
-    require_room=staticmethod(require_no_binary),
+    "COLMAP's text model: a folder of cameras and images.", "colmap", colmap.write_colmap, DATASET,
+    require_room=staticmethod(colmap_moved.require_no_binary),
 )  # fmt: skip
-Kapture = _poses("kapture's folder of sensors and trajectories.", "kapture", write_kapture, DATASET)
+Kapture = _poses(
+    "kapture's folder of sensors and trajectories.", "kapture", kapture_nerfstudio.write_kapture, DATASET
+)
 Nerfstudio = _poses(
-    "nerfstudio's cameras and camera-to-world matrices.", "transforms.json", write_nerfstudio, DATASET
+    "nerfstudio's cameras and camera-to-world matrices.",
+    "transforms.json",
+    kapture_nerfstudio.write_nerfstudio,
+    DATASET,
 )
 Tum = _poses("Trajectories of the TUM benchmark: a line per pose, camera to world.", "poses.tum", write_tum)
 VisualLocalization = _poses(
@@ -233,16 +241,16 @@ VisualLocalization = _poses(
 )
 Pix4D = _poses(
     "Pix4D's calibrated external camera parameters: centre, omega, phi, kappa.",
-    "calibrated_external_camera_parameters.txt", write_pix4d, convention=_OMEGA_PHI_KAPPA,
+    "calibrated_external_camera_parameters.txt", photogrammetry.write_pix4d, convention=_OMEGA_PHI_KAPPA,
 )  # fmt: skip
 Metashape = _poses(
     "The reference text that Metashape imports: centre, yaw, pitch, roll.",
-    "metashape_reference.txt", write_metashape, CRS,
+    "metashape_reference.txt", photogrammetry.write_metashape, CRS,
     convention="yaw from grid north, pitch 0 straight down and 90 level, roll about the picture's vertical "
     f"axis; {_OF_CSV}",
 )  # fmt: skip
 Odm = _poses(
-    "OpenDroneMap's geo.txt: centre, omega, phi, kappa.", "geo.txt", write_odm, CRS,
+    "OpenDroneMap's geo.txt: centre, omega, phi, kappa.", "geo.txt", photogrammetry.write_odm, CRS,
     convention=_OMEGA_PHI_KAPPA,
 )  # fmt: skip
 
@@ -252,7 +260,7 @@ class GeoJson:
 
     file_name = "poses.geojson"
     requires = (CRS,)
-    writer: ClassVar[Any] = write_geojson
+    writer: ClassVar[Any] = geojson.write_geojson
 
     def write(self, export: Export, path: Path) -> None:
         """Writes the features.
@@ -271,7 +279,7 @@ class GeoJson:
 class GeoPackage(GeoJson):
     """The same features as a layer of a GeoPackage."""
 
-    file_name, writer = "poses.gpkg", write_geopackage
+    file_name, writer = "poses.gpkg", geojson.write_geopackage
 
     def require_room(self, path: Path) -> None:
         """Makes sure that no other GeoPackage is replaced.
@@ -374,7 +382,136 @@ def _features(run: StoredRun, frame: MapFrame) -> list[dict[str, Any]]:
             stated["failure"] = reason
         pose = run.poses.get(str(key))
         if pose is None:
-            features.append(nowhere_feature(stated))
+            features.append(geojson.nowhere_feature(stated))
         else:
-            features.append(camera_feature(frame, pose, stated, found.covariance))
+            features.append(geojson.camera_feature(frame, pose, stated, found.covariance))
     return features
+
+
+class Rerun:
+    """A recording for the Rerun viewer, in the city's local frame.
+
+    Raises:
+        ConfigError: Rerun's package is missing.
+    """
+
+    file_name = "run.rrd"
+    requires = (DATASET, CITY)
+
+    def __init__(self) -> None:
+        require("rerun", "rerun", "--format rerun")
+
+    def write(self, export: Export, path: Path) -> None:
+        """Writes a recording with one step of the timeline ``query`` per query.
+
+        Photos and the dataset's masks lie in the estimate's camera; why a query has none is stated.
+        """
+        import rerun as rr
+
+        run, dataset, city = export.run, export.dataset, export.city
+        assert dataset is not None and city is not None  # noqa: PT018, S101 - required
+        record = rr.RecordingStream("lodbench", recording_id=f"lodbench {run.folder.name}")
+        memory = record.memory_recording()
+        record.send_blueprint(_layout())
+        record.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        record.log("city", _mesh(city), static=True)
+        tilt = "truth" if "truth" in set(run.queries["tilt"]) else "prior"
+        entries = {entry.key: entry for entry in dataset.entries}
+        for number, (key, row) in enumerate(run.queries.iterrows()):
+            record.set_time(_TIMELINE, sequence=number)
+            record.log("about", rr.TextDocument(_about(row), media_type="text/markdown"))
+            entry = entries[str(key)]
+            poses = {
+                "prior": prior_of(entry, dataset, tilt),
+                "truth": dataset.truth.get(entry.key),
+                "estimate": run.poses.get(entry.key),
+            }
+            _log_query(record, entry, poses, city.origin)
+        write_bytes(path, memory.drain_as_bytes())
+
+
+def _log_query(record: Any, entry: Entry, poses: dict[str, Pose | None], origin: NDArray[np.float64]) -> None:
+    import rerun as rr
+
+    for kind, pose in poses.items():
+        if pose is None:  # else the viewer would go on showing the last query's
+            record.log(f"cameras/{kind}", rr.Clear(recursive=True))
+        else:
+            _log_camera(record, f"cameras/{kind}", pose.shifted(-origin), entry.camera, _COLOURS[kind])
+    if poses["estimate"] is not None and entry.camera is not None:
+        _log_pictures(record, "cameras/estimate", entry, entry.camera)
+
+
+def _log_camera(
+    record: Any, path: str, pose: Pose, camera: Camera | None, colour: tuple[int, int, int]
+) -> None:
+    import rerun as rr
+
+    record.log(path, rr.Transform3D(translation=pose.center, mat3x3=pose.rotation.T))
+    rgb = colour[::-1]
+    record.log(f"{path}/centre", rr.Points3D([[0.0, 0.0, 0.0]], colors=[rgb], radii=[1.0]))
+    if camera is not None:
+        lens = rr.Pinhole(
+            resolution=(camera.width, camera.height),
+            focal_length=(camera.fx, camera.fy),
+            principal_point=(camera.cx, camera.cy),
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=_PICTURE_M,
+            color=rgb,
+        )
+        record.log(path, lens)
+
+
+def _log_pictures(record: Any, path: str, entry: Entry, camera: Camera) -> None:
+    """Logs the photo as it is stored, and the mask at the photo's size."""
+    import cv2
+    import rerun as rr
+
+    photo, mask = (None if file is None else read_picture(file) for file in (entry.image, entry.mask))
+    if photo is None or entry.image is None:
+        record.log(f"{path}/photo", rr.Clear(recursive=False))
+    elif entry.image.suffix.lower() in (".jpg", ".jpeg", ".png"):
+        record.log(f"{path}/photo", rr.EncodedImage(path=entry.image))
+    else:
+        record.log(f"{path}/photo", rr.Image(photo, color_model="BGR").compress())
+    if mask is None:
+        record.log(f"{path}/mask", rr.Clear(recursive=False))
+    else:
+        size = (camera.width, camera.height)
+        is_building = cv2.resize(mask[:, :, 0], size, interpolation=cv2.INTER_NEAREST) > 127
+        record.log(f"{path}/mask", rr.SegmentationImage(is_building.astype(np.uint8), opacity=0.4))
+
+
+def _mesh(scene: Scene) -> Any:
+    """Returns the city with a normal per triangle: edges stay sharp in the viewer's light."""
+    import rerun as rr
+
+    corners = scene.vertices[scene.triangles.ravel()].astype(np.float64).reshape(-1, 3, 3)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return rr.Mesh3D(
+        vertex_positions=corners.reshape(-1, 3).astype(np.float32),
+        vertex_normals=np.repeat(normals, 3, axis=0).astype(np.float32),
+        triangle_indices=np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3),
+        albedo_factor=_CITY_RGB,
+    )
+
+
+def _about(row: pd.Series[Any]) -> str:
+    found = f"score {row['score']}, {row['hypotheses']:.0f} hypotheses"
+    lines = [f"### {row.name}", row["failure"] or found]
+    for what, (metres, degrees) in (("estimate", ERROR), ("prior", PRIOR_ERROR)):
+        if np.isfinite(row[metres]):
+            lines.append(f"- {what}: {row[metres]:.2f} m, {row[degrees]:.2f} deg from the truth")
+    return "\n\n".join(lines)
+
+
+def _layout() -> Any:
+    """Returns how the viewer opens: the city, the photo with the city over it, and the numbers."""
+    import rerun.blueprint as rrb
+
+    photo = rrb.Spatial2DView(origin="cameras/estimate", name="photo")
+    side = rrb.Vertical(photo, rrb.TextDocumentView(origin="about", name="about"), row_shares=[3, 1])
+    return rrb.Blueprint(
+        rrb.Horizontal(rrb.Spatial3DView(origin="/", name="city"), side), collapse_panels=True
+    )
