@@ -151,17 +151,16 @@ class RomaMap:
         require("torch", "torch", "mcloc features=roma")
         import torch
 
-        from lodbench.segmentation.nets.weights import fill, read_weights
+        from lodbench.segmentation.nets.weights import load_weights
 
         torch.manual_seed(0)
         self._file = None if weights == _RANDOM else roma_encoder_file(weights)
-        self._net = self._unfilled()
-        if self._file is not None:
-            name = "encoder.cnn.layers."
-            stored = read_weights(self._file).items()
-            own = {key.removeprefix(name): value for key, value in stored if key.startswith(name)}
-            fill(self._net, own, str(self._file))
-        self._net.eval()
+        name = "encoder.cnn.layers."
+        self._net = load_weights(
+            self._unfilled(),
+            self._file,
+            lambda stored: {key.removeprefix(name): w for key, w in stored.items() if key.startswith(name)},
+        ).eval()
 
     def _unfilled(self) -> Any:
         from torch import nn

@@ -187,15 +187,13 @@ class Loftr:
         import torch
         from kornia.feature import LoFTR
 
-        from lodbench.segmentation.nets.weights import fill, read_weights
+        from lodbench.segmentation.nets.weights import load_weights
 
         torch.manual_seed(0)
         net = LoFTR(pretrained=None)
-        if self._file is not None:
-            weights = {
-                name.removeprefix("matcher."): value for name, value in read_weights(self._file).items()
-            }
-            fill(net, weights, str(self._file))
+        load_weights(
+            net, self._file, lambda stored: {name.removeprefix("matcher."): w for name, w in stored.items()}
+        )
         return net.eval()
 
     def match(self, first: Image, second: Image) -> Matches:
@@ -305,7 +303,7 @@ class Roma:
         from loguru import logger
         from romatch import roma_outdoor
 
-        from lodbench.segmentation.nets.weights import fill, read_weights
+        from lodbench.segmentation.nets.weights import load_weights
 
         logger.disable("romatch")
         torch.manual_seed(0)
@@ -320,7 +318,7 @@ class Roma:
             )
         # romatch hides DINOv2 from the network's own parameters.
         for part, file in zip((net, net.encoder.dinov2_vitl14[0]), self._files, strict=False):
-            fill(part, read_weights(file), str(file))
+            load_weights(part, file)
         return net.eval()
 
     def match(self, first: Image, second: Image) -> Matches:

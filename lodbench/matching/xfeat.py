@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -83,12 +83,11 @@ class XFeat:
         import torch
         from kornia.feature.xfeat import XFeat as Net
 
-        from lodbench.segmentation.nets.weights import fill, read_weights
+        from lodbench.segmentation.nets.weights import load_weights
 
         torch.manual_seed(0)
         net = Net(top_k=self.params.max_features, detection_threshold=self.params.threshold)
-        if self._file is not None:
-            fill(net.net, read_weights(self._file), str(self._file))
+        load_weights(net.net, self._file)
         return net.eval()
 
     @cached_property
@@ -209,14 +208,12 @@ class XFeatLighterGlue:
         import torch
         from kornia.feature.lightglue import LightGlue
 
-        from lodbench.segmentation.nets.weights import fill, read_weights
+        from lodbench.segmentation.nets.weights import load_weights
 
         torch.manual_seed(0)
         settings: dict[str, Any] = {"features": None, **_SMALL, "filter_threshold": self.params.threshold}
         net = LightGlue(**settings)
-        if self._file is not None:
-            fill(net, _renamed(read_weights(self._file), net), str(self._file))
-        return net.eval()
+        return load_weights(net, self._file, partial(_renamed, net=net)).eval()
 
     def match(self, first: Features, second: Features) -> Matches:
         """Returns the matches, in the first picture's order; the score is their probability."""

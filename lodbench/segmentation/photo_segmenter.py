@@ -331,11 +331,9 @@ class PackagedNetwork(PhotoSegmenter):
         Raises:
             ConfigError: The file holds no weights of this network.
         """
-        from lodbench.segmentation.nets.weights import load_onnx, load_own
+        from lodbench.segmentation.nets.weights import load_weights
 
-        if init is not None and init.endswith(".onnx"):
-            return load_onnx(self.new_net(True), Path(init).expanduser(), self.stride)
-        return load_own(self.new_net(init is not None), init)
+        return load_weights(self.new_net(init is not None), init, stride=self.stride)
 
     def packaged_weights(self) -> Path:
         """Returns the weights in the package."""

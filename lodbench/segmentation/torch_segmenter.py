@@ -237,16 +237,14 @@ class Sam2UNetSegmenter(TorchSegmenter):
             ConfigError: A file does not hold weights of this network.
         """
         from lodbench.segmentation.nets.sam import Sam2UNet, fill_encoder, whole_checkpoint
-        from lodbench.segmentation.nets.weights import fill, read_weights
+        from lodbench.segmentation.nets.weights import load_weights, read_weights
 
         self.require_room(lambda: Sam2UNet(self.params.encoder), init)
         net = Sam2UNet(self.params.encoder)
-        if init is not None:
-            fill(net, whole_checkpoint(read_weights(Path(init).expanduser())), init)
-        elif self.params.encoder_weights is not None:
+        if init is None and self.params.encoder_weights is not None:
             path = self.encoder_file()
             fill_encoder(net, read_weights(path), str(path))
-        return net
+        return load_weights(net, init, whole_checkpoint)
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,11 +273,11 @@ class Sam1AdapterSegmenter(TorchSegmenter):
             ConfigError: A file does not hold weights of this network.
         """
         from lodbench.segmentation.nets.sam import Sam1Adapter, fill_sam
-        from lodbench.segmentation.nets.weights import load_own, read_weights
+        from lodbench.segmentation.nets.weights import load_weights, read_weights
 
         self.require_room(lambda: Sam1Adapter(self.params.encoder, self.params.size), init)
         net = Sam1Adapter(self.params.encoder, self.params.size)
         if init is None and self.params.encoder_weights is not None:
             path = self.encoder_file()
             fill_sam(net, read_weights(path), str(path))
-        return load_own(net, init)
+        return load_weights(net, init)

@@ -176,7 +176,7 @@ def test_training_goes_on_from_the_packages_weights(views, tmp_path, capsys):
 @pytest.mark.slow
 def test_the_mean_of_two_trainings_is_stored(views, tmp_path, capsys):
     from lodbench.segmentation.nets.unets import CompactNet
-    from lodbench.segmentation.nets.weights import load_own
+    from lodbench.segmentation.nets.weights import load_weights
     from lodbench.segmentation.packaged import Compact
     from lodbench.training.nets.batches import validation_iou
     from lodbench.training.nets.loop import average_into
@@ -184,8 +184,8 @@ def test_the_mean_of_two_trainings_is_stored(views, tmp_path, capsys):
     assert train(views, tmp_path / "a", "schedule.epochs=1") == 0
     assert train(views, tmp_path / "b", "schedule.epochs=1", "seed=1") == 0
     files = [str(tmp_path / name / "checkpoint.pt") for name in "ab"]
-    first, second = (load_own(CompactNet(), file) for file in files)
-    mean = load_own(CompactNet(), files[0])
+    first, second = (load_weights(CompactNet(), file) for file in files)
+    mean = load_weights(CompactNet(), files[0])
     average_into(mean, [tmp_path / "b" / "checkpoint.pt"])
     for name, value in mean.named_parameters():
         expected = (first.get_parameter(name) + second.get_parameter(name)) / 2
@@ -200,7 +200,7 @@ def test_the_mean_of_two_trainings_is_stored(views, tmp_path, capsys):
     assert record["history"][-1]["mean_iou"] != pytest.approx(of_mean["mean_iou"], abs=1e-6)
     alone, both = ((tmp_path / name / "compact.onnx").read_bytes() for name in "ac")
     assert alone != both
-    kept = load_own(CompactNet(), str(tmp_path / "c" / "averaged.safetensors"))
+    kept = load_weights(CompactNet(), str(tmp_path / "c" / "averaged.safetensors"))
     for name, value in mean.named_parameters():
         torch.testing.assert_close(kept.get_parameter(name), value)
     assert train(views, tmp_path / "d", "average=[none.pt]") == 2

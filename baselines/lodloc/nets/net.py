@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from lodbench.segmentation.nets.unets import STRIDE, CompactNet
-from lodbench.segmentation.nets.weights import load_onnx, load_own
+from lodbench.segmentation.nets.weights import load_weights
 from lodbench.segmentation.packaged import packaged_weights
 
 # Channels of the trunk at a quarter and at half of the photo's size: its encoder's and its decoder's.
@@ -87,5 +87,5 @@ def start_from(init: str | None) -> WireframeNet:
         ConfigError: The file holds no weights of this network.
     """
     if init is None:
-        return WireframeNet(load_onnx(CompactNet(), packaged_weights(), STRIDE))
-    return load_own(WireframeNet(), init)
+        return WireframeNet(load_weights(CompactNet(), packaged_weights(), stride=STRIDE))
+    return load_weights(WireframeNet(), init)

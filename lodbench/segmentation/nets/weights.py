@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -93,7 +93,7 @@ Net = TypeVar("Net", bound=nn.Module)
 _LAYERS = (nn.Conv2d, nn.BatchNorm2d)
 
 
-def load_onnx(net: Net, path: Path, stride: int) -> Net:
+def _load_onnx(net: Net, path: Path, stride: int) -> Net:
     """Returns a network with the weights of an ONNX file of its kind; in evaluation it answers the same.
 
     The export has folded normalisations into the convolutions before them. Such a kernel comes back with a
@@ -195,14 +195,27 @@ Weights = dict[str, Tensor]
 _SHOWN = 3
 
 
-def load_own(net: Net, path: str | None) -> Net:
-    """Returns a network with the weights of a file that ``lodbench train`` or ``save_weights`` wrote.
+def load_weights(
+    net: Net, path: str | Path | None, renamed: Callable[[Weights], Weights] | None = None, stride: int = 32
+) -> Net:
+    """Returns a network with the weights of a file; as it is without one.
+
+    Args:
+        net: Changed in place.
+        path: ONNX as ``lodbench train`` writes it, safetensors, or a torch file of tensors; None for none.
+        renamed: Returns the tensors of the latter two under the network's names; None if they have them.
+        stride: Least side of what the network takes, pixels.
 
     Raises:
         ConfigError: The file is missing or holds other weights.
     """
-    if path is not None:
-        fill(net, read_weights(Path(path).expanduser()), path)
+    if path is None:
+        return net
+    file = Path(path).expanduser()
+    if file.suffix == ".onnx":
+        return _load_onnx(net, file, stride)
+    stored = read_weights(file)
+    fill(net, stored if renamed is None else renamed(stored), str(path))
     return net
 
 

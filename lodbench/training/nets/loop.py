@@ -18,7 +18,7 @@ from torch.func import functional_call
 from lodbench.errors import ConfigError
 from lodbench.execution import Progress
 from lodbench.extras import require
-from lodbench.segmentation.nets.weights import Padding, fill, read_weights, save_weights
+from lodbench.segmentation.nets.weights import Padding, load_weights, save_weights
 from lodbench.segmentation.protocol import TrainableSegmenter
 from lodbench.segmentation.torch_segmenter import require_memory
 from lodbench.training.nets.batches import (
@@ -334,7 +334,7 @@ def average_into(net: nn.Module, others: Sequence[Path]) -> None:
     """
     total = {name: value.clone() for name, value in net.state_dict().items()}
     for path in others:
-        fill(net, read_weights(path), str(path))
+        load_weights(net, path)
         for name, value in net.state_dict().items():
             total[name] += value
     for name, value in total.items():
