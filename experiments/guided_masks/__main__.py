@@ -20,8 +20,8 @@ from lodbench.bench.mask_quality import one_core
 from lodbench.bench.photo_masks import PhotoMask, labelled_photos, mean_and_interval, write_overlay
 from lodbench.cli.options import segmenter_of
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.geometry.signed_distance import signed_distance
 from lodbench.params import flag
+from lodbench.rendering.masks import signed_distance
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.segmentation.map_guided import MapGuided, guided_mask, without_map
 from lodbench.segmentation.masks import read_photo

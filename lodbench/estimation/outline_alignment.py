@@ -23,9 +23,9 @@ from lodbench.estimation.outline import OutlinePoints, edges_in_reach, sample_ou
 from lodbench.estimation.state_vector import Prior, shortened
 from lodbench.geometry import Camera
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
-from lodbench.geometry.signed_distance import signed_distance
 from lodbench.kernels import measure_distances, normal_equations, visible_buildings
 from lodbench.kernels.arguments import EdgeArrays
+from lodbench.rendering.masks import signed_distance
 from lodbench.rendering.projection import view_planes
 from lodbench.segmentation import binary_mask
 from lodbench.segmentation.masks import mapped_overlap

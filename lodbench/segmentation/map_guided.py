@@ -21,10 +21,9 @@ from lodbench.datasets.inputs import Input, masks_of_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault, require_numbers, require_within
 from lodbench.geometry import AxisRange, Camera, Pose, PoseGrid, rotations_at_yaws
-from lodbench.geometry.signed_distance import signed_distance
 from lodbench.kernels import minimise_total_variation
 from lodbench.rendering import ContourFit, IouFit, RegionFit, appearance_bins, edge_bins
-from lodbench.rendering.masks import pack_mask
+from lodbench.rendering.masks import pack_mask, signed_distance
 from lodbench.segmentation.masks import read_photo
 from lodbench.segmentation.packaged import Compact, CompactParams
 from lodbench.segmentation.probability import resized_photo, working_size

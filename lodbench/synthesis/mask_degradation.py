@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import LodbenchError
-from lodbench.geometry.signed_distance import signed_distance
+from lodbench.rendering.masks import signed_distance
 from lodbench.storage import random_stream
 
 Labels = NDArray[np.int32]

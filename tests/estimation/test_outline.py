@@ -9,7 +9,7 @@ from lodbench.estimation.outline import edges_in_reach, sample_outline
 from lodbench.estimation.state_vector import shortened
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose import pose_from_vector, rotation_derivatives, turn_per_angle, vector_from_pose
-from lodbench.geometry.signed_distance import signed_distance
+from lodbench.rendering.masks import signed_distance
 from tests.town import CAMERA
 
 vectors = st.tuples(

@@ -20,10 +20,10 @@ from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.estimation.state_vector import differences
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
-from lodbench.geometry.signed_distance import signed_distance
 from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.protocol import Estimate
 from lodbench.photos.pictures import read_picture
+from lodbench.rendering.masks import signed_distance
 from lodbench.segmentation.map_guided import cross_fitted, cut
 from lodbench.segmentation.probability import working_size
 

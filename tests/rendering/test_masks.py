@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from lodbench.geometry.signed_distance import signed_distance
+from lodbench.rendering.masks import signed_distance
 
 
 @pytest.mark.parametrize("is_exact", [True, False])
