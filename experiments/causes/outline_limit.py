@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
-from lodbench.estimation.outline import OutlinePoints
-from lodbench.estimation.outline_alignment import Aligner, smooth_distance
+from lodbench.estimation.outline_alignment import Aligner, OutlinePoints, smooth_distance
 from lodbench.evaluation.pose_errors import PROBABILITY_THRESHOLD, hits_of
 from lodbench.geometry import Pose, wrap_deg
 from lodbench.geometry.pose import turn_per_angle, vector_from_pose

@@ -14,12 +14,12 @@ from experiments.command import run
 from lodbench.bench import Figure, Progress, Report, no_progress
 from lodbench.citymodel.scene import floors_and_rises
 from lodbench.cli.bench_views import city_file, seeds
+from lodbench.datasets.folder import RealFlightParams, open_real_flight
 from lodbench.datasets.query import Dataset, Query
-from lodbench.datasets.real_flights import RealFlightParams, open_real_flight
 from lodbench.errors import ConfigError
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
-from lodbench.methods.flight.footprint_heights import footprint_heights
+from lodbench.methods.flight.roof_sweep import footprint_heights
 from lodbench.params import flag
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.storage import random_stream

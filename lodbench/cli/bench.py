@@ -26,11 +26,10 @@ from lodbench.citymodel.scene import Scene
 from lodbench.cli import bench_views
 from lodbench.cli.options import default_segmenter, option_pairs, segmenter_of
 from lodbench.cli.parser import Parser
-from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.datasets.folder import FolderParams, city_beside, open_folder, require_one_flight
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Dataset
-from lodbench.datasets.real_flights import city_beside, require_one_flight
 from lodbench.errors import ConfigError, require_within
 from lodbench.execution import ProgressCallback
 from lodbench.harness.city import open_city

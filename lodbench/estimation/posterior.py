@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lodbench.estimation.outline import OWN_BASE, OWN_ROOF, OutlinePoints
+from lodbench.estimation.outline_alignment import OWN_BASE, OWN_ROOF, OutlinePoints
 from lodbench.estimation.state_vector import FOCAL, POSE, Gaussian
 from lodbench.kernels import error_covariance
 from lodbench.storage import random_stream

@@ -28,7 +28,7 @@ from lodbench.datasets.query import Entry, Query
 from lodbench.errors import CityModelError, DatasetError
 from lodbench.findings import Finding, Findings
 from lodbench.harness.photo.localized import is_localized, read_localized_folder
-from lodbench.methods.flight.footprint_heights import SweptHeight, footprint_heights
+from lodbench.methods.flight.roof_sweep import SweptHeight, footprint_heights
 from lodbench.reporting.answers import is_trusted
 from lodbench.reporting.maps import Marked, draw_plan
 from lodbench.reporting.page import markup, rendered

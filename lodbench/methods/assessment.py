@@ -17,8 +17,14 @@ from lodbench.citymap import CityMap
 from lodbench.citymap.laser import RangedPose, pose_by_range
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
-from lodbench.estimation.edge_alignment import PhotoEdges
-from lodbench.estimation.model_lines import LensErrors, ModelLines, Projected, lines_in_view, project_lines
+from lodbench.estimation.edge_alignment import (
+    LensErrors,
+    ModelLines,
+    PhotoEdges,
+    Projected,
+    lines_in_view,
+    project_lines,
+)
 from lodbench.estimation.state_vector import probability_within
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.camera import UNKNOWN, CameraSigmas

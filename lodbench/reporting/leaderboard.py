@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.model import lod_in_words
-from lodbench.datasets.real_flights import BOARD_HEAD
-from lodbench.datasets.real_flights import NAME as REAL_FLIGHTS
+from lodbench.datasets.folder import BOARD_HEAD, REAL_FLIGHTS
 from lodbench.errors import DatasetError
 from lodbench.evaluation.metrics import LODLOC, is_taken, protocol_named
 from lodbench.evaluation.pose_errors import DEFAULT_THRESHOLDS, EVALUATOR_VERSION

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from lodbench.citymodel import open_scene
 from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
-from lodbench.datasets.published.ortholoc import cell_offset
+from lodbench.datasets.published.egeniouss_ortholoc import cell_offset
 from lodbench.geometry import Camera, EulerAngles, Pose
 from tests.photos.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
 from tests.town import BOXES, box_obj, town_gml, true_poses

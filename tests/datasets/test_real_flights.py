@@ -8,9 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from lodbench.cli import main as lodbench
 from lodbench.datasets.exchange.colmap import write_colmap
-from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.datasets.folder import FolderParams, RealFlightParams, open_folder, open_real_flight
 from lodbench.datasets.pose_text import FoundPose, read_cameras, read_poses
-from lodbench.datasets.real_flights import RealFlightParams, open_real_flight
 from lodbench.errors import DatasetError
 from lodbench.geometry.similarity import Similarity
 from lodbench.harness.runs.predict import _batches

@@ -8,8 +8,7 @@ import pytest
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
-from lodbench.estimation.edge_alignment import Candidates, EdgeLikelihood, PhotoEdges
-from lodbench.estimation.model_lines import LensErrors
+from lodbench.estimation.edge_alignment import Candidates, EdgeLikelihood, LensErrors, PhotoEdges
 from lodbench.geometry.pose import vector_from_pose
 from tests.town import BOXES, CAMERA, box_obj, true_poses
 

@@ -7,8 +7,8 @@ import pytest
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
-from lodbench.estimation.model_lines import NUM_POSE_AND_LENS as COLUMNS
-from lodbench.estimation.model_lines import (
+from lodbench.estimation.edge_alignment import NUM_POSE_AND_LENS as COLUMNS
+from lodbench.estimation.edge_alignment import (
     LensErrors,
     lines_in_view,
     project,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lodbench.estimation.outline import edges_in_reach, sample_outline
+from lodbench.estimation.outline_alignment import edges_in_reach, sample_outline
 from lodbench.estimation.state_vector import shortened
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose import pose_from_vector, rotation_derivatives, turn_per_angle, vector_from_pose

@@ -5,7 +5,7 @@ import pytest
 import scipy.optimize
 
 from lodbench.estimation import posterior as map_errors
-from lodbench.estimation.outline import OutlinePoints
+from lodbench.estimation.outline_alignment import OutlinePoints
 from lodbench.estimation.posterior import _root, covariance_under_map_errors, posterior_mean
 
 X = np.linspace(-8.0, 8.0, 4001)

@@ -9,7 +9,7 @@ from lodbench.bench.flights import MapScore, score_map
 from lodbench.bench.real_report import PhotoEdges, median_and_share, roof_edges
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
-from lodbench.datasets.real_flights import RealFlightParams, open_real_flight
+from lodbench.datasets.folder import RealFlightParams, open_real_flight
 from lodbench.errors import ConfigError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.runs.basin import basin_steps, protocol_lines

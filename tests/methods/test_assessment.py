@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from lodbench.datasets.query import Query
-from lodbench.estimation.edge_alignment import PhotoEdges
-from lodbench.estimation.model_lines import LensErrors, lines_in_view, project_lines
+from lodbench.estimation.edge_alignment import LensErrors, PhotoEdges, lines_in_view, project_lines
 from lodbench.estimation.state_vector import probability_within
 from lodbench.geometry.camera import CALIBRATED, UNKNOWN, CameraSigmas
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose

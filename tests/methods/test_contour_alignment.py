@@ -140,7 +140,7 @@ class TestMethod:
         query = replace(tilted_queries[0], building_probability=seen.astype(np.float32))
         errors = []
         for tracks in (TRACKS, ((TRACKS[0][0][:1], False),)):
-            monkeypatch.setattr("lodbench.methods.contour_alignment.hypotheses.TRACKS", tracks)
+            monkeypatch.setattr("lodbench.methods.contour_alignment.method.TRACKS", tracks)
             estimate = ContourAlignment(SMALL).localize(query, city_map, STREAMS)
             errors.append(pose_error(estimate.pose, truths[0]).translation_m)
         assert errors[0] < 1.0

@@ -13,17 +13,21 @@ from hypothesis import strategies as st
 from lodbench.citymap import CityMap
 from lodbench.citymap.city_map import corrected_map
 from lodbench.datasets.query import Query
-from lodbench.estimation.outline import OutlinePoints
-from lodbench.estimation.outline_alignment import Residuals
+from lodbench.estimation.outline_alignment import OutlinePoints, Residuals
 from lodbench.estimation.state_vector import probability_within
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.pose import vector_from_pose
 from lodbench.kernels.estimation import add_products, error_covariance, whiten
 from lodbench.methods.contour_alignment import ContourAlignment, ContourAlignmentParams
-from lodbench.methods.contour_alignment.hypotheses import Hypothesis, Refined, among_rivals, answer_of
 from lodbench.methods.contour_alignment.likelihood import TRACKS, _weights, in_chunks
-from lodbench.methods.contour_alignment.method import expected_map
+from lodbench.methods.contour_alignment.method import (
+    Hypothesis,
+    Refined,
+    among_rivals,
+    answer_of,
+    expected_map,
+)
 from lodbench.storage import random_stream
 from tests.town import CAMERA, prior_of
 

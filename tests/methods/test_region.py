@@ -20,9 +20,8 @@ from lodbench.geometry.pose import vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.localize import localize_query
 from lodbench.methods.region import Region, RegionParams
-from lodbench.methods.region.posteriors import PhotoFit, PosePosterior
+from lodbench.methods.region.posteriors import PhotoFit, PosePosterior, grid_starts
 from lodbench.methods.region.roofs import RaisedRoofs
-from lodbench.methods.region.search import grid_starts
 from lodbench.methods.registry import make_method
 from lodbench.rendering import IouFit
 from lodbench.storage import random_stream

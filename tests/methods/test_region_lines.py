@@ -11,16 +11,21 @@ import scipy.ndimage
 
 from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
-from lodbench.estimation.outline import edges_in_reach
+from lodbench.estimation.outline_alignment import edges_in_reach
 from lodbench.estimation.state_vector import ALL_BASES, NUM_AFTER_POSE, NUM_STATE
 from lodbench.evaluation import pose_error
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.region import Region, RegionParams
 from lodbench.methods.region import line_likelihood as line_search
-from lodbench.methods.region.line_alignment import LineAligner
+from lodbench.methods.region.answer import LineAligner
 from lodbench.methods.region.line_likelihood import LineLikelihood, points_on_lines
-from lodbench.methods.region.posteriors import Photo, PosePosterior
-from lodbench.methods.region.search import OutlineSampler, QueryContext, local_maxima
+from lodbench.methods.region.posteriors import (
+    OutlineSampler,
+    Photo,
+    PosePosterior,
+    QueryContext,
+    local_maxima,
+)
 from lodbench.storage import random_stream
 from tests.town import BOXES, CAMERA, prior_of, true_poses
 

@@ -14,8 +14,15 @@ import pytest
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera
 from lodbench.geometry.camera import MAKER, UNKNOWN
-from lodbench.photos.camera import camera_from_photo, pinhole_of, states_focal_length, undistorted
-from lodbench.photos.focal import _ROUNDED_MM, _SENSOR_MM, NOMINAL_PERCENT
+from lodbench.photos.camera import (
+    _ROUNDED_MM,
+    _SENSOR_MM,
+    NOMINAL_PERCENT,
+    camera_from_photo,
+    pinhole_of,
+    states_focal_length,
+    undistorted,
+)
 from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
 from lodbench.photos.pose import RoughPlace, require_stated
 from lodbench.photos.xmp import _PROPERTIES, Dewarp

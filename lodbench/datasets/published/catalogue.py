@@ -14,14 +14,15 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from lodbench.datasets.published import anyvisloc, egeniouss, ortholoc
+from lodbench.datasets.published import anyvisloc
+from lodbench.datasets.published.egeniouss_ortholoc import EGENIOUSS, ORTHOLOC
 from lodbench.datasets.published.layout import Download, Part, PublishedSpec
 from lodbench.datasets.published.lodloc import LODLOC
 from lodbench.datasets.published.uavd4l_tokyo_semcity import SEMCITYLOCKED, TOKYO_LODV3, UAVD4L
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.storage.disk import disk, make_folder
 
-_OTHERS = (TOKYO_LODV3, UAVD4L, egeniouss.SPEC, ortholoc.SPEC, anyvisloc.SPEC, SEMCITYLOCKED)
+_OTHERS = (TOKYO_LODV3, UAVD4L, EGENIOUSS, ORTHOLOC, anyvisloc.SPEC, SEMCITYLOCKED)
 SPECS: dict[str, PublishedSpec] = LODLOC | {spec.id: spec for spec in _OTHERS}
 
 

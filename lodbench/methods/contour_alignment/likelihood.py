@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.estimation.optimization import Quadratic
-from lodbench.estimation.outline import (
+from lodbench.estimation.outline_alignment import (
     LEAST_WEIGHT,
     OWN_BASE,
     OWN_ROOF,
+    Residuals,
     add_outliers,
     near_distances,
     outline_covariance,
     outline_noise,
 )
-from lodbench.estimation.outline_alignment import Residuals
 from lodbench.kernels import whiten
 from lodbench.methods.contour_alignment.params import ContourAlignmentParams
 

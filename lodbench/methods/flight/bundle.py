@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lodbench.estimation.model_lines import project, projection_slopes
+from lodbench.estimation.edge_alignment import project, projection_slopes
 from lodbench.estimation.optimization import NormalEquations
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.pose import pose_from_vector, rotation_derivatives

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.datasets.query import Query
-from lodbench.estimation.model_lines import LensErrors, ModelLines, lines_in_view, project_lines
+from lodbench.estimation.edge_alignment import LensErrors, ModelLines, lines_in_view, project_lines
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.pose import pose_from_vector
 from lodbench.methods.assessment import FEWEST_POINTS, edge_excess
-from lodbench.methods.flight.edge_terms import EdgePhoto, edge_photo
+from lodbench.methods.flight.aligning import EdgePhoto, edge_photo
 from lodbench.segmentation import binary_mask
 
 Floats = NDArray[np.float64]

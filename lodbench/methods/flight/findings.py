@@ -34,7 +34,7 @@ from lodbench.methods.flight.joint import (
 )
 from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.roof_edges import open_pictures
-from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, sweep_roofs
+from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, density_of, peak_of, sweep_roofs
 from lodbench.methods.flight.unmapped_buildings import missing_buildings
 
 Floats = NDArray[np.float64]
@@ -55,9 +55,8 @@ _LEAST_INFORMATION = 1e-3
 # Of a building that would be lower than this, metres, masks show nothing: whether it is gone is looked at
 # elsewhere. However low a building is, its roof is looked for so far below the map's.
 _LOWEST_M, _LOWER_M = 2.0, 1.0
-# Around the best height a peak is so wide, metres; heights are known no better than this, and by pixels alone
-# no worse than that.
-_PEAK_M, _BEST_M, _WORST_M = 1.0, 0.2, 1.0
+# Heights are known no worse than this by pixels alone, metres.
+_WORST_M = 1.0
 # Roofs are sharp whose best height is so many nats better than most heights; what all are wrong about alike
 # is the median of no fewer.
 _SHARP, _FEWEST_SHARP = 1.2, 5
@@ -142,11 +141,8 @@ def _log_normal(mean_m: float, sigma_m: float) -> Floats:
 
 def _height(nats: Floats, photos: int, rise_m: float) -> BuildingHeight:
     """Returns the best height, given how well heights explain everything, nats."""
-    shares = np.exp(nats - nats.max())
-    shares /= shares.sum()
-    peak = np.abs(_HEIGHTS_M - _HEIGHTS_M[np.argmax(nats)]) <= _PEAK_M
-    best = float(shares[peak] @ _HEIGHTS_M[peak] / shares[peak].sum())
-    sigma = max(float(np.sqrt(shares @ (_HEIGHTS_M - best) ** 2)), _BEST_M)
+    shares = density_of(nats)
+    best, sigma = peak_of(shares, _HEIGHTS_M)
     is_off = abs(best) > _DOUBT_M and float(shares[np.abs(_HEIGHTS_M) > _DOUBT_M].sum()) > _DOUBT
     return BuildingHeight(best, sigma, photos, is_off and sigma < _OPEN_M and rise_m + best > _LOWEST_M)
 

@@ -10,18 +10,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.estimation.model_lines import LensErrors, project, projection_slopes
-from lodbench.estimation.outline import (
+from lodbench.estimation.edge_alignment import LensErrors, project, projection_slopes
+from lodbench.estimation.outline_alignment import (
     FAR_PX,
     LEAST_WEIGHT,
     NOISE_PX,
+    Aligner,
+    OutlineModel,
     OutlinePoints,
     add_outliers,
     near_distances,
     outline_covariance,
     outline_noise,
 )
-from lodbench.estimation.outline_alignment import Aligner, OutlineModel
 from lodbench.kernels import add_products, measure_distances, whiten
 
 Floats = NDArray[np.float64]

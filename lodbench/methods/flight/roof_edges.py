@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.query import Query
-from lodbench.estimation.model_lines import LensErrors, project
+from lodbench.estimation.edge_alignment import LensErrors, project
 from lodbench.geometry import Camera, Pose
 from lodbench.photos.pictures import read_picture
 from lodbench.segmentation import binary_mask

@@ -16,11 +16,11 @@ import scipy
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.estimation.model_lines import project
+from lodbench.estimation.edge_alignment import project
 from lodbench.kernels import add_votes
 from lodbench.methods.flight.demolished_buildings import APART_DEG, View, apart_deg
 from lodbench.methods.flight.roof_edges import SweepPicture
-from lodbench.methods.flight.roof_sweep import sweep_place
+from lodbench.methods.flight.roof_sweep import density_of, sweep_place
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -260,8 +260,7 @@ def _height(
     said: dict[str, float | None] = {"height_m": None, "sigma_m": None, "at_most_m": at_most_m}
     if curve is None:
         return said
-    density = np.exp(curve.nats - curve.nats.max())
-    density /= density.sum()
+    density = density_of(curve.nats)
     if density[tried_m < _FLAT_M].sum() > 0.5:
         return None
     height_m = float(density @ tried_m)

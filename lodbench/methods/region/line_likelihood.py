@@ -24,9 +24,8 @@ from lodbench.kernels import count_along_lines, sum_along_lines
 from lodbench.kernels.arguments import EDGE_LEVELS, LinePoints, LinePoses
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.params import RegionParams
-from lodbench.methods.region.posteriors import PosePosterior
+from lodbench.methods.region.posteriors import PosePosterior, QueryContext, grid_poses, local_maxima
 from lodbench.methods.region.roofs import ROOF_LEVEL_STEP_M, RaisedRoofs, roof_level_of
-from lodbench.methods.region.search import QueryContext, grid_poses, local_maxima
 from lodbench.rendering.photo_bins import Levels
 
 Floats = NDArray[np.float64]

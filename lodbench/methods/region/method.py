@@ -15,27 +15,27 @@ from lodbench.datasets.prior_sources import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.estimation.edge_alignment import EdgeAlignment, EdgeLikelihood
-from lodbench.estimation.outline import edges_of, scene_in_reach
+from lodbench.estimation.outline_alignment import edges_of, scene_in_reach
 from lodbench.estimation.posterior import mode_probabilities
 from lodbench.estimation.state_vector import TILT, TRUSTED, beyond_range, probability_within
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.fits import photo_edges, query_photo
 from lodbench.methods.protocol import Estimate, Streams
-from lodbench.methods.region.answer import Answer, PoseFinalizer
-from lodbench.methods.region.line_alignment import BLURS_PX
+from lodbench.methods.region.answer import BLURS_PX, Answer, PoseFinalizer
 from lodbench.methods.region.line_likelihood import line_starts
 from lodbench.methods.region.params import RegionParams
-from lodbench.methods.region.posteriors import Photo, PosePosterior
-from lodbench.methods.region.roofs import RaisedRoofs
-from lodbench.methods.region.search import (
+from lodbench.methods.region.posteriors import (
     Mode,
     OutlineSampler,
+    Photo,
+    PosePosterior,
     QueryContext,
     grid_starts,
     local_searches,
     modes_at,
     rescore,
 )
+from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.trust import SIGNS_STAGE, ConfidenceFeatures, success_probability
 
 Floats = NDArray[np.float64]

@@ -205,7 +205,7 @@ class TestTracks:
 
     def test_too_many_samples_are_refused(self, tmp_path, monkeypatch):
         layouts.write_ortholoc(tmp_path)
-        monkeypatch.setattr("lodbench.datasets.published.ortholoc._MOST_SAMPLES", 2)
+        monkeypatch.setattr("lodbench.datasets.published.egeniouss_ortholoc._MOST_SAMPLES", 2)
         with pytest.raises(DatasetError, match=r"3 samples are more than the 2"):
             opened("ortholoc", tmp_path)
         assert len(opened("ortholoc", tmp_path, samples="L01_R*").entries) == 2

@@ -1,8 +1,12 @@
-"""``dataset=ortholoc``: OrthoLoC, drone photos each with a surface model; see data_cards/ortholoc.md."""
+"""``dataset=egeniouss``: phone photos at street level; ``dataset=ortholoc``: drone photos, surface models.
+
+See data_cards/egeniouss.md and data_cards/ortholoc.md.
+"""
 
 from __future__ import annotations
 
 import fnmatch
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,17 +16,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.faults import READING_INFERRED
-from lodbench.datasets.pose_text import lines_to_text
+from lodbench.datasets.faults import NO_IMAGE, NO_PRIOR, READING_INFERRED
+from lodbench.datasets.pose_text import content, lines_to_text, parse_camera
 from lodbench.datasets.published.layout import Host, Part, PublishedSpec, SplitSpec, not_all_of
 from lodbench.datasets.published.own_layout import (
     AUTO,
+    READINGS,
     Array,
     OwnLayoutParams,
+    PoseRow,
     as_dataset,
+    choose_reading,
     find_parts,
+    pose_lines,
+    pose_read_as,
     read_arrays,
+    read_pose_rows,
     require_word,
+    stated_camera,
+    without_lens,
 )
 from lodbench.datasets.published.raster_maps import (
     Raster,
@@ -36,10 +48,151 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError, require_within
 from lodbench.findings import Findings
 from lodbench.geometry import Camera, CameraSigmas, Pose
+from lodbench.photos.files import PHOTO_SUFFIXES
+
+_RECORD = "https://zenodo.org/records/17644019"
+EGENIOUSS = PublishedSpec(
+    id="egeniouss",
+    title="egenioussBench",
+    lod="2",
+    folder="egenioussBench",
+    splits=(
+        SplitSpec("val", ("query_images/val",), (), num_queries=412),
+        SplitSpec("test", ("query_images/test",), (), num_queries=42),
+    ),
+    hosts=(
+        Host("photos, poses, LoD2 model, mesh", _RECORD, "Zenodo; its licence and size could not be read"),
+        Host("how to submit", "https://github.com/fratopa/egenioussBench", "by e-mail; until November 2026"),
+    ),
+    city_files=("lod2",),
+    parts=(
+        Part("query_images/val_gt_poses.txt", "true poses of val", "val"),
+        Part("query_images/val/*", "photos of val", "val", media="image/jpeg"),
+        Part("query_images/val_android_poses.txt", "the phone's poses of val", "val", False),
+        Part("query_images/test/*", "photos of test", "test", False, "image/jpeg"),
+        Part("query_images/test_android_poses.csv", "the phone's poses of test", "test", False, "text/csv"),
+        Part("metadata/camera_parameters.txt", "camera", is_needed=False),
+        Part("mesh/*", "textured mesh", is_needed=False, media="application/octet-stream"),
+    ),
+    protocol="egeniouss",
+    year="2025",
+    camera_height_m=(0.5, 4.0),
+)
+_PRIORS = ("android", "none")
+_HEAD = "# IMAGE_NAME qw qx qy qz UTMx UTMy alt"
+
+
+@dataclass(frozen=True, slots=True)
+class EgenioussParams(OwnLayoutParams):
+    """Settings of egenioussBench, described in ``conf/dataset/egeniouss.yaml``."""
+
+    name: str = EGENIOUSS.id
+    poses: str = AUTO
+    camera: str | None = None
+    priors: str = "android"
+    height_offset_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_within("dataset.height_offset_m", self.height_offset_m, -math.inf)
+
+
+def open_egeniouss(params: EgenioussParams) -> Dataset:
+    """Returns egenioussBench, with poses in the coordinates of its city model.
+
+    Raises:
+        DatasetError: Parts are missing or malformed, or what the documentation leaves open is not decided.
+        ConfigError: A setting is unknown.
+    """
+    from lodbench.datasets.own import find_photo
+
+    require_word("dataset.priors", params.priors, _PRIORS)
+    found, home = find_parts(EGENIOUSS, params)
+    findings = Findings()
+    queries = home / "query_images"
+    true_rows = read_pose_rows(queries / "val_gt_poses.txt")
+    by_reading = {
+        name: [pose_read_as(row, name, is_centre=True) for row in true_rows.values()] for name in READINGS
+    }
+    reading = choose_reading("dataset.poses", params.poses, by_reading, findings)
+    camera, sigmas = _phone_camera(params.camera, home / "metadata" / "camera_parameters.txt")
+    up = (0.0, 0.0, params.height_offset_m)
+
+    def as_poses(rows: dict[str, PoseRow]) -> dict[str, Pose]:
+        return {name: pose_read_as(row, reading, is_centre=True).shifted(up) for name, row in rows.items()}
+
+    truth: dict[str, Pose] = {}
+    written: dict[str, str] = {}
+    entries: list[Entry] = []
+    for split, file in (("val", "val_android_poses.txt"), ("test", "test_android_poses.csv")):
+        folder = queries / split
+        photos = sorted(p.name for p in folder.glob("*") if p.suffix.lower() in PHOTO_SUFFIXES)
+        poses = as_poses(true_rows) if split == "val" else dict.fromkeys(photos)
+        has_priors = params.priors == "android" and (queries / file).is_file()
+        priors = _by_stem(as_poses(read_pose_rows(queries / file)) if has_priors else {})
+        for name, pose in poses.items():
+            photo = find_photo(folder, name)
+            entry = _entry(photo.name if photo else name, split, photo, priors, (camera, sigmas))
+            if pose is not None:
+                truth[entry.key], written[entry.key] = pose, name
+            entries.append(entry)
+            for code, is_so in ((NO_IMAGE, photo is None), (NO_PRIOR, entry.prior is None)):
+                if is_so:
+                    findings.add(code, entry.key)
+    mesh = home / "mesh"
+    return as_dataset(
+        found,
+        without_lens(EGENIOUSS.id, entries),
+        truth,
+        findings,
+        lod=params.lod,
+        textured_map=mesh if mesh.is_dir() else None,
+        submission=partial(
+            pose_lines,
+            names=written,
+            reading=reading,
+            offset_m=[-value for value in up],
+            head=_HEAD,
+            is_centre=True,
+        ),
+    )
+
+
+def _entry(
+    name: str,
+    split: str,
+    photo: Path | None,
+    priors: dict[str, Pose],
+    known: tuple[Camera, CameraSigmas | None],
+) -> Entry:
+    prior = priors.get(Path(name).stem)
+    hypotheses = () if prior is None else (prior,)
+    return Entry(name, split, known[0], prior, photo, None, hypotheses, camera_sigmas=known[1])
+
+
+def _by_stem(poses: dict[str, Pose]) -> dict[str, Pose]:
+    return {Path(name).stem: pose for name, pose in poses.items()}
+
+
+def _phone_camera(stated: str | None, path: Path) -> tuple[Camera, CameraSigmas | None]:
+    """Returns the camera of all photos: as set, or of the one line of a file that reads as COLMAP's."""
+    if stated is not None:
+        return stated_camera("dataset.camera", stated)
+    for _, line in content(path) if path.is_file() else ():
+        try:
+            return parse_camera(line.split())
+        except (LodbenchError, ValueError):
+            continue
+    what = (
+        "is missing"
+        if not path.is_file()
+        else "has no line MODEL W H params, and its layout is not documented"
+    )
+    raise DatasetError(f"{path} {what}.", "State it: `dataset.camera='PINHOLE 960 1280 FX FY CX CY'`.")
+
 
 _REPOSITORY = "https://github.com/deepscenario/OrthoLoC"
 _SPLITS = ("test_inPlace", "test_outPlace", "val", "train")
-SPEC = PublishedSpec(
+ORTHOLOC = PublishedSpec(
     id="ortholoc",
     title="OrthoLoC",
     lod="surface model with orthophoto",
@@ -79,7 +232,7 @@ _CHECKED, _STEP, _NEAR_PX = 5, 16, 0.25
 class OrthoLocParams(OwnLayoutParams):
     """Settings of OrthoLoC, described in ``conf/dataset/ortholoc.yaml``."""
 
-    name: str = SPEC.id
+    name: str = ORTHOLOC.id
     samples: str = "*"
     focal: str = "known"
     pixel_origin: str = AUTO
@@ -112,7 +265,7 @@ def open_ortholoc(params: OrthoLocParams) -> Dataset:
     """
     require_word("dataset.focal", params.focal, _FOCALS)
     require_word("dataset.pixel_origin", params.pixel_origin, [AUTO, *_ORIGINS])
-    found, home = find_parts(SPEC, params)
+    found, home = find_parts(ORTHOLOC, params)
     files = [
         (split, path)
         for split in _SPLITS
@@ -132,8 +285,8 @@ def open_ortholoc(params: OrthoLocParams) -> Dataset:
     samples = [_read(split, path) for split, path in files]
     half = _half_pixel(params.pixel_origin, samples, findings)
     paths = [path for _, path in files]
-    pictures = kept_pictures(SPEC.id, paths, "pictures", lambda: _pictures(samples))
-    city, textured, note = kept_maps(SPEC.id, paths, "", params.map_stride, lambda: _maps(paths))
+    pictures = kept_pictures(ORTHOLOC.id, paths, "pictures", lambda: _pictures(samples))
+    city, textured, note = kept_maps(ORTHOLOC.id, paths, "", params.map_stride, lambda: _maps(paths))
     entries, truth = [], {}
     for index, sample in enumerate(samples):
         camera, sigmas = _camera(sample, half, params.focal)
@@ -220,7 +373,7 @@ def _half_pixel(reading: str, samples: Sequence[_Sample], findings: Findings) ->
     fitting = [n for n, half in _ORIGINS.items() if np.abs(offset - (0.5 - half)).max() < _NEAR_PX]
     if not fitting:
         raise DatasetError(
-            f"The point maps of {SPEC.id} lie {offset[0]:.2f}, {offset[1]:.2f} px off their pixels.",
+            f"The point maps of {ORTHOLOC.id} lie {offset[0]:.2f}, {offset[1]:.2f} px off their pixels.",
             "Set `dataset.pixel_origin` to centre or corner: where the first pixel's zero is.",
         )
     findings.add(READING_INFERRED, "dataset.pixel_origin", f"{fitting[0]}, by {len(off)} point maps")
