@@ -39,21 +39,10 @@ import numpy as np
 
 from lodbench.citymodel.crs import is_same_plane
 from lodbench.citymodel.options import ReadOptions
+from lodbench.datasets import pose_text
 from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
 from lodbench.datasets.faults import UNLIKE_RECONSTRUCTION
 from lodbench.datasets.inputs import CLASSES_FOLDER, INSTANCES_FOLDER, read_references
-from lodbench.datasets.pose_text import (
-    format_camera,
-    format_pose,
-    lines_to_text,
-    read_hypotheses,
-    read_json,
-    read_known_cameras,
-    read_measurements,
-    read_percents,
-    read_poses,
-    read_words,
-)
 from lodbench.datasets.query import Dataset, Entry, notes_of
 from lodbench.errors import ConfigError, DatasetError, LodbenchError, nearest_names
 from lodbench.findings import Findings
@@ -168,13 +157,15 @@ def write_poses(
     """
     known = sigmas or {}
     lines = {
-        truth_file: [format_pose(name, pose, decimals) for name, pose in truth.items()],
-        PRIOR_FILE: [format_pose(name, pose, decimals) for name, pose in priors.items()],
-        CAMERA_FILE: [format_camera(name, camera, known.get(name)) for name, camera in cameras.items()],
+        truth_file: [pose_text.format_pose(name, pose, decimals) for name, pose in truth.items()],
+        PRIOR_FILE: [pose_text.format_pose(name, pose, decimals) for name, pose in priors.items()],
+        CAMERA_FILE: [
+            pose_text.format_camera(name, camera, known.get(name)) for name, camera in cameras.items()
+        ],
     }
     for name, listed in lines.items():
         if listed:
-            write_text(folder / name, lines_to_text(listed), survives_power_cut)
+            write_text(folder / name, pose_text.lines_to_text(listed), survives_power_cut)
 
 
 def select_splits(dataset: Dataset, wanted: Sequence[str]) -> tuple[str, ...]:
@@ -214,9 +205,9 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
     about = read_about(folder)
     has_truth, has_priors = about.get("truth") is not False, about.get("priors") is not False
     truth_file = _truth_file(folder) or folder / TRUTH_FILE
-    truth = read_poses(truth_file) if has_truth else {}
-    priors = read_hypotheses(folder / PRIOR_FILE) if has_priors else {}
-    known = read_known_cameras(folder / CAMERA_FILE)
+    truth = pose_text.read_poses(truth_file) if has_truth else {}
+    priors = pose_text.read_hypotheses(folder / PRIOR_FILE) if has_priors else {}
+    known = pose_text.read_known_cameras(folder / CAMERA_FILE)
     cameras = {name: camera for name, (camera, _) in known.items()}
     sigmas = {name: stated for name, (_, stated) in known.items() if stated is not None}
     if has_truth and not truth:
@@ -231,11 +222,11 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
         notes.append(f"{split}: there is no truth, so nothing is scored")
     if not has_priors:
         notes.append(f"{split}: there are no priors; prior=uniform draws them around the truth")
-    sequences = read_words(folder / SEQUENCE_FILE) if (folder / SEQUENCE_FILE).is_file() else {}
-    measured = read_measurements(file) if (file := folder / MEASUREMENTS_FILE).is_file() else {}
+    sequences = pose_text.read_words(folder / SEQUENCE_FILE) if (folder / SEQUENCE_FILE).is_file() else {}
+    measured = pose_text.read_measurements(file) if (file := folder / MEASUREMENTS_FILE).is_file() else {}
     notes += [f"{split}: {note}" for note in _sequence_notes(sequences, names, measured)]
     lenses = {name: stated.stated_focal_percent for name, stated in sigmas.items()}
-    lenses |= read_percents(folder / LENS_FILE) if (folder / LENS_FILE).is_file() else {}
+    lenses |= pose_text.read_percents(folder / LENS_FILE) if (folder / LENS_FILE).is_file() else {}
     entries = [
         Entry(
             name=name,
@@ -306,7 +297,7 @@ def _first_file(folder: Path, names: Sequence[str]) -> Path | None:
 
 def read_about(folder: Path) -> dict[str, Any]:
     """Returns what ``dataset.json`` in a folder says; nothing where there is none."""
-    return read_json(folder / ABOUT_FILE) if (folder / ABOUT_FILE).is_file() else {}
+    return pose_text.read_json(folder / ABOUT_FILE) if (folder / ABOUT_FILE).is_file() else {}
 
 
 def stated_crs(folders: Sequence[Path]) -> str | None:

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench import kernels
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene, floors_and_rises
 from lodbench.datasets.query import Query
@@ -23,13 +24,6 @@ from lodbench.estimation.optimization import Quadratic
 from lodbench.estimation.state_vector import Prior, shortened
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.pose import pose_from_vector, rotation_derivatives, vector_from_pose
-from lodbench.kernels import (
-    error_covariance,
-    measure_distances,
-    normal_equations,
-    sample_edges,
-    visible_buildings,
-)
 from lodbench.kernels.arguments import EdgeArrays
 from lodbench.rendering.edges import edge_table
 from lodbench.rendering.masks import signed_distance
@@ -99,7 +93,7 @@ def _in_reach(
     wider[:, 3] += reach_m + chord * (np.where(np.isfinite(away), away, 0.0) + reach_m)
     planes = view_planes(camera, 0, camera.width)
     rotation, center = np.ascontiguousarray(prior.rotation), np.ascontiguousarray(prior.center)
-    return np.asarray(visible_buildings(wider, rotation, center, planes))
+    return np.asarray(kernels.visible_buildings(wider, rotation, center, planes))
 
 
 def sample_outline(
@@ -122,13 +116,13 @@ def sample_outline(
     """
     pose, derivatives = pose_from_vector(vector), rotation_derivatives(vector)
     rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
-    visible = visible_buildings(edges.spheres, rotation, center, view_planes(camera, 0, camera.width))
+    visible = kernels.visible_buildings(edges.spheres, rotation, center, view_planes(camera, 0, camera.width))
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     room = _ROOM
     while True:
         found = np.empty((room, 25)), np.empty(room, dtype=np.int64)
         view = rotation, center, derivatives, intrinsics
-        count = sample_edges(edges, visible, *view, silhouette, spacing_px, *found)
+        count = kernels.sample_edges(edges, visible, *view, silhouette, spacing_px, *found)
         if count <= room:
             break
         room = count
@@ -236,7 +230,7 @@ def outline_covariance(
     """
     noise = (1.0 - _OWN_FRACTION) * noise_px**2, _OWN_FRACTION * noise_px**2
     slopes = np.ascontiguousarray(by_roof), np.ascontiguousarray(by_base)
-    return np.asarray(error_covariance(pixels, *slopes, buildings, noise, lengths_px, errors_m2))
+    return np.asarray(kernels.error_covariance(pixels, *slopes, buildings, noise, lengths_px, errors_m2))
 
 
 def add_outliers(covariance: Floats, noise_px: float, weights: Floats) -> None:
@@ -379,7 +373,9 @@ class Aligner:
         """Returns fine pixels per metre of the nearest quarter of buildings in view, from so much nearer."""
         camera, prior = self._query.camera.scaled(*self.model.size), self._query.prior
         rotation, center = np.ascontiguousarray(prior.rotation), np.ascontiguousarray(prior.center)
-        shown = visible_buildings(self.edges.spheres, rotation, center, view_planes(camera, 0, camera.width))
+        shown = kernels.visible_buildings(
+            self.edges.spheres, rotation, center, view_planes(camera, 0, camera.width)
+        )
         away = np.linalg.norm(self.edges.spheres[shown, :3] - center, axis=1)
         if len(away) == 0:
             return 0.0
@@ -397,7 +393,7 @@ class Aligner:
         lengths = here.points.lengths * here.agreement / here.scale
         kernel = 1.0 / (1.0 + (here.distances / reach_px) ** 2)
         weights = lengths * kernel**2 / (self.model.correlation_px * self.model.noise_px**2)
-        products, gradients = normal_equations(
+        products, gradients = kernels.normal_equations(
             here.distances, here.slopes[:, :8], weights, here.points.buildings, len(self.edges.heights)
         )
         likelihood = _without_roofs(products, gradients, self.model.roof_m)
@@ -435,7 +431,7 @@ class Aligner:
             return None
         distances, slopes, agreement = np.empty(count), np.empty((count, 9)), np.empty(count)
         measured = distances, slopes, agreement
-        measure_distances(points.pixels, points.normals, points.moves, level.distance, *measured)
+        kernels.measure_distances(points.pixels, points.normals, points.moves, level.distance, *measured)
         distances, slopes = distances / level.scale, slopes / level.scale
         return Residuals(points, distances, slopes, agreement, level.scale, iou)
 

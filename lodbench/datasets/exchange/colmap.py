@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets import pose_text
 from lodbench.datasets.exchange.colmap_moved import (
     BYTES_PER_POINT,
     BYTES_PER_TRACK,
@@ -17,16 +18,6 @@ from lodbench.datasets.exchange.colmap_moved import (
     PosedImage,
     lone_cameras,
     require_no_binary,
-)
-from lodbench.datasets.pose_text import (
-    FoundPose,
-    LayoutGuard,
-    content,
-    lines_to_text,
-    numbers_of,
-    parse_pose,
-    require_plain_names,
-    with_slashes,
 )
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
@@ -68,7 +59,7 @@ def models_below(folder: Path) -> list[Path]:
     return sorted({file.parent for place in places for file in folder.glob(place)})
 
 
-def read_colmap(path: Path) -> Iterator[FoundPose]:
+def read_colmap(path: Path) -> Iterator[pose_text.FoundPose]:
     """Yields the posed images of a model.
 
     Args:
@@ -118,14 +109,14 @@ def read_colmap_points(folder: Path) -> NDArray[np.float64]:
     if not path.is_file():
         return np.zeros((0, 3))
     found = []
-    for where, line in content(path):
-        with LayoutGuard(where, "POINT3D_ID X Y Z R G B ERROR TRACK[]"):
+    for where, line in pose_text.content(path):
+        with pose_text.LayoutGuard(where, "POINT3D_ID X Y Z R G B ERROR TRACK[]"):
             _, x, y, z, *_ = line.split()
             found.append([float(x), float(y), float(z)])
     return np.array(found, np.float64).reshape(-1, 3)
 
 
-def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
+def write_colmap(images: Sequence[pose_text.FoundPose], folder: Path) -> None:
     """Writes a model without points as text; equal cameras are one, and each is a rig of its own.
 
     Reading it gives the same translations and intrinsics to the bit, and rotations to rounding.
@@ -134,7 +125,7 @@ def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
         DatasetError: An image has no camera, two have one name, or the folder holds a binary model.
     """
     require_no_binary(folder)
-    require_plain_names([image.name for image in images], "\r\n", "a COLMAP model")
+    pose_text.require_plain_names([image.name for image in images], "\r\n", "a COLMAP model")
     numbers: dict[Camera, int] = {}
     posed: list[PosedImage] = []
     image_lines = [f"# {_IMAGE_LAYOUT}, then a line of points (none here)"]
@@ -142,7 +133,7 @@ def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
         if image.camera is None:
             raise DatasetError(f"{image.name} has no camera, and a COLMAP model needs one.")
         camera = numbers.setdefault(image.camera, len(numbers) + 1)
-        posed.append(PosedImage(number, tuple(numbers_of(image.pose)), camera))
+        posed.append(PosedImage(number, tuple(pose_text.numbers_of(image.pose)), camera))
         pose = " ".join(map(repr, posed[-1].numbers))
         image_lines += [f"{number} {pose} {camera} {image.name}", ""]
     camera_lines = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"]
@@ -151,8 +142,8 @@ def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
         size = f"{camera_model.width} {camera_model.height}"
         camera_lines.append(f"{number} {model} {size} {' '.join(map(repr, params))}")
     make_folder(folder)
-    write_text(folder / "cameras.txt", lines_to_text(camera_lines))
-    write_text(folder / "images.txt", lines_to_text(image_lines))
+    write_text(folder / "cameras.txt", pose_text.lines_to_text(camera_lines))
+    write_text(folder / "images.txt", pose_text.lines_to_text(image_lines))
     write_text(folder / "points3D.txt", "# no points\n")
     for name, content_of in zip(RIG_FILES, lone_cameras(posed, "txt"), strict=True):
         write_bytes(folder / f"{name}.txt", content_of)
@@ -161,8 +152,8 @@ def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
 def _text_cameras(path: Path) -> dict[int, Camera | str]:
     """Returns cameras by number, or why one cannot be had."""
     cameras: dict[int, Camera | str] = {}
-    for where, line in content(path):
-        with LayoutGuard(where, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"):
+    for where, line in pose_text.content(path):
+        with pose_text.LayoutGuard(where, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"):
             words = line.split()
             if len(words) < 5:
                 raise LodbenchError(f"{len(words)} values, too few for a camera")
@@ -177,23 +168,27 @@ def _lacking(model: object) -> str:
     return f"its camera has the model {str(model)[:60]}, which is not known"
 
 
-def _text_images(path: Path, cameras: _Cameras | None) -> Iterator[FoundPose]:
-    lines = content(path, keep_empty=True)
+def _text_images(path: Path, cameras: _Cameras | None) -> Iterator[pose_text.FoundPose]:
+    lines = pose_text.content(path, keep_empty=True)
     for where, line in lines:
         if not line.strip():
             continue
-        with LayoutGuard(where, _IMAGE_LAYOUT):
+        with pose_text.LayoutGuard(where, _IMAGE_LAYOUT):
             words = line.split(maxsplit=9)
             if len(words) != 10:
                 raise LodbenchError(f"{len(words)} values instead of 10")
-            pose = parse_pose(words[1:8])
+            pose = pose_text.parse_pose(words[1:8])
             camera, fault = _camera_of(cameras, int(words[8]))
         points_at, points = next(lines, (where, ""))
-        with LayoutGuard(points_at, "X Y POINT3D_ID of each point; the line may be empty, but is there"):
+        with pose_text.LayoutGuard(
+            points_at, "X Y POINT3D_ID of each point; the line may be empty, but is there"
+        ):
             # A file without these lines would lose every second image in silence.
             if len(points.split()) % 3:
                 raise LodbenchError(f"{len(points.split())} values are no list of points")
-        yield FoundPose(with_slashes(words[9].strip()), where, pose, camera, no_camera=fault)
+        yield pose_text.FoundPose(
+            pose_text.with_slashes(words[9].strip()), where, pose, camera, no_camera=fault
+        )
 
 
 def _camera_of(cameras: _Cameras | None, number: int) -> tuple[Camera | None, str]:
@@ -247,7 +242,7 @@ def _binary_cameras(path: Path) -> dict[int, Camera | str]:
     data, cameras = _Bytes(path), dict[int, Camera | str]()
     (count,) = data.take("<Q")
     for _ in range(count):
-        with LayoutGuard(data.where, "a camera of COLMAP's binary format"):
+        with pose_text.LayoutGuard(data.where, "a camera of COLMAP's binary format"):
             number, model, width, height = data.take("<iiQQ")
             if model not in _MODEL_NAMES:
                 return _Lost(cameras | {number: _lacking(f"number {model}")}, model)
@@ -271,16 +266,16 @@ class _Lost(dict[int, Camera | str]):
         return self._reason
 
 
-def _binary_images(path: Path, cameras: _Cameras | None) -> Iterator[FoundPose]:
+def _binary_images(path: Path, cameras: _Cameras | None) -> Iterator[pose_text.FoundPose]:
     data = _Bytes(path)
     (count,) = data.take("<Q")
     for _ in range(count):
         where = data.where
-        with LayoutGuard(where, "an image of COLMAP's binary format"):
+        with pose_text.LayoutGuard(where, "an image of COLMAP's binary format"):
             _, *numbers, camera_number = data.take("<i7di")
             name = data.take_text()
             pose = Pose.from_quaternion(numbers[:4], numbers[4:])
             camera, fault = _camera_of(cameras, camera_number)
             (num_points,) = data.take("<Q")
             data.skip(num_points * BYTES_PER_POINT)
-        yield FoundPose(with_slashes(name), where, pose, camera, no_camera=fault)
+        yield pose_text.FoundPose(pose_text.with_slashes(name), where, pose, camera, no_camera=fault)

@@ -14,17 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.pose_text import (
-    FoundPose,
-    LayoutGuard,
-    content,
-    inverted,
-    lines_to_text,
-    numbers_of,
-    parse_pose,
-    read_json,
-    require_plain_names,
-)
+from lodbench.datasets import pose_text
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import blender_from_opencv
@@ -43,7 +33,7 @@ def is_kapture(folder: Path) -> bool:
     return (folder / _SENSORS).is_file()
 
 
-def read_kapture(path: Path) -> Iterator[FoundPose]:
+def read_kapture(path: Path) -> Iterator[pose_text.FoundPose]:
     """Yields the images that have a pose; images without one are left to the caller to miss.
 
     Raises:
@@ -51,17 +41,17 @@ def read_kapture(path: Path) -> Iterator[FoundPose]:
     """
     if not path.is_dir():
         raise DatasetError(f"{path} is not a folder.", "A kapture is a folder with sensors/ in it.")
-    if (path / _RIGS).is_file() and next(content(path / _RIGS), None):
+    if (path / _RIGS).is_file() and next(pose_text.content(path / _RIGS), None):
         raise DatasetError(f"{path} has rigs.", "Turn them into camera poses first: kapture's rigs_remove.")
     cameras = _read_cameras(path / _SENSORS)
     poses = _read_poses(path / _TRAJECTORIES)
     for where, timestamp, device, name in _records(path):
-        with LayoutGuard(where, "a camera of sensors.txt"):
+        with pose_text.LayoutGuard(where, "a camera of sensors.txt"):
             if device not in cameras:
                 raise LodbenchError(f"there is no camera {device!r}")
         pose = poses.get((timestamp, device))
         if pose is not None:
-            yield FoundPose(name, where, pose, cameras[device])
+            yield pose_text.FoundPose(name, where, pose, cameras[device])
 
 
 def unposed_images(path: Path) -> list[str]:
@@ -74,7 +64,7 @@ def unposed_images(path: Path) -> list[str]:
     return [name for _, timestamp, device, name in _records(path) if (timestamp, device) not in poses]
 
 
-def write_kapture(images: Sequence[FoundPose], folder: Path) -> None:
+def write_kapture(images: Sequence[pose_text.FoundPose], folder: Path) -> None:
     """Writes a kapture without the pictures, which belong in ``sensors/records_data``.
 
     Timestamps are the images' numbers. Reading it gives the same translations and intrinsics to the
@@ -83,7 +73,7 @@ def write_kapture(images: Sequence[FoundPose], folder: Path) -> None:
     Raises:
         DatasetError: A name has a comma, an image has no camera, or one that kapture cannot hold.
     """
-    require_plain_names([image.name for image in images], ",\r\n", "a kapture")
+    pose_text.require_plain_names([image.name for image in images], ",\r\n", "a kapture")
     devices: dict[Camera, str] = {}
     poses, records = [], []
     for number, image in enumerate(images):
@@ -92,7 +82,7 @@ def write_kapture(images: Sequence[FoundPose], folder: Path) -> None:
         if image.camera.distortion and image.camera.lens not in _LENSES:
             raise DatasetError(f"{image.name}: kapture has no camera model {image.camera.lens}.")
         device = devices.setdefault(image.camera, f"camera{len(devices)}")
-        poses.append(", ".join([str(number), device, *map(repr, numbers_of(image.pose))]))
+        poses.append(", ".join([str(number), device, *map(repr, pose_text.numbers_of(image.pose))]))
         records.append(f"{number}, {device}, {image.name}")
     sensors = []
     for camera, device in devices.items():
@@ -105,13 +95,13 @@ def write_kapture(images: Sequence[FoundPose], folder: Path) -> None:
         (_TRAJECTORIES, "# timestamp, device_id, qw, qx, qy, qz, tx, ty, tz", poses),
         (_RECORDS, "# timestamp, device_id, image_path", records),
     ):
-        write_text(folder / name, lines_to_text([_VERSION, head, *lines]))
+        write_text(folder / name, pose_text.lines_to_text([_VERSION, head, *lines]))
 
 
 def _records(path: Path) -> Iterator[tuple[str, str, str, str]]:
     """Yields the place, timestamp, device and name of each image."""
-    for where, line in content(path / _RECORDS):
-        with LayoutGuard(where, "timestamp, device_id, image_path"):
+    for where, line in pose_text.content(path / _RECORDS):
+        with pose_text.LayoutGuard(where, "timestamp, device_id, image_path"):
             timestamp, device, name = _cells(line, 3)
         yield where, timestamp, device, name
 
@@ -126,8 +116,8 @@ def _cells(line: str, count: int) -> list[str]:
 def _read_cameras(path: Path) -> dict[str, Camera | None]:
     """Returns cameras by device; None for those whose intrinsics are not known."""
     cameras: dict[str, Camera | None] = {}
-    for where, line in content(path):
-        with LayoutGuard(where, "sensor_id, name, camera, MODEL, WIDTH, HEIGHT, PARAMS"):
+    for where, line in pose_text.content(path):
+        with pose_text.LayoutGuard(where, "sensor_id, name, camera, MODEL, WIDTH, HEIGHT, PARAMS"):
             cells = [cell.strip() for cell in line.split(",")]
             if len(cells) < 3:
                 raise LodbenchError(f"{len(cells)} values, too few for a sensor")
@@ -145,12 +135,12 @@ def _read_cameras(path: Path) -> dict[str, Camera | None]:
 
 def _read_poses(path: Path) -> dict[tuple[str, str], Pose]:
     poses: dict[tuple[str, str], Pose] = {}
-    for where, line in content(path):
-        with LayoutGuard(where, "timestamp, device_id, qw, qx, qy, qz, tx, ty, tz"):
+    for where, line in pose_text.content(path):
+        with pose_text.LayoutGuard(where, "timestamp, device_id, qw, qx, qy, qz, tx, ty, tz"):
             timestamp, device, *numbers = _cells(line, 9)
             # Half a pose, which kapture allows, is no pose.
             if all(numbers):
-                poses[timestamp, device] = parse_pose(numbers)
+                poses[timestamp, device] = pose_text.parse_pose(numbers)
     return poses
 
 
@@ -162,22 +152,22 @@ _FISHEYE_KEYS = ("k1", "k2", "k3", "k4")
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
 
 
-def read_nerfstudio(path: Path) -> Iterator[FoundPose]:
+def read_nerfstudio(path: Path) -> Iterator[pose_text.FoundPose]:
     """Yields the frames of a ``transforms.json``, in the frame before ``applied_transform``.
 
     Raises:
         DatasetError: The file is missing or malformed, or a camera model cannot be read.
     """
     path = path / "transforms.json" if path.is_dir() else path
-    values = read_json(path)
-    with LayoutGuard(str(path), "a list of frames"):
+    values = pose_text.read_json(path)
+    with pose_text.LayoutGuard(str(path), "a list of frames"):
         frames = values["frames"]
         if not isinstance(frames, list):
             raise LodbenchError("the frames are no list")
         back, scale = _undoing(values)
     for number, frame in enumerate(frames):
         where = f"{path}, frame {number}"
-        with LayoutGuard(where, _LAYOUT):
+        with pose_text.LayoutGuard(where, _LAYOUT):
             name = str(frame["file_path"])
             world_from_cam = np.array(frame["transform_matrix"], dtype=np.float64)
             if world_from_cam.shape == (3, 4):
@@ -185,12 +175,12 @@ def read_nerfstudio(path: Path) -> Iterator[FoundPose]:
             if world_from_cam.shape != (4, 4):
                 raise LodbenchError("the transform_matrix is not 4 x 4")
             world_from_cam[:3, 3] /= scale
-            pose = inverted(Pose.from_matrix(blender_from_opencv(back @ world_from_cam)))
+            pose = pose_text.inverted(Pose.from_matrix(blender_from_opencv(back @ world_from_cam)))
             camera = _camera({**values, **frame})
-        yield FoundPose(name, where, pose, camera)
+        yield pose_text.FoundPose(name, where, pose, camera)
 
 
-def write_nerfstudio(images: Sequence[FoundPose], path: Path) -> None:
+def write_nerfstudio(images: Sequence[pose_text.FoundPose], path: Path) -> None:
     """Writes a ``transforms.json``, each frame with its own intrinsics.
 
     Nerfstudio keeps positions in single precision, which is half a metre at the coordinates of a map. So
@@ -200,7 +190,7 @@ def write_nerfstudio(images: Sequence[FoundPose], path: Path) -> None:
     Raises:
         DatasetError: An image has no camera, or a lens that nerfstudio has not.
     """
-    require_plain_names([image.name for image in images], "\r\n", "a transforms.json")
+    pose_text.require_plain_names([image.name for image in images], "\r\n", "a transforms.json")
     centers = np.array([image.pose.center for image in images]).reshape(-1, 3)
     middle = np.asarray(np.round(centers.mean(axis=0)) if images else np.zeros(3))
     frames = []
@@ -260,7 +250,7 @@ def _focal_px(values: Mapping[str, Any], focal: str, angle: str, size: int) -> f
     return size / 2 / float(np.tan(float(values[angle]) / 2)) if angle in values else None
 
 
-def _intrinsics(image: FoundPose) -> dict[str, Any]:
+def _intrinsics(image: pose_text.FoundPose) -> dict[str, Any]:
     camera = image.camera
     if camera is None:
         raise DatasetError(f"{image.name} has no camera, and nerfstudio needs one.")

@@ -23,14 +23,7 @@ from numpy.typing import NDArray
 
 from lodbench import __version__
 from lodbench.citymodel.crs import KnownCrs, require_crs, resolve_crs
-from lodbench.datasets.pose_text import (
-    FoundPose,
-    LayoutGuard,
-    content,
-    lines_to_text,
-    read_text,
-    require_plain_names,
-)
+from lodbench.datasets import pose_text
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose
 from lodbench.geometry.angles import dji_from_rotation
@@ -49,7 +42,7 @@ _PROJECTED_HINT = "Export it in the city's own, projected reference system."
 _PHOTO_AXES = np.diag([1.0, -1.0, -1.0])
 
 
-def read_metashape(path: Path) -> Iterator[FoundPose]:
+def read_metashape(path: Path) -> Iterator[pose_text.FoundPose]:
     """Yields the cameras of an exported reference file, estimated values before those of the source.
 
     Raises:
@@ -58,7 +51,7 @@ def read_metashape(path: Path) -> Iterator[FoundPose]:
     """
     columns: dict[str, int] = {}
     crs: str | None = None
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
+    for number, line in enumerate(pose_text.read_text(path).splitlines(), start=1):
         where = f"{path}, line {number}"
         if line.startswith("#Label"):
             columns = _metashape_columns(where, line)
@@ -69,7 +62,7 @@ def read_metashape(path: Path) -> Iterator[FoundPose]:
         elif line.startswith(("#Markers", "#Scalebars")):
             return
         elif line.strip() and not line.startswith("#"):
-            with LayoutGuard(where, ",".join(_METASHAPE_HEAD)):
+            with pose_text.LayoutGuard(where, ",".join(_METASHAPE_HEAD)):
                 if not columns:
                     raise LodbenchError("no line #Label,... stands before it")
                 cells = next(csv.reader([line]))
@@ -80,13 +73,13 @@ def read_metashape(path: Path) -> Iterator[FoundPose]:
                     continue
                 *place, yaw, pitch, roll = (float(cells[columns[name]]) for name in _METASHAPE_COLUMNS)
                 pose = _pose(_rotation_of_ypr(yaw, pitch, roll), place)
-            yield FoundPose(cells[columns["label"]], where, pose, crs=crs)
+            yield pose_text.FoundPose(cells[columns["label"]], where, pose, crs=crs)
 
 
 def _metashape_columns(where: str, line: str) -> dict[str, int]:
     """Returns where label, x, y, z and yaw, pitch, roll stand."""
     heads = [head.strip().lower() for head in next(csv.reader([line.removeprefix("#")]))]
-    with LayoutGuard(where, ",".join(_METASHAPE_HEAD)):
+    with pose_text.LayoutGuard(where, ",".join(_METASHAPE_HEAD)):
         if any("longitude" in head for head in heads):
             raise DatasetError(f"{where}: the coordinates are in degrees.", _PROJECTED_HINT)
         found = {"label": heads.index("label")}
@@ -96,13 +89,13 @@ def _metashape_columns(where: str, line: str) -> dict[str, int]:
     return found
 
 
-def read_pix4d(path: Path) -> Iterator[FoundPose]:
+def read_pix4d(path: Path) -> Iterator[pose_text.FoundPose]:
     """Yields the images of ``..._calibrated_external_camera_parameters.txt``.
 
     Raises:
         DatasetError: Its head does not end in omega, phi and kappa, or a line is malformed.
     """
-    first, _, rest = read_text(path).lstrip().partition("\n")
+    first, _, rest = pose_text.read_text(path).lstrip().partition("\n")
     # Other files of Pix4D's have yaw, pitch and roll there, or no head at all.
     if [word.lower() for word in re.split(r"[,\s]+", first.strip("# \r"))[-3:]] != ["omega", "phi", "kappa"]:
         raise DatasetError(
@@ -112,39 +105,39 @@ def read_pix4d(path: Path) -> Iterator[FoundPose]:
     for number, line in enumerate(rest.splitlines(), start=2):
         where = f"{path}, line {number}"
         if line.strip():
-            with LayoutGuard(where, _PIX4D_HEAD):
+            with pose_text.LayoutGuard(where, _PIX4D_HEAD):
                 # From the right: a name may hold spaces.
                 yield _of_omega_phi_kappa(where, line.replace(",", " ").rsplit(maxsplit=6))
 
 
-def read_odm(path: Path) -> Iterator[FoundPose]:
+def read_odm(path: Path) -> Iterator[pose_text.FoundPose]:
     """Yields the images of ODM's ``geo.txt`` that have angles.
 
     Raises:
         DatasetError: The first line names no projected reference system, or a line is malformed or has no
             angles.
     """
-    lines = content(path)
+    lines = pose_text.content(path)
     where, head = next(lines, (str(path), ""))
     crs = _odm_crs(where, head.strip())
     for place, line in lines:
-        with LayoutGuard(place, "image_name geo_x geo_y geo_z omega phi kappa"):
+        with pose_text.LayoutGuard(place, "image_name geo_x geo_y geo_z omega phi kappa"):
             yield _of_omega_phi_kappa(place, line.split())._replace(crs=crs)
 
 
-def write_metashape(images: Sequence[FoundPose], path: Path, crs: str | None = None) -> None:
+def write_metashape(images: Sequence[pose_text.FoundPose], path: Path, crs: str | None = None) -> None:
     """Writes a reference file for *Import Reference*: delimiter comma, columns in order.
 
     Raises:
         DatasetError: A name has a comma, or occurs twice.
     """
-    require_plain_names([image.name for image in images], ',\r\n"', "Metashape's reference text")
+    pose_text.require_plain_names([image.name for image in images], ',\r\n"', "Metashape's reference text")
     lines = [*_coordinate_system(crs), ",".join(_METASHAPE_HEAD)]
     for image in images:
         minus_yaw, pitch, roll = _angles(image.pose, "ZXY")
         values = [*map(float, image.pose.center), -minus_yaw % 360.0, pitch, roll]
         lines.append(",".join([image.name, *map(repr, values)]))
-    write_text(path, lines_to_text(lines))
+    write_text(path, pose_text.lines_to_text(lines))
 
 
 def _coordinate_system(crs: str | None) -> list[str]:
@@ -158,17 +151,17 @@ def _coordinate_system(crs: str | None) -> list[str]:
     return [] if wkt is None else [f"{_METASHAPE_SYSTEM} {wkt}"]
 
 
-def write_pix4d(images: Sequence[FoundPose], path: Path) -> None:
+def write_pix4d(images: Sequence[pose_text.FoundPose], path: Path) -> None:
     """Writes ``imageName X Y Z Omega Phi Kappa``.
 
     Raises:
         DatasetError: A name has a space, or occurs twice.
     """
-    require_plain_names([image.name for image in images], ", \t\r\n", "Pix4D's parameters")
-    write_text(path, lines_to_text([_PIX4D_HEAD, *map(_with_omega_phi_kappa, images)]))
+    pose_text.require_plain_names([image.name for image in images], ", \t\r\n", "Pix4D's parameters")
+    write_text(path, pose_text.lines_to_text([_PIX4D_HEAD, *map(_with_omega_phi_kappa, images)]))
 
 
-def write_odm(images: Sequence[FoundPose], path: Path, crs: str | None) -> None:
+def write_odm(images: Sequence[pose_text.FoundPose], path: Path, crs: str | None) -> None:
     """Writes ``geo.txt`` for ``--geo``, its first line the reference system.
 
     Raises:
@@ -177,15 +170,15 @@ def write_odm(images: Sequence[FoundPose], path: Path, crs: str | None) -> None:
     if crs is None:
         raise DatasetError("ODM's geo.txt names a reference system, and that of the poses is not known.",
                            "Name it with `--crs`.")  # fmt: skip
-    require_plain_names([image.name for image in images], " \t\r\n", "ODM's geo.txt")
+    pose_text.require_plain_names([image.name for image in images], " \t\r\n", "ODM's geo.txt")
     plane = require_crs(crs).horizontal
     head = f"EPSG:{plane.to_epsg()}" if plane.to_epsg() else plane.to_proj4()
-    write_text(path, lines_to_text([head, *map(_with_omega_phi_kappa, images)]))
+    write_text(path, pose_text.lines_to_text([head, *map(_with_omega_phi_kappa, images)]))
 
 
 def looks_like(path: Path) -> str | None:
     """Returns which of the three formats a text file's first line is of: its name, or None."""
-    first = read_text(path).lstrip().split("\n", 1)[0].strip()
+    first = pose_text.read_text(path).lstrip().split("\n", 1)[0].strip()
     tests: Mapping[str, Callable[[str], object]] = {
         "metashape": lambda line: re.match(r"#\s*(CoordinateSystem|Cameras|Label,)", line),
         "pix4d": lambda line: re.match(r"#?\s*imagename[\s,]", line, re.IGNORECASE),
@@ -194,17 +187,17 @@ def looks_like(path: Path) -> str | None:
     return next((name for name, test in tests.items() if test(first)), None)
 
 
-def _of_omega_phi_kappa(where: str, words: Sequence[str]) -> FoundPose:
+def _of_omega_phi_kappa(where: str, words: Sequence[str]) -> pose_text.FoundPose:
     from scipy.spatial.transform import Rotation
 
     if len(words) < 7:
         raise LodbenchError(f"{len(words)} values are too few: there are no angles")
     x, y, z, *angles = (float(word) for word in words[1:7])
     turn = Rotation.from_euler("XYZ", angles, degrees=True).as_matrix()
-    return FoundPose(words[0], where, _pose(turn, (x, y, z)))
+    return pose_text.FoundPose(words[0], where, _pose(turn, (x, y, z)))
 
 
-def _with_omega_phi_kappa(image: FoundPose) -> str:
+def _with_omega_phi_kappa(image: pose_text.FoundPose) -> str:
     values = [*map(float, image.pose.center), *_angles(image.pose, "XYZ")]
     return " ".join([image.name, *map(repr, values)])
 

@@ -17,17 +17,8 @@ from numpy.typing import NDArray
 from lodbench.datasets.faults import READING_CONTRADICTED, READING_INFERRED
 from lodbench.datasets.pose_text import read_json
 from lodbench.datasets.prior_sources import UniformPrior
+from lodbench.datasets.published import own_layout
 from lodbench.datasets.published.layout import Host, Part, PublishedSpec, SplitSpec, advice
-from lodbench.datasets.published.own_layout import (
-    AUTO,
-    Array,
-    OwnLayoutParams,
-    as_dataset,
-    find_parts,
-    read_arrays,
-    require_word,
-    without_lens,
-)
 from lodbench.datasets.published.raster_maps import Raster, RasterMap, kept_maps, kept_pictures, pinhole
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError, require_within
@@ -60,13 +51,13 @@ SPEC = PublishedSpec(
     year="2026",
 )
 _ARRAYS = {
-    "K": Array((3, 3)),
-    "dist": Array((5,)),
-    "pose_c2w": Array((4, 4)),
-    "xyz": Array((3,)),
-    "euler_deg": Array((3,)),
-    "image": Array((None, None, None), "u"),
-    "image_relpath": Array((), "U"),
+    "K": own_layout.Array((3, 3)),
+    "dist": own_layout.Array((5,)),
+    "pose_c2w": own_layout.Array((4, 4)),
+    "xyz": own_layout.Array((3,)),
+    "euler_deg": own_layout.Array((3,)),
+    "image": own_layout.Array((None, None, None), "u"),
+    "image_relpath": own_layout.Array((), "U"),
 }
 _OPTIONAL = ("image", "image_relpath")
 _TRACKS = ("yp", "p", "none")
@@ -79,14 +70,14 @@ _LEVEL = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class AnyVisLocParams(OwnLayoutParams):
+class AnyVisLocParams(own_layout.OwnLayoutParams):
     """Settings of AnyVisLoc, described in ``conf/dataset/anyvisloc.yaml``."""
 
     name: str = SPEC.id
     scene: str | None = None
     map: str = "aerial"
     map_stride: int = 4
-    poses: str = AUTO
+    poses: str = own_layout.AUTO
     prior_track: str = "yp"
     prior_range_m: float = 50.0
 
@@ -120,12 +111,12 @@ def open_anyvisloc(params: AnyVisLocParams) -> Dataset:
         ConfigError: A setting is unknown.
     """
     for setting, word, words in (
-        ("poses", params.poses, (AUTO, "matrix", "euler")),
+        ("poses", params.poses, (own_layout.AUTO, "matrix", "euler")),
         ("prior_track", params.prior_track, _TRACKS),
         ("map", params.map, _MAPS),
     ):
-        require_word(f"dataset.{setting}", word, words)
-    found, home = find_parts(SPEC, params)
+        own_layout.require_word(f"dataset.{setting}", word, words)
+    found, home = own_layout.find_parts(SPEC, params)
     scene = _scene(home, params.scene)
     findings = Findings()
     files = sorted(scene.glob("L??_????.npz"))
@@ -144,9 +135,9 @@ def open_anyvisloc(params: AnyVisLocParams) -> Dataset:
         entry = Entry(name, scene.name, _camera(sample, image), prior, image, None, hypotheses)
         entries.append(entry)
         truth[entry.key] = pose
-    dataset = as_dataset(
+    dataset = own_layout.as_dataset(
         found,
-        without_lens(SPEC.id, entries),
+        own_layout.without_lens(SPEC.id, entries),
         truth,
         findings,
         city_model=found.city_model or city,
@@ -169,7 +160,7 @@ def _scene(home: Path, name: str | None) -> Path:
 
 
 def _read(path: Path) -> _Sample:
-    arrays = read_arrays(path, _ARRAYS, _OPTIONAL)
+    arrays = own_layout.read_arrays(path, _ARRAYS, _OPTIONAL)
     if arrays.get("image", np.empty(0)).size:
         if arrays["image"].shape[2] not in (3, 4):
             raise DatasetError(f"{path}: image is {arrays['image'].shape}, not in colour.")
@@ -207,7 +198,7 @@ def _poses(reading: str, samples: Sequence[_Sample], findings: Findings) -> list
         return by_angles
     if is_fitting:
         findings.add(READING_INFERRED, "dataset.poses", words)
-    elif reading == AUTO:
+    elif reading == own_layout.AUTO:
         raise DatasetError(
             f"The frame of pose_c2w is not documented, and the data does not decide: {words}.",
             "Set `dataset.poses=euler` (place and angles) or matrix.",

@@ -18,32 +18,8 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.faults import NO_IMAGE, NO_PRIOR, READING_INFERRED
 from lodbench.datasets.pose_text import content, lines_to_text, parse_camera
+from lodbench.datasets.published import own_layout, raster_maps
 from lodbench.datasets.published.layout import Host, Part, PublishedSpec, SplitSpec, not_all_of
-from lodbench.datasets.published.own_layout import (
-    AUTO,
-    READINGS,
-    Array,
-    OwnLayoutParams,
-    PoseRow,
-    as_dataset,
-    choose_reading,
-    find_parts,
-    pose_lines,
-    pose_read_as,
-    read_arrays,
-    read_pose_rows,
-    require_word,
-    stated_camera,
-    without_lens,
-)
-from lodbench.datasets.published.raster_maps import (
-    Raster,
-    RasterMap,
-    kept_maps,
-    kept_pictures,
-    pinhole,
-    raster_of,
-)
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError, require_within
 from lodbench.findings import Findings
@@ -83,11 +59,11 @@ _HEAD = "# IMAGE_NAME qw qx qy qz UTMx UTMy alt"
 
 
 @dataclass(frozen=True, slots=True)
-class EgenioussParams(OwnLayoutParams):
+class EgenioussParams(own_layout.OwnLayoutParams):
     """Settings of egenioussBench, described in ``conf/dataset/egeniouss.yaml``."""
 
     name: str = EGENIOUSS.id
-    poses: str = AUTO
+    poses: str = own_layout.AUTO
     camera: str | None = None
     priors: str = "android"
     height_offset_m: float = 0.0
@@ -105,20 +81,24 @@ def open_egeniouss(params: EgenioussParams) -> Dataset:
     """
     from lodbench.datasets.own import find_photo
 
-    require_word("dataset.priors", params.priors, _PRIORS)
-    found, home = find_parts(EGENIOUSS, params)
+    own_layout.require_word("dataset.priors", params.priors, _PRIORS)
+    found, home = own_layout.find_parts(EGENIOUSS, params)
     findings = Findings()
     queries = home / "query_images"
-    true_rows = read_pose_rows(queries / "val_gt_poses.txt")
+    true_rows = own_layout.read_pose_rows(queries / "val_gt_poses.txt")
     by_reading = {
-        name: [pose_read_as(row, name, is_centre=True) for row in true_rows.values()] for name in READINGS
+        name: [own_layout.pose_read_as(row, name, is_centre=True) for row in true_rows.values()]
+        for name in own_layout.READINGS
     }
-    reading = choose_reading("dataset.poses", params.poses, by_reading, findings)
+    reading = own_layout.choose_reading("dataset.poses", params.poses, by_reading, findings)
     camera, sigmas = _phone_camera(params.camera, home / "metadata" / "camera_parameters.txt")
     up = (0.0, 0.0, params.height_offset_m)
 
-    def as_poses(rows: dict[str, PoseRow]) -> dict[str, Pose]:
-        return {name: pose_read_as(row, reading, is_centre=True).shifted(up) for name, row in rows.items()}
+    def as_poses(rows: dict[str, own_layout.PoseRow]) -> dict[str, Pose]:
+        return {
+            name: own_layout.pose_read_as(row, reading, is_centre=True).shifted(up)
+            for name, row in rows.items()
+        }
 
     truth: dict[str, Pose] = {}
     written: dict[str, str] = {}
@@ -128,7 +108,7 @@ def open_egeniouss(params: EgenioussParams) -> Dataset:
         photos = sorted(p.name for p in folder.glob("*") if p.suffix.lower() in PHOTO_SUFFIXES)
         poses = as_poses(true_rows) if split == "val" else dict.fromkeys(photos)
         has_priors = params.priors == "android" and (queries / file).is_file()
-        priors = _by_stem(as_poses(read_pose_rows(queries / file)) if has_priors else {})
+        priors = _by_stem(as_poses(own_layout.read_pose_rows(queries / file)) if has_priors else {})
         for name, pose in poses.items():
             photo = find_photo(folder, name)
             entry = _entry(photo.name if photo else name, split, photo, priors, (camera, sigmas))
@@ -139,15 +119,15 @@ def open_egeniouss(params: EgenioussParams) -> Dataset:
                 if is_so:
                     findings.add(code, entry.key)
     mesh = home / "mesh"
-    return as_dataset(
+    return own_layout.as_dataset(
         found,
-        without_lens(EGENIOUSS.id, entries),
+        own_layout.without_lens(EGENIOUSS.id, entries),
         truth,
         findings,
         lod=params.lod,
         textured_map=mesh if mesh.is_dir() else None,
         submission=partial(
-            pose_lines,
+            own_layout.pose_lines,
             names=written,
             reading=reading,
             offset_m=[-value for value in up],
@@ -176,7 +156,7 @@ def _by_stem(poses: dict[str, Pose]) -> dict[str, Pose]:
 def _phone_camera(stated: str | None, path: Path) -> tuple[Camera, CameraSigmas | None]:
     """Returns the camera of all photos: as set, or of the one line of a file that reads as COLMAP's."""
     if stated is not None:
-        return stated_camera("dataset.camera", stated)
+        return own_layout.stated_camera("dataset.camera", stated)
     for _, line in content(path) if path.is_file() else ():
         try:
             return parse_camera(line.split())
@@ -209,16 +189,16 @@ ORTHOLOC = PublishedSpec(
     year="2025",
 )
 _ARRAYS = {
-    "image_query": Array((None, None, 3), "u"),
-    "intrinsics": Array((3, 3)),
-    "extrinsics": Array((3, 4)),
-    "scale": Array((2,)),
+    "image_query": own_layout.Array((None, None, 3), "u"),
+    "intrinsics": own_layout.Array((3, 3)),
+    "extrinsics": own_layout.Array((3, 4)),
+    "scale": own_layout.Array((2,)),
 }
 _MAP = {
-    "image_dop": Array((None, None, 3), "u"),
-    "dsm": Array((None, None, 3), "f", is_finite=False),
+    "image_dop": own_layout.Array((None, None, 3), "u"),
+    "dsm": own_layout.Array((None, None, 3), "f", is_finite=False),
 }
-_POINTS = Array((None, None, 3), "f", is_finite=False)
+_POINTS = own_layout.Array((None, None, 3), "f", is_finite=False)
 _FOCALS, _ORIGINS = ("known", "unknown"), {"centre": 0.5, "corner": 0.0}
 # Every sample has coordinates of its own: each lies in a cell of a square grid, this far from the next.
 _CELL_M, _MOST_SAMPLES = 2000.0, 4096
@@ -229,13 +209,13 @@ _CHECKED, _STEP, _NEAR_PX = 5, 16, 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class OrthoLocParams(OwnLayoutParams):
+class OrthoLocParams(own_layout.OwnLayoutParams):
     """Settings of OrthoLoC, described in ``conf/dataset/ortholoc.yaml``."""
 
     name: str = ORTHOLOC.id
     samples: str = "*"
     focal: str = "known"
-    pixel_origin: str = AUTO
+    pixel_origin: str = own_layout.AUTO
     map_stride: int = 4
 
     def __post_init__(self) -> None:
@@ -263,9 +243,9 @@ def open_ortholoc(params: OrthoLocParams) -> Dataset:
         DatasetError: There are no samples or too many, or one is malformed.
         ConfigError: A setting is unknown.
     """
-    require_word("dataset.focal", params.focal, _FOCALS)
-    require_word("dataset.pixel_origin", params.pixel_origin, [AUTO, *_ORIGINS])
-    found, home = find_parts(ORTHOLOC, params)
+    own_layout.require_word("dataset.focal", params.focal, _FOCALS)
+    own_layout.require_word("dataset.pixel_origin", params.pixel_origin, [own_layout.AUTO, *_ORIGINS])
+    found, home = own_layout.find_parts(ORTHOLOC, params)
     files = [
         (split, path)
         for split in _SPLITS
@@ -285,8 +265,10 @@ def open_ortholoc(params: OrthoLocParams) -> Dataset:
     samples = [_read(split, path) for split, path in files]
     half = _half_pixel(params.pixel_origin, samples, findings)
     paths = [path for _, path in files]
-    pictures = kept_pictures(ORTHOLOC.id, paths, "pictures", lambda: _pictures(samples))
-    city, textured, note = kept_maps(ORTHOLOC.id, paths, "", params.map_stride, lambda: _maps(paths))
+    pictures = raster_maps.kept_pictures(ORTHOLOC.id, paths, "pictures", lambda: _pictures(samples))
+    city, textured, note = raster_maps.kept_maps(
+        ORTHOLOC.id, paths, "", params.map_stride, lambda: _maps(paths)
+    )
     entries, truth = [], {}
     for index, sample in enumerate(samples):
         camera, sigmas = _camera(sample, half, params.focal)
@@ -298,7 +280,7 @@ def open_ortholoc(params: OrthoLocParams) -> Dataset:
         )
         entries.append(entry)
         truth[entry.key] = sample.pose.shifted(cell_offset(index))
-    dataset = as_dataset(
+    dataset = own_layout.as_dataset(
         found,
         entries,
         truth,
@@ -330,7 +312,7 @@ def _predictions(keys: Sequence[str], poses: Mapping[str, Pose | None]) -> str:
 
 
 def _read(split: str, path: Path) -> _Sample:
-    arrays = read_arrays(path, _ARRAYS)
+    arrays = own_layout.read_arrays(path, _ARRAYS)
     try:
         pose = Pose.from_matrix(arrays["extrinsics"])
     except LodbenchError as error:
@@ -342,7 +324,7 @@ def _read(split: str, path: Path) -> _Sample:
 def _camera(sample: _Sample, half_px: float, focal: str) -> tuple[Camera, CameraSigmas | None]:
     """Returns a sample's camera, or a guess at it and how good that is where it is not to be known."""
     width, height = sample.size
-    camera = pinhole(f"{sample.path}: intrinsics", sample.intrinsics, sample.size, half_px)
+    camera = raster_maps.pinhole(f"{sample.path}: intrinsics", sample.intrinsics, sample.size, half_px)
     if focal == "known":
         return camera, None
     guess = _FOCAL_GUESS * max(width, height)
@@ -355,12 +337,12 @@ def _half_pixel(reading: str, samples: Sequence[_Sample], findings: Findings) ->
 
     A pixel's point, projected, lies on its number in the one case, half a pixel beyond in the other.
     """
-    if reading != AUTO:
+    if reading != own_layout.AUTO:
         return _ORIGINS[reading]
     off = []
     for sample in samples[:: max(1, len(samples) // _CHECKED)]:
         width, height = sample.size
-        points = read_arrays(sample.path, {"point_map": _POINTS})["point_map"]
+        points = own_layout.read_arrays(sample.path, {"point_map": _POINTS})["point_map"]
         if points.shape[:2] != (height, width):
             raise DatasetError(f"{sample.path}: point_map is {points.shape}, its photo {height} x {width}.")
         rows, columns = np.mgrid[0:height:_STEP, 0:width:_STEP]
@@ -383,15 +365,15 @@ def _half_pixel(reading: str, samples: Sequence[_Sample], findings: Findings) ->
 def _pictures(samples: Sequence[_Sample]) -> Iterator[tuple[str, NDArray[Any]]]:
     wanted = {"image_query": _ARRAYS["image_query"]}
     for sample in samples:
-        yield f"{sample.split}/{sample.path.stem}", read_arrays(sample.path, wanted)["image_query"]
+        yield f"{sample.split}/{sample.path.stem}", own_layout.read_arrays(sample.path, wanted)["image_query"]
 
 
-def _maps(paths: Sequence[Path]) -> Iterator[RasterMap]:
+def _maps(paths: Sequence[Path]) -> Iterator[raster_maps.RasterMap]:
     """Yields each sample's map where its cell of the dataset is; its orthophoto covers its surface model."""
     for index, path in enumerate(paths):
-        arrays = read_arrays(path, _MAP)
-        heights = raster_of(arrays["dsm"] + np.array(cell_offset(index)), str(path))
+        arrays = own_layout.read_arrays(path, _MAP)
+        heights = raster_maps.raster_of(arrays["dsm"] + np.array(cell_offset(index)), str(path))
         (rows, columns), (lines, samples) = heights.values.shape, arrays["image_dop"].shape[:2]
         cell = heights.cell[0] * columns / samples, heights.cell[1] * rows / lines
-        picture = Raster(arrays["image_dop"][..., ::-1], heights.west, heights.north, cell)
-        yield RasterMap(f"{index:04d}_{path.stem}", heights, picture)
+        picture = raster_maps.Raster(arrays["image_dop"][..., ::-1], heights.west, heights.north, cell)
+        yield raster_maps.RasterMap(f"{index:04d}_{path.stem}", heights, picture)

@@ -21,18 +21,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.faults import FRAME_ASSUMED, FRAMES_DIFFER, SPLIT_MISSING, TURNED_TO_ENU
-from lodbench.datasets.published.layout import (
-    MODEL_WITH_QUERIES,
-    QUERIES,
-    Download,
-    Host,
-    PublishedSpec,
-    SplitSpec,
-    Survey,
-    advice,
-    require_data,
-    survey,
-)
+from lodbench.datasets.published import layout
 from lodbench.datasets.query import Dataset, Reference, notes_of
 from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
 from lodbench.findings import Findings
@@ -106,7 +95,7 @@ class PublishedParams:
         require_within("dataset.origin", self.origin, -math.inf)
 
 
-def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
+def open_published(spec: layout.PublishedSpec, params: PublishedParams) -> Dataset:
     """Returns a published dataset in east, north, up; its city model may be missing.
 
     Raises:
@@ -120,8 +109,8 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
         raise ConfigError(f"dataset.frame={params.frame} is unknown.", nearest_names(params.frame, _FRAMES))
     if params.origin is not None and len(params.origin) != 3:
         raise ConfigError("dataset.origin takes three numbers: easting, northing, height.")
-    found = survey(spec, params.root, params.city_model, params.prior_file)
-    require_data(found)
+    found = layout.survey(spec, params.root, params.city_model, params.prior_file)
+    layout.require_data(found)
     _require_prior_file(params, found)
     findings = Findings()
     _note_missing_splits(spec, found, findings)
@@ -142,7 +131,7 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
         version="",
         root=found.root,
         city_model=found.city_model,
-        city_hint=advice(found),
+        city_hint=layout.advice(found),
         lod=None,
         splits=tuple(files.spec.name for files in complete),
         entries=tuple(entry for content in contents for entry in content.entries),
@@ -159,7 +148,7 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
     )
 
 
-def _require_prior_file(params: PublishedParams, found: Survey) -> None:
+def _require_prior_file(params: PublishedParams, found: layout.Survey) -> None:
     """Makes sure that a file of priors that was named is in a split."""
     if params.prior_file is None or any(files.priors is not None for files in found.splits):
         return
@@ -170,7 +159,7 @@ def _require_prior_file(params: PublishedParams, found: Survey) -> None:
     )
 
 
-def _note_missing_splits(spec: PublishedSpec, found: Survey, findings: Findings) -> None:
+def _note_missing_splits(spec: layout.PublishedSpec, found: layout.Survey, findings: Findings) -> None:
     for split in spec.splits:
         if split.is_test and split.name not in {files.spec.name for files in found.splits}:
             findings.add(SPLIT_MISSING, split.name, f"no folder {split.folders[0]}")
@@ -178,7 +167,7 @@ def _note_missing_splits(spec: PublishedSpec, found: Survey, findings: Findings)
 
 def _to_enu(
     posed: tuple[list[SplitContent], tuple[Reference, ...]],
-    found: Survey,
+    found: layout.Survey,
     frame: str,
     ecef: ShiftedEcef,
     findings: Findings,
@@ -226,21 +215,21 @@ def _turned(content: SplitContent, ecef: ShiftedEcef) -> SplitContent:
 
 
 _UAVD4L_SPLITS = (
-    SplitSpec(
+    layout.SplitSpec(
         "in_traj",
         ("UAVD4L-LoD/inTraj", "UAVD4L-LoDv2/inTraj", "inTraj"),
         ("UAV_inTraj_test.json",),
         num_queries=1604,
         prior_median=(6.48, 1.63),
     ),
-    SplitSpec(
+    layout.SplitSpec(
         "out_of_traj",
         ("UAVD4L-LoD/outTraj", "UAVD4L-LoDv2/outTraj", "outTraj"),
         ("UAV_outTraj_test.json",),
         num_queries=2192,
         prior_median=(11.1, 0.92),
     ),
-    SplitSpec(
+    layout.SplitSpec(
         "synthetic",
         ("UAVD4L-LoD/Synthesis", "UAVD4L-LoDv2/Synthesis", "Synthesis"),
         ("UAV_train.json", "UAV_train_sample.json"),
@@ -248,7 +237,7 @@ _UAVD4L_SPLITS = (
     ),
 )
 
-UAVD4L_LOD = PublishedSpec(
+UAVD4L_LOD = layout.PublishedSpec(
     id="uavd4l_lod",
     title="UAVD4L-LoD",
     lod="3",
@@ -257,11 +246,11 @@ UAVD4L_LOD = PublishedSpec(
     city_files=("UAVD4L-LoD.obj",),
     unreadable_city_files=("UAVD4L-LoD.osgb", "UAVD4L-LoD.blend"),
     photo_crs="EPSG:4547",
-    hosts=(QUERIES, MODEL_WITH_QUERIES),
+    hosts=(layout.QUERIES, layout.MODEL_WITH_QUERIES),
 )
 
 
-_LOD1 = Download(
+_LOD1 = layout.Download(
     url="https://raw.githubusercontent.com/VictorZoo/LoD-Loc-v2/"
     "10bfcf89decbb8134395898ddaa763a6a4dad1f2/UAVD4L-LoD1.obj",
     path="MODEL/UAVD4L-LoD1.obj",
@@ -276,14 +265,17 @@ UAVD4L_LODV2 = replace(
     lod="1",
     city_files=("UAVD4L-LoD1.obj", "move22.obj", "UAVD4L-LoDv2.obj"),
     unreadable_city_files=("move22.osgb", "move22.blend"),
-    hosts=(QUERIES, Host("city model", _LOD1.url, "or: lodbench dataset download uavd4l_lodv2")),
+    hosts=(
+        layout.QUERIES,
+        layout.Host("city model", _LOD1.url, "or: lodbench dataset download uavd4l_lodv2"),
+    ),
     downloads=(_LOD1,),
     year="2025",
 )
 
 
 _SWISS_SPLITS = (
-    SplitSpec(
+    layout.SplitSpec(
         "in_place",
         ("Swiss-EPFL/inPlace", "Swiss-EPFLv2/inPlace", "UAVD4L-LoD/Swiss_in", "inPlace", "Swiss_in"),
         ("Swiss_inPlace_test.json",),
@@ -291,7 +283,7 @@ _SWISS_SPLITS = (
         num_queries=712,
         prior_median=(17.6, 3.87),
     ),
-    SplitSpec(
+    layout.SplitSpec(
         "out_of_place",
         ("Swiss-EPFL/outPlace", "Swiss-EPFLv2/outPlace", "UAVD4L-LoD/Swiss_out", "outPlace", "Swiss_out"),
         ("Swiss_outPlace_test.json",),
@@ -299,7 +291,7 @@ _SWISS_SPLITS = (
         num_queries=379,
         prior_median=(17.9, 3.94),
     ),
-    SplitSpec(
+    layout.SplitSpec(
         "synthetic",
         ("Swiss-EPFL/Synthesis", "Swiss-EPFLv2/Synthesis", "Synthesis"),
         ("Swiss_train.json", "train.json"),
@@ -307,7 +299,7 @@ _SWISS_SPLITS = (
     ),
 )
 
-SWISS_EPFL = PublishedSpec(
+SWISS_EPFL = layout.PublishedSpec(
     id="swiss_epfl",
     title="Swiss-EPFL",
     lod="2",
@@ -316,11 +308,11 @@ SWISS_EPFL = PublishedSpec(
     city_files=("Swiss-EPFL-LoD.obj", "Swiss-EPFL.obj"),
     unreadable_city_files=("Swiss-EPFL.osgb", "Swiss-EPFL-LoD.blend"),
     ecef=SWISS_EPFL_FRAME,
-    hosts=(QUERIES, MODEL_WITH_QUERIES),
+    hosts=(layout.QUERIES, layout.MODEL_WITH_QUERIES),
 )
 
 
-_NOT_RELEASED = Host(
+_NOT_RELEASED = layout.Host(
     "city model",
     "https://github.com/VictorZoo/LoD-Loc-v2/issues/2",
     "not released as of 2025-12-06: ask there",
@@ -333,7 +325,7 @@ SWISS_EPFLV2 = replace(
     lod="1",
     city_files=("swiss_LoD1_final.obj", "Swiss-EPFL-LoD1.obj", "Swiss-EPFLv2.obj"),
     unreadable_city_files=("swiss_LoD1_final.osgb",),
-    hosts=(QUERIES, _NOT_RELEASED),
+    hosts=(layout.QUERIES, _NOT_RELEASED),
     year="2025",
 )
 

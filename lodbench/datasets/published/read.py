@@ -12,20 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from lodbench.datasets import faults
 from lodbench.datasets.exchange.colmap import read_colmap
-from lodbench.datasets.faults import (
-    FILE_CHOSEN,
-    NAME_DISAGREES,
-    NO_CAMERA,
-    NO_IMAGE,
-    NO_PRIOR,
-    NO_TRUTH,
-    NOT_IN_SPLIT,
-    POSES_DISAGREE,
-    SAME_POSE,
-    SEVERAL_PRIORS,
-    STEM_AMBIGUOUS,
-)
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import FoundPose, read_cameras
 from lodbench.datasets.published.layout import MASK_FOLDERS, SplitFiles
@@ -132,7 +120,7 @@ def by_stem(values: dict[str, T], names: Iterable[str], where: Path, findings: F
     for stem, count in Counter(owner.values()).items():
         if count > 1:
             twins = [name for name in owner if owner[name] == stem]
-            findings.add(STEM_AMBIGUOUS, twins[1], f"{where.name}/{stem} fits {' and '.join(twins)}")
+            findings.add(faults.STEM_AMBIGUOUS, twins[1], f"{where.name}/{stem} fits {' and '.join(twins)}")
     return {name: values[stem] for name, stem in owner.items()}
 
 
@@ -149,7 +137,7 @@ def prefer_per_image(
             distance = float(abs(text[name].center - pose.center).max())
             turn = float(abs(text[name].rotation - pose.rotation).max())
             if distance > _SAME_M or turn > _SAME_ROTATION:
-                findings.add(POSES_DISAGREE, f"{split}/{name}", f"{distance:.3g} m apart")
+                findings.add(faults.POSES_DISAGREE, f"{split}/{name}", f"{distance:.3g} m apart")
                 merged[name] = pose
         else:
             merged[name] = pose
@@ -233,7 +221,7 @@ def read_split(files: SplitFiles, findings: Findings) -> SplitContent:
     known = {name: truth[name] for name in names if name in truth}
     for name in truth:
         if name not in known:
-            findings.add(NOT_IN_SPLIT, f"{split}/{name}")
+            findings.add(faults.NOT_IN_SPLIT, f"{split}/{name}")
     priors = _priors(files, names, findings)
     cameras = read_split_cameras(files.cameras, names, images, findings)
     drawn = images if files.images is not None and files.images.name == "query" and _are_masks(images) else {}
@@ -279,7 +267,7 @@ def _priors(files: SplitFiles, names: Iterable[str], findings: Findings) -> dict
     if files.other_priors:
         others = ", ".join(path.name for path in files.other_priors)
         detail = f"{files.priors.name}, not {others} (dataset.prior_file=NAME)"
-        findings.add(FILE_CHOSEN, files.spec.name, detail)
+        findings.add(faults.FILE_CHOSEN, files.spec.name, detail)
     found = {name: [pose.pose for pose in poses] for name, poses in read_many(files.priors).items()}
     return by_stem(found, names, files.priors, findings) if files.priors.is_dir() else found
 
@@ -303,11 +291,11 @@ def _report(entries: tuple[Entry, ...], truth: dict[str, Pose], findings: Findin
     seen: dict[bytes, str] = {}
     for entry in entries:
         lacks = {
-            NO_TRUTH: entry.name not in truth,
-            NO_PRIOR: entry.prior is None,
-            NO_CAMERA: entry.camera is None,
-            NO_IMAGE: entry.image is None,
-            SEVERAL_PRIORS: len(entry.hypotheses) > 1,
+            faults.NO_TRUTH: entry.name not in truth,
+            faults.NO_PRIOR: entry.prior is None,
+            faults.NO_CAMERA: entry.camera is None,
+            faults.NO_IMAGE: entry.image is None,
+            faults.SEVERAL_PRIORS: len(entry.hypotheses) > 1,
         }
         for code, is_so in lacks.items():
             if is_so:
@@ -316,7 +304,7 @@ def _report(entries: tuple[Entry, ...], truth: dict[str, Pose], findings: Findin
             pose = truth[entry.name]
             twin = seen.setdefault(pose.cam_from_world.tobytes(), entry.key)
             if twin != entry.key:
-                findings.add(SAME_POSE, entry.key, f"that of {twin}")
+                findings.add(faults.SAME_POSE, entry.key, f"that of {twin}")
             _check_name(entry, pose, findings)
 
 
@@ -332,4 +320,4 @@ def _check_name(entry: Entry, pose: Pose, findings: Findings) -> None:
     if abs(pose.center[2] - height) > 1.01 or any(abs(wrap_deg(turn)) > 1.01 for turn in turns):
         worst = max(math.fabs(wrap_deg(turn)) for turn in turns)
         detail = f"{abs(pose.center[2] - height):.1f} m, {worst:.1f} deg off"
-        findings.add(NAME_DISAGREES, entry.key, detail)
+        findings.add(faults.NAME_DISAGREES, entry.key, detail)

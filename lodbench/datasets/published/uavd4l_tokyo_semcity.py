@@ -17,18 +17,9 @@ import numpy as np
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.faults import NO_CAMERA, NO_IMAGE, NO_PRIOR, READING_INFERRED
 from lodbench.datasets.pose_text import read_cameras, read_hypotheses, read_poses
+from lodbench.datasets.published import own_layout
 from lodbench.datasets.published.layout import Host, Part, PublishedSpec, SplitSpec
 from lodbench.datasets.published.lodloc import PublishedParams, open_published
-from lodbench.datasets.published.own_layout import (
-    AUTO,
-    OwnLayoutParams,
-    as_dataset,
-    choose_reading,
-    find_parts,
-    pose_lines,
-    require_word,
-    without_lens,
-)
 from lodbench.datasets.query import Dataset, Entry, notes_of
 from lodbench.errors import ConfigError, DatasetError, require_within
 from lodbench.findings import Findings
@@ -68,7 +59,7 @@ UAVD4L = PublishedSpec(
 
 
 @dataclass(frozen=True, slots=True)
-class Uavd4lParams(OwnLayoutParams):
+class Uavd4lParams(own_layout.OwnLayoutParams):
     """Settings of UAVD4L, described in ``conf/dataset/uavd4l.yaml``."""
 
     name: str = UAVD4L.id
@@ -87,7 +78,7 @@ def open_uavd4l(params: Uavd4lParams) -> Dataset:
     Raises:
         DatasetError: Parts are missing or malformed, or the textured map does not exist.
     """
-    found, home = find_parts(UAVD4L, params)
+    found, home = own_layout.find_parts(UAVD4L, params)
     findings, query = Findings(), home / "Query"
     textured = home / "Model" if params.textured_map is None else Path(params.textured_map).expanduser()
     if not textured.exists() and params.textured_map is not None:
@@ -114,15 +105,15 @@ def open_uavd4l(params: Uavd4lParams) -> Dataset:
         raise DatasetError(f"No true pose of {query} is of a photo or a camera there.", "Names must agree.")
     city = found.city_model or (textured if textured.exists() else None)
     return replace(
-        as_dataset(
+        own_layout.as_dataset(
             found,
-            without_lens(UAVD4L.id, entries),
+            own_layout.without_lens(UAVD4L.id, entries),
             {entry.key: truth[entry.name] for entry in entries},
             findings,
             lod=params.lod,
             photo_crs=UAVD4L.photo_crs,
             photo_origin=None if params.map_origin is None else tuple(params.map_origin),
-            submission=partial(pose_lines, names={}, offset_m=[-value for value in shift]),
+            submission=partial(own_layout.pose_lines, names={}, offset_m=[-value for value in shift]),
         ),
         city_model=city,
         textured_map=textured if textured.exists() else None,
@@ -156,7 +147,7 @@ TOKYO_LODV3 = PublishedSpec(
 class TokyoParams(PublishedParams):
     """Settings of Tokyo-LoDv3, described in ``conf/dataset/tokyo_lodv3.yaml``."""
 
-    axes: str = AUTO
+    axes: str = own_layout.AUTO
 
 
 def open_tokyo(params: TokyoParams) -> Dataset:
@@ -169,7 +160,7 @@ def open_tokyo(params: TokyoParams) -> Dataset:
     dataset, findings = open_published(TOKYO_LODV3, params), Findings()
     truth = list(dataset.truth.values())
     readings = {"opencv": truth, "opengl": [_flipped(pose) for pose in truth]}
-    axes = choose_reading("dataset.axes", params.axes, readings, findings)
+    axes = own_layout.choose_reading("dataset.axes", params.axes, readings, findings)
     if axes == "opengl":
         entries = tuple(
             replace(
@@ -186,7 +177,7 @@ def open_tokyo(params: TokyoParams) -> Dataset:
         dataset,
         notes=(*dataset.notes, *notes_of(findings)),
         findings=(*dataset.findings, *findings.items),
-        submission=partial(pose_lines, names={}, reading=f"w2c_{axes}"),
+        submission=partial(own_layout.pose_lines, names={}, reading=f"w2c_{axes}"),
     )
 
 
@@ -223,14 +214,14 @@ _FLAT = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class SemCityParams(OwnLayoutParams):
+class SemCityParams(own_layout.OwnLayoutParams):
     """Settings of SemCityLockeD, described in ``conf/dataset/semcitylocked.yaml``."""
 
     name: str = SEMCITYLOCKED.id
     level: str = "2"
-    up_axis: str = AUTO
+    up_axis: str = own_layout.AUTO
     poses: str | None = None
-    poses_format: str = AUTO
+    poses_format: str = own_layout.AUTO
     crs: str | None = None
     origin: list[float] | None = None
 
@@ -247,9 +238,9 @@ def open_semcitylocked(params: SemCityParams) -> Dataset:
         DatasetError: Parts are missing or malformed, or the model's vertical axis is not clear.
         ConfigError: A setting is unknown.
     """
-    require_word("dataset.level", params.level, ("1", "2", "3"))
-    require_word("dataset.up_axis", params.up_axis, (AUTO, *_UP_AXES))
-    found, home = find_parts(SEMCITYLOCKED, params)
+    own_layout.require_word("dataset.level", params.level, ("1", "2", "3"))
+    own_layout.require_word("dataset.up_axis", params.up_axis, (own_layout.AUTO, *_UP_AXES))
+    found, home = own_layout.find_parts(SEMCITYLOCKED, params)
     findings = Findings()
     city = found.city_model
     if params.city_model is None and (home / "LoD_model").is_dir():
@@ -271,9 +262,9 @@ def open_semcitylocked(params: SemCityParams) -> Dataset:
     if not entries:
         raise DatasetError(f"{folder} holds no photos.", "They are JPEG, as the drone stored them.")
     options = ReadOptions() if city is None else ReadOptions(up_axis=_up_axis(city, params, findings))
-    dataset = as_dataset(
+    dataset = own_layout.as_dataset(
         found,
-        without_lens(SEMCITYLOCKED.id, entries),
+        own_layout.without_lens(SEMCITYLOCKED.id, entries),
         {entry.key: known[Path(entry.name).stem] for entry in entries if Path(entry.name).stem in known},
         findings,
         city_model=city,
@@ -303,7 +294,7 @@ def _up_axis(city: Path, params: SemCityParams, findings: Findings) -> Literal["
     from lodbench.citymodel.cache import open_cached_scene
 
     given = params.up_axis
-    if given == AUTO:
+    if given == own_layout.AUTO:
         low, high = open_cached_scene(city).extent_m
         extents_m = {name: float(high[axis] - low[axis]) for name, axis in _UP_AXES.items()}
         words = " and ".join(f"{extent_m:.0f} m along {name}" for name, extent_m in extents_m.items())

@@ -14,6 +14,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene, floors_and_rises
 from lodbench.datasets.query import Query
 from lodbench.geometry.pose import pose_from_vector
+from lodbench.methods.flight import joint
 from lodbench.methods.flight.aligning import Aligned
 from lodbench.methods.flight.demolished_buildings import (
     APART_DEG,
@@ -21,16 +22,6 @@ from lodbench.methods.flight.demolished_buildings import (
     gone_buildings,
     roof_middles,
     views_of,
-)
-from lodbench.methods.flight.joint import (
-    CONSTANTS,
-    FOCAL,
-    ROOFS,
-    Solution,
-    State,
-    covariance_of,
-    precisions_of,
-    shared_covariance,
 )
 from lodbench.methods.flight.params import FlightParams
 from lodbench.methods.flight.roof_edges import open_pictures
@@ -157,19 +148,19 @@ def _common(curves: Mapping[int, RoofCurve]) -> float | None:
 def _by_outlines(aligned: Aligned, params: FlightParams) -> Iterator[tuple[int, _Outlines]]:
     """Yields each building's row, and how much higher its parts are than all roofs."""
     state, solution = aligned.state, aligned.as_declared
-    first = CONSTANTS + len(solution.buildings)
+    first = joint.CONSTANTS + len(solution.buildings)
     sums = np.zeros((len(solution.buildings), first + len(state.roofs)))
-    sums[:, ROOFS] = -1.0
+    sums[:, joint.ROOFS] = -1.0
     of_building = {int(b): np.flatnonzero(state.roofs.building == b) for b in solution.buildings}
     for row, parts in enumerate(of_building.values()):
         sums[row, first + parts] = 1.0 / len(parts)
     values = np.concatenate([state.constants, state.buildings_m[solution.buildings], state.roofs.heights_m])
     values += (solution.shared_step - aligned.solution.shared_step)[: len(values)]
-    sigmas = np.sqrt(np.diag(covariance_of(solution, sums)))
+    sigmas = np.sqrt(np.diag(joint.covariance_of(solution, sums)))
     for (row, parts), higher, sigma in zip(of_building.items(), sums @ values, sigmas, strict=True):
         building = state.buildings_m[row]
-        own = 1.0 / precisions_of(building - state.constants[ROOFS], params.roof_m)
-        of_parts = 1.0 / precisions_of(state.roofs.heights_m[parts] - building, params.part_m)
+        own = 1.0 / joint.precisions_of(building - state.constants[joint.ROOFS], params.roof_m)
+        of_parts = 1.0 / joint.precisions_of(state.roofs.heights_m[parts] - building, params.part_m)
         beforehand = np.sqrt(own + of_parts.sum() / len(parts) ** 2)
         yield row, _Outlines(float(higher), float(sigma), float(beforehand))
 
@@ -239,7 +230,7 @@ def findings_of(
     }
 
 
-def lost_of(state: State, queries: Sequence[Query]) -> dict[str, Any]:
+def lost_of(state: joint.State, queries: Sequence[Query]) -> dict[str, Any]:
     """Returns the photos that others alone place, and ``reasons`` why, by name."""
     return {
         "lost": [query.name for query, weight in zip(queries, state.weights, strict=True) if weight == 0.0],
@@ -250,7 +241,7 @@ def lost_of(state: State, queries: Sequence[Query]) -> dict[str, Any]:
 def constants_of(aligned: Aligned, params: FlightParams, of_ends: Floats) -> dict[str, dict[str, Any]]:
     """Returns what photos share but for what is held: value, sigma, unit, whether photos determine it."""
     state = aligned.state
-    spread = np.sqrt(np.diag(shared_covariance(aligned.solution, np.arange(CONSTANTS)) + of_ends))
+    spread = np.sqrt(np.diag(joint.shared_covariance(aligned.solution, np.arange(joint.CONSTANTS)) + of_ends))
     beforehand = params.constant_sigmas(state.scales)
     return {
         name: {
@@ -303,11 +294,11 @@ def _sigmas_of_doubt(heights: Iterable[BuildingHeight]) -> float:
     return _DOUBT_SIGMAS * max(1.0, usual)
 
 
-def cannot_tell_focal(solution: Solution, params: FlightParams) -> bool:
+def cannot_tell_focal(solution: joint.Solution, params: FlightParams) -> bool:
     """Returns whether photos leave a longer lens and a higher flight alike: all look straight down."""
     if params.focal == 0.0:
         return False
-    spread = shared_covariance(solution, np.array([_HEIGHT, FOCAL]))
+    spread = joint.shared_covariance(solution, np.array([_HEIGHT, joint.FOCAL]))
     height, focal = np.sqrt(np.diag(spread))
-    is_told = focal < _TOLD * params.constant_sigmas()[FOCAL]
+    is_told = focal < _TOLD * params.constant_sigmas()[joint.FOCAL]
     return bool(not is_told and abs(spread[0, 1]) > _ALIKE * height * focal)

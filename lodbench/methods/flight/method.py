@@ -15,19 +15,7 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.estimation.state_vector import differences, probability_within
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment import ContourAlignment
-from lodbench.methods.flight.aligning import (
-    STARTS_M,
-    Aligned,
-    Ends,
-    Evidence,
-    align,
-    ends_of,
-    flight_error,
-    footprint_covariance,
-    mean_iou,
-    restarted,
-    side_by_side,
-)
+from lodbench.methods.flight import aligning
 from lodbench.methods.flight.bundle import block_of
 from lodbench.methods.flight.demolished_buildings import without_contradicted
 from lodbench.methods.flight.findings import MASKS, cannot_tell_focal, constants_of, findings_of, lost_of
@@ -147,7 +135,7 @@ class FlightMethod:
         alone: Sequence[Estimate | QueryFault],
         city_map: CityMap,
         start: State,
-    ) -> tuple[Aligned, FlightMethod]:
+    ) -> tuple[aligning.Aligned, FlightMethod]:
         """Returns where masks have a flight, and the method, its focal length held if they do not tell it."""
         offsets = np.array(
             [
@@ -156,13 +144,13 @@ class FlightMethod:
                 if isinstance(found, Estimate)
             ]
         )
-        offset, _ = flight_error(queries, start.vectors, offsets, city_map, self.params)
-        aligned = align(queries, start.begun(np.arange(len(queries)), offset), city_map, self.params)
+        offset, _ = aligning.flight_error(queries, start.vectors, offsets, city_map, self.params)
+        aligned = aligning.align(queries, start.begun(np.arange(len(queries)), offset), city_map, self.params)
         if not cannot_tell_focal(aligned.solution, self.params):
             return aligned, self
         held = FlightMethod(replace(self.params, focal=0.0))
         aligned.state.constants[FOCAL] = start.constants[FOCAL] = 0.0
-        return align(queries, aligned.state, city_map, held.params), held
+        return aligning.align(queries, aligned.state, city_map, held.params), held
 
     def _refined_by_edges(
         self,
@@ -185,7 +173,7 @@ class FlightMethod:
         method = FlightMethod(replace(self.params, single="region"))
         begun = replace(start, vectors=begun.vectors).begun(np.arange(len(queries)), np.zeros(6))
         aligned, method = method._aligned_by_edges(queries, begun, city_map)
-        if mean_iou(aligned.terms) < _LEAST_EDGES:
+        if aligning.mean_iou(aligned.terms) < _LEAST_EDGES:
             return _checked(found, queries, state, city_map)
         refined = method._with_covariances(queries, begun, aligned, city_map)
         by_edges = constants_of(aligned, method.params, np.array(refined.findings["of_constants"]))
@@ -212,10 +200,10 @@ class FlightMethod:
 
     def _aligned_by_edges(
         self, queries: Sequence[Query], start: State, city_map: CityMap
-    ) -> tuple[Aligned, FlightMethod]:
+    ) -> tuple[aligning.Aligned, FlightMethod]:
         """Returns where edges have a flight, and the method that knows how far its priors scatter."""
         params = self._params_of(start).for_edges()
-        return align(queries, start, city_map, params), FlightMethod(params)
+        return aligning.align(queries, start, city_map, params), FlightMethod(params)
 
     def _params_of(self, start: State) -> FlightParams:
         """Returns the parameters with priors that scatter as they do against a block of photos, if any."""
@@ -234,7 +222,7 @@ class FlightMethod:
             )
 
     def _finished(
-        self, queries: Sequence[Query], start: State, aligned: Aligned, city_map: CityMap
+        self, queries: Sequence[Query], start: State, aligned: aligning.Aligned, city_map: CityMap
     ) -> FlightEstimate:
         """Returns the poses of an aligned flight, and what it says of drone and map."""
         found = self._with_covariances(queries, start, aligned, city_map)
@@ -244,7 +232,7 @@ class FlightMethod:
         )
 
     def _with_covariances(
-        self, queries: Sequence[Query], start: State, aligned: Aligned, city_map: CityMap
+        self, queries: Sequence[Query], start: State, aligned: aligning.Aligned, city_map: CityMap
     ) -> FlightEstimate:
         """Returns the poses of an aligned flight; of findings what constants err by besides, (13, 13)."""
         ends = self._ends(queries, start, aligned, city_map)
@@ -256,11 +244,11 @@ class FlightMethod:
             return self._estimate(aligned, row, of_pose + of_footprints[row])
 
         # Each takes the longer the more photos there are: of hundreds, all of them take as long as the steps.
-        with side_by_side(city_map.threads) as threads:
+        with aligning.side_by_side(city_map.threads) as threads:
             estimates = list((map if threads is None else threads.map)(estimate, range(len(queries))))
         return FlightEstimate(estimates, {"of_constants": of_constants + of_footprints[-1]})
 
-    def _footprint_covariances(self, aligned: Aligned, constants: int) -> list[Floats]:
+    def _footprint_covariances(self, aligned: aligning.Aligned, constants: int) -> list[Floats]:
         """Returns what footprints of the map are wrong about: (6, 6) of each photo, and of constants last.
 
         No photo shows it: cameras go aside with a building. Outlines of masks lie on all buildings alike;
@@ -269,31 +257,36 @@ class FlightMethod:
         photos, footprint_m = len(aligned.terms), self.params.footprint_m
         if self.params.single != "region":
             terms = aligned.terms, aligned.state.roofs, footprint_m
-            return [footprint_covariance(*terms, size) for size in (*[6] * photos, constants)]
+            return [aligning.footprint_covariance(*terms, size) for size in (*[6] * photos, constants)]
         moved = footprint_m * aligned.solution.moved_by_places()
         blocks = [moved[6 * k : 6 * k + 6] for k in range(photos)]
         return [block @ block.T for block in (*blocks, moved[6 * photos :][:constants])]
 
-    def _ends(self, queries: Sequence[Query], start: State, aligned: Aligned, city_map: CityMap) -> Ends:
+    def _ends(
+        self, queries: Sequence[Query], start: State, aligned: aligning.Aligned, city_map: CityMap
+    ) -> aligning.Ends:
         """Returns where the flight ends from other starts around its answer.
 
         Some photos of a long flight end elsewhere than all of them do: theirs are compared with each other.
         """
-        starts_m = STARTS_M[: self.params.restarts]
-        photos, offset = restarted(len(queries), bool(start.ties)), aligned.state.offset - start.offset
+        starts_m = aligning.STARTS_M[: self.params.restarts]
+        photos, offset = (
+            aligning.restarted(len(queries), bool(start.ties)),
+            aligned.state.offset - start.offset,
+        )
         if len(photos) < len(queries) and len(starts_m):
             starts_m, found = np.vstack([np.zeros(3), starts_m]), []
         else:
-            iou = mean_iou([aligned.terms[k] for k in photos])
+            iou = aligning.mean_iou([aligned.terms[k] for k in photos])
             found = [(aligned.state.vectors[photos], aligned.state.constants, iou)]
         # Restarts look at the same photos: each is made ready once.
         some = [queries[k] for k in photos]
-        evidence = Evidence.of(some, city_map, self.params) if len(starts_m) else None
+        evidence = aligning.Evidence.of(some, city_map, self.params) if len(starts_m) else None
         for start_m in starts_m:
             begun = start.begun(photos, offset + np.append(start_m, np.zeros(3)))
-            again = align(some, begun, city_map, self.params, evidence)
-            found.append((again.state.vectors, again.state.constants, mean_iou(again.terms)))
-        return ends_of(found)
+            again = aligning.align(some, begun, city_map, self.params, evidence)
+            found.append((again.state.vectors, again.state.constants, aligning.mean_iou(again.terms)))
+        return aligning.ends_of(found)
 
     def _start(
         self, queries: Sequence[Query], city_map: CityMap, alone: Sequence[Estimate | QueryFault]
@@ -348,7 +341,7 @@ class FlightMethod:
         )
         return max(1.0, float((beyond**2).max()))
 
-    def _estimate(self, aligned: Aligned, row: int, besides: Floats) -> Estimate:
+    def _estimate(self, aligned: aligning.Aligned, row: int, besides: Floats) -> Estimate:
         """Returns a photo's pose; ``besides`` is what it errs by beyond what the solution says, (6, 6)."""
         vector = aligned.state.vectors[row]
         spread = photo_covariance(aligned.solution, row) * self._misfit(aligned.state) + besides

@@ -21,20 +21,10 @@ from lodbench.estimation.state_vector import TILT, TRUSTED, beyond_range, probab
 from lodbench.geometry.pose import pose_from_vector, vector_from_pose
 from lodbench.methods.fits import photo_edges, query_photo
 from lodbench.methods.protocol import Estimate, Streams
+from lodbench.methods.region import posteriors
 from lodbench.methods.region.answer import BLURS_PX, Answer, PoseFinalizer
 from lodbench.methods.region.line_likelihood import line_starts
 from lodbench.methods.region.params import RegionParams
-from lodbench.methods.region.posteriors import (
-    Mode,
-    OutlineSampler,
-    Photo,
-    PosePosterior,
-    QueryContext,
-    grid_starts,
-    local_searches,
-    modes_at,
-    rescore,
-)
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.trust import SIGNS_STAGE, ConfidenceFeatures, success_probability
 
@@ -96,12 +86,14 @@ class Region:
         return _refine_by_edges(best, context, params)
 
 
-def _query_context(query: Query, city_map: CityMap, params: RegionParams) -> QueryContext:
-    photo = Photo(query_photo(query), query.camera, params, city_map.threads, BLURS_PX)
+def _query_context(query: Query, city_map: CityMap, params: RegionParams) -> posteriors.QueryContext:
+    photo = posteriors.Photo(query_photo(query), query.camera, params, city_map.threads, BLURS_PX)
     # The only step whose cost depends on the size of the city.
     part = scene_in_reach(city_map.scene, query.camera, query.prior, *params.reach())
-    outlines = OutlineSampler(edges_of(part), city_map, params)
-    return QueryContext(query, photo, city_map, RaisedRoofs(city_map, part, params.pitched_lower_m), outlines)
+    outlines = posteriors.OutlineSampler(edges_of(part), city_map, params)
+    return posteriors.QueryContext(
+        query, photo, city_map, RaisedRoofs(city_map, part, params.pitched_lower_m), outlines
+    )
 
 
 class _Candidate(NamedTuple):
@@ -125,19 +117,19 @@ class _Candidate(NamedTuple):
 
 
 def _search(
-    context: QueryContext, params: RegionParams, streams: Streams, by_lines: bool = False
+    context: posteriors.QueryContext, params: RegionParams, streams: Streams, by_lines: bool = False
 ) -> _Candidate:
     """Returns the answer of one search, which starts from regions, or from regions and lines."""
     started, query = time.perf_counter(), context.query
     coarse = context.posterior(params, params.coarse_width, is_coarse=True)
-    starts, best_fit = grid_starts(query, coarse, params)
+    starts, best_fit = posteriors.grid_starts(query, coarse, params)
     schedule = params.coarse_generations, params.coarse_spread_px
-    candidates = local_searches(starts, coarse, context.outlines, *schedule, streams)
+    candidates = posteriors.local_searches(starts, coarse, context.outlines, *schedule, streams)
     searched = time.perf_counter()
     fine = context.posterior(params, params.fine_width, is_coarse=False)
     modes = _refined_modes(candidates, context, fine, params, streams, by_lines)
     with_edges = fine.with_edges(params.judging_edge_weight)
-    modes = context.with_laser_range(rescore(modes, with_edges))
+    modes = context.with_laser_range(posteriors.rescore(modes, with_edges))
     answer = PoseFinalizer(context, params).answer(modes, streams)
     logs = answer.log_posteriors
     ranked = [k for k in np.argsort(-logs, kind="stable") if np.isfinite(logs[k])]
@@ -166,26 +158,26 @@ def _search(
 
 
 def _refined_modes(
-    candidates: list[Mode],
-    context: QueryContext,
-    fine: PosePosterior,
+    candidates: list[posteriors.Mode],
+    context: posteriors.QueryContext,
+    fine: posteriors.PosePosterior,
     params: RegionParams,
     streams: Streams,
     by_lines: bool,
-) -> list[Mode]:
+) -> list[posteriors.Mode]:
     """Returns the best candidates refined at the fine size, and if requested modes by lines."""
     means = np.array([mode.gaussian.mean for mode in candidates[: params.modes]])
     schedule = params.fine_generations, params.fine_spread_px
-    modes = local_searches(means, fine, context.outlines, *schedule, streams, _PRUNE_BELOW_NATS)
+    modes = posteriors.local_searches(means, fine, context.outlines, *schedule, streams, _PRUNE_BELOW_NATS)
     if by_lines and params.lines_weight > 0:
-        modes += modes_at(line_starts(context, fine, params, streams), fine)
+        modes += posteriors.modes_at(line_starts(context, fine, params, streams), fine)
     if not modes:
         raise QueryFault("no outline of a building is in view of any pose that fits")
     return modes
 
 
 def _confidence_features(
-    answer: Answer, posterior: PosePosterior, mode: Floats, params: RegionParams
+    answer: Answer, posterior: posteriors.PosePosterior, mode: Floats, params: RegionParams
 ) -> ConfidenceFeatures:
     """Returns the five features of the trust model, of an answer and its mode of the search, (6,)."""
     beyond = float(abs(posterior.prior.offsets(mode)[2]) / params.half_widths()[2]) - 1.0
@@ -210,7 +202,9 @@ def _is_focal_wrong(error_percent: float, params: RegionParams) -> bool:
     return abs(error_percent) >= _WRONG_FOCAL_SIGMAS * params.lens_percent
 
 
-def _refine_by_edges(candidate: _Candidate, context: QueryContext, params: RegionParams) -> Estimate:
+def _refine_by_edges(
+    candidate: _Candidate, context: posteriors.QueryContext, params: RegionParams
+) -> Estimate:
     """Returns the estimate of a candidate, refined by roof edges if that has the smaller variance.
 
     Edges are compared at the declared focal length: a candidate with another one is returned unchanged.
