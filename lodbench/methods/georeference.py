@@ -110,23 +110,14 @@ class Georeference:
             LodbenchError: All cameras are in one place.
         """
         usable, left_out = self._usable(queries)
-        answers, findings = dict[int, Estimate](), dict[str, Any]()
-        if len(usable) >= FEWEST_POSES:
-            found = self.inner.localize_flight([*usable.values()], city_map, [streams[k] for k in usable])
-            findings = found.findings
-            params = getattr(self.inner, "params", None)
-            for (row, query), answer in zip(usable.items(), found.estimates, strict=True):
-                if isinstance(answer, QueryFault):
-                    left_out[row] = answer.message
-                else:
-                    answers[row] = assessed(answer, query, city_map, params, is_camera_solved=True)
-        rows = {query.name: row for row, query in enumerate(queries)}
-        for name in findings.get("lost", []):
-            left_out.setdefault(rows[name], findings.get("reasons", {}).get(name, _NOWHERE))
+        answers, findings = self._answers(usable, left_out, city_map, streams)
         used = {row: answer for row, answer in answers.items() if row not in left_out}
         placement: dict[str, Any] = {
             "used": {
-                queries[row].name: {"probability": answer.probability, "score": float(answer.score)}
+                queries[row].name: {
+                    "probability": answer.probability,
+                    "score": float(answer.score) if math.isfinite(answer.score) else None,
+                }
                 for row, answer in used.items()
             },
             "left_out": [[queries[row].name, reason] for row, reason in left_out.items()],
@@ -158,6 +149,28 @@ class Georeference:
             except QueryFault as fault:
                 left_out[row] = fault.message.rstrip(".")
         return usable, left_out
+
+    def _answers(
+        self,
+        usable: Mapping[int, Query],
+        left_out: dict[int, str],
+        city_map: CityMap,
+        streams: Sequence[Streams],
+    ) -> tuple[dict[int, Estimate], dict[str, Any]]:
+        """Returns answers of the inner method, by row, and findings; extends ``left_out``."""
+        if len(usable) < FEWEST_POSES:
+            return {}, {}
+        found = self.inner.localize_flight([*usable.values()], city_map, [streams[row] for row in usable])
+        answers, params = dict[int, Estimate](), getattr(self.inner, "params", None)
+        for (row, query), answer in zip(usable.items(), found.estimates, strict=True):
+            if isinstance(answer, QueryFault):
+                left_out[row] = answer.message
+            else:
+                answers[row] = assessed(answer, query, city_map, params, is_camera_solved=True)
+        rows = {query.name: row for row, query in usable.items()}
+        for name in found.findings.get("lost", []):
+            left_out.setdefault(rows[name], found.findings.get("reasons", {}).get(name, _NOWHERE))
+        return answers, found.findings
 
 
 def _own_pose(query: Query) -> Pose:
