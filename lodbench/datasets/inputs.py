@@ -197,14 +197,10 @@ def with_inputs(dataset: Dataset, requires: Collection[str]) -> Dataset:
         dataset = replace(dataset, references=read_references(dataset.on_demand[Input.REFERENCES]()))
     if Input.INSTANCES in requires and Input.INSTANCES in dataset.on_demand:
         folder = dataset.on_demand[Input.INSTANCES]()
-        dataset = replace(dataset, entries=tuple(_labelled(entry, folder) for entry in dataset.entries))
+        labels = [(each, folder / each.split / f"{Path(each.name).stem}.png") for each in dataset.entries]
+        labelled = [replace(each, instances=file) if file.is_file() else each for each, file in labels]
+        dataset = replace(dataset, entries=tuple(labelled))
     return dataset
-
-
-def _labelled(entry: Entry, folder: Path) -> Entry:
-    """Returns an entry with its labels of a folder of ``SPLIT/STEM.png``, if they are there."""
-    file = folder / entry.split / f"{Path(entry.name).stem}.png"
-    return replace(entry, instances=file) if file.is_file() else entry
 
 
 # Folders of a split's label files: of buildings, and of classes of surfaces (1 roof, 2 wall).

@@ -163,18 +163,15 @@ def split_flights(photos: Sequence[tuple[Path, PhotoMetadata]]) -> list[Flight]:
     """
     groups: dict[tuple[Path, tuple[object, ...]], list[int]] = {}
     for row, (path, stated) in enumerate(photos):
-        groups.setdefault((path.parent, _camera_key(stated)), []).append(row)
+        camera = stated.make, stated.model, stated.width, stated.height
+        lens = stated.focal_mm, stated.focal_35mm, stated.digital_zoom
+        groups.setdefault((path.parent, (*camera, *lens)), []).append(row)
     by_camera: dict[tuple[object, ...], list[Flight]] = {}
     for (_, key), rows in groups.items():
         rows.sort(key=lambda row: natural_key(photos[row][0].name))
         by_camera.setdefault(key, []).extend(_split_folder(rows, [stated for _, stated in photos]))
     flights = [flight for found in by_camera.values() for flight in _joined(found)]
     return sorted(flights, key=lambda flight: min(flight.rows))
-
-
-def _camera_key(stated: PhotoMetadata) -> tuple[object, ...]:
-    size = stated.width, stated.height
-    return (stated.make, stated.model, *size, stated.focal_mm, stated.focal_35mm, stated.digital_zoom)
 
 
 def _split_folder(rows: Sequence[int], stated: Sequence[PhotoMetadata]) -> list[Flight]:

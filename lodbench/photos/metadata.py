@@ -7,9 +7,7 @@ a pose and a height is in ``pose``, for a camera in ``camera``.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -190,18 +188,14 @@ def stated_at_start(subtitles: Path, video: PhotoMetadata) -> PhotoMetadata:
     with subtitles.open("rb") as stream:
         text = stream.read(_MOST_BYTES).decode("utf-8", "replace")
     found: dict[str, Any] = {}
-    for cue in islice(_cues(text), _FIRST_CUES):
+    # Texts of subtitles follow a line of times.
+    for cue in (part.partition("\n")[2] for part in text.split("-->")[1 : 1 + _FIRST_CUES]):
         found = _stated(cue) | found
     if not any(found.get(name) for name in _ANGLES):  # zeros, wherever it looks
         found = {name: value for name, value in found.items() if name not in _ANGLES}
     if not found:  # of a film
         return video
     return PhotoMetadata(video.name, video.width, video.height, make="DJI", **found)
-
-
-def _cues(text: str) -> Iterator[str]:
-    """Yields the texts of subtitles, which follow a line of times."""
-    yield from (part.partition("\n")[2] for part in re.split(r"-->", text)[1:])
 
 
 def _stated(cue: str) -> dict[str, float]:

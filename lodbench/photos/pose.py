@@ -210,7 +210,8 @@ def require_stated(
     )
     if not knows_look and not states_look:
         looks = "`--heading` and `--pitch` (0 at the horizon, -90 straight down)"
-        lacking.append((f"where its camera looked ({_why_unknown(photo)})", looks))
+        angles = photo.why_no_angles or "gimbal angles of DJI, Autel, Parrot or Skydio"
+        lacking.append((f"where its camera looked ({angles})", looks))
     many = [_flags_for_many([flags for _, flags in lacking])] if lacking else []
     if not knows_camera and not states_focal_length(photo):
         many.append(camera_flag(photo.width, photo.height))
@@ -235,10 +236,6 @@ def _flags_for_many(flags: Sequence[str]) -> str:
 
 def _listed(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
-
-
-def _why_unknown(photo: PhotoMetadata) -> str:
-    return photo.why_no_angles or "gimbal angles of DJI, Autel, Parrot or Skydio"
 
 
 def _stated_height(photo: PhotoMetadata, source: str) -> float | None:

@@ -195,7 +195,8 @@ def _add_layer(database: sqlite3.Connection, kind: str, features: Sequence[Mappi
     name = _LAYERS[kind]
     columns = list(dict.fromkeys(key for each in features for key in each["properties"]))
     types = {column: _type_of([each["properties"].get(column) for each in features]) for column in columns}
-    declared = "".join(f", {_quoted(column)} {types[column]}" for column in columns)
+    names = {column: '"' + column.replace('"', '""') + '"' for column in columns}
+    declared = "".join(f", {names[column]} {types[column]}" for column in columns)
     database.execute(
         f"CREATE TABLE {name} (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, geom {kind.upper()}{declared})"
     )
@@ -231,10 +232,6 @@ def _cell(value: Any) -> Any:
     if isinstance(value, list | dict):
         return json.dumps(value, ensure_ascii=False)
     return writable(value) if isinstance(value, str) else value
-
-
-def _quoted(column: str) -> str:
-    return '"' + column.replace('"', '""') + '"'
 
 
 def _blob(geometry: shapely.Geometry | None) -> bytes | None:

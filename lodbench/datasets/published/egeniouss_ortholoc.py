@@ -108,7 +108,8 @@ def open_egeniouss(params: EgenioussParams) -> Dataset:
         photos = sorted(p.name for p in folder.glob("*") if p.suffix.lower() in PHOTO_SUFFIXES)
         poses = as_poses(true_rows) if split == "val" else dict.fromkeys(photos)
         has_priors = params.priors == "android" and (queries / file).is_file()
-        priors = _by_stem(as_poses(own_layout.read_pose_rows(queries / file)) if has_priors else {})
+        rough = as_poses(own_layout.read_pose_rows(queries / file)) if has_priors else {}
+        priors = {Path(name).stem: pose for name, pose in rough.items()}
         for name, pose in poses.items():
             photo = find_photo(folder, name)
             entry = _entry(photo.name if photo else name, split, photo, priors, (camera, sigmas))
@@ -147,10 +148,6 @@ def _entry(
     prior = priors.get(Path(name).stem)
     hypotheses = () if prior is None else (prior,)
     return Entry(name, split, known[0], prior, photo, None, hypotheses, camera_sigmas=known[1])
-
-
-def _by_stem(poses: dict[str, Pose]) -> dict[str, Pose]:
-    return {Path(name).stem: pose for name, pose in poses.items()}
 
 
 def _phone_camera(stated: str | None, path: Path) -> tuple[Camera, CameraSigmas | None]:

@@ -69,11 +69,6 @@ def _log_ratios() -> Floats:
 _RATIOS = _log_ratios()
 
 
-def middle_log_ratios() -> Floats:
-    """Returns (2, 16) the log-ratio of each level on lines of either kind, at the middle strength, nats."""
-    return np.asarray(_RATIOS[[len(_STRENGTHS) // 2] * 2])
-
-
 class LineLikelihood:
     """The log-likelihood ratio of the photo's edges, on visible lines against anywhere, near a state vector.
 
@@ -316,7 +311,9 @@ def _with_strides(params: RegionParams) -> RegionParams:
 def _sums_at(vectors: Floats, levels: Levels, photo_camera: Camera, roofs: RaisedRoofs) -> Floats:
     """Returns (N * Z,) the sums of log-ratios along lines, of poses (N, Z, 6) at Z heights."""
     camera = photo_camera.scaled(levels.shape[1], levels.shape[0])
-    intrinsics, ratios = (camera.fx, camera.fy, camera.cx, camera.cy), middle_log_ratios()
+    # (2, 16) of each level on lines of either kind, at the middle strength.
+    ratios = np.asarray(_RATIOS[[len(_STRENGTHS) // 2] * 2])
+    intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
 
     def at(height: int) -> Floats:
         poses = np.ascontiguousarray(vectors[:, height])
