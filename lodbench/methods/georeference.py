@@ -75,7 +75,7 @@ class Georeference:
         name = self.params.inner
         inner = configure_method({**self.params.settings, "name": name}, "method.settings").make()
         if not isinstance(inner, SupportsFlights):
-            raise ConfigError(f"`method.inner={name}` solves no flights.", "Set `method.inner=flight`.")
+            raise ConfigError(f"`method.inner={name}` solves no flights.", "Leave `method.inner` out.")
         self.inner = inner
         self._needs_mask = Input.MASK in declared_inputs(inner, "requires", {Input.MASK})
         self.requires = declared_inputs(inner, "requires", {Input.MASK}) | {Input.RECONSTRUCTION}
