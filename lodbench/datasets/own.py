@@ -46,35 +46,22 @@ _JPEG_QUALITY = 95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnImage:
-    """One image to put into a dataset.
+    """One image to put into a dataset."""
 
-    Attributes:
-        name: As its source calls it; folders and spaces do not survive in a dataset.
-        camera: Of the photo as stored, lens distortion included.
-        prior: Rough pose in the city's coordinates, or None.
-        truth: True pose, or None.
-        photo: Its file, or None.
-        mask: Building mask of the photo as stored, or None.
-        stated: What its photo says of itself, where the prior is from that; else None.
-        no_prior: Why its photo, where it is read for one, gives no prior; "" else.
-        lens_percent: As of ``PhotoCamera``, where the camera is by what the photo says of itself.
-        camera_sigmas: How well the camera is known, None where nobody says.
-        measured: What its photo states beside, of the prior and the scene.
-        keeps_folders: Whether its name in a dataset has its folders, which tell it from others.
-    """
-
-    name: str
-    camera: Camera
-    prior: Pose | None = None
-    truth: Pose | None = None
-    photo: Path | None = None
-    mask: Path | None = None
+    name: str  # as its source calls it; folders and spaces do not survive in a dataset
+    camera: Camera  # of the photo as stored, lens distortion included
+    prior: Pose | None = None  # rough pose in the city's coordinates, or None
+    truth: Pose | None = None  # true pose, or None
+    photo: Path | None = None  # its file, or None
+    mask: Path | None = None  # building mask of the photo as stored, or None
+    # What its photo says of itself, where the prior is from that; else None
     stated: PhotoMetadata | None = None
-    no_prior: str = ""
+    no_prior: str = ""  # why its photo, where it is read for one, gives no prior; "" else
+    # As of ``PhotoCamera``, where the camera is by what the photo says of itself
     lens_percent: float | None = None
-    camera_sigmas: CameraSigmas | None = None
-    measured: Measurements | None = None
-    keeps_folders: bool = False
+    camera_sigmas: CameraSigmas | None = None  # how well the camera is known, None where nobody says
+    measured: Measurements | None = None  # what its photo states beside, of the prior and the scene
+    keeps_folders: bool = False  # whether its name in a dataset has its folders, which tell it from others
 
     @property
     def file_name(self) -> str:

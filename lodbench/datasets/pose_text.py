@@ -217,25 +217,18 @@ DEGREES_CRS = "EPSG:4326"
 
 
 class FoundPose(NamedTuple):
-    """A posed image of a file.
+    """A posed image of a file."""
 
-    Attributes:
-        name: As written.
-        where: The file and line it stood at.
-        pose: World to camera.
-        camera: Intrinsics of the picture, lens distortion included; None where the format has none.
-        crs: Reference system of the pose as its file declares it; None where it declares none.
-            In ``EPSG:4326`` its centre is longitude, latitude (degrees) and height in the city's heights,
-            and it is turned against true north: see ``pose_files.brought``.
-        no_camera: Why ``camera`` is None, where the format has one for each image.
-    """
-
-    name: str
-    where: str
-    pose: Pose
+    name: str  # as written
+    where: str  # the file and line it stood at
+    pose: Pose  # world to camera
+    # Intrinsics of the picture, lens distortion included; None where the format has none
     camera: Camera | None = None
+    # Reference system of the pose as its file declares it; None where it declares none. In ``EPSG:4326`` its
+    # centre is longitude, latitude (degrees) and height in the city's heights, and it is turned against true
+    # north: see ``pose_files.brought``.
     crs: str | None = None
-    no_camera: str = ""
+    no_camera: str = ""  # why ``camera`` is None, where the format has one for each image
 
 
 def with_slashes(name: str) -> str:

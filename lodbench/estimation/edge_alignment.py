@@ -34,19 +34,12 @@ _NEAREST_M = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class LensErrors:
-    """Errors of a camera's declared intrinsics.
+    """Errors of a camera's declared intrinsics."""
 
-    Attributes:
-        focal: By which share the focal length is longer than declared.
-        k1: Radial distortion, normalised coordinates.
-        right: How far right of the declared principal point the true one is, share of the width.
-        down: How far below, share of the width.
-    """
-
-    focal: float = 0.0
-    k1: float = 0.0
-    right: float = 0.0
-    down: float = 0.0
+    focal: float = 0.0  # by which share the focal length is longer than declared
+    k1: float = 0.0  # radial distortion, normalised coordinates
+    right: float = 0.0  # how far right of the declared principal point the true one is, share of the width
+    down: float = 0.0  # how far below, share of the width
 
     def pinhole(self, camera: Camera) -> Camera:
         """Returns a pinhole as near to a camera with these errors as one can be, to draw with."""
@@ -100,26 +93,17 @@ _FURTHER = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelLines:
-    """N points spread evenly along the lines of a model that a view shows.
+    """N points spread evenly along the lines of a model that a view shows."""
 
-    Attributes:
-        points: (N, 3) scene metres.
-        along: (N, 3) from where its line begins to where it ends, metres.
-        relative_heights: (N,) heights as fractions of the building's height: 0 base, 1 ridge. Also how much
-            a point moves up if roofs are 1 m higher; if bases are, it moves by the rest.
-        buildings: (N,) rows of the scene.
-        lines: (N,) numbers of the lines.
-        lengths_px: (N,) length of line that each stands for, pixels.
-        is_contour: (N,) whether the building ends there as the view shows it.
-    """
-
-    points: Floats
-    along: Floats
+    points: Floats  # (N, 3) scene metres
+    along: Floats  # (N, 3) from where its line begins to where it ends, metres
+    # (N,) heights as fractions of the building's height: 0 base, 1 ridge. Also how much a point moves up if
+    # roofs are 1 m higher; if bases are, it moves by the rest.
     relative_heights: Floats
-    buildings: NDArray[np.int64]
-    lines: NDArray[np.int64]
-    lengths_px: Floats
-    is_contour: NDArray[np.bool_]
+    buildings: NDArray[np.int64]  # (N,) rows of the scene
+    lines: NDArray[np.int64]  # (N,) numbers of the lines
+    lengths_px: Floats  # (N,) length of line that each stands for, pixels
+    is_contour: NDArray[np.bool_]  # (N,) whether the building ends there as the view shows it
 
     def __len__(self) -> int:
         return len(self.points)
@@ -166,19 +150,12 @@ NUM_POSE_AND_LENS = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Projected:
-    """Points of lines in a picture.
+    """Points of lines in a picture."""
 
-    Attributes:
-        pixels: (N, 2) pixels; pixel centres at +0.5.
-        normals: (N, 2) unit, across their lines.
-        by_camera: (N, 10) how far each moves along its normal per unit of the pose and ``LensErrors``.
-        by_place: (N, 3) the same per metre that the point itself moves, scene axes.
-    """
-
-    pixels: Floats
-    normals: Floats
-    by_camera: Floats
-    by_place: Floats
+    pixels: Floats  # (N, 2) pixels; pixel centres at +0.5
+    normals: Floats  # (N, 2) unit, across their lines
+    by_camera: Floats  # (N, 10) how far each moves along its normal per unit of the pose and ``LensErrors``
+    by_place: Floats  # (N, 3) the same per metre that the point itself moves, scene axes
 
 
 def project_lines(
@@ -224,17 +201,11 @@ _NO_EDGE = float(np.exp(-2.0))
 
 
 class Candidates(NamedTuple):
-    """Edges of the photo that points of lines may show.
+    """Edges of the photo that points of lines may show."""
 
-    Attributes:
-        points: (M,) indices of the points.
-        distances: (M,) distances from the point along its normal, pixels.
-        strengths: (M,) strengths, in mean strengths of the photo around, at most 4.
-    """
-
-    points: NDArray[np.int64]
-    distances: Floats
-    strengths: Floats
+    points: NDArray[np.int64]  # (M,) indices of the points
+    distances: Floats  # (M,) distances from the point along its normal, pixels
+    strengths: Floats  # (M,) strengths, in mean strengths of the photo around, at most 4
 
     def nearest(self, count: int) -> Floats:
         """Returns (count,) the distance of the nearest candidate of each point, pixels; inf without one."""
@@ -325,19 +296,12 @@ _LOWEST_RELATIVE_HEIGHT = 0.2
 
 
 class EdgeAlignment(NamedTuple):
-    """A pose refined by edges.
+    """A pose refined by edges."""
 
-    Attributes:
-        vector: (6,) the pose, metres and degrees.
-        covariance: (6, 6) covariance of its error, that by the lens included.
-        log_ratio_to_background: log-ratio of its edges to the photo's background, prior included, nats.
-        gain: difference of that from the value at the start, nats.
-    """
-
-    vector: Floats
-    covariance: Floats
-    log_ratio_to_background: float
-    gain: float
+    vector: Floats  # (6,) the pose, metres and degrees
+    covariance: Floats  # (6, 6) covariance of its error, that by the lens included
+    log_ratio_to_background: float  # log-ratio of its edges to the photo's background, prior included, nats
+    gain: float  # difference of that from the value at the start, nats
 
 
 class EdgeLikelihood:

@@ -25,17 +25,11 @@ Rows = NDArray[np.int64]
 
 
 class Quadratic(NamedTuple):
-    """The logarithm of a density of N numbers to second order.
+    """The logarithm of a density of N numbers to second order."""
 
-    Attributes:
-        information: (N, N) the curvature of its negative.
-        gradient: (N,) the slope of its negative.
-        log_density: At the point of linearisation, up to a constant.
-    """
-
-    information: Floats
-    gradient: Floats
-    log_density: float = 0.0
+    information: Floats  # (N, N) the curvature of its negative
+    gradient: Floats  # (N,) the slope of its negative
+    log_density: float = 0.0  # at the point of linearisation, up to a constant
 
     def times_prior(self, precision: Floats, away: Floats) -> Quadratic:
         """Returns the product with a prior of independent errors: (N,) precision, and (N,) off its mean."""
@@ -127,17 +121,11 @@ _SINGULAR, _LEAST_INFORMATION = 1e-12, 1e-30
 
 @dataclass(slots=True, eq=False)
 class ErrorGroup:
-    """Residuals of the normal equations whose standard deviations share one unknown scale.
+    """Residuals of the normal equations whose standard deviations share one unknown scale."""
 
-    Attributes:
-        equations: the normal equations that they are added to.
-        scale: present estimate of their standard deviation, relative to the declared one.
-        count: number of residuals so far.
-    """
-
-    equations: NormalEquations
-    scale: float
-    count: int = 0
+    equations: NormalEquations  # the normal equations that they are added to
+    scale: float  # present estimate of their standard deviation, relative to the declared one
+    count: int = 0  # number of residuals so far
     _rows: list[Rows] = field(default_factory=list)
     _columns: list[Rows] = field(default_factory=list)
     _slopes: list[Floats] = field(default_factory=list)

@@ -42,24 +42,16 @@ _ROOM = 1 << 14
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutlinePoints:
-    """N points spread evenly along the outline of a silhouette.
+    """N points spread evenly along the outline of a silhouette."""
 
-    Attributes:
-        pixels: (N, 2) their pixels.
-        normals: (N, 2) unit normals, pointing out of the silhouette.
-        lengths: (N,) length of outline that each stands for, pixels.
-        moves: (N, 9, 2) derivatives of the pixels: per metre of x, y, z, per degree of pitch, roll, yaw, per
-            percent of focal length, and per metre that roof and base of the point's own building are higher.
-        buildings: (N,) indices of their buildings in the edge arrays.
-        east_north: (N, 2) their horizontal position, scene metres.
-    """
-
-    pixels: Floats
-    normals: Floats
-    lengths: Floats
+    pixels: Floats  # (N, 2) their pixels
+    normals: Floats  # (N, 2) unit normals, pointing out of the silhouette
+    lengths: Floats  # (N,) length of outline that each stands for, pixels
+    # (N, 9, 2) derivatives of the pixels: per metre of x, y, z, per degree of pitch, roll, yaw, per percent
+    # of focal length, and per metre that roof and base of the point's own building are higher
     moves: Floats
-    buildings: NDArray[np.int64]
-    east_north: Floats
+    buildings: NDArray[np.int64]  # (N,) indices of their buildings in the edge arrays
+    east_north: Floats  # (N, 2) their horizontal position, scene metres
 
     def __len__(self) -> int:
         return len(self.lengths)
@@ -248,48 +240,28 @@ _STAIR_PX = 1.0
 
 @dataclass(frozen=True, slots=True)
 class OutlineModel:
-    """How outlines of map and mask are compared, and how far a camera may be from its prior.
+    """How outlines of map and mask are compared, and how far a camera may be from its prior."""
 
-    Attributes:
-        size: Width and height of masks where all other pixels are counted, ``fine_size``.
-        sigmas: (7,) standard deviations of the prior: metres, degrees, percent of the lens.
-        reach_m: How far from the prior edges of the map are looked at.
-        turn_deg: And how far turned.
-        spacing_px: Distance between outline points.
-        noise_px: Standard deviation of a mask's outline.
-        correlation_px: Length of outline that counts as one observation.
-        roof_m: Standard deviation of each building's height in the map; 0 trusts the map.
-        outline_px: Distance over which the errors of a mask's outline go together.
-        roof_part_px: Distance over which a roof's error goes together.
-    """
-
-    size: tuple[int, int]
-    sigmas: tuple[float, ...]
-    reach_m: float
-    turn_deg: float
-    spacing_px: float
-    noise_px: float
-    correlation_px: float
-    roof_m: float
-    outline_px: float
-    roof_part_px: float
+    size: tuple[int, int]  # width and height of masks where all other pixels are counted, ``fine_size``
+    sigmas: tuple[float, ...]  # (7,) standard deviations of the prior: metres, degrees, percent of the lens
+    reach_m: float  # how far from the prior edges of the map are looked at
+    turn_deg: float  # and how far turned
+    spacing_px: float  # distance between outline points
+    noise_px: float  # standard deviation of a mask's outline
+    correlation_px: float  # length of outline that counts as one observation
+    roof_m: float  # standard deviation of each building's height in the map; 0 trusts the map
+    outline_px: float  # distance over which the errors of a mask's outline go together
+    roof_part_px: float  # distance over which a roof's error goes together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Level:
-    """The query at one working size.
+    """The query at one working size."""
 
-    Attributes:
-        camera: Pinhole of that size.
-        mask: (H, W) the query mask.
-        distance: (H, W) float32 signed distance to its outline, pixels, positive inside.
-        scale: Pixels of this size per pixel of the fine size.
-    """
-
-    camera: Camera
-    mask: Mask
-    distance: NDArray[np.float32]
-    scale: float
+    camera: Camera  # pinhole of that size
+    mask: Mask  # (H, W) the query mask
+    distance: NDArray[np.float32]  # (H, W) float32 signed distance to its outline, pixels, positive inside
+    scale: float  # pixels of this size per pixel of the fine size
 
 
 # The query at the sizes used so far.
@@ -298,35 +270,21 @@ Levels = dict[tuple[int, int], Level]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """How far N points of a pose's outline lie inside the mask's, in pixels of the fine size.
+    """How far N points of a pose's outline lie inside the mask's, in pixels of the fine size."""
 
-    Attributes:
-        points: The outline, in pixels of the working size.
-        distances: (N,) positive inside the mask.
-        slopes: (N, 9) their change per unit of ``OutlinePoints.moves``.
-        agreement: (N,) 1 where the mask's outline runs as the silhouette's does, 0 across or against it.
-        scale: Pixels of the working size per pixel of the fine size.
-        iou: Of silhouette and mask.
-    """
-
-    points: OutlinePoints
-    distances: Floats
-    slopes: Floats
-    agreement: Floats
-    scale: float
-    iou: float
+    points: OutlinePoints  # the outline, in pixels of the working size
+    distances: Floats  # (N,) positive inside the mask
+    slopes: Floats  # (N, 9) their change per unit of ``OutlinePoints.moves``
+    agreement: Floats  # (N,) 1 where the mask's outline runs as the silhouette's does, 0 across or against it
+    scale: float  # pixels of the working size per pixel of the fine size
+    iou: float  # of silhouette and mask
 
 
 class Linearization(NamedTuple):
-    """The posterior of a camera's seven numbers by outlines, to second order.
+    """The posterior of a camera's seven numbers by outlines, to second order."""
 
-    Attributes:
-        posterior: In metres, degrees and percent of the lens; the prior included.
-        iou: Of silhouette and mask.
-    """
-
-    posterior: Quadratic
-    iou: float
+    posterior: Quadratic  # in metres, degrees and percent of the lens; the prior included
+    iou: float  # of silhouette and mask
 
     def step(self) -> Floats:
         """Returns (7,) the Gauss-Newton step, no longer than a linearisation is good for.

@@ -19,15 +19,10 @@ _NAMED_OTHERWISE = ("name", "variant", "notes", "matcher", "features")
 
 @dataclass(frozen=True, slots=True)
 class ConfiguredMethod:
-    """A method's class and the parameters to make it from.
+    """A method's class and the parameters to make it from."""
 
-    Attributes:
-        kind: The class.
-        params: Of its ``params_type``.
-    """
-
-    kind: Any
-    params: Any
+    kind: Any  # the class
+    params: Any  # of its ``params_type``
 
     def make(self) -> Method:
         """Returns the method, made anew.

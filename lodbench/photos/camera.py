@@ -61,19 +61,12 @@ _LIKE = 0.3
 
 
 class Focal(NamedTuple):
-    """A focal length.
+    """A focal length."""
 
-    Attributes:
-        fx: Pixels.
-        fy: Pixels.
-        source: ``focal_plane``, ``sensor``, ``field_of_view`` or ``35mm``.
-        percent: Its standard deviation.
-    """
-
-    fx: float
-    fy: float
-    source: str
-    percent: float = NOMINAL_PERCENT
+    fx: float  # pixels
+    fy: float  # pixels
+    source: str  # ``focal_plane``, ``sensor``, ``field_of_view`` or ``35mm``
+    percent: float = NOMINAL_PERCENT  # its standard deviation
 
 
 def focal_lengths(photo: PhotoMetadata, width: int, height: int) -> Iterator[Focal]:
@@ -214,20 +207,14 @@ _OFF_CENTER = 0.05
 
 @dataclass(frozen=True, slots=True)
 class PhotoCamera:
-    """A camera and where its numbers came from.
+    """A camera and where its numbers came from."""
 
-    Attributes:
-        camera: Of the picture as stored, lens distortion included where it is known.
-        source: ``dewarp`` or ``calibrated``, by the maker; as of ``Focal``; or ``given`` by a person.
-        lens_percent: Standard deviation of a focal length that is the lens's nominal one, percent, rounding
-            included, or as a person states it; None for a calibrated one.
-        camera_sigmas: Standard deviations of all of its numbers.
-    """
-
-    camera: Camera
-    source: str
+    camera: Camera  # of the picture as stored, lens distortion included where it is known
+    source: str  # ``dewarp`` or ``calibrated``, by the maker; as of ``Focal``; or ``given`` by a person
+    # Standard deviation of a focal length that is the lens's nominal one, percent, rounding included, or as a
+    # person states it; None for a calibrated one
     lens_percent: float | None = None
-    camera_sigmas: CameraSigmas = CALIBRATED
+    camera_sigmas: CameraSigmas = CALIBRATED  # standard deviations of all of its numbers
 
 
 def camera_given(camera: Camera, sigmas: CameraSigmas | None) -> PhotoCamera:

@@ -130,20 +130,13 @@ _CLOCK = "%Y:%m:%d %H:%M:%S"
 
 @dataclass(slots=True)
 class Flight:
-    """Photos taken with one camera, one after the other.
+    """Photos taken with one camera, one after the other."""
 
-    Attributes:
-        rows: Of the photos, in the order of their names.
-        camera: What took them.
-        started: When the first was taken, by its clock; None where none says.
-        ended: When the last was.
-        odd_clocks: Rows whose clock runs against the order of names; they are where their names put them.
-    """
-
-    rows: list[int]
-    camera: str
-    started: datetime | None = None
-    ended: datetime | None = None
+    rows: list[int]  # of the photos, in the order of their names
+    camera: str  # what took them
+    started: datetime | None = None  # when the first was taken, by its clock; None where none says
+    ended: datetime | None = None  # when the last was
+    # Rows whose clock runs against the order of names; they are where their names put them
     odd_clocks: list[int] = field(default_factory=list)
 
     def take(self, other: Flight) -> None:

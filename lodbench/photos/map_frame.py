@@ -24,23 +24,14 @@ _WGS84, _WGS84_3D = "EPSG:4326", "EPSG:4979"
 
 
 class GeoPose(NamedTuple):
-    """Where a camera is and how it looks, in the terms people use.
+    """Where a camera is and how it looks, in the terms people use."""
 
-    Attributes:
-        latitude_deg: WGS 84.
-        longitude_deg: WGS 84.
-        height_m: In the city's own heights.
-        heading_deg: As of ``LookAngles``, from true north.
-        pitch_deg: As of ``LookAngles``: -90 is straight down.
-        roll_deg: As of ``LookAngles``: about the optical axis.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    height_m: float
-    heading_deg: float
-    pitch_deg: float
-    roll_deg: float
+    latitude_deg: float  # WGS 84
+    longitude_deg: float  # WGS 84
+    height_m: float  # in the city's own heights
+    heading_deg: float  # as of ``LookAngles``, from true north
+    pitch_deg: float  # as of ``LookAngles``: -90 is straight down
+    roll_deg: float  # as of ``LookAngles``: about the optical axis
 
 
 class MapFrame:

@@ -35,22 +35,15 @@ _MOST_SIGMA, _MOST_M, _MOST_S = 360.0, 1e5, 1e11
 
 @dataclass(frozen=True, slots=True)
 class Measurements:
-    """What was measured beside one photo.
+    """What was measured beside one photo."""
 
-    Attributes:
-        sigmas: (6,) standard deviations of the prior's x, y, z (metres), pitch, roll, yaw (degrees); None
-            where nobody states one.
-        laser: A range along the ray of the photo's centre.
-        takeoff_height_m: Height above the take-off point, by air pressure.
-        takeoff_sigma_m: Its standard deviation within one flight.
-        time_s: When it was taken, seconds from any moment of its flight.
-    """
-
+    # (6,) standard deviations of the prior's x, y, z (metres), pitch, roll, yaw (degrees); None where nobody
+    # states one
     sigmas: tuple[float | None, ...] = _NONE
-    laser: LaserRange | None = None
-    takeoff_height_m: float | None = None
-    takeoff_sigma_m: float = BAROMETER_M
-    time_s: float | None = None
+    laser: LaserRange | None = None  # A range along the ray of the photo's centre
+    takeoff_height_m: float | None = None  # height above the take-off point, by air pressure
+    takeoff_sigma_m: float = BAROMETER_M  # its standard deviation within one flight
+    time_s: float | None = None  # when it was taken, seconds from any moment of its flight
 
     def over(self, sigmas: Floats) -> Floats:
         """Returns (6,) deviations, the stated ones instead of given ones."""

@@ -18,89 +18,57 @@ from lodbench.photos.xmp import Dewarp, LaserRange, xmp_values
 
 @dataclass(frozen=True, slots=True)
 class PhotoMetadata:
-    """What a photo states; None for what it does not.
+    """What a photo states; None for what it does not."""
 
-    Attributes:
-        name: File name.
-        width: Pixels, of the stored picture, whatever ``orientation`` says.
-        height: Pixels.
-        make: Maker of the camera.
-        model: Model of the camera.
-        orientation: EXIF's turn for display, 1 for none.
-        size_when_taken: Width and height that EXIF states; scaling a photo often leaves them.
-        taken_at: Local time as written, ``2023:10:18 11:46:19``.
-        taken_fraction_s: Of the second of ``taken_at``.
-        latitude_deg: WGS 84; XMP's value, which has more digits, before EXIF's.
-        longitude_deg: Likewise.
-        altitude_m: Absolute altitude, metres, above what the drone takes for sea level, or above the
-            ellipsoid (``HeightOptions``).
-        relative_altitude_m: Height above the take-off point, metres.
-        gimbal_yaw_deg: Clockwise from true north.
-        gimbal_pitch_deg: 0 at the horizon, -90 straight down.
-        gimbal_roll_deg: About the optical axis.
-        why_no_angles: What XMP states instead of the gimbal's angles, as a clause; "" for nothing.
-        focal_mm: Focal length, millimetres.
-        focal_35mm: Focal length of a 36 x 24 mm camera with the same diagonal field of view.
-        pixel_mm: Width and height of a sensor's pixel, millimetres (EXIF's focal plane resolution).
-        digital_zoom: What part of the lens's picture the photo shows enlarged: 2 for a half; 1 for all of it.
-        field_across_deg: Horizontal field of view.
-        field_down_deg: Vertical field of view.
-        calibrated_focal_px: The maker's focal length in pixels, of DJI by design.
-        calibrated_focal_y_px: The same along y, where that is another.
-        optical_center_x_px: The maker's principal point, pixels, of DJI by design.
-        optical_center_y_px: Likewise.
-        dewarp: DJI's calibration with lens distortion.
-        is_dewarped: The drone has undistorted the picture already.
-        has_rtk: The height is that of an RTK receiver, above the ellipsoid.
-        is_single_point: An RTK receiver had no corrections, and nothing says whether the height is its own.
-        vertical_reference: What XMP says that the altitude is above (``VertCS``).
-        is_exif3_height: The altitude is EXIF's, above the ellipsoid by version 3.0, above sea level before.
-        projection: How a stitched panorama was laid flat, ``equirectangular``; "" for a lens's picture.
-        xmp_fault: Why XMP that is there cannot be read, in words; "" where it can.
-        laser: What DJI's laser measured, where its status is normal.
-        sigmas: (6,) standard deviations of x, y, z (metres), pitch, roll and yaw (degrees) by the receiver
-            and the gimbal; None where nobody states one.
-        refused: Why measurements that XMP states are none, in clauses.
-    """
-
-    name: str
-    width: int
-    height: int
-    make: str = ""
-    model: str = ""
-    orientation: int = 1
+    name: str  # file name
+    width: int  # pixels, of the stored picture, whatever ``orientation`` says
+    height: int  # pixels
+    make: str = ""  # maker of the camera
+    model: str = ""  # model of the camera
+    orientation: int = 1  # EXIF's turn for display, 1 for none
+    # Width and height that EXIF states; scaling a photo often leaves them
     size_when_taken: tuple[int, int] | None = None
-    taken_at: str = ""
-    taken_fraction_s: float | None = None
-    latitude_deg: float | None = None
-    longitude_deg: float | None = None
+    taken_at: str = ""  # local time as written, ``2023:10:18 11:46:19``
+    taken_fraction_s: float | None = None  # of the second of ``taken_at``
+    latitude_deg: float | None = None  # WGS 84; XMP's value, which has more digits, before EXIF's
+    longitude_deg: float | None = None  # likewise
+    # Absolute altitude, metres, above what the drone takes for sea level, or above the ellipsoid
+    # (``HeightOptions``)
     altitude_m: float | None = None
-    relative_altitude_m: float | None = None
-    gimbal_yaw_deg: float | None = None
-    gimbal_pitch_deg: float | None = None
-    gimbal_roll_deg: float | None = None
-    why_no_angles: str = ""
-    focal_mm: float | None = None
+    relative_altitude_m: float | None = None  # height above the take-off point, metres
+    gimbal_yaw_deg: float | None = None  # clockwise from true north
+    gimbal_pitch_deg: float | None = None  # 0 at the horizon, -90 straight down
+    gimbal_roll_deg: float | None = None  # about the optical axis
+    why_no_angles: str = ""  # what XMP states instead of the gimbal's angles, as a clause; "" for nothing
+    focal_mm: float | None = None  # focal length, millimetres
+    # Focal length of a 36 x 24 mm camera with the same diagonal field of view
     focal_35mm: float | None = None
+    # Width and height of a sensor's pixel, millimetres (EXIF's focal plane resolution)
     pixel_mm: tuple[float, float] | None = None
+    # What part of the lens's picture the photo shows enlarged: 2 for a half; 1 for all of it
     digital_zoom: float = 1.0
-    field_across_deg: float | None = None
-    field_down_deg: float | None = None
-    calibrated_focal_px: float | None = None
-    calibrated_focal_y_px: float | None = None
-    optical_center_x_px: float | None = None
-    optical_center_y_px: float | None = None
-    dewarp: Dewarp | None = None
-    is_dewarped: bool = False
-    has_rtk: bool = False
+    field_across_deg: float | None = None  # horizontal field of view
+    field_down_deg: float | None = None  # vertical field of view
+    calibrated_focal_px: float | None = None  # the maker's focal length in pixels, of DJI by design
+    calibrated_focal_y_px: float | None = None  # the same along y, where that is another
+    optical_center_x_px: float | None = None  # the maker's principal point, pixels, of DJI by design
+    optical_center_y_px: float | None = None  # likewise
+    dewarp: Dewarp | None = None  # DJI's calibration with lens distortion
+    is_dewarped: bool = False  # the drone has undistorted the picture already
+    has_rtk: bool = False  # the height is that of an RTK receiver, above the ellipsoid
+    # An RTK receiver had no corrections, and nothing says whether the height is its own
     is_single_point: bool = False
-    vertical_reference: str = ""
+    vertical_reference: str = ""  # what XMP says that the altitude is above (``VertCS``)
+    # The altitude is EXIF's, above the ellipsoid by version 3.0, above sea level before
     is_exif3_height: bool = False
+    # How a stitched panorama was laid flat, ``equirectangular``; "" for a lens's picture
     projection: str = ""
-    xmp_fault: str = ""
-    laser: LaserRange | None = None
+    xmp_fault: str = ""  # why XMP that is there cannot be read, in words; "" where it can
+    laser: LaserRange | None = None  # what DJI's laser measured, where its status is normal
+    # (6,) standard deviations of x, y, z (metres), pitch, roll and yaw (degrees) by the receiver and the
+    # gimbal; None where nobody states one
     sigmas: tuple[float | None, ...] = (None,) * 6
-    refused: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()  # why measurements that XMP states are none, in clauses
 
     @property
     def has_position(self) -> bool:

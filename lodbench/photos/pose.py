@@ -69,24 +69,19 @@ HeightSource = Literal["auto", "sea_level", "ellipsoid", "takeoff"]
 class HeightOptions:
     """How a drone's heights become the city's.
 
-    Attributes:
-        source: ``sea_level``: the absolute altitude is taken as it stands, as that of a drone without RTK
-            is meant. ``ellipsoid``: it is above the WGS 84 ellipsoid, as with RTK. ``takeoff``: the
-            relative altitude above ``takeoff_m``. ``auto``: takeoff where ``takeoff_m`` is given, else
-            ellipsoid where ``source_for`` says so, else sea_level.
-        takeoff_m: Height of the take-off point, in the city's heights.
-        geoid_m: Height of the city's zero above the ellipsoid there; None asks PROJ.
-        offset_m: Added in the end, whatever the height came from.
-
     Raises:
         ConfigError: The source is unknown or lacks the take-off height, a height is not finite, or one is
             given that the source does not use.
     """
 
+    # ``sea_level``: the absolute altitude is taken as it stands, as that of a drone without RTK is meant.
+    # ``ellipsoid``: it is above the WGS 84 ellipsoid, as with RTK. ``takeoff``: the relative altitude above
+    # ``takeoff_m``. ``auto``: takeoff where ``takeoff_m`` is given, else ellipsoid where ``source_for`` says
+    # so, else sea_level.
     source: HeightSource = "auto"
-    takeoff_m: float | None = None
-    geoid_m: float | None = None
-    offset_m: float = 0.0
+    takeoff_m: float | None = None  # height of the take-off point, in the city's heights
+    geoid_m: float | None = None  # height of the city's zero above the ellipsoid there; None asks PROJ
+    offset_m: float = 0.0  # added in the end, whatever the height came from
 
     def __post_init__(self) -> None:
         if self.source not in get_args(HeightSource):
@@ -127,24 +122,16 @@ class HeightOptions:
 class RoughPlace:
     """A rough pose in the terms of gimbals and maps; what is given here goes before the photo's own.
 
-    Attributes:
-        latitude_deg: WGS 84.
-        longitude_deg: WGS 84.
-        height_m: In the city's heights.
-        heading_deg: Clockwise from true north.
-        pitch_deg: 0 at the horizon, -90 straight down.
-        roll_deg: About the optical axis.
-
     Raises:
         ConfigError: The place is not on Earth, or a number is not finite.
     """
 
-    latitude_deg: float | None = None
-    longitude_deg: float | None = None
-    height_m: float | None = None
-    heading_deg: float | None = None
-    pitch_deg: float | None = None
-    roll_deg: float | None = None
+    latitude_deg: float | None = None  # WGS 84
+    longitude_deg: float | None = None  # WGS 84
+    height_m: float | None = None  # in the city's heights
+    heading_deg: float | None = None  # clockwise from true north
+    pitch_deg: float | None = None  # 0 at the horizon, -90 straight down
+    roll_deg: float | None = None  # about the optical axis
 
     def __post_init__(self) -> None:
         require_within("--lat", self.latitude_deg, -90, 90)

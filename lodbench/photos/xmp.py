@@ -111,44 +111,27 @@ _FRAMES = ("http://www.w3.org/1999/02/22-rdf-syntax-ns#", "adobe:ns:meta/")
 
 @dataclass(frozen=True, slots=True)
 class Dewarp:
-    """DJI's calibration of one camera (``DewarpData``), of the full-size picture.
+    """DJI's calibration of one camera (``DewarpData``), of the full-size picture."""
 
-    Attributes:
-        date: When it was made, as written.
-        fx: Focal length along x, pixels.
-        fy: Along y.
-        cx: Offset of the principal point from the picture's centre, pixels.
-        cy: Likewise.
-        distortion: (k1, k2, p1, p2, k3) of OpenCV's formula.
-    """
-
-    date: str
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, float, float, float, float]
+    date: str  # when it was made, as written
+    fx: float  # focal length along x, pixels
+    fy: float  # along y
+    cx: float  # offset of the principal point from the picture's centre, pixels
+    cy: float  # likewise
+    distortion: tuple[float, float, float, float, float]  # (k1, k2, p1, p2, k3) of OpenCV's formula
 
 
 @dataclass(frozen=True, slots=True)
 class LaserRange:
-    """A range that a drone's laser measured while the photo was taken, along the ray of the photo's centre.
+    """A range that a drone's laser measured as the photo was taken, along the ray of the photo's centre."""
 
-    Attributes:
-        range_m: From the camera to what the beam met, metres.
-        latitude_deg: Of what it met, by the drone's own place and angles, WGS 84; None where not stated.
-        longitude_deg: Likewise.
-        altitude_m: Likewise, its absolute altitude, metres.
-        relative_altitude_m: Likewise, its height above the take-off point, metres.
-        stated_sigma_m: Standard deviation of the range where somebody states one, metres.
-    """
-
-    range_m: float
+    range_m: float  # from the camera to what the beam met, metres
+    # Of what it met, by the drone's own place and angles, WGS 84; None where not stated
     latitude_deg: float | None = None
-    longitude_deg: float | None = None
-    altitude_m: float | None = None
-    relative_altitude_m: float | None = None
-    stated_sigma_m: float | None = None
+    longitude_deg: float | None = None  # likewise
+    altitude_m: float | None = None  # likewise, its absolute altitude, metres
+    relative_altitude_m: float | None = None  # likewise, its height above the take-off point, metres
+    stated_sigma_m: float | None = None  # standard deviation of the range where somebody states one, metres
 
     @property
     def sigma_m(self) -> float:

@@ -221,18 +221,12 @@ _TINY, _MOST_SIGMA_M = 1e-9, 1e3
 
 
 class Fix(NamedTuple):
-    """Where a receiver was.
+    """Where a receiver was."""
 
-    Attributes:
-        latitude_deg: WGS 84.
-        longitude_deg: WGS 84.
-        height_m: As the file has it; None where it has none.
-        sigmas: (3,) standard deviations east, north and up, metres; None where the file has none.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    height_m: float | None
+    latitude_deg: float  # WGS 84
+    longitude_deg: float  # WGS 84
+    height_m: float | None  # as the file has it; None where it has none
+    # (3,) standard deviations east, north and up, metres; None where the file has none
     sigmas: tuple[float | None, ...]
 
 

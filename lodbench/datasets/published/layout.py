@@ -33,25 +33,17 @@ PREFIXES = ("", "dataset/", "data/")
 
 @dataclass(frozen=True, slots=True)
 class SplitSpec:
-    """One split.
+    """One split."""
 
-    Attributes:
-        name: Name in tables.
-        folders: Where its files lie below the root, in the order tried.
-        split_files: Names of its split JSON, in the order tried.
-        prior_files: Further names of the file of priors.
-        num_queries: Queries of the paper's tables, solved from their percentages; None where unknown.
-        prior_median: The paper's median error of the priors, metres and degrees.
-        is_test: Whether it is run where no split is named.
-    """
-
-    name: str
-    folders: tuple[str, ...]
-    split_files: tuple[str, ...]
-    prior_files: tuple[str, ...] = ()
+    name: str  # name in tables
+    folders: tuple[str, ...]  # where its files lie below the root, in the order tried
+    split_files: tuple[str, ...]  # names of its split JSON, in the order tried
+    prior_files: tuple[str, ...] = ()  # further names of the file of priors
+    # Queries of the paper's tables, solved from their percentages; None where unknown
     num_queries: int | None = None
+    # The paper's median error of the priors, metres and degrees
     prior_median: tuple[float, float] | None = None
-    is_test: bool = True
+    is_test: bool = True  # whether it is run where no split is named
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,59 +67,35 @@ class Download:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A file, or files, of a dataset in a layout of its own.
+    """A file, or files, of a dataset in a layout of its own."""
 
-    Attributes:
-        place: Below the dataset's folder, as a pattern: ``query_images/val/*``.
-        what: In words.
-        split: The split that cannot be read without it; "" for none in particular.
-        is_needed: Whether queries cannot be made without it.
-        media: Its MIME type.
-    """
-
-    place: str
-    what: str
-    split: str = ""
-    is_needed: bool = True
-    media: str = "text/plain"
+    place: str  # below the dataset's folder, as a pattern: ``query_images/val/*``
+    what: str  # in words
+    split: str = ""  # the split that cannot be read without it; "" for none in particular
+    is_needed: bool = True  # whether queries cannot be made without it
+    media: str = "text/plain"  # its MIME type
 
 
 @dataclass(frozen=True, slots=True)
 class PublishedSpec:
-    """One dataset: queries over one city model.
+    """One dataset: queries over one city model."""
 
-    Attributes:
-        id: Name on the command line.
-        title: Name in the papers.
-        lod: Level of detail of the city model, for people: the files do not say; or what else the map is.
-        folder: The folder of the download.
-        splits: In the order of the papers' tables.
-        hosts: Where to get it.
-        city_files: Names of the city model, in the order tried; patterns where there are ``parts``.
-        unreadable_city_files: Names of it in formats that are not read.
-        ecef: The frame its files may come in besides east, north, up.
-        photo_crs: CRS of which the local frame is a shift, to place photos by their GPS.
-        downloads: What can be fetched by itself.
-        parts: Files of a layout of its own; empty for LoD-Loc's.
-        protocol: Name of its bins and metrics, of ``lodbench.evaluation.metrics``.
-        year: Of its publication.
-        camera_height_m: Between which heights above the ground its cameras are; None where not stated.
-    """
-
-    id: str
-    title: str
-    lod: str
-    folder: str
-    splits: tuple[SplitSpec, ...]
-    hosts: tuple[Host, ...]
+    id: str  # name on the command line
+    title: str  # name in the papers
+    lod: str  # level of detail of the city model, for people: the files do not say; or what else the map is
+    folder: str  # the folder of the download
+    splits: tuple[SplitSpec, ...]  # in the order of the papers' tables
+    hosts: tuple[Host, ...]  # where to get it
+    # Names of the city model, in the order tried; patterns where there are ``parts``
     city_files: tuple[str, ...] = ()
-    unreadable_city_files: tuple[str, ...] = ()
-    ecef: ShiftedEcef | None = None
-    photo_crs: str | None = None
-    downloads: tuple[Download, ...] = ()
-    parts: tuple[Part, ...] = ()
-    protocol: str = "lodloc"
-    year: str = "2024"
+    unreadable_city_files: tuple[str, ...] = ()  # names of it in formats that are not read
+    ecef: ShiftedEcef | None = None  # the frame its files may come in besides east, north, up
+    photo_crs: str | None = None  # CRS of which the local frame is a shift, to place photos by their GPS
+    downloads: tuple[Download, ...] = ()  # what can be fetched by itself
+    parts: tuple[Part, ...] = ()  # files of a layout of its own; empty for LoD-Loc's
+    protocol: str = "lodloc"  # name of its bins and metrics, of ``lodbench.evaluation.metrics``
+    year: str = "2024"  # of its publication
+    # Between which heights above the ground its cameras are; None where not stated
     camera_height_m: tuple[float, float] | None = None
 
     @property
@@ -148,29 +116,17 @@ MODEL_WITH_QUERIES = Host("city model", _LODLOC_FILES, "folder MODEL of the same
 
 @dataclass(frozen=True, slots=True)
 class SplitFiles:
-    """The parts of one split; what is not there is None.
+    """The parts of one split; what is not there is None."""
 
-    Attributes:
-        spec: The split.
-        folder: Its folder.
-        truth: True poses: a text file, a folder of 4 x 4 matrices, or COLMAP's ``images.txt``.
-        truth_folder: The folder of 4 x 4 matrices, where both are there.
-        priors: The priors, likewise.
-        other_priors: Files that could be the priors too.
-        cameras: Intrinsics: a text file, a folder of 3 x 4 matrices, or COLMAP's ``cameras.txt``.
-        images: The photos.
-        names: What lists the queries: a split JSON or ``dataset_test.txt``.
-    """
-
-    spec: SplitSpec
-    folder: Path
-    truth: Path | None
-    truth_folder: Path | None
-    priors: Path | None
-    other_priors: tuple[Path, ...]
-    cameras: Path | None
-    images: Path | None
-    names: Path | None
+    spec: SplitSpec  # the split
+    folder: Path  # its folder
+    truth: Path | None  # true poses: a text file, a folder of 4 x 4 matrices, or COLMAP's ``images.txt``
+    truth_folder: Path | None  # the folder of 4 x 4 matrices, where both are there
+    priors: Path | None  # the priors, likewise
+    other_priors: tuple[Path, ...]  # files that could be the priors too
+    cameras: Path | None  # intrinsics: a text file, a folder of 3 x 4 matrices, or COLMAP's ``cameras.txt``
+    images: Path | None  # the photos
+    names: Path | None  # what lists the queries: a split JSON or ``dataset_test.txt``
 
     @property
     def is_complete(self) -> bool:
@@ -180,23 +136,17 @@ class SplitFiles:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What is there of a dataset: None for what is not.
-
-    Attributes:
-        unreadable_city: A city model in a format that is not read.
-        home: Folder that the ``parts`` of the dataset are below, where it has some.
-        lacking: Those of them that are not there.
-    """
+    """What is there of a dataset: None for what is not."""
 
     spec: PublishedSpec
     root: Path
     splits: tuple[SplitFiles, ...]
     city_model: Path | None
-    unreadable_city: Path | None
+    unreadable_city: Path | None  # A city model in a format that is not read
     textured_map: Path | None = None
     references: Path | None = None
-    home: Path | None = None
-    lacking: tuple[Part, ...] = ()
+    home: Path | None = None  # folder that the ``parts`` of the dataset are below, where it has some
+    lacking: tuple[Part, ...] = ()  # those of them that are not there
 
     @property
     def is_there(self) -> bool:

@@ -247,17 +247,11 @@ def stated_camera(setting: str, words: str) -> tuple[Camera, CameraSigmas | None
 
 
 class Array(NamedTuple):
-    """What an array of a sample must be.
+    """What an array of a sample must be."""
 
-    Attributes:
-        shape: Its sizes; None for any.
-        kinds: Its kinds of numbers, of NumPy: f, i, u; U for text.
-        is_finite: Whether all of its numbers must be finite.
-    """
-
-    shape: tuple[int | None, ...]
-    kinds: str = "fiu"
-    is_finite: bool = True
+    shape: tuple[int | None, ...]  # its sizes; None for any
+    kinds: str = "fiu"  # its kinds of numbers, of NumPy: f, i, u; U for text
+    is_finite: bool = True  # whether all of its numbers must be finite
 
 
 def read_arrays(

@@ -28,18 +28,13 @@ _REGULAR = 0.25
 
 
 class Raster(NamedTuple):
-    """Cells of a map, rows from north to south.
+    """Cells of a map, rows from north to south."""
 
-    Attributes:
-        values: (H, W) heights in metres, NaN for none; or (H, W, 3) BGR.
-        west, north: Outer corner of the first cell, metres.
-        cell: Width and height of a cell, metres.
-    """
-
-    values: NDArray[Any]
+    values: NDArray[Any]  # (H, W) heights in metres, NaN for none; or (H, W, 3) BGR
+    # Outer corner of the first cell, metres
     west: float
     north: float
-    cell: tuple[float, float]
+    cell: tuple[float, float]  # width and height of a cell, metres
 
 
 class RasterMap(NamedTuple):

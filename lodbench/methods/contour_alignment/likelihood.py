@@ -34,25 +34,16 @@ _BIAS_PX = 0.5
 
 @dataclass(frozen=True, slots=True)
 class WorldErrors:
-    """How a city may differ from its map: Gaussian errors in metres, common ones and each building's own.
+    """How a city may differ from its map: Gaussian errors in metres, common ones and each building's own."""
 
-    Attributes:
-        name: In a word.
-        odds: How likely before the photo; relative to the other hypotheses.
-        roof_m: Standard deviation of each building's height.
-        part_m: The same of parts of its roof.
-        base_m: The same of where its walls end in photos.
-        roofs_m: Mean and standard deviation of what the heights of all buildings err by together.
-        bases_m: The same of where all walls end.
-    """
-
-    name: str
-    odds: float
-    roof_m: float
-    part_m: float
-    base_m: float
+    name: str  # in a word
+    odds: float  # how likely before the photo; relative to the other hypotheses
+    roof_m: float  # standard deviation of each building's height
+    part_m: float  # the same of parts of its roof
+    base_m: float  # the same of where its walls end in photos
+    # Mean and standard deviation of what the heights of all buildings err by together
     roofs_m: tuple[float, float]
-    bases_m: tuple[float, float]
+    bases_m: tuple[float, float]  # the same of where all walls end
 
     @property
     def shared_mean(self) -> Floats:
@@ -99,19 +90,12 @@ _ANYWHERE_PX = 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
-    """A measured outline, in chunks of neighbouring buildings.
+    """A measured outline, in chunks of neighbouring buildings."""
 
-    Attributes:
-        here: The points.
-        pixels: (N, 2) of the fine size.
-        slopes: (N, 10) how distances change with the camera, common roofs and bases, and a grown mask.
-        chunks: Indices of the points of each chunk.
-    """
-
-    here: Residuals
-    pixels: Floats
-    slopes: Floats
-    chunks: tuple[NDArray[np.int64], ...]
+    here: Residuals  # the points
+    pixels: Floats  # (N, 2) of the fine size
+    slopes: Floats  # (N, 10) how distances change with the camera, common roofs and bases, and a grown mask
+    chunks: tuple[NDArray[np.int64], ...]  # indices of the points of each chunk
 
     def covariance(
         self,

@@ -63,23 +63,15 @@ _PRUNE_WORLD, _PRUNE_TRACK = 12.0, 15.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
-    """A Gaussian of camera and shared errors under one hypothesis.
+    """A Gaussian of camera and shared errors under one hypothesis."""
 
-    Attributes:
-        world: How the city differs from the map.
-        is_tilt_free: Whether the prior's tilt is worse than declared.
-        is_lens_free: Whether the lens is.
-        step: (10,) from where it was linearised to its optimum: the camera's numbers and the shared errors.
-        information: (10, 10) there, the prior included.
-        evidence: Logarithm, odds included, up to a constant.
-    """
-
-    world: WorldErrors
-    is_tilt_free: bool
-    is_lens_free: bool
+    world: WorldErrors  # how the city differs from the map
+    is_tilt_free: bool  # whether the prior's tilt is worse than declared
+    is_lens_free: bool  # whether the lens is
+    # (10,) from where it was linearised to its optimum: the camera's numbers and the shared errors
     step: Floats
-    information: Floats
-    evidence: float
+    information: Floats  # (10, 10) there, the prior included
+    evidence: float  # logarithm, odds included, up to a constant
 
     @property
     def key(self) -> tuple[str, bool, bool]:
@@ -89,20 +81,14 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
-    """A pose at the end of its steps.
+    """A pose at the end of its steps."""
 
-    Attributes:
-        vector: (7,) centre in metres, angles in degrees and percent of the lens, which the steps of
-            hypotheses lead away from.
-        hypotheses: Those that are left, the likeliest first.
-        weights: Their probabilities.
-        overlap: Of mask and mapped buildings, see ``mapped_overlap``.
-    """
-
+    # (7,) centre in metres, angles in degrees and percent of the lens, which the steps of hypotheses lead
+    # away from
     vector: Floats
-    hypotheses: tuple[Hypothesis, ...]
-    weights: Floats
-    overlap: float
+    hypotheses: tuple[Hypothesis, ...]  # those that are left, the likeliest first
+    weights: Floats  # their probabilities
+    overlap: float  # of mask and mapped buildings, see ``mapped_overlap``
 
 
 @dataclass(slots=True, eq=False)
@@ -236,21 +222,13 @@ _NO_OVERLAP, _OVERLAP = 0.3, 0.7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
-    """The point of a mixture that is most likely near the truth.
+    """The point of a mixture that is most likely near the truth."""
 
-    Attributes:
-        vector: (6,) centre in metres and angles in degrees.
-        covariance: (6, 6) of the error there, what the hypotheses disagree about included.
-        probability: That it is within (2 m, 2 deg).
-        alternatives: Where other hypotheses put the camera, beyond that, the likeliest first.
-        alternative_probabilities: Of each.
-    """
-
-    vector: Floats
-    covariance: Floats
-    probability: float
-    alternatives: tuple[Pose, ...]
-    alternative_probabilities: tuple[float, ...]
+    vector: Floats  # (6,) centre in metres and angles in degrees
+    covariance: Floats  # (6, 6) of the error there, what the hypotheses disagree about included
+    probability: float  # that it is within (2 m, 2 deg)
+    alternatives: tuple[Pose, ...]  # where other hypotheses put the camera, beyond that, the likeliest first
+    alternative_probabilities: tuple[float, ...]  # of each
 
 
 def answer_of(refined: Refined) -> Answer:

@@ -60,17 +60,11 @@ _MOST_SUBSETS = 4
 
 
 class EdgePhoto(NamedTuple):
-    """A photo whose edges are compared with lines.
+    """A photo whose edges are compared with lines."""
 
-    Attributes:
-        edges: Of the photo.
-        camera: As declared, of the size of the edges.
-        city_map: Whose lines.
-    """
-
-    edges: PhotoEdges
-    camera: Camera
-    city_map: CityMap
+    edges: PhotoEdges  # of the photo
+    camera: Camera  # as declared, of the size of the edges
+    city_map: CityMap  # whose lines
 
 
 def edge_photo(query: Query, city_map: CityMap) -> EdgePhoto | None:
@@ -175,19 +169,13 @@ _REACHES_PX = (24.0, 4.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned:
-    """A flight at the end of its steps; photos in the order of the state's.
+    """A flight at the end of its steps; photos in the order of the state's."""
 
-    Attributes:
-        state: Poses, and what photos share.
-        terms: What each photo says there.
-        solution: The last normal equations.
-        as_declared: The same with the map as wrong as declared: one building that errs is noticed whether
-            or not the others do.
-    """
-
-    state: State
-    terms: Sequence[PhotoTerms | None]
-    solution: Solution
+    state: State  # poses, and what photos share
+    terms: Sequence[PhotoTerms | None]  # what each photo says there
+    solution: Solution  # the last normal equations
+    # The same with the map as wrong as declared: one building that errs is noticed whether or not the others
+    # do
     as_declared: Solution
 
 
@@ -226,15 +214,10 @@ def align(
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What a flight's photos are compared by: outlines of masks, or edges.
+    """What a flight's photos are compared by: outlines of masks, or edges."""
 
-    Attributes:
-        masks: Aligners of all photos; none where edges say the poses.
-        photos: Their edges; none where masks do.
-    """
-
-    masks: Sequence[Aligner] = ()
-    photos: Sequence[EdgePhoto | None] = ()
+    masks: Sequence[Aligner] = ()  # aligners of all photos; none where edges say the poses
+    photos: Sequence[EdgePhoto | None] = ()  # their edges; none where masks do
 
     @classmethod
     def of(cls, queries: Sequence[Query], city_map: CityMap, params: FlightParams) -> Evidence:
@@ -384,15 +367,11 @@ def restarted(count: int, tied: bool) -> Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ends:
-    """Where starts end, against where the first does.
+    """Where starts end, against where the first does."""
 
-    Attributes:
-        shifts: (N, 6) by how much photos end elsewhere in the mean, metres and degrees; the first is none.
-        constants: (N, 13) what photos share there, see ``joint``.
-    """
-
+    # (N, 6) by how much photos end elsewhere in the mean, metres and degrees; the first is none
     shifts: Floats
-    constants: Floats
+    constants: Floats  # (N, 13) what photos share there, see ``joint``
 
     @property
     def middle(self) -> tuple[Floats, Floats]:

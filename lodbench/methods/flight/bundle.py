@@ -36,33 +36,20 @@ _DAMPING = 1e-6
 
 
 class PairMatches(NamedTuple):
-    """Features that two photos share.
+    """Features that two photos share."""
 
-    Attributes:
-        first: Number of the first photo.
-        second: Of the second.
-        pixels: (2, N, 2) where either shows them, pixels of the size that features were looked for at.
-        rays: (2, N, 2) the same at depth 1 in camera axes, x right and y down.
-    """
-
-    first: int
-    second: int
-    pixels: Floats
-    rays: Floats
+    first: int  # number of the first photo
+    second: int  # of the second
+    pixels: Floats  # (2, N, 2) where either shows them, pixels of the size that features were looked for at
+    rays: Floats  # (2, N, 2) the same at depth 1 in camera axes, x right and y down
 
 
 class Observations(NamedTuple):
-    """Points as photos show them.
+    """Points as photos show them."""
 
-    Attributes:
-        photos: (N,) numbers of photos.
-        points: (N,) numbers of points, from 0.
-        rays: (N, 2) where, at depth 1 in camera axes.
-    """
-
-    photos: Rows
-    points: Rows
-    rays: Floats
+    photos: Rows  # (N,) numbers of photos
+    points: Rows  # (N,) numbers of points, from 0
+    rays: Floats  # (N, 2) where, at depth 1 in camera axes
 
     def of(self, chosen: NDArray[np.bool_]) -> Observations:
         """Returns some observations, points numbered anew; points that one photo alone shows are left out."""

@@ -178,19 +178,12 @@ _VIEW_WIDTH = 301
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A photo of a flight, where it was found to be taken.
+    """A photo of a flight, where it was found to be taken."""
 
-    Attributes:
-        name: Of the photo.
-        camera: The lens it was found to have, of the working size.
-        pose: Scene frame.
-        mask: (H, W) what it shows of buildings.
-    """
-
-    name: str
-    camera: Camera
-    pose: Pose
-    mask: NDArray[np.bool_]
+    name: str  # of the photo
+    camera: Camera  # the lens it was found to have, of the working size
+    pose: Pose  # scene frame
+    mask: NDArray[np.bool_]  # (H, W) what it shows of buildings
 
 
 def views_of(queries: Sequence[Query], poses: Sequence[Pose], focal: float) -> list[View]:

@@ -54,19 +54,12 @@ _SHARP, _FEWEST_SHARP = 1.2, 5
 
 
 class BuildingHeight(NamedTuple):
-    """By how much a building is higher than the map has it, all others' mean error taken away.
+    """By how much a building is higher than the map has it, all others' mean error taken away."""
 
-    Attributes:
-        higher_m: Metres.
-        sigma_m: Its standard deviation.
-        photos: Photos whose pixels count, 0 for outlines alone.
-        is_in_doubt: Whether the map's height is contradicted.
-    """
-
-    higher_m: float
-    sigma_m: float
-    photos: int
-    is_in_doubt: bool
+    higher_m: float  # metres
+    sigma_m: float  # its standard deviation
+    photos: int  # photos whose pixels count, 0 for outlines alone
+    is_in_doubt: bool  # whether the map's height is contradicted
 
 
 class _Outlines(NamedTuple):

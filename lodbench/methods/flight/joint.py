@@ -38,25 +38,16 @@ _MOST_SCATTER_M = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """The normal equations, solved.
+    """The normal equations, solved."""
 
-    Attributes:
-        photo_steps: (P, 6) of the photos' poses.
-        shared_step: (S,) of what they share: constants, buildings, parts of roofs, similarity.
-        buildings: (N,) rows of the scene that the shared numbers speak of, ascending.
-        factorised: The curvature of photos, then what they share.
-        groups: Of errors that have a scale of their own, in the order of ``State.scales``.
-        members: How many errors of each have nothing to do with each other.
-        pulls: (S, 2 N) curvature between all unknowns and where the buildings stand, east and north of each:
-            what photos do not solve for, as more photos say nothing of it.
-    """
-
-    photo_steps: Floats
-    shared_step: Floats
-    buildings: Rows
-    factorised: scipy.sparse.linalg.SuperLU
-    groups: Sequence[ErrorGroup]
-    members: Sequence[int]
+    photo_steps: Floats  # (P, 6) of the photos' poses
+    shared_step: Floats  # (S,) of what they share: constants, buildings, parts of roofs, similarity
+    buildings: Rows  # (N,) rows of the scene that the shared numbers speak of, ascending
+    factorised: scipy.sparse.linalg.SuperLU  # the curvature of photos, then what they share
+    groups: Sequence[ErrorGroup]  # of errors that have a scale of their own, in the order of ``State.scales``
+    members: Sequence[int]  # how many errors of each have nothing to do with each other
+    # (S, 2 N) curvature between all unknowns and where the buildings stand, east and north of each: what
+    # photos do not solve for, as more photos say nothing of it
     pulls: Floats
 
     def moved_by_places(self) -> Floats:
@@ -75,33 +66,21 @@ class Solution:
 
 @dataclass(slots=True, eq=False)
 class State:
-    """Where the joint problem stands.
+    """Where the joint problem stands."""
 
-    Attributes:
-        vectors: (P, 6) poses of the photos, metres and degrees.
-        priors: (P, 6) what the sensors said of them.
-        constants: (13,) the shared numbers before the buildings', see ``joint``.
-        roofs: Heights of parts of roofs.
-        buildings_m: (B,) metres by which each building of the scene is higher than in the map.
-        weights: (P,) how far each photo's own words count; 0 for one that is lost.
-        reasons: Why a photo is lost, by number.
-        ties: What pairs of photos say of their relative poses.
-        reconstruction: Poses of photos up to a similarity, or None.
-        measured: (P,) what was measured beside each photo, None for nothing.
-        scales: (6,) shares of what is declared that buildings, parts of roofs, feet of walls, places and
-            turns of photos in the reconstruction, and ties err by.
-    """
-
-    vectors: Floats
-    priors: Floats
-    roofs: RoofParts
-    buildings_m: Floats
-    weights: Floats
+    vectors: Floats  # (P, 6) poses of the photos, metres and degrees
+    priors: Floats  # (P, 6) what the sensors said of them
+    roofs: RoofParts  # heights of parts of roofs
+    buildings_m: Floats  # (B,) metres by which each building of the scene is higher than in the map
+    weights: Floats  # (P,) how far each photo's own words count; 0 for one that is lost
+    # (13,) the shared numbers before the buildings', see ``joint``
     constants: Floats = field(default_factory=lambda: np.zeros(CONSTANTS))
-    reasons: dict[int, str] = field(default_factory=dict)
-    ties: Sequence[RelativePose] = ()
-    reconstruction: Reconstruction | None = None
-    measured: Sequence[Measurements | None] = ()
+    reasons: dict[int, str] = field(default_factory=dict)  # why a photo is lost, by number
+    ties: Sequence[RelativePose] = ()  # what pairs of photos say of their relative poses
+    reconstruction: Reconstruction | None = None  # poses of photos up to a similarity, or None
+    measured: Sequence[Measurements | None] = ()  # (P,) what was measured beside each photo, None for nothing
+    # (6,) shares of what is declared that buildings, parts of roofs, feet of walls, places and turns of
+    # photos in the reconstruction, and ties err by
     scales: Floats = field(default_factory=lambda: np.ones(6))
 
     @property

@@ -119,48 +119,29 @@ class Fit(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhotoTerms:
-    """A quadratic in a photo's pose (6), the lens (5), the heights of N parts and the places of M buildings.
+    """A quadratic in a photo's pose (6), the lens (5), heights of N parts and places of M buildings."""
 
-    Attributes:
-        information: (6 + 5 + N + 2 M, the same) its curvature; places are east, then north, of each building.
-        gradient: (6 + 5 + N + 2 M,) its slope.
-        parts: (N,) numbers of the parts it shows.
-        buildings: (M,) rows of the scene's buildings it shows, ascending.
-        iou: Of silhouette and mask; of edges the share of the model's lines that show one.
-        overlap: Of mask and mapped buildings, see ``mapped_overlap``; of edges as ``iou``.
-        noise_px: Standard deviation of the mask's outline, or of edges.
-        count: Points it rests on.
-    """
-
+    # (6 + 5 + N + 2 M, the same) its curvature; places are east, then north, of each building
     information: Floats
-    gradient: Floats
-    parts: NDArray[np.int64]
-    buildings: NDArray[np.int64]
-    iou: float
-    overlap: float
-    noise_px: float
-    count: int
+    gradient: Floats  # (6 + 5 + N + 2 M,) its slope
+    parts: NDArray[np.int64]  # (N,) numbers of the parts it shows
+    buildings: NDArray[np.int64]  # (M,) rows of the scene's buildings it shows, ascending
+    iou: float  # of silhouette and mask; of edges the share of the model's lines that show one
+    overlap: float  # of mask and mapped buildings, see ``mapped_overlap``; of edges as ``iou``
+    noise_px: float  # standard deviation of the mask's outline, or of edges
+    count: int  # points it rests on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """Points through a lens: where they are looked up, and how far they are from a mask's outline or edges.
+    """Points through a lens: where they are looked up, how far they are from a mask's outline or edges."""
 
-    Attributes:
-        pixels: (N, 2) of the working size.
-        distances: (N,) positive inside the mask.
-        slopes: (N, 14) their change per unit of ``OutlinePoints.moves`` and of the lens's numbers.
-        agreement: (N,) 1 where the mask's outline runs as the silhouette's does.
-        buildings: (N,) rows of the edges' buildings.
-        places: (N, 2) east and north, scene metres.
-    """
-
-    pixels: Floats
-    distances: Floats
-    slopes: Floats
-    agreement: Floats
-    buildings: NDArray[np.int64]
-    places: Floats
+    pixels: Floats  # (N, 2) of the working size
+    distances: Floats  # (N,) positive inside the mask
+    slopes: Floats  # (N, 14) their change per unit of ``OutlinePoints.moves`` and of the lens's numbers
+    agreement: Floats  # (N,) 1 where the mask's outline runs as the silhouette's does
+    buildings: NDArray[np.int64]  # (N,) rows of the edges' buildings
+    places: Floats  # (N, 2) east and north, scene metres
 
 
 def flight_terms(

@@ -34,23 +34,14 @@ _NEAREST_M = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativePose:
-    """A point ``x`` of the first photo's camera is ``rotation @ x + s direction`` in the second's, s unknown.
+    """A point ``x`` of the first photo's camera is ``rotation @ x + s direction`` in the other's, s open."""
 
-    Attributes:
-        first: Number of the first photo.
-        second: Of the second.
-        rotation: (3, 3) second_from_first.
-        direction: (3,) unit, towards the first photo's centre in the second's camera.
-        information: (5, 5) of the turn (radians, second camera's axes) and the direction (``tangents``).
-        per_focal: (5,) by how much both change per share that the focal length is longer than declared.
-    """
-
-    first: int
-    second: int
-    rotation: Floats
-    direction: Floats
-    information: Floats
-    per_focal: Floats
+    first: int  # number of the first photo
+    second: int  # of the second
+    rotation: Floats  # (3, 3) second_from_first
+    direction: Floats  # (3,) unit, towards the first photo's centre in the second's camera
+    information: Floats  # (5, 5) of the turn (radians, second camera's axes) and the direction (``tangents``)
+    per_focal: Floats  # (5,) by how much both change per share that the focal length is longer than declared
 
     def linearize(
         self, vectors: Floats, derivatives: Sequence[Floats], focal: float
@@ -126,18 +117,12 @@ _OUTLIER = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
-    """Poses of photos in the map, right up to a similarity.
+    """Poses of photos in the map, right up to a similarity."""
 
-    Attributes:
-        poses: By number of the photo.
-        middle: (3,) what the similarity turns and scales about, metres.
-        information: (6, 6) of each photo's centre (metres) and turn (radians, camera axes).
-        mount: (3,) by how much its cameras are turned about their axes already, radians.
-    """
-
-    poses: Mapping[int, Pose]
-    middle: Floats
-    information: Floats
+    poses: Mapping[int, Pose]  # by number of the photo
+    middle: Floats  # (3,) what the similarity turns and scales about, metres
+    information: Floats  # (6, 6) of each photo's centre (metres) and turn (radians, camera axes)
+    # (3,) by how much its cameras are turned about their axes already, radians
     mount: Floats = field(default_factory=lambda: np.zeros(3))
 
     @property

@@ -29,19 +29,12 @@ _WIDTH, _PIXELS, _PICTURE_BLUR_PX = 1280, 256_000_000, 0.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SweepPicture:
-    """A photo as roofs are compared in it.
+    """A photo as roofs are compared in it."""
 
-    Attributes:
-        camera: The lens it was found to have, of the picture's size.
-        distortion: Radial, k1.
-        pose: Scene frame.
-        pixels: (H, W, 4) L, a, b and the mask, 8 bits.
-    """
-
-    camera: Camera
-    distortion: float
-    pose: Pose
-    pixels: NDArray[np.uint8]
+    camera: Camera  # the lens it was found to have, of the picture's size
+    distortion: float  # radial, k1
+    pose: Pose  # scene frame
+    pixels: NDArray[np.uint8]  # (H, W, 4) L, a, b and the mask, 8 bits
 
     def project(self, points: Floats, distortion: float | None = None) -> tuple[Floats, Floats]:
         """Returns pixels (..., 2) of points (..., 3), the first pixel's centre at 0.5, and depths."""
@@ -99,17 +92,11 @@ _ALONE, _MOST_SEEN = 0.7, 2000
 
 
 class EdgeEvidence(NamedTuple):
-    """How strong a roof's edges are in photos, by its height.
+    """How strong a roof's edges are in photos, by its height."""
 
-    Attributes:
-        logs: (H,) sums of logarithms over points and photos.
-        seen: How many points of all photos were summed.
-        photos: How many photos.
-    """
-
-    logs: Floats
-    seen: int
-    photos: int
+    logs: Floats  # (H,) sums of logarithms over points and photos
+    seen: int  # how many points of all photos were summed
+    photos: int  # how many photos
 
     def nats(self) -> Floats:
         """Returns (H,) how well each height explains the photos. Eq. (F22) of docs/methods/flight.md."""

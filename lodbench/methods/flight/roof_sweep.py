@@ -135,15 +135,10 @@ _FEWEST_OF_PHOTO = 100
 
 
 class RoofCurve(NamedTuple):
-    """What photos say of one roof's height.
+    """What photos say of one roof's height."""
 
-    Attributes:
-        nats: (H,) how well each height of ``HEIGHTS_M`` explains them.
-        photos: How many were compared.
-    """
-
-    nats: Floats
-    photos: int
+    nats: Floats  # (H,) how well each height of ``HEIGHTS_M`` explains them
+    photos: int  # how many were compared
 
 
 # A photo, and which points of a roof it shows, (N,).

@@ -49,17 +49,11 @@ _ROUNDS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """A photo at the working size, and which kind of surface each pixel shows from where it was taken.
+    """A photo at the working size, and which kind of surface each pixel shows from where it was taken."""
 
-    Attributes:
-        picture: (H, W, 3) uint8 BGR.
-        kinds: (H, W) of the constants above.
-        weights: (H, W) how far pixels count: less near outlines.
-    """
-
-    picture: NDArray[np.uint8]
-    kinds: NDArray[np.int64]
-    weights: Floats
+    picture: NDArray[np.uint8]  # (H, W, 3) uint8 BGR
+    kinds: NDArray[np.int64]  # (H, W) of the constants above
+    weights: Floats  # (H, W) how far pixels count: less near outlines
 
 
 def with_masks_by_looks(

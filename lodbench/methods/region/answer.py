@@ -54,21 +54,14 @@ _NUM_FOLLOWED = 3
 
 
 class LineAlignment(NamedTuple):
-    """A state vector at which the model's lines lie on the photo's edges.
+    """A state vector at which the model's lines lie on the photo's edges."""
 
-    Attributes:
-        vector: (10,) the state vector.
-        line_likelihood: likelihood of the edges near it.
-        region_posterior: posterior by regions, each roof drawn at its own height.
-        sharpness: sharpness of the edges, as returned by ``LineLikelihood.sharpness``.
-        log_posteriors: (M,) log-posterior of each start by lines and regions, (R13), up to a constant; -inf
-            for starts that were not followed. The vector comes from the best.
-    """
-
-    vector: Floats
-    line_likelihood: LineLikelihood
-    region_posterior: StatePosterior
-    sharpness: float
+    vector: Floats  # (10,) the state vector
+    line_likelihood: LineLikelihood  # likelihood of the edges near it
+    region_posterior: StatePosterior  # posterior by regions, each roof drawn at its own height
+    sharpness: float  # sharpness of the edges, as returned by ``LineLikelihood.sharpness``
+    # (M,) log-posterior of each start by lines and regions, (R13), up to a constant; -inf for starts that
+    # were not followed. The vector comes from the best.
     log_posteriors: Floats
 
     def log_likelihood(self, vectors: Floats, temper: float = 1.0) -> Floats:
@@ -232,28 +225,19 @@ LogLikelihood = Callable[[Floats, float], Floats]
 
 
 class Answer(NamedTuple):
-    """A pose, and the quantities that its probability depends on.
+    """A pose, and the quantities that its probability depends on."""
 
-    Attributes:
-        vector: (6,) the mean of the posterior near the best mode, or near its alignment by lines.
-        covariance: (6, 6) covariance of its error.
-        covariance_if_map_is_right: (6, 6) the same if the map had no errors.
-        apart_m: distance between the position by the model's lines and that of the search's mode, metres.
-        line_log_ratio_nats: log-ratio of the photo's edges on the lines to edges anywhere; 0 without lines.
-        sharpness: sharpness of the edges, as returned by ``LineLikelihood.sharpness``.
-        log_posteriors: (M,) log-posterior of each mode of the search, up to a constant: by lines and regions,
-            or without lines by regions and edges; -inf for modes that were not followed. The vector is near
-            the best.
-        focal_error_percent: by how much the focal length is estimated longer than declared, percent.
-    """
-
-    vector: Floats
-    covariance: Floats
-    covariance_if_map_is_right: Floats
-    apart_m: float
+    vector: Floats  # (6,) the mean of the posterior near the best mode, or near its alignment by lines
+    covariance: Floats  # (6, 6) covariance of its error
+    covariance_if_map_is_right: Floats  # (6, 6) the same if the map had no errors
+    apart_m: float  # distance between the position by the model's lines and that of the search's mode, metres
+    # Log-ratio of the photo's edges on the lines to edges anywhere; 0 without lines
     line_log_ratio_nats: float
-    sharpness: float
+    sharpness: float  # sharpness of the edges, as returned by ``LineLikelihood.sharpness``
+    # (M,) log-posterior of each mode of the search, up to a constant: by lines and regions, or without lines
+    # by regions and edges; -inf for modes that were not followed. The vector is near the best.
     log_posteriors: Floats
+    # By how much the focal length is estimated longer than declared, percent
     focal_error_percent: float = 0.0
 
 

@@ -97,19 +97,12 @@ def _query_context(query: Query, city_map: CityMap, params: RegionParams) -> pos
 
 
 class _Candidate(NamedTuple):
-    """The answer of one search.
+    """The answer of one search."""
 
-    Attributes:
-        estimate: the answer.
-        features: features of the trust model.
-        mode_probability: probability of its mode among the modes that were followed.
-        is_focal_wrong: whether the focal length is estimated clearly different from the declared one.
-    """
-
-    estimate: Estimate
-    features: ConfidenceFeatures
-    mode_probability: float
-    is_focal_wrong: bool
+    estimate: Estimate  # the answer
+    features: ConfidenceFeatures  # features of the trust model
+    mode_probability: float  # probability of its mode among the modes that were followed
+    is_focal_wrong: bool  # whether the focal length is estimated clearly different from the declared one
 
     @property
     def probability(self) -> float:

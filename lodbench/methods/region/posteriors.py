@@ -277,15 +277,10 @@ _SPACING_PX = 4.0
 
 
 class Mode(NamedTuple):
-    """A mode of the posterior.
+    """A mode of the posterior."""
 
-    Attributes:
-        gaussian: its pose, and the shape of the posterior around it.
-        log_posterior: the log-posterior at the pose, up to a constant.
-    """
-
-    gaussian: Gaussian
-    log_posterior: float
+    gaussian: Gaussian  # its pose, and the shape of the posterior around it
+    log_posterior: float  # the log-posterior at the pose, up to a constant
 
 
 def grid_starts(query: Query, posterior: PosePosterior, params: RegionParams) -> tuple[Floats, float]:
@@ -432,21 +427,13 @@ class OutlineSampler:
 
 
 class QueryContext(NamedTuple):
-    """A query, and what is computed once from its photo and its map.
+    """A query, and what is computed once from its photo and its map."""
 
-    Attributes:
-        query: the query.
-        photo: its photo, at several sizes.
-        city_map: the map.
-        roofs: the buildings of the map in reach, whose roofs can be raised.
-        outlines: samples their outline.
-    """
-
-    query: Query
-    photo: Photo
-    city_map: CityMap
-    roofs: RaisedRoofs
-    outlines: OutlineSampler
+    query: Query  # the query
+    photo: Photo  # its photo, at several sizes
+    city_map: CityMap  # the map
+    roofs: RaisedRoofs  # the buildings of the map in reach, whose roofs can be raised
+    outlines: OutlineSampler  # samples their outline
 
     def with_laser_range(self, modes: list[Mode]) -> list[Mode]:
         """Returns modes with the log-density of a laser's range added, (M9), best first."""

@@ -33,21 +33,14 @@ _FAR_APART_M, _FEW_LINE_NATS, _LOW_SHARPNESS = 2.0, 50.0, 0.2
 
 
 class ConfidenceFeatures(NamedTuple):
-    """The features of the trust model.
+    """The features of the trust model."""
 
-    Attributes:
-        probability: probability of (2 m, 2 deg) by the covariance if the mode and the map are right.
-        apart_m: distance between the position by the model's lines and that of the search's mode, metres.
-        line_log_ratio_nats: log-ratio of the photo's edges on the lines to edges anywhere, nats.
-        sharpness: whether edges lie on the lines, 1, or next to them, 0 or less: whether the map is exact.
-        beyond: how far the height is beyond the prior's range, half widths of it; 0 within.
-    """
-
-    probability: float
-    apart_m: float
-    line_log_ratio_nats: float
+    probability: float  # probability of (2 m, 2 deg) by the covariance if the mode and the map are right
+    apart_m: float  # distance between the position by the model's lines and that of the search's mode, metres
+    line_log_ratio_nats: float  # log-ratio of the photo's edges on the lines to edges anywhere, nats
+    # Whether edges lie on the lines, 1, or next to them, 0 or less: whether the map is exact
     sharpness: float
-    beyond: float
+    beyond: float  # how far the height is beyond the prior's range, half widths of it; 0 within
 
 
 class LineFeatures(NamedTuple):
