@@ -27,11 +27,11 @@ Where something new goes:
   ``FLIGHT_PATHS`` beside it (flights); its name and settings in ``GenerateParams`` there and
   ``conf/generate-training-data.yaml``;
 - a look of pictures (sun, air, season, sensor): a file in ``conf/training``; a new kind of change is a
-  field of ``LookRanges`` in ``photo/light.py``, used in ``photo/renderer.py`` if the sensor makes
-  it and in ``kernels/surfaces.py`` if the place does;
+  field of ``LookRanges`` in ``photo.py``, used there if the sensor makes it and in ``kernels/surfaces.py`` if
+  the place does;
 - a thing that stands there: its shape in ``objects.py``, its places in ``surroundings.py`` or
   ``town/props.py``;
 - something that networks take for a building and is none: a function and a line in ``CLUTTER`` of
-  ``surroundings.py``; a colour of roofs or walls: the palettes of ``photo/light.py``;
+  ``surroundings.py``; a colour of roofs or walls: the palettes of ``photo.py``;
 - an error of masks: a field of ``_Errors``, used in ``mask_degradation.py``.
 """

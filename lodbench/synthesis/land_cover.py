@@ -14,10 +14,9 @@ from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.citymodel.surface.ground import ground_under
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.kernels.looks import SurfaceClass
+from lodbench.kernels.looks import LandCover, SurfaceClass
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.synthesis.objects import grid_triangles
-from lodbench.synthesis.photo import LandCover
 
 Floats = NDArray[np.float64]
 

@@ -18,6 +18,7 @@ from lodbench.citymodel.scene import Scene, building_boxes
 from lodbench.citymodel.textured_map import TexturedMesh, read_textured
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Pose
+from lodbench.kernels.looks import LandCover
 from lodbench.photos.pictures import encoded, encoded_mask
 from lodbench.rendering.backends import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer
@@ -26,9 +27,7 @@ from lodbench.storage import digest_of, random_stream, write_bytes
 from lodbench.synthesis.camera_paths import CAMERA_PATHS, MOST_VIEWS, GenerateParams, SurveyArea
 from lodbench.synthesis.land_cover import Ground
 from lodbench.synthesis.objects import SceneProps
-from lodbench.synthesis.photo import LandCover, PhotoRenderer, draw_look
-from lodbench.synthesis.photo.light import linear
-from lodbench.synthesis.photo.renderer import apply_camera_response, photo_file
+from lodbench.synthesis.photo import PhotoRenderer, apply_camera_response, draw_look, linear, photo_file
 
 SPLITS = ("train", "val", "test")
 # Views are checked on pictures this wide: a building of three pixels there has some 40 in full size.

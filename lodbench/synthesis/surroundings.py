@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.kernels.looks import SurfaceClass
+from lodbench.kernels.looks import LAND_COVER, SurfaceClass
 from lodbench.storage import random_stream
 from lodbench.synthesis import objects
 from lodbench.synthesis.land_cover import (
@@ -21,7 +21,6 @@ from lodbench.synthesis.land_cover import (
     look_down,
 )
 from lodbench.synthesis.objects import MeshBuilder, Points, Tint, palette, pick
-from lodbench.synthesis.photo import LAND_COVER
 
 Floats = NDArray[np.float64]
 

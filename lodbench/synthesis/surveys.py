@@ -19,13 +19,20 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.textured_map import TexturedMesh
 from lodbench.errors import RenderingError
 from lodbench.kernels import bake, draw_from_above, light_corners
-from lodbench.kernels.looks import Shading, SurfaceClass
+from lodbench.kernels.looks import CameraResponse, Look, Shading, SurfaceClass
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import random_stream, write_bytes
 from lodbench.synthesis.objects import MeshBuilder, SceneProps
-from lodbench.synthesis.photo import CameraResponse, Look, LookRanges, draw_look
-from lodbench.synthesis.photo.light import draw_sun_map, plain_shading
-from lodbench.synthesis.photo.renderer import ON_GROUND, apply_camera_response, make_render_scene, make_skin
+from lodbench.synthesis.photo import (
+    ON_GROUND,
+    LookRanges,
+    apply_camera_response,
+    draw_look,
+    draw_sun_map,
+    make_render_scene,
+    make_skin,
+    plain_shading,
+)
 from lodbench.synthesis.town.buildings import Age
 from lodbench.synthesis.town.props import add_buildings, add_greenery, building_colours, fine_bodies
 from lodbench.synthesis.town.town import ORIGIN_M, Town, add_ground

@@ -22,11 +22,11 @@ from lodbench.extras import require
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler
 from lodbench.geometry.camera import distort
+from lodbench.kernels.looks import CameraResponse, Look
 from lodbench.photos.pictures import encoded_mask
 from lodbench.rendering.renderer import Renderer
 from lodbench.storage import make_folder, new_folder, random_stream, write_bytes
-from lodbench.synthesis.photo import CameraResponse, Look, PhotoRenderer, draw_look, look_ranges
-from lodbench.synthesis.photo.renderer import photo_file
+from lodbench.synthesis.photo import PhotoRenderer, draw_look, look_ranges, photo_file
 from lodbench.synthesis.surroundings import make_surroundings
 
 # UAVD4L's drone camera; masks and renderings of it are made at FINE_SIZE, coarse ones at half that.

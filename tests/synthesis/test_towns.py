@@ -151,8 +151,7 @@ def test_ground_lies_as_a_map_does_and_what_hangs_over_is_left_out():
 
 def shading_of(corners, surface):
     from lodbench.synthesis.objects import SceneProps
-    from lodbench.synthesis.photo.light import plain_shading
-    from lodbench.synthesis.photo.renderer import make_skin
+    from lodbench.synthesis.photo import make_skin, plain_shading
     from lodbench.synthesis.surveys import survey_look
 
     count = len(corners)

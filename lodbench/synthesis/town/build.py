@@ -205,7 +205,7 @@ DEMO_CODE = (
     *("synthesis/town/*.py", "synthesis/town/*.yaml", "synthesis/town/templates/*"),
     *(
         f"synthesis/{name}.py"
-        for name in ("objects", "photo/*", "views", "surroundings", "land_cover", "mask_*")
+        for name in ("objects", "photo", "views", "surroundings", "land_cover", "mask_*")
     ),
     *("citymodel/scene.py", "datasets/prior_sources.py"),
     *(f"kernels/{name}.py" for name in ("looks", "shading", "surfaces")),
