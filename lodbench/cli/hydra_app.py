@@ -13,15 +13,8 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
+from lodbench.cli import settings
 from lodbench.cli.parser import report_fault
-from lodbench.cli.settings import (
-    Group,
-    groups_of,
-    read_config,
-    report_old_names,
-    settings_of,
-    settings_of_group,
-)
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
 from lodbench.plugins import config_files, config_folders, plugin_names
 
@@ -95,14 +88,14 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         except Exception as error:
             crashes.append(error)
 
-    typed, argv = argv, settings_of(command, argv)
+    typed, argv = argv, settings.settings_of(command, argv)
     _run_jobs(command, config_name, job, argv)
     if crashes:
         raise crashes[0]
     if faults and not any(word in _SWEEP_FLAGS for word in argv):
         raise faults[0]
     _report_faults(jobs, faults)
-    report_old_names(command, typed)
+    settings.report_old_names(command, typed)
     return 2 if faults else 0
 
 
@@ -191,11 +184,11 @@ def quote_path(word: str) -> str:
 
 def _hydra_words(argv: Sequence[str], config_name: str) -> list[str]:
     """Returns words as Hydra reads them: its flags before the overrides, paths quoted, groups in place."""
-    placed = {group.key: f"{group.folder}@{group.key}" for group in groups_of(config_name)}
-    settings = [word for word in argv if word not in _SWEEP_FLAGS]
+    placed = {group.key: f"{group.folder}@{group.key}" for group in settings.groups_of(config_name)}
+    others = [word for word in argv if word not in _SWEEP_FLAGS]
     flags = [word for word in argv if word in _SWEEP_FLAGS]
     quoted = _quoted_paths if flags else quote_path
-    return flags + [free_option(quoted(_in_place(word, placed))) for word in settings]
+    return flags + [free_option(quoted(_in_place(word, placed))) for word in others]
 
 
 def _quoted_paths(word: str) -> str:
@@ -278,7 +271,7 @@ def explained(error: Exception, config_name: str, words: Sequence[str]) -> Confi
     if option:
         known = [line.strip() for line in option[3].splitlines() if line.strip()]
         known = [name for name in known if re.fullmatch(r"[\w.-]+", name)]
-        group = {each.folder: each.key for each in groups_of(config_name)}.get(option[1], option[1])
+        group = {each.folder: each.key for each in settings.groups_of(config_name)}.get(option[1], option[1])
         if option[2] in plugin_names(f"{option[1]}s"):
             return ConfigError(
                 f"The package of the {group} {option[2]!r} brings no conf/{option[1]}/{option[2]}.yaml.",
@@ -335,7 +328,7 @@ def _unread(word: str, config_name: str) -> ConfigError:
 
 def _unknown(key: str, config_name: str, words: Sequence[str]) -> ConfigError:
     """Returns that a key is not a setting, and similar ones: here, in a section, or of another choice."""
-    groups = {group.key: group for group in groups_of(config_name)}
+    groups = {group.key: group for group in settings.groups_of(config_name)}
     choice = re.compile(rf"(\w+@)?({'|'.join(map(re.escape, groups))})=[\w.-]+")
     overrides = [word for word in words if choice.fullmatch(word)]
     config = composed(config_name, overrides)
@@ -355,13 +348,18 @@ def _unknown(key: str, config_name: str, words: Sequence[str]) -> ConfigError:
     return ConfigError(f"{key} is not a setting.", nearest_names(name, known))
 
 
-def _choices_with(name: str, group: Group) -> list[str]:
+def _choices_with(name: str, group: settings.Group) -> list[str]:
     """Returns the choices of a group that have a setting, as typed; those that cannot do without first."""
     files = config_files(group.folder)
     return [
         f"`{group.key}={choice}`"
-        for choice in sorted(files, key=lambda choice: name in (read_config(group.folder, choice) or {}))
-        if any(s.key == f"{group.key}.{name}" for s in settings_of_group(group.key, group.folder, choice))
+        for choice in sorted(
+            files, key=lambda choice: name in (settings.read_config(group.folder, choice) or {})
+        )
+        if any(
+            s.key == f"{group.key}.{name}"
+            for s in settings.settings_of_group(group.key, group.folder, choice)
+        )
     ]
 
 

@@ -28,16 +28,8 @@ from lodbench.harness.export import (
     wanted_by,
 )
 from lodbench.harness.photo.localized import is_localized, read_localized_folder
-from lodbench.harness.runs import places, report
+from lodbench.harness.runs import places, report, stored
 from lodbench.harness.runs.queries import FLIGHTS_FOLDER
-from lodbench.harness.runs.stored import (
-    RunStatus,
-    StoredRun,
-    find_runs,
-    read_status,
-    read_whole_run,
-    require_writable,
-)
 from lodbench.params import flag, parsed, part, word
 from lodbench.photos.map_frame import MapFrame
 from lodbench.plugins import blaming, plugin_names
@@ -75,9 +67,9 @@ def main_status(argv: Sequence[str]) -> int:
     parser = Parser("lodbench status", description="Show the progress of runs, finished or not.")
     code = 0
     for folder in parsed(parser, argv, StatusOptions).runs:
-        for run in find_runs(folder):
+        for run in stored.find_runs(folder):
             try:
-                sys.stdout.write(describe_status(read_status(run)))
+                sys.stdout.write(describe_status(stored.read_status(run)))
             except DatasetError as fault:
                 if run == folder:
                     raise
@@ -87,7 +79,7 @@ def main_status(argv: Sequence[str]) -> int:
     return code
 
 
-def describe_status(status: RunStatus) -> str:
+def describe_status(status: stored.RunStatus) -> str:
     """Returns a line per run, and one per reason of failure."""
     done = f"{status.num_done} of {count_of(status.num_queries, 'queries')}"
     if status.is_finished:
@@ -122,7 +114,7 @@ def main_report(argv: Sequence[str]) -> int:
     parser = Parser("lodbench report", _ABOUT)
     options = parsed(parser, argv, ReportOptions)
     folders = run_folders(options.runs, options.out)
-    require_writable(options.out, folders, endings=(".html", ".htm"))
+    stored.require_writable(options.out, folders, endings=(".html", ".htm"))
     return max(_report(folder, options) for folder in folders)
 
 
@@ -204,14 +196,14 @@ def main_export(argv: Sequence[str]) -> int:
     folders = [*localized, *(run_folders(others, options.out) if others else ())]
     if options.out is not None and len(folders) > 1:
         raise ConfigError(f"--out {options.out} is one place, for {len(folders)} folders.", "Leave it out.")
-    require_writable(options.out, folders, may_be_folder=True)
+    stored.require_writable(options.out, folders, may_be_folder=True)
     form = make_format(options.format)
     _require_heard(options, form)
     for folder in folders:
         if folder in localized:
             export = _localized(options, folder, form)
         else:
-            export = _opened(options, read_whole_run(folder), form)
+            export = _opened(options, stored.read_whole_run(folder), form)
         with blaming("export_formats", options.format, "write the run"):
             _print_written(export_run(export, form, options.out), form)
     return 0
@@ -243,7 +235,7 @@ def _localized(options: ExportOptions, folder: Path, form: ExportFormat) -> Expo
     return replace(export, crs=_one_system([export.crs, options.crs], options.crs))
 
 
-def _opened(options: ExportOptions, run: StoredRun, form: ExportFormat) -> Export:
+def _opened(options: ExportOptions, run: stored.StoredRun, form: ExportFormat) -> Export:
     """Returns a run with what the format requires, or takes if it is known."""
     kept, needs = run.provenance.get("crs"), wanted_by(form)
     is_asked = CRS in needs and (kept is None or options.data.city_model is not None)

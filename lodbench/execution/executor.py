@@ -20,14 +20,7 @@ from typing import Any, Protocol, TypeVar
 from uuid import uuid4
 
 from lodbench.errors import ConfigError, LodbenchError, WorkersGone, require_choice, require_within
-from lodbench.execution.processes import (
-    KEEP_DYING,
-    KEEP_DYING_HINT,
-    Processes,
-    begin,
-    ctrl_c_for_this_thread,
-    start_tracker,
-)
+from lodbench.execution import processes
 from lodbench.extras import require
 from lodbench.storage.digest import own_digest
 
@@ -118,8 +111,10 @@ def open_workers(
         with dask_workers(*settings, prepare, prepare_with) as cluster:
             yield cluster
         return
-    with closing(Processes(executor.num_workers, prepare, prepare_with, executor.timeout_s)) as processes:
-        yield processes
+    with closing(
+        processes.Processes(executor.num_workers, prepare, prepare_with, executor.timeout_s)
+    ) as pool:
+        yield pool
 
 
 def spread(
@@ -215,7 +210,7 @@ class DaskWorkers:
             except TimeoutError as error:
                 hung += 1
                 if hung > _RETRIES:
-                    raise WorkersGone(KEEP_DYING, KEEP_DYING_HINT) from error
+                    raise WorkersGone(processes.KEEP_DYING, processes.KEEP_DYING_HINT) from error
                 # What they were at is done again.
                 names = [name for name, keys in self._client.processing().items() if keys]
                 self._client.restart_workers(names)
@@ -239,7 +234,7 @@ class DaskWorkers:
                 if future.status == "error":  # what the work itself raised
                     raise
                 if time.monotonic() >= until:
-                    raise WorkersGone(KEEP_DYING, KEEP_DYING_HINT) from error
+                    raise WorkersGone(processes.KEEP_DYING, processes.KEEP_DYING_HINT) from error
             self._replace()
 
     def _replace(self) -> None:
@@ -332,8 +327,8 @@ def dask_workers(
 
 def _own_cluster(distributed: Any, workers: int) -> Any:
     """Returns a cluster of processes of one thread (the engine has threads itself) on this machine."""
-    start_tracker()
-    with ctrl_c_for_this_thread():
+    processes.start_tracker()
+    with processes.ctrl_c_for_this_thread():
         return distributed.LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
@@ -351,7 +346,7 @@ def _one_line_for(address: str) -> Iterator[None]:
     try:
         yield
     except distributed.KilledWorker as error:
-        raise WorkersGone(KEEP_DYING, KEEP_DYING_HINT) from error
+        raise WorkersGone(processes.KEEP_DYING, processes.KEEP_DYING_HINT) from error
     except (CancelledError, distributed.comm.CommClosedError) as error:
         raise WorkersGone(
             f"Dask's scheduler {address} is gone.",
@@ -371,6 +366,6 @@ def _on_worker(common: tuple[str, bytes], work: Callable[[Any], Any], item: Any)
             # Paths that the user typed are relative to the command's folder, not to where the worker began.
             with suppress(OSError):
                 os.chdir(folder)
-            begin(*prepared)
+            processes.begin(*prepared)
             _prepared[:] = [token]
         return work(item)

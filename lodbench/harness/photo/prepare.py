@@ -20,6 +20,7 @@ from lodbench.harness.city import require_near_city, require_same_region
 from lodbench.harness.photo.outputs import PhotoView
 from lodbench.harness.tracebacks import reported_as_fault
 from lodbench.methods import Method
+from lodbench.photos import pose
 from lodbench.photos.camera import (
     PhotoCamera,
     camera_from_photo,
@@ -32,16 +33,6 @@ from lodbench.photos.map_frame import MapFrame
 from lodbench.photos.measurements import Measurements, measured_of
 from lodbench.photos.metadata import PhotoMetadata, read_photo_metadata
 from lodbench.photos.pictures import read_picture
-from lodbench.photos.pose import (
-    START_OF_EACH,
-    HeightOptions,
-    PoseNotStated,
-    RoughPlace,
-    latitude_longitude_of,
-    pose_at,
-    pose_from_photo,
-    require_stated,
-)
 from lodbench.segmentation import MapGuidedSegmenter, Segmenter, check_mask
 from lodbench.segmentation.masks import read_mask
 
@@ -53,7 +44,9 @@ class CityRequest:
     city: Path  # city model
     out: Path  # folder to write
     segmenter: Segmenter | None = None  # makes masks where there are none
-    heights: HeightOptions = field(default_factory=HeightOptions)  # how the drone's heights become the city's
+    heights: pose.HeightOptions = field(
+        default_factory=pose.HeightOptions
+    )  # how the drone's heights become the city's
     lod: str | None = None  # level of detail, or None for the lowest
     options: ReadOptions = field(default_factory=ReadOptions)  # how to read the city
     roof_height: str | None = None  # rule by which an absent level 1 is derived, or None
@@ -69,7 +62,7 @@ class RoughRequest(CityRequest):
 
     camera: Camera | None = None  # intrinsics of the photo as stored, lens distortion included
     camera_sigmas: CameraSigmas | None = None  # how well these are known, None for exactly
-    given: RoughPlace = field(default_factory=RoughPlace)  # rough place and angles
+    given: pose.RoughPlace = field(default_factory=pose.RoughPlace)  # rough place and angles
     # Rough place in the city's coordinates (east, north, up, metres); goes before all others.
     center: tuple[float, float, float] | None = None
 
@@ -162,7 +155,7 @@ class PreparedPhoto:
         """
         what = f"By its position {self.stated.name} was taken"
         if frame is not None and self.request.center is None and self.request.start is None:
-            place = latitude_longitude_of(self.stated, self.request.given)
+            place = pose.latitude_longitude_of(self.stated, self.request.given)
             require_same_region(what, *place, scene)
         if self.request.start is None:
             prior = rough_pose(self.request, self.stated, frame)
@@ -180,7 +173,7 @@ def prepare_photo(request: PhotoRequest, requires: Collection[str]) -> PreparedP
     """
     stated = read_photo_metadata(request.photo)
     rough = None if request.start is None else request.start.of(request.photo)
-    require_stated(
+    pose.require_stated(
         stated,
         request.heights,
         request.given,
@@ -268,11 +261,11 @@ def rough_pose(request: RoughRequest, photo: PhotoMetadata, frame: MapFrame | No
     if request.center is not None:
         east, north, _ = request.center
         convergence = 0.0 if frame is None else frame.convergence_deg(east, north)
-        return pose_at(request.center, convergence, photo, request.given)
+        return pose.pose_at(request.center, convergence, photo, request.given)
     if frame is None:
-        raise PoseNotStated(
+        raise pose.PoseNotStated(
             f"{request.city.name} names no reference system, so GPS means nothing in it.",
             "Name it with `--crs`, or give `--center EAST NORTH UP` in the city's coordinates.",
-            f"Name it with `--crs`, or give {START_OF_EACH}.",
+            f"Name it with `--crs`, or give {pose.START_OF_EACH}.",
         )
-    return pose_from_photo(photo, frame, request.heights, request.given)
+    return pose.pose_from_photo(photo, frame, request.heights, request.given)

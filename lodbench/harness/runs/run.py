@@ -24,18 +24,8 @@ from lodbench.evaluation.predictions import Prediction, evaluate
 from lodbench.execution.executor import DASK, PROCESS, SERIAL, ExecutorParams
 from lodbench.execution.processes import expect_workers, only_one_in
 from lodbench.harness.city import city_digests, city_of_dataset
-from lodbench.harness.runs import requirements
+from lodbench.harness.runs import inputs, requirements
 from lodbench.harness.runs.artefacts import Run
-from lodbench.harness.runs.inputs import (
-    chosen_entries,
-    code_digest,
-    flights_digest,
-    method_inputs,
-    prepare_method,
-    queries_digest,
-    truth_digest,
-    words_in,
-)
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
 from lodbench.harness.runs.queries import Preparation
 from lodbench.harness.runs.stored import PLAN_FILE
@@ -74,7 +64,7 @@ class RunSettings:
 
     def names(self) -> frozenset[str]:
         """Returns all words among the settings, of which some may name plug-ins."""
-        return frozenset(words_in(self.config)) | {self.renderer}
+        return frozenset(inputs.words_in(self.config)) | {self.renderer}
 
 
 @remembered_contents()
@@ -91,11 +81,11 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         {Input.IMAGE} if requirements.looks_at_photos(method, segmenter) else set()
     )
     preparation = Preparation(dataset, city_map.scene, segmenter, settings.tilt, needs, city_map)
-    inputs = {
+    digests = {
         **_fixed_inputs(method, segmenter, dataset, entries, city_map.scene, textured, settings.names()),
         **_read_inputs(method, segmenter, dataset, entries),
     }
-    folder = runs / digest_of({"config": settings.config, "inputs": inputs})
+    folder = runs / digest_of({"config": settings.config, "inputs": digests})
     work = Work(
         # A worker prepares its own.
         method if settings.executor.name == SERIAL else copy(method),
@@ -107,7 +97,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         preparation.needs,
         settings.seed,
         settings.config.get("method"),
-        inputs,
+        digests,
         make_folder(folder).absolute(),
         known_contents(),
         settings.stream_names,
@@ -124,7 +114,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         splits=splits,
         predictions=predictions,
         queries=queries,
-        inputs=inputs,
+        inputs=digests,
         lod=city_map.scene.lod,
         preparation=preparation,
         scorer=city_map,
@@ -143,7 +133,7 @@ def required_queries(
     requirements.require_choices(settings.tilt, settings.limit)
     require_writable(settings.runs_root)
     splits = select_splits(dataset, settings.splits)
-    entries = chosen_entries(dataset, splits, settings.limit)
+    entries = inputs.chosen_entries(dataset, splits, settings.limit)
     requirements.require_tilt(settings.tilt, dataset)
     load_plugin("renderers", settings.renderer)
     requirements.require_run_inputs(method, segmenter, dataset, entries)
@@ -160,7 +150,7 @@ def _opened(
         expect_workers((predict.__module__, type(method).__module__, type(segmenter).__module__))
     dataset = with_inputs(dataset, requirements.required_inputs(method, segmenter))
     # Once more: what was made for single queries is theirs.
-    entries = chosen_entries(dataset, splits, settings.limit)
+    entries = inputs.chosen_entries(dataset, splits, settings.limit)
     requirements.require_cameras(entries)
     requirements.require_pictures(dataset, entries, method, segmenter)
     requirements.warn_of_flights(method, entries)
@@ -192,7 +182,7 @@ def _answered(
         stored = open_predictions(folder)
         resumed = sum(entry.key in stored for entry in entries)
         try:
-            prepare_method(method, work.params, work.inputs, city_map, work.dataset.references, folder)
+            inputs.prepare_method(method, work.params, work.inputs, city_map, work.dataset.references, folder)
             predictions = predict(
                 work, preparation, city_map, entries, settings.executor, settings.retries_failed
             )
@@ -216,23 +206,23 @@ def _fixed_inputs(
     names: Collection[object],
 ) -> dict[str, str]:
     """Returns digests of what is in memory by now, and of the code, plug-ins that settings name included."""
-    inputs = {
+    digests = {
         **city_digests(scene),
-        "queries": queries_digest(dataset, entries),
+        "queries": inputs.queries_digest(dataset, entries),
         "priors": prior_digest(entries),
-        "code": code_digest(method, segmenter, names=names),
+        "code": inputs.code_digest(method, segmenter, names=names),
     }
     if requirements.is_oracle(method, segmenter):
-        inputs["truth"] = truth_digest(dataset, entries)
-    if isinstance(method, SupportsFlights) and (tied := flights_digest(entries)) is not None:
-        inputs["flights"] = tied
-    return inputs if textured is None else inputs | {"textured_map": textured.digest()}
+        digests["truth"] = inputs.truth_digest(dataset, entries)
+    if isinstance(method, SupportsFlights) and (tied := inputs.flights_digest(entries)) is not None:
+        digests["flights"] = tied
+    return digests if textured is None else digests | {"textured_map": textured.digest()}
 
 
 def _read_inputs(
     method: Method, segmenter: Segmenter, dataset: Dataset, entries: tuple[Entry, ...]
 ) -> dict[str, str]:
-    return {"masks": masks_digest(segmenter, entries), **method_inputs(method, dataset, entries)}
+    return {"masks": masks_digest(segmenter, entries), **inputs.method_inputs(method, dataset, entries)}
 
 
 def _require_unchanged(before: dict[str, str], after: dict[str, str], folder: Path) -> None:
