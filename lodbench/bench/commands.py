@@ -97,8 +97,8 @@ class Build:
         code, cpu_s, wall_s, peak = json.loads(done.stdout)
         if code not in _DONE.get(words[0], (0,)):
             lines = done.stderr.strip().splitlines() or ["no message"]
-            said = next((line for line in lines if line.startswith("lodbench: ")), lines[-1])
-            raise LodbenchError(f"{self.name}: lodbench {words[0]}: {said.removeprefix('lodbench: ')}")
+            message = next((line for line in lines if line.startswith("lodbench: ")), lines[-1])
+            raise LodbenchError(f"{self.name}: lodbench {words[0]}: {message.removeprefix('lodbench: ')}")
         return Cost(cpu_s, wall_s, peak / (2**20 if sys.platform == "darwin" else 2**10))
 
 

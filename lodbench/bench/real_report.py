@@ -1,4 +1,8 @@
-"""Priors and ends on real photos: recall, common and own errors, stated probability, photo edges, basins."""
+"""Priors and ends on real photos: recall, common and own errors, stated probability, photo edges, basins.
+
+How far a photo's edges lie from the map's roof edges at a pose knows no method and no truth: it ranks answers
+and true poses alike.
+"""
 
 from __future__ import annotations
 
@@ -184,8 +188,8 @@ def held(trials: pd.DataFrame) -> NDArray[np.bool_] | None:
     Answers without a covariance are left out.
     """
     surprise = trials["surprise"].to_numpy(np.float64)
-    said = surprise[~np.isnan(surprise)]
-    return np.asarray(said < _SURPRISE) if len(said) else None
+    stated = surprise[~np.isnan(surprise)]
+    return np.asarray(stated < _SURPRISE) if len(stated) else None
 
 
 class FlightErrors(NamedTuple):

@@ -97,8 +97,8 @@ def kept_when_stopped(
     except stops:
         if not (out / table).exists():
             with last_write(out):
-                if said := write():
-                    _LOG.warning("%s: %s", said, out)
+                if note := write():
+                    _LOG.warning("%s: %s", note, out)
         raise
 
 

@@ -147,7 +147,7 @@ def map_in_words(findings: Mapping[str, Any], most: int = 5) -> list[str]:
 
 
 def _listed(head: str, rows: Sequence[tuple[str, str, str]], most: int) -> list[str]:
-    lines = [f"- {name}: {said}, from {photos}" for name, said, photos in rows[:most]]
+    lines = [f"- {name}: {stated}, from {photos}" for name, stated, photos in rows[:most]]
     more = [f"- and {len(rows) - most} more"] if len(rows) > most else []
     return [head, *lines, *more] if rows else []
 

@@ -379,14 +379,14 @@ def _block(key: tuple[int, str, str], members: list[Entry], photos: str) -> Bloc
         return Block(title, tuple(members), (None,) * len(members))
     protocol = members[0]["protocol"]
     lod = f"{lod_in_words(str(protocol['lod']))} · " if protocol.get("lod") else ""
-    said = f"{lod}tilt={protocol['tilt']} · segmenter={protocol['segmenter']} · protocol {name}"
-    said += f" · photos {photos}" if photos else ""
+    stated = f"{lod}tilt={protocol['tilt']} · segmenter={protocol['segmenter']} · protocol {name}"
+    stated += f" · photos {photos}" if photos else ""
     members = sorted(members, key=_standing)
     if kind == 1:
-        return Block(f"Kept apart: {reasons} · {said}", tuple(members), (None,) * len(members), photos)
+        return Block(f"Kept apart: {reasons} · {stated}", tuple(members), (None,) * len(members), photos)
     standings = [_standing(entry)[:-1] for entry in members]
     ranks = tuple(standings.index(standing) + 1 for standing in standings)
-    return Block(f"Measured · {said}", tuple(members), ranks, photos)
+    return Block(f"Measured · {stated}", tuple(members), ranks, photos)
 
 
 def _labels(entries: Sequence[Entry]) -> tuple[str, ...]:

@@ -163,16 +163,16 @@ def metric_rules(tried: Tried) -> Rules:
     def numbers() -> str:
         queries = queries_frame(rows)
         before = queries.copy(deep=True)
-        said = {str(name): float(value) for name, value in tried.part(queries).items()}
-        require(len(said) > 0, "no number", "Return a mapping from names to numbers.")
-        taken = [*filter(is_taken, said)]
+        stated = {str(name): float(value) for name, value in tried.part(queries).items()}
+        require(len(stated) > 0, "no number", "Return a mapping from names to numbers.")
+        taken = [*filter(is_taken, stated)]
         require(
             not taken, f"{' and '.join(taken)}: a name of lodbench's own", "Give the number another name."
         )
         require(queries.equals(before), "the queries were written to", "Work on a copy.")
         again = {str(name): float(value) for name, value in tried.part(queries_frame(rows)).items()}
-        require(repr(said) == repr(again), "other numbers of the same queries")
-        return f"{', '.join(said)}; the same again, the queries only read"
+        require(repr(stated) == repr(again), "other numbers of the same queries")
+        return f"{', '.join(stated)}; the same again, the queries only read"
 
     return [("numbers", numbers)]
 

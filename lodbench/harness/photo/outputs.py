@@ -194,11 +194,11 @@ def contradictions(scene: Scene, findings: Mapping[str, Any]) -> list[tuple[dict
         for each in flight_words.doubted_buildings(findings.get("buildings", []))
     ]
     for change in findings.get("changes", []):
-        said = {key: value for key, value in change.items() if key != "outline"}
+        stated = {key: value for key, value in change.items() if key != "outline"}
         if change["kind"] == "demolished":
-            found.append((said, outline(change["id"])))
+            found.append((stated, outline(change["id"])))
         else:
-            found.append((said, [[np.array(ring, dtype=np.float64)] for ring in change["outline"]]))
+            found.append((stated, [[np.array(ring, dtype=np.float64)] for ring in change["outline"]]))
     return found
 
 
@@ -207,10 +207,10 @@ def contradiction_features(
 ) -> list[dict[str, Any]]:
     """Returns what a flight contradicts in the map, as features of GeoJSON."""
     features = []
-    for said, outline in contradictions(scene, findings):
+    for stated, outline in contradictions(scene, findings):
         rings = [[on_earth(ring, frame) for ring in polygon] for polygon in outline]
         geometry = {"type": "MultiPolygon", "coordinates": rings}
-        features.append({"type": "Feature", "geometry": geometry, "properties": {"flight": flight, **said}})
+        features.append({"type": "Feature", "geometry": geometry, "properties": {"flight": flight, **stated}})
     return features
 
 
@@ -220,8 +220,8 @@ def city_and_marks(
     """Returns the city in its coordinates for a page, and what a flight contradicts in it."""
     outlines = [outline for _, outline in contradictions(scene, findings)]
     marks = [
-        maps.Marked(f"{name}: {said}", [ring for polygon in outline for ring in polygon])
-        for (name, said, _), outline in zip(flight_words.map_rows(findings), outlines, strict=True)
+        maps.Marked(f"{name}: {stated}", [ring for polygon in outline for ring in polygon])
+        for (name, stated, _), outline in zip(flight_words.map_rows(findings), outlines, strict=True)
     ]
     return (scene.vertices + scene.origin, scene.triangles), marks
 

@@ -60,14 +60,14 @@ class About:
     code: list[str]
 
     @classmethod
-    def of(cls, said: object) -> About:
+    def of(cls, message: object) -> About:
         """Returns what was said.
 
         Raises:
             MalformedMessage: It is no such description.
         """
         lists = {"requires": str, "weights": Path, "code": str}
-        values = said if isinstance(said, dict) else {}
+        values = message if isinstance(message, dict) else {}
         is_sound = (
             values.keys() == {each.name for each in fields(cls)}
             and isinstance(values["name"], str)
@@ -207,13 +207,13 @@ class RemoteMethod:
     def _call(self, words: list[Any], answer: Callable[[list[Any]], Any], timeout_s: float) -> Any:
         assert self._child is not None  # noqa: S101
         try:
-            said = self._child.call({"do": words}, answer, timeout_s)
+            message = self._child.call({"do": words}, answer, timeout_s)
         except (remote.ProcessFault, errors.WorkersGone):
             self._child = None
             raise
-        if "fault" in said:
-            raise remote.fault_of(said)
-        return said.get("done")
+        if "fault" in message:
+            raise remote.fault_of(message)
+        return message.get("done")
 
 
 def _nothing(words: list[Any]) -> Any:

@@ -28,7 +28,7 @@ from lodbench.reporting.tables import RecallTable, format_html
 # matters to anybody is 1000 times coarser than this.
 TOLERANCE_M, TOLERANCE_DEG = 1e-6, 1e-6
 # What a method says of an answer, which is written with all its digits.
-_SAID = ("score", "hypotheses", "probability")
+_STATED = ("score", "hypotheses", "probability")
 _LABEL = pose_errors.DEFAULT_THRESHOLDS[0].label
 Curves = dict[str, list[figures.BudgetPoint]]
 
@@ -51,7 +51,7 @@ def changed_answers(stored: StoredRun) -> list[str]:
     if not len(ledger) and not ledger.damaged:
         return []
     lines = [f"{PREDICTIONS_FILE}: {ledger.damaged} damaged lines"] if ledger.damaged else []
-    for key, said in zip(stored.queries.index, stored.queries.to_dict("records"), strict=True):
+    for key, stated in zip(stored.queries.index, stored.queries.to_dict("records"), strict=True):
         if key not in ledger:
             lines.append(f"{PREDICTIONS_FILE}: {key} is missing")
             continue
@@ -60,8 +60,8 @@ def changed_answers(stored: StoredRun) -> list[str]:
             lines.append(f"{PREDICTIONS_FILE}: {key} has another pose than poses.txt")
         lines += [
             f"{PREDICTIONS_FILE}: {key} has another {name} than queries.csv"
-            for name in _SAID
-            if bool(stored.queries[name].notna().any()) and not _is_equal(said[name], getattr(answer, name))
+            for name in _STATED
+            if bool(stored.queries[name].notna().any()) and not _is_equal(stated[name], getattr(answer, name))
         ]
     return lines
 

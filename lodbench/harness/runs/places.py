@@ -166,8 +166,8 @@ def pages_of_run(
     """Returns the pages of a run's flights, by the name of the file of what each says."""
     found = flight_findings(verdict)
     return {
-        name: _page_of_sequence(verdict, scene, tilt, name, said, view, imagery)
-        for name, said in found.items()
+        name: _page_of_sequence(verdict, scene, tilt, name, stated, view, imagery)
+        for name, stated in found.items()
     }
 
 
@@ -179,15 +179,15 @@ def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
     """
     found = {}
     for file in sorted((verdict.stored.folder / FLIGHTS_FOLDER).glob("*.json")):
-        said = found[file.stem] = read_json(file)
+        stated = found[file.stem] = read_json(file)
         try:
-            for change in said.get("changes", []):
+            for change in stated.get("changes", []):
                 change["kind"] = _KINDS_OF_0_1.get(change["kind"], change["kind"])
-            for constant in said.get("constants", {}).values():
+            for constant in stated.get("constants", {}).values():
                 if "told" in constant:
                     constant["determined"] = constant.pop("told")
-            flight_words.constants_in_words(said.get("constants", {})), flight_words.map_in_words(said)
-            len(said.get("lost", [])), dict(said.get("reasons", {})), list(said.get("notes", []))
+            flight_words.constants_in_words(stated.get("constants", {})), flight_words.map_in_words(stated)
+            len(stated.get("lost", [])), dict(stated.get("reasons", {})), list(stated.get("notes", []))
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise DatasetError(
                 f"{file} has no constants, buildings and changes as of `method=flight` ({error!r}).",

@@ -198,10 +198,10 @@ def _query_table(verdict: Verdict, tilt: str, crs: str | None) -> str:
 
     queries = verdict.stored.queries
     is_scored = has_truth(queries).any()
-    said = [verdict.stored.predictions.get(str(key)) for key in queries.index]
+    stated = [verdict.stored.predictions.get(str(key)) for key in queries.index]
     frame = queries.assign(
-        trust=["-" if found is None else answers.trust_of(found) for found in said],
-        why=["" if found is None else "; ".join(answers.why_of(found)) for found in said],
+        trust=["-" if found is None else answers.trust_of(found) for found in stated],
+        why=["" if found is None else "; ".join(answers.why_of(found)) for found in stated],
     )
     if not is_scored:
         # That there is no truth is no failure of an answer.
@@ -282,14 +282,14 @@ def _calibration(queries: pd.DataFrame, splits: Sequence[str]) -> list[page.Pict
 
 
 def _flights(verdict: Verdict) -> str:
-    said = {
+    stated = {
         name: [
             *flight_words.constants_in_words(found.get("constants", {}), "poses"),
             *flight_words.map_in_words(found),
         ]
         for name, found in flight_findings(verdict).items()
     }
-    return page.rendered("run_flights.html.jinja", flights=said) if said else ""
+    return page.rendered("run_flights.html.jinja", flights=stated) if stated else ""
 
 
 def _provenance(verdict: Verdict) -> str:

@@ -252,16 +252,18 @@ def _with_city(inputs: dict[str, str], scene: Scene, notes: list[str]) -> dict[s
 
 def _stand_in(stored: StoredRun) -> Dataset:
     """Returns a dataset that only tells what the summary says of it."""
-    said = stored.summary["dataset"]
+    stated = stored.summary["dataset"]
     notes = tuple(stored.summary.get("notes", ()))
     bins = stored.summary["protocol"].get("bins", metrics.LODLOC)
-    return Dataset(said["name"], said["version"], stored.folder, None, None, (), (), {}, notes, protocol=bins)
+    return Dataset(
+        stated["name"], stated["version"], stored.folder, None, None, (), (), {}, notes, protocol=bins
+    )
 
 
 def _with_words_of_the_map(reported: Dataset, stored: StoredRun) -> Dataset:
     """Returns a dataset with the notes of a textured map, which takes minutes to make and is not opened."""
-    said = _stand_in(stored).notes
-    return replace(reported, notes=said) if said[: len(reported.notes)] == reported.notes else reported
+    stated = _stand_in(stored).notes
+    return replace(reported, notes=stated) if stated[: len(reported.notes)] == reported.notes else reported
 
 
 def _wrong_name(folder: Path, config: dict[str, Any], inputs: dict[str, str]) -> list[str]:
