@@ -16,6 +16,7 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.pose import vector_from_pose
 from lodbench.geometry.similarity import Similarity, fit_similarity
+from lodbench.methods.flight import FlightMethod, FlightParams
 from lodbench.methods.georeference import (
     PLACEMENT,
     SIGMAS,
@@ -210,3 +211,20 @@ def test_what_the_inner_method_requires_is_required():
     assert Georeference().requires == {"mask", "reconstruction"}
     by_pixels = Georeference(GeoreferenceParams(settings={"single": "region"}))
     assert by_pixels.requires == {"image", "reconstruction"}
+
+
+def test_without_masks_a_flight_places_its_reconstruction_where_photos_find_themselves(city_map):
+    generator, truth, off_m = np.random.default_rng(2), orbit(), {}
+    queries = [
+        replace(query, prior=truth[query.name].shifted(generator.uniform((-10, -10, -30), (10, 10, 30))))
+        for query in flight(truth, similarity_of(6))
+    ]
+    alone = [Estimate(pose.shifted(generator.normal(0.0, 0.3, 3)), 1.0) for pose in truth.values()]
+    alone[1] = QueryFault("the photo fits no view of the map")
+    for single in ("region", "contour_alignment"):
+        begun = FlightMethod(FlightParams(single=single))._start(queries, city_map, alone).vectors
+        off = begun[:, :3] - [pose.center for pose in truth.values()]
+        off_m[single] = np.linalg.norm(off, axis=1)
+    assert off_m["region"].max() < 2.0
+    # Masks vote on what photos err by alike: there the priors say where it begins.
+    assert off_m["contour_alignment"].max() > 4.0
