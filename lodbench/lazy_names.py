@@ -24,9 +24,9 @@ def lazy_names(
     def load(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        found = getattr(import_module(f".{homes[name]}", package), name)
-        setattr(sys.modules[package], name, found)  # found at once from now on
-        return found
+        attribute = getattr(import_module(f".{homes[name]}", package), name)
+        setattr(sys.modules[package], name, attribute)  # found at once from now on
+        return attribute
 
     names = sorted(homes)
     return names, load, lambda: names

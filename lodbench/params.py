@@ -68,13 +68,13 @@ def read_settings(text: str) -> dict[str, Any]:
 
 def _not_of_its_kind(name: str, reason: str) -> ConfigError:
     """Returns the fault of a setting whose value OmegaConf does not take for the reason that it gives."""
-    found = _NOT_CONVERTED.fullmatch(reason)
-    if found is None:
+    match = _NOT_CONVERTED.fullmatch(reason)
+    if match is None:
         return ConfigError(f"`{name}`: {reason}")
-    kind, example = _KINDS[found["kind"]]
+    kind, example = _KINDS[match["kind"]]
     base, index, _ = name.partition("[")
     written = f"[{example}]" if index else example
-    value = found["value"] or "empty"
+    value = match["value"] or "empty"
     return ConfigError(f"`{name}` is {value}, not {kind}.", f"Write `{base}={written}`, for instance.")
 
 
@@ -99,10 +99,10 @@ def _typed(value: Any, wanted: Any, name: str) -> Any:
         return [str(value) if parts[0] is str else value] if is_one else value
     count = 1 if is_one else len(value)
     if count != len(parts):
-        told = value if is_one else str(list(value)).replace(" ", "")
+        written = value if is_one else str(list(value)).replace(" ", "")
         example = ",".join(["VALUE"] * len(parts))
         raise ConfigError(
-            f"`{name}={told}` has {count} {'value' if count == 1 else 'values'}, not {len(parts)}.",
+            f"`{name}={written}` has {count} {'value' if count == 1 else 'values'}, not {len(parts)}.",
             f"Give it as a list: `{name}=[{example}]`",
         )
     return value
@@ -237,11 +237,11 @@ def _flat(value: Any) -> Iterator[Any]:
 
 def flags_of(kind: type) -> dict[str, str]:
     """Returns the flags by which a command sets what a message names by its setting."""
-    found: dict[str, str] = {}
+    flags: dict[str, str] = {}
     for each in _all(kind):
         sets: Sequence[str] = each.metadata.get("sets", ())
-        found |= dict.fromkeys(sets, (each.metadata["flags"] or (_flag(each),))[0])
-    return found
+        flags |= dict.fromkeys(sets, (each.metadata["flags"] or (_flag(each),))[0])
+    return flags
 
 
 def _all(kind: type) -> Iterator[Field[Any]]:

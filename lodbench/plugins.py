@@ -185,7 +185,7 @@ _Scan = tuple[tuple[PlugIn, ...], tuple[str, ...], tuple[tuple[str, EntryPoint],
 @lru_cache(maxsize=8)
 def _scan(_: tuple[tuple[str, float], ...]) -> _Scan:
     """Returns all plug-ins, packages that cannot be read, and folders of configuration."""
-    found: list[PlugIn] = []
+    plug_ins: list[PlugIn] = []
     faults: list[str] = []
     folders: list[tuple[str, EntryPoint]] = []
     for package, points in _packages(faults):
@@ -193,24 +193,24 @@ def _scan(_: tuple[tuple[str, float], ...]) -> _Scan:
             if point.group == _CONFIG_GROUP:
                 folders.append((package, point))
             elif point.group.removeprefix("lodbench.") in KINDS:
-                found.append(PlugIn(point.group.removeprefix("lodbench."), point.name, package, point))
-    found.sort(key=lambda plug_in: (not plug_in.is_ours, plug_in.name, plug_in.package))
+                plug_ins.append(PlugIn(point.group.removeprefix("lodbench."), point.name, package, point))
+    plug_ins.sort(key=lambda plug_in: (not plug_in.is_ours, plug_in.name, plug_in.package))
     folders.sort(key=lambda item: (item[0].split(" ")[0] != _OURS, item[0]))
-    return tuple(_with_clashes(found)), tuple(faults), tuple(folders)
+    return tuple(_with_clashes(plug_ins)), tuple(faults), tuple(folders)
 
 
 def _packages(faults: list[str]) -> Iterator[tuple[str, list[EntryPoint]]]:
     """Yields packages that have entry points of lodbench's, each once, as on the path of imports."""
-    seen = set()
+    names = set()
     for distribution in distributions():
         try:
             # Most packages have none: reading the metadata of all would take a tenth of a second.
             if "lodbench." not in (distribution.read_text("entry_points.txt") or ""):
                 continue
             name = distribution.metadata["Name"]
-            if name in seen:
+            if name in names:
                 continue
-            seen.add(name)
+            names.add(name)
             package = f"{name} {distribution.version}"
             yield package, [point for point in distribution.entry_points if point.group.startswith(_OURS)]
         except Exception as error:  # damaged metadata of one package is no fault of the others
@@ -221,10 +221,10 @@ def _place(distribution: Distribution) -> str:
     return str(distribution.locate_file(""))
 
 
-def _with_clashes(found: list[PlugIn]) -> Iterator[PlugIn]:
+def _with_clashes(plug_ins: list[PlugIn]) -> Iterator[PlugIn]:
     """Yields plug-ins, the fault of those whose name lodbench or another package has as well with them."""
-    for plug_in in found:
-        others = [p.package for p in found if (p.group, p.name) == (plug_in.group, plug_in.name)]
+    for plug_in in plug_ins:
+        others = [p.package for p in plug_ins if (p.group, p.name) == (plug_in.group, plug_in.name)]
         others.remove(plug_in.package)
         is_fault = others and not plug_in.is_ours
         yield replace(plug_in, fault=f"{' and '.join(others)} has one of that name") if is_fault else plug_in
@@ -299,8 +299,8 @@ def _words(error: BaseException, module: str = "") -> str:
 
 def config_files(group: str, ending: str = ".yaml") -> dict[str, Path]:
     """Returns the files of a group such as ``source`` by name; lodbench's own go before those of plug-ins."""
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for _, _, folder in config_folders():
         for file in sorted((folder / group).glob(f"*{ending}")) if folder is not None else ():
-            found.setdefault(file.name.removesuffix(ending), file)
-    return found
+            files.setdefault(file.name.removesuffix(ending), file)
+    return files

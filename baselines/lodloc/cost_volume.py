@@ -31,7 +31,7 @@ class Stage(NamedTuple):
 
 
 def search_grid(
-    values: Singles, scale: float, camera: Camera, points: Floats, around: Pose, grid: PoseGrid
+    values: Singles, scale: float, camera: Camera, points: Floats, start: Pose, grid: PoseGrid
 ) -> Stage:
     """Returns the best pose of a grid, and how sure it is of it.
 
@@ -40,14 +40,14 @@ def search_grid(
         scale: Its size over the camera's.
         camera: Pinhole at the working size.
         points: (N, 3) of the wireframe, scene metres.
-        around: The grid's middle; its tilt is every pose's.
+        start: The grid's middle; its tilt is every pose's.
         grid: Ranges and counts.
     """
-    centers, yaws = grid.around(around)
+    centers, yaws = grid.around(start)
     per_yaw = len(centers) // grid.yaw.count
-    rotations = rotations_at_yaws(around.euler.pitch_deg, around.euler.roll_deg, yaws[::per_yaw])
-    moves = centers[:per_yaw] - around.center
-    scores = volume_scores(values, scale, camera, points - around.center, rotations, moves)
+    rotations = rotations_at_yaws(start.euler.pitch_deg, start.euler.roll_deg, yaws[::per_yaw])
+    moves = centers[:per_yaw] - start.center
+    scores = volume_scores(values, scale, camera, points - start.center, rotations, moves)
     best = int(np.argmax(scores))
     pose = Pose.from_center(rotations[best // per_yaw], centers[best])
     return Stage(pose, float(scores.flat[best]), _deviations(scores.ravel(), best, centers, yaws))

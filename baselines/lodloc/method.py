@@ -94,16 +94,16 @@ class LodLoc:
         return Estimate(pose, score, seconds=seconds, trace=trace, notes=notes)
 
 
-def beyond_range(pose: Pose, around: Pose, grid: PoseGrid) -> tuple[str, ...]:
+def beyond_range(pose: Pose, reference: Pose, grid: PoseGrid) -> tuple[str, ...]:
     """Returns a sentence for a pose beyond a grid around another, or leaning far from it, or nothing."""
-    offsets = np.append(pose.center - around.center, np.subtract(pose.euler, around.euler))
+    offsets = np.append(pose.center - reference.center, np.subtract(pose.euler, reference.euler))
     offsets[3:] = (offsets[3:] + 180.0) % 360.0 - 180.0
     widths = [axis.width for axis in (grid.x, grid.y, grid.z)]
     limits = [*(0.5 * width + _MARGIN_M for width in widths), _MOST_TILT_DEG, _MOST_TILT_DEG]
     limits.append(0.5 * grid.yaw.width + _MARGIN_DEG)
     names = ("x m", "y m", "z m", "pitch deg", "roll deg", "yaw deg")
-    told = zip(names, offsets.tolist(), limits, strict=True)
-    out = [f"{name.split()[0]} {off:+.1f} {name.split()[1]}" for name, off, limit in told if abs(off) > limit]
+    rows = zip(names, offsets.tolist(), limits, strict=True)
+    out = [f"{name.split()[0]} {off:+.1f} {name.split()[1]}" for name, off, limit in rows if abs(off) > limit]
     if not out:
         return ()
     return (f"the pose lies outside the stated range of the prior: {', '.join(out)}",)
@@ -126,8 +126,8 @@ class _Alignment:
         grid = self._grid
         first = 0 if round_number == 0 else 1
         for stage in range(first, len(_SCALES)):
-            found = self._searched(stage, points, pose, grid)
-            pose, grid = found.pose, narrowed(grid, found.deviations, self._params.spread)
+            best = self._searched(stage, points, pose, grid)
+            pose, grid = best.pose, narrowed(grid, best.deviations, self._params.spread)
             if stage == 0:
                 self._grid = grid
         moved = refined(self._maps.refinement, self._camera, points, pose, self._params.iterations)
@@ -150,11 +150,11 @@ class _Alignment:
             )
         return points
 
-    def _searched(self, stage: int, points: Floats, around: Pose, grid: PoseGrid) -> Stage:
+    def _searched(self, stage: int, points: Floats, start: Pose, grid: PoseGrid) -> Stage:
         self._city_map.usage.add("wireframes", len(grid))
-        found = search_grid(self._maps.stages[stage], _SCALES[stage], self._camera, points, around, grid)
-        self.trace.append(found.score)
-        return found
+        best = search_grid(self._maps.stages[stage], _SCALES[stage], self._camera, points, start, grid)
+        self.trace.append(best.score)
+        return best
 
     def _score(self, points: Floats, pose: Pose) -> float:
         self._city_map.usage.add("wireframes", 1)

@@ -133,13 +133,13 @@ def _content(views: list[TrainingView]) -> str:
 
 def _sets(data: Path) -> dict[str, Any]:
     """Returns digests and settings of the training sets below a folder, without the machine's paths."""
-    found = {}
+    sets = {}
     for path in sorted(data.rglob("manifest.json")):
         try:
             manifest = parse_json(path.read_text(encoding="utf-8"))
             settings = {k: value for k, value in manifest["settings"].items() if k not in ("city", "props")}
-            told = {key: manifest[key] for key in ("digest", "inputs", "views")}
+            summary = {key: manifest[key] for key in ("digest", "inputs", "views")}
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise DatasetError(f"{path} is no manifest of a training set.", MANIFEST_HINT) from error
-        found[path.parent.relative_to(data).as_posix()] = told | {"settings": settings}
-    return found
+        sets[path.parent.relative_to(data).as_posix()] = summary | {"settings": settings}
+    return sets

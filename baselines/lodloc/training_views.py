@@ -80,10 +80,10 @@ def find_views(data: Path, settings: ViewSettings, splits: tuple[str, ...]) -> l
     manifests = sorted(data.rglob(_MANIFEST)) if data.is_dir() else []
     if not manifests:
         raise DatasetError(f"{data} holds no training set.", MANIFEST_HINT)
-    found = []
+    views = []
     for manifest in manifests:
-        found += _views_of_set(manifest, data, settings, splits)
-    return found
+        views += _views_of_set(manifest, data, settings, splits)
+    return views
 
 
 def _views_of_set(
@@ -99,7 +99,7 @@ def _views_of_set(
     city_map = CityMap(scene, threads=1)
     dataset = open_folder(FolderParams(str(folder), name=folder.name))
     entries = [entry for entry in dataset.entries if entry.split in splits]
-    found = []
+    views = []
     with Progress(f"wireframes of {folder.name}", len(entries)) as progress:
         for entry in entries:
             if entry.camera is not None and entry.image is not None:
@@ -109,9 +109,9 @@ def _views_of_set(
                 )
                 key = (folder.relative_to(data) / entry.key).as_posix()
                 view = _prepared(key, entry.image, camera, truth, city_map, settings)
-                found += [view] if view.priors else []
+                views += [view] if view.priors else []
             progress.advance()
-    return found
+    return views
 
 
 def _prepared(

@@ -88,7 +88,7 @@ def best_dice(labels, areas, buildings):  # type: ignore[no-untyped-def]  # noqa
         areas: (N,) int64 pixels of each label.
         buildings: (V, H, W) int32 of the views, -1 for none.
     """
-    found = np.zeros((buildings.shape[0], areas.shape[0]), dtype=np.float64)
+    highest = np.zeros((buildings.shape[0], areas.shape[0]), dtype=np.float64)
     number_of = np.full(max(buildings.max(), 0) + 1, -1, dtype=np.int64)
     for v in range(buildings.shape[0]):
         # Numbered anew in each view: a city has many buildings, a view few.
@@ -104,6 +104,6 @@ def best_dice(labels, areas, buildings):  # type: ignore[no-untyped-def]  # noqa
         for k in range(len(met)):
             for label in range(areas.shape[0]):
                 dice = 2.0 * shared[label, k] / (areas[label] + drawn[k])
-                found[v, label] = max(found[v, label], dice)
+                highest[v, label] = max(highest[v, label], dice)
             number_of[met[k]] = -1
-    return found
+    return highest

@@ -86,7 +86,7 @@ class LodLocV3:
                 return PoseScorer(whole, city_map, size, params.fit)
             return InstanceScorer(query, city_map, size, params.weights, masks)
 
-        found = search(scorer_at, query.prior, params, streams)
-        if found.score <= 0:
+        estimate = search(scorer_at, query.prior, params, streams)
+        if estimate.score <= 0:
             raise QueryFault("no hypothesis overlaps a building: the prior may be far from the city")
-        return found
+        return estimate

@@ -187,10 +187,10 @@ class RomaMap:
         import torch
 
         with torch.inference_mode():
-            found = self._net(torch.from_numpy(_normalised(pictures))).numpy()
-        found = found.transpose(0, 2, 3, 1)
-        length = np.maximum(np.linalg.norm(found, axis=3, keepdims=True), 1e-12)
-        return np.asarray(found / length, dtype=np.float32)
+            features = self._net(torch.from_numpy(_normalised(pictures))).numpy()
+        features = features.transpose(0, 2, 3, 1)
+        length = np.maximum(np.linalg.norm(features, axis=3, keepdims=True), 1e-12)
+        return np.asarray(features / length, dtype=np.float32)
 
 
 def _normalised(pictures: Pictures) -> NDArray[np.float32]:

@@ -42,7 +42,7 @@ class FeatureScorer:
         self._pitch_deg, self._roll_deg, _ = query.prior.euler
         self._city_map, self._is_textured = city_map, params.map == "textured"
         self._features = open_features(params.features, params.weights)
-        self.has_seen_map = False
+        self.sees_map = False
         self._photo = self._features(resized_photo(photo, self._camera)[None])[0]
 
     def __call__(self, centers: Floats, yaws_deg: Floats) -> Particles:
@@ -52,7 +52,7 @@ class FeatureScorer:
         for start in range(0, len(centers), _BATCH):
             batch = slice(start, start + _BATCH)
             pictures = self._pictures(rotations[batch], centers[batch])
-            self.has_seen_map = self.has_seen_map or bool(pictures.min() < pictures.max())
+            self.sees_map = self.sees_map or bool(pictures.min() < pictures.max())
             scores[batch] = similarities(self._photo, self._features(pictures))
         return Particles(centers, yaws_deg, scores)
 
@@ -104,12 +104,12 @@ class McLoc:
         scorers: list[FeatureScorer] = []
 
         def scorer_at(size: tuple[int, int]) -> FeatureScorer:
-            if scorers and not scorers[-1].has_seen_map:
+            if scorers and not scorers[-1].sees_map:
                 raise QueryFault("no pose of the grid sees the map: the prior may be far from the city")
             scorers.append(FeatureScorer(query, photo, city_map, size, self.params))
             return scorers[-1]
 
-        found = search(scorer_at, query.prior, self.params, streams)
-        if not scorers[-1].has_seen_map:
+        estimate = search(scorer_at, query.prior, self.params, streams)
+        if not scorers[-1].sees_map:
             raise QueryFault("no pose looked at sees the map: the prior may be far from the city")
-        return found
+        return estimate

@@ -41,10 +41,10 @@ class PooledFeatures:
 
     def describe(self, pictures: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Returns (N, D) descriptors of length 1; of 0 where a picture has no feature."""
-        found = self._features(pictures)
+        features = self._features(pictures)
         parts = [
             part.mean(axis=(1, 2))
-            for rows in np.array_split(found, _ROWS, axis=1)
+            for rows in np.array_split(features, _ROWS, axis=1)
             for part in np.array_split(rows, _COLUMNS, axis=2)
             if part.size
         ]

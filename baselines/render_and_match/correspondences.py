@@ -62,14 +62,14 @@ class Matched:
         if query.image is None:
             raise QueryFault("there is no photo")
         self._matcher, self._extractor = opened_matching(matcher, weights)
-        self._photo = self._seen(resized_photo(read_photo(query.image), camera))
+        self._photo = self._input(resized_photo(read_photo(query.image), camera))
 
     def with_view(self, view: View) -> Correspondences:
         """Returns the matches with a view whose pixels in it have a depth."""
-        found = self._matcher.match(self._photo, self._seen(view.picture))
-        return lifted(view, found.second.astype(np.float64), found.first.astype(np.float64))
+        matches = self._matcher.match(self._photo, self._input(view.picture))
+        return lifted(view, matches.second.astype(np.float64), matches.first.astype(np.float64))
 
-    def _seen(self, picture: NDArray[np.uint8]) -> Any:
+    def _input(self, picture: NDArray[np.uint8]) -> Any:
         if self._matcher.takes == IMAGES:
             return picture
         if self._extractor is None:

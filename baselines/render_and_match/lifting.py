@@ -31,12 +31,12 @@ def lift(
     places = np.clip(pixels - 0.5, 0.0, (width - 1.001, height - 1.001))
     column, row = np.floor(places).astype(np.int64).T
     u, v = (places - np.stack([column, row], axis=1)).T
-    around = np.stack(
+    depths = np.stack(
         [depth[row, column], depth[row, column + 1], depth[row + 1, column], depth[row + 1, column + 1]]
     )
     weights = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])
-    z = (weights * around).sum(axis=0)
-    has_depth = (around.min(axis=0) > 0) & (around.max(axis=0) <= (1 + _STEP) * around.min(axis=0))
+    z = (weights * depths).sum(axis=0)
+    has_depth = (depths.min(axis=0) > 0) & (depths.max(axis=0) <= (1 + _STEP) * depths.min(axis=0))
     rays = np.stack(
         [(pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy, np.ones(len(z))],
         axis=1,

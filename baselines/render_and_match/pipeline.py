@@ -22,16 +22,10 @@ from lodbench.matching.protocol import Retrieval, open_retrieval
 from lodbench.methods import Estimate, Input, Streams
 from lodbench.segmentation.masks import read_photo
 
-from .correspondences import (
-    CorrespondenceFinder,
-    Correspondences,
-    Matched,
-    Oracle,
-    opened_matching,
-)
+from .correspondences import CorrespondenceFinder, Correspondences, Matched, Oracle, opened_matching
 from .params import ORACLE, RenderAndMatchParams
 from .retrieval import places_over, retrieved
-from .view import View, canvas_camera, views_around
+from .view import View, canvas_camera, views_near
 
 Floats = NDArray[np.float64]
 
@@ -107,15 +101,15 @@ class RenderAndMatch(ABC):
         trace = [float(best.inliers.sum())]
         for _ in range(1, self.params.rounds):
             try:
-                found = self._solved(
+                solved = self._solved(
                     query, camera, finder, solver, self._views([best.pose], city_map, camera)
                 )
             except QueryFault:
                 break
-            trace.append(float(found.inliers.sum()))
+            trace.append(float(solved.inliers.sum()))
             if trace[-1] <= trace[-2]:
                 break
-            best = found
+            best = solved
         seconds["further rounds"] = time.perf_counter() - started - sum(seconds.values())
         return Estimate(
             best.pose, float(best.inliers.sum()), seconds=seconds, trace={"inliers": tuple(trace)}
@@ -129,7 +123,7 @@ class RenderAndMatch(ABC):
         """
         params = self.params
         if params.retrieval is None:
-            return views_around(query.prior, params.views, params.spread_m)
+            return views_near(query.prior, params.views, params.spread_m)
         if query.image is None:
             raise QueryFault("there is no photo")
         area_m = np.inf if params.area_m is None else params.area_m
@@ -166,11 +160,11 @@ class RenderAndMatch(ABC):
         """
         if not any(view.depth.any() for view in views):
             raise QueryFault("no building is in view from the prior")
-        found = [finder.with_view(view) for view in views]
+        correspondences = [finder.with_view(view) for view in views]
         joined = Correspondences(
-            np.concatenate([each.points for each in found]),
-            np.concatenate([each.pixels for each in found]),
-            sum(each.matched for each in found),
+            np.concatenate([each.points for each in correspondences]),
+            np.concatenate([each.pixels for each in correspondences]),
+            sum(each.matched for each in correspondences),
         )
         if len(joined.points) < self.params.min_inliers:
             raise QueryFault(

@@ -23,7 +23,7 @@ _SIZE, _BATCH = 160, 16
 _MOST_VIEWS = 20_000
 
 
-def places_over(scene: Scene, around: Floats, area_m: float, spacing_m: float) -> Floats:
+def places_over(scene: Scene, center: Floats, area_m: float, spacing_m: float) -> Floats:
     """Returns (N, 3) places at one height, a spacing apart, no further from a place than an area reaches.
 
     Nor further beyond the city than the place is high: what is there shows none of it.
@@ -32,18 +32,18 @@ def places_over(scene: Scene, around: Floats, area_m: float, spacing_m: float) -
         QueryFault: They are too many.
     """
     low, high = scene.vertices.min(axis=0), scene.vertices.max(axis=0)
-    reach = max(0.0, float(around[2] - low[2]))
+    reach = max(0.0, float(center[2] - low[2]))
     ranges = []
     for k in (0, 1):
-        first = max(-area_m, float(low[k]) - reach - float(around[k]))
-        last = min(area_m, float(high[k]) + reach - float(around[k]))
+        first = max(-area_m, float(low[k]) - reach - float(center[k]))
+        last = min(area_m, float(high[k]) + reach - float(center[k]))
         ranges.append((np.ceil(first / spacing_m), np.floor(last / spacing_m) + 1))
     count = int(np.prod([max(0.0, stop - start) for start, stop in ranges]))
     if count > _MOST_VIEWS:
         raise QueryFault(f"{count} views over the area are too many: a larger method.spacing_m makes fewer")
-    axes = [around[k] + spacing_m * np.arange(*ranges[k]) for k in (0, 1)]
+    axes = [center[k] + spacing_m * np.arange(*ranges[k]) for k in (0, 1)]
     x, y = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
-    return np.column_stack([x, y, np.full(count, around[2])])
+    return np.column_stack([x, y, np.full(count, center[2])])
 
 
 def retrieved(
@@ -81,7 +81,7 @@ def retrieved(
         sees = depths.any(axis=(1, 2))
         likeness[start : start + _BATCH] = np.where(sees, retrieval.describe(pictures) @ wanted, -np.inf)
     best = np.argsort(-likeness, kind="stable")[:count]
-    found = [Pose.from_center(prior.rotation, places[k]) for k in best if np.isfinite(likeness[k])]
-    if not found:
+    poses = [Pose.from_center(prior.rotation, places[k]) for k in best if np.isfinite(likeness[k])]
+    if not poses:
         raise QueryFault("no view over the area sees the map")
-    return found
+    return poses

@@ -48,7 +48,7 @@ def canvas_camera(camera: Camera, share: float) -> Camera:
     )
 
 
-def views_around(pose: Pose, count: int, spread_m: float) -> list[Pose]:
+def views_near(pose: Pose, count: int, spread_m: float) -> list[Pose]:
     """Returns a pose, then others of the same direction, beside it on the level, ahead being the camera's."""
     ahead = pose.rotation[1] * (1.0, 1.0, 0.0)
     # The picture's up, on the ground; towards the horizon for all cameras but one that looks at the nadir.

@@ -18,7 +18,7 @@ import numpy as np
 from experiments.causes.outline_limit import share_within_reach
 from experiments.command import run
 from lodbench.bench import Figure, Progress, Report, no_progress
-from lodbench.bench.accuracy import Job, drawable, names_of, protocol_of, share_found, sweep
+from lodbench.bench.accuracy import Job, drawable, names_of, percent_within, protocol_of, sweep
 from lodbench.cli.bench_views import ViewedOptions
 from lodbench.errors import ConfigError
 from lodbench.methods import Method
@@ -126,7 +126,7 @@ def _job(method: Method, views: ViewsParams, cause: str, city: str) -> Job:
 def _row(queries: pd.DataFrame) -> dict[str, float]:
     """Returns what was found of a city's views, percent, by cause."""
     as_drawn = queries[queries["cause"] == _AS_DRAWN]
-    found = {cause: share_found(queries[queries["cause"] == cause]) for cause in _CAUSES}
+    found = {cause: percent_within(queries[queries["cause"] == cause]) for cause in _CAUSES}
     given = as_drawn["probability"]
     kept = {
         "any kept": 100.0 * float(as_drawn["is_any_kept_found"].mean()),

@@ -149,14 +149,14 @@ def _queries_of(job: Job, threads: int | None) -> pd.DataFrame:
         seed=job.views.views_seed,
         seconds=[sum(answer.seconds.values()) for answer in answers],
         pose=np.array([answer.pose for answer in answers], dtype=object),
-        is_any_kept_found=[_is_any_found(dataset, run, key) for key in run.queries.index],
+        is_any_kept_found=[_is_any_hit(dataset, run, key) for key in run.queries.index],
         map_lod=run.lod or "",
         **drawing_facts(dataset),
         **job.labels,
     )
 
 
-def _is_any_found(dataset: Dataset, run: Run, key: str) -> bool:
+def _is_any_hit(dataset: Dataset, run: Run, key: str) -> bool:
     answer = run.predictions[key]
     kept = [pose for pose in (answer.pose, *answer.alternatives) if pose is not None]
     errors = [pose_error(pose, dataset.truth[key]) for pose in kept]
@@ -175,7 +175,7 @@ class Block(NamedTuple):
     method: str
     is_only: bool
     queries: pd.DataFrame
-    found: SplitSummary
+    summary: SplitSummary
     prior: SplitSummary
 
 
@@ -230,7 +230,7 @@ def _drawn(views: ViewsParams, queries: pd.DataFrame) -> str:
     return f"{city}, {count} ({runs['rejections'].sum()} draws rejected)"
 
 
-def _is_found(rows: pd.DataFrame) -> NDArray[np.bool_]:
+def _is_hit(rows: pd.DataFrame) -> NDArray[np.bool_]:
     return hits_of(rows[list(metrics.ERROR)].to_numpy(), PROBABILITY_THRESHOLD)
 
 
@@ -238,7 +238,7 @@ def _calibrations(blocks: Sequence[Block]) -> dict[str, metrics.Calibration]:
     """Returns how calibrated methods are that give a probability, by method and tilt in words."""
     return {
         f"{b.method}, tilt={b.tilt}": metrics.calibrate(
-            b.queries["probability"].fillna(0.0).to_numpy(), _is_found(b.queries)
+            b.queries["probability"].fillna(0.0).to_numpy(), _is_hit(b.queries)
         )
         for b in blocks
         if b.queries["probability"].notna().any()
@@ -251,21 +251,21 @@ def _pictures(calibrations: dict[str, metrics.Calibration]) -> dict[str, bytes]:
 
 
 def _figures(block: Block) -> Iterator[Figure]:
-    found, prior = block.found, block.prior
+    summary, prior = block.summary, block.prior
     name = f"tilt={block.tilt}" if block.is_only else f"{block.method} tilt={block.tilt}"
-    for label, percent in found.recall.items():
+    for label, percent in summary.recall.items():
         yield Figure(f"recall {label} {name}", percent, "%", "prior", prior.recall[label])
-        for end, bound in zip(("low", "high"), found.interval[label], strict=True):
+        for end, bound in zip(("low", "high"), summary.interval[label], strict=True):
             yield Figure(f"recall {label} {name} {end}", bound, "%")
     for median, unit in (("median_translation_m", "m"), ("median_rotation_deg", "deg")):
-        value, beside = getattr(found, median), getattr(prior, median)
+        value, beside = getattr(summary, median), getattr(prior, median)
         yield Figure(f"{median} {name}", value, unit, "prior", beside, beside / value if value else None)
-    yield Figure(f"hypotheses per query {name}", found.hypotheses_per_query, "")
+    yield Figure(f"hypotheses per query {name}", summary.hypotheses_per_query, "")
     yield Figure(f"seconds per query {name}", float(block.queries["seconds"].mean()), "s")
-    if math.isfinite(found.metrics.get("ece_percent", math.nan)):
-        yield Figure(f"mean probability {name}", found.metrics["mean_confidence_percent"], "%")
-        yield Figure(f"calibration error {name}", found.metrics["ece_percent"], "%")
-        yield Figure(f"area under risk over coverage {name}", found.metrics["aurc_percent"], "%")
+    if math.isfinite(summary.metrics.get("ece_percent", math.nan)):
+        yield Figure(f"mean probability {name}", summary.metrics["mean_confidence_percent"], "%")
+        yield Figure(f"calibration error {name}", summary.metrics["ece_percent"], "%")
+        yield Figure(f"area under risk over coverage {name}", summary.metrics["aurc_percent"], "%")
 
 
 def _table(blocks: Sequence[Block]) -> str:
@@ -275,11 +275,11 @@ def _table(blocks: Sequence[Block]) -> str:
         name = f"tilt={block.tilt}  "
         if block.method == blocks[0].method:
             rows.append([f"{name}prior", *_errors(block.prior), "-", "-", "-", "-"])
-        found, seconds = block.found, block.queries["seconds"].mean()
-        hypotheses = finite_text(found.hypotheses_per_query or math.nan, ".0f")
-        ece, aurc = (found.metrics.get(f"{metric}_percent") for metric in ("ece", "aurc"))
+        summary, seconds = block.summary, block.queries["seconds"].mean()
+        hypotheses = finite_text(summary.hypotheses_per_query or math.nan, ".0f")
+        ece, aurc = (summary.metrics.get(f"{metric}_percent") for metric in ("ece", "aurc"))
         costs = [hypotheses, f"{seconds:.2f}", finite_text(ece, ".1f"), finite_text(aurc, ".2f")]
-        rows.append([f"{name}{block.method}", *_errors(found), *costs])
+        rows.append([f"{name}{block.method}", *_errors(summary), *costs])
     return format_columns(rows)
 
 
@@ -294,14 +294,14 @@ def _trust(blocks: Sequence[Block]) -> Iterator[str]:
     for block in blocks:
         if block.queries["probability"].isna().all():
             continue
-        is_found, stated = _is_found(block.queries), block.queries["probability"].fillna(0.0).to_numpy()
+        is_hit, stated = _is_hit(block.queries), block.queries["probability"].fillna(0.0).to_numpy()
         is_sure = stated >= _SURE
-        wrong_m = block.queries[metrics.ERROR[0]].to_numpy()[is_sure & ~is_found]
+        wrong_m = block.queries[metrics.ERROR[0]].to_numpy()[is_sure & ~is_hit]
         most = f" (up to {wrong_m.max():.1f} m)" if len(wrong_m) else ""
         yield (
             f"{_whose(block)}: states {100 * stated.mean():.1f} % in the mean; of {is_sure.sum()} at {_SURE} "
-            f"or more {len(wrong_m)} are wrong{most}; {(is_found & (stated >= _LIKELY)).sum()} of "
-            f"{is_found.sum()} within (2 m, 2 deg) state {_LIKELY} or more."
+            f"or more {len(wrong_m)} are wrong{most}; {(is_hit & (stated >= _LIKELY)).sum()} of "
+            f"{is_hit.sum()} within (2 m, 2 deg) state {_LIKELY} or more."
         )
 
 
@@ -311,7 +311,7 @@ def _whose(block: Block) -> str:
 
 def _missed(block: Block) -> str:
     """Returns whether the search or the mask is to blame for what was not found."""
-    missed = block.queries[~_is_found(block.queries)]
+    missed = block.queries[~_is_hit(block.queries)]
     unfound = int((missed["score"].fillna(0.0) < missed["mask_iou"]).sum())
     return (
         f"{_whose(block)}: {len(missed)} not within (2 m, 2 deg); in {unfound} of them the truth fits better "
@@ -370,7 +370,7 @@ def names_of(cities: Sequence[ViewsParams]) -> dict[str, str]:
     return {model: name if counts[name] == 1 else model for model, name in files.items()}
 
 
-def share_found(queries: pd.DataFrame) -> float:
+def percent_within(queries: pd.DataFrame) -> float:
     """Returns the percentage within (2 m, 2 deg)."""
     return 100.0 * float(hits_of(queries[list(metrics.ERROR)].to_numpy(), PROBABILITY_THRESHOLD).mean())
 
@@ -390,7 +390,7 @@ def _row(queries: pd.DataFrame) -> list[float]:
     medians = [float(queries[name].median()) for name in (*metrics.ERROR, "vertical_error_m")]
     given = queries["probability"]
     mean = float(given.fillna(0.0).mean()) if given.notna().any() else float("nan")
-    return [len(queries), share_found(queries), *medians, 100.0 * mean]
+    return [len(queries), percent_within(queries), *medians, 100.0 * mean]
 
 
 def _rejection(queries: pd.DataFrame) -> tuple[float, float]:

@@ -297,7 +297,7 @@ def measure_workers(options: WorkerOptions | None = None, progress: Progress = n
     }
     words = [f"method={options.method}", "dataset=demo", "segmenter=masks"]
     words.append(f"dataset.num_queries={options.queries}")
-    found: dict[str, list[Timing]] = {name: [] for name in ways}
+    timings: dict[str, list[Timing]] = {name: [] for name in ways}
     with tempfile.TemporaryDirectory() as scratch:
         # Makes the town and compiles, once.
         seconds_of_command("run", *words, "limit=1", f"paths.runs={scratch}/first")
@@ -307,15 +307,15 @@ def measure_workers(options: WorkerOptions | None = None, progress: Progress = n
                 runs = Path(scratch) / f"{turn}-{len(more)}-{more[0]}"
                 command = ["run", *words, *more, f"paths.runs={runs}"]
                 whole_s, rest_s = seconds_of_command(*command), seconds_of_command(*command)
-                found[name].append(Timing(whole_s, max(whole_s - rest_s, 0.0)))
+                timings[name].append(Timing(whole_s, max(whole_s - rest_s, 0.0)))
                 made = [next(runs.rglob(file)).read_bytes() for file in _SAME]
                 expected = expected or made
                 if made != expected:
                     raise LodbenchError(f"{name} gives other bytes than a serial run.")
-                progress(sum(map(len, found.values())), options.repeats * len(ways))
+                progress(sum(map(len, timings.values())), options.repeats * len(ways))
     best = {
         name: Timing(min(t.whole_s for t in times), min(t.queries_s for t in times))
-        for name, times in found.items()
+        for name, times in timings.items()
     }
     return Report(_worker_text(best, options), _worker_figures(best))
 

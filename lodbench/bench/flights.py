@@ -54,7 +54,7 @@ class MapScore:
     heights: int = 0  # buildings whose roofs photos show and whose heights the flight reports
     recovered: int = 0  # of them, those whose height against the map is reported within 0.5 m
     wrong: int = 0  # buildings whose roofs photos show and whose height was changed, reported or not
-    found_wrong: int = 0  # of these, those in doubt
+    doubted_wrong: int = 0  # of these, those in doubt
     doubted: int = 0  # buildings in doubt, whether photos can tell or not
     rightly: int = 0  # of the doubted, those whose height was changed
     demolished: int = 0  # buildings that stand in the map only, and that several photos should show
@@ -93,8 +93,8 @@ def score_map(
     """
     truth = changed["heights"]
     reported = {b["id"]: b for b in findings["buildings"] if b["id"] not in changed["extra"]}
-    seen = {name: b for name, b in reported.items() if name in roofs}
-    errors = [abs(b["higher_m"] + truth.get(name, 0.0)) for name, b in seen.items()]
+    visible = {name: b for name, b in reported.items() if name in roofs}
+    errors = [abs(b["higher_m"] + truth.get(name, 0.0)) for name, b in visible.items()]
     doubted = [name for name, b in reported.items() if b["doubt"]]
     reported_demolished = [c["id"] for c in findings["changes"] if c["kind"] == "demolished"]
     outlines = [c["outline"] for c in findings["changes"] if c["kind"] == "unmapped"]
@@ -106,7 +106,7 @@ def score_map(
         heights=len(errors),
         recovered=int(np.count_nonzero(np.array(errors) < RECOVERED_M)),
         wrong=sum(name in roofs for name in truth),
-        found_wrong=sum(name in truth and name in roofs for name in doubted),
+        doubted_wrong=sum(name in truth and name in roofs for name in doubted),
         doubted=len(doubted),
         rightly=sum(name in truth for name in doubted),
         demolished=sum(name in shown for name in changed["extra"]),
@@ -184,23 +184,23 @@ def _fly(
     alone: Sequence[Estimate | QueryFault] = []
     if isinstance(method, SupportsPhotosAlone):
         alone = method.localize_alone(queries, city_map, streams)
-        found = method.solve(queries, alone, city_map)
+        solution = method.solve(queries, alone, city_map)
     else:
-        found = method.localize_flight(queries, city_map, streams)
+        solution = method.localize_flight(queries, city_map, streams)
     tally.cpu_s += process_time() - started
     tally.alone += [_error(each, pose) for each, pose in zip(alone, truth, strict=bool(alone))]
-    tally.errors += [_error(each, pose) for each, pose in zip(found.estimates, truth, strict=True)]
+    tally.errors += [_error(each, pose) for each, pose in zip(solution.estimates, truth, strict=True)]
     tally.probabilities += [
-        each.probability or 0.0 if isinstance(each, Estimate) else 0.0 for each in found.estimates
+        each.probability or 0.0 if isinstance(each, Estimate) else 0.0 for each in solution.estimates
     ]
-    if "constants" in found.findings:
-        tally.constants.append(_constants_off(params, flight, found))
+    if "constants" in solution.findings:
+        tally.constants.append(_constants_off(params, flight, solution))
         if _scores_map(params):
-            tally.score += _score(params, dataset, found, queries, truth, city_map)
+            tally.score += _score(params, dataset, solution, queries, truth, city_map)
 
 
-def _error(found: Estimate | QueryFault, truth: Pose) -> PoseError:
-    return pose_error(found.pose, truth) if isinstance(found, Estimate) else FAILED
+def _error(answer: Estimate | QueryFault, truth: Pose) -> PoseError:
+    return pose_error(answer.pose, truth) if isinstance(answer, Estimate) else FAILED
 
 
 def _scores_map(params: FlightsParams) -> bool:
@@ -233,9 +233,9 @@ def queries_of(
     return queries, truth
 
 
-def _constants_off(params: FlightsParams, flight: int, found: FlightEstimate) -> Floats:
+def _constants_off(params: FlightsParams, flight: int, solution: FlightEstimate) -> Floats:
     """Returns by how much pitch, roll (degrees), height (metres) and focal length (share) are off."""
-    errors, stated = drone_errors(params, flight), found.findings["constants"]
+    errors, stated = drone_errors(params, flight), solution.findings["constants"]
     # What is reported is to be added to what sensors say.
     wrong = {
         "pitch": -errors.sensors[3],
@@ -251,7 +251,7 @@ def _constants_off(params: FlightsParams, flight: int, found: FlightEstimate) ->
 def _score(
     params: FlightsParams,
     dataset: Dataset,
-    found: FlightEstimate,
+    solution: FlightEstimate,
     queries: Sequence[Query],
     truth: Sequence[Pose],
     city_map: CityMap,
@@ -277,7 +277,7 @@ def _score(
         name = world.building_ids[building]
         if name in changed["missing"]:
             missing[name] = [*(low[:2] + world.origin[:2]), *(high[:2] + world.origin[:2])]
-    return score_map(found.findings, changed, shown, roofs, missing, _clutter(params, world))
+    return score_map(solution.findings, changed, shown, roofs, missing, _clutter(params, world))
 
 
 def _clutter(params: FlightsParams, world: Scene) -> list[list[float]]:
@@ -357,7 +357,7 @@ def _map_figures(score: MapScore) -> list[Figure]:
     nothing = score.places - score.rightly_unmapped - score.clutter
     rows = (
         (f"heights within 0.5 m, of {score.heights} shown twice", score.recovered, score.heights),
-        (f"wrong heights found, of {score.wrong}", score.found_wrong, score.wrong),
+        (f"wrong heights found, of {score.wrong}", score.doubted_wrong, score.wrong),
         (f"buildings in doubt rightly, of {score.doubted}", score.rightly, score.doubted),
         (f"demolished buildings found, of {score.demolished}", score.rightly_demolished, score.demolished),
         (
@@ -376,7 +376,7 @@ def _map_figures(score: MapScore) -> list[Figure]:
 def _reliability(calibration: Calibration) -> list[str]:
     lines = [
         f"probability {each.low:.1f} to {each.high:.1f}: {each.count} photos, "
-        f"mean {100 * each.confidence:.0f} %, found {100 * each.found:.0f} %"
+        f"mean {100 * each.confidence:.0f} %, found {100 * each.hit_share:.0f} %"
         for each in calibration.bins
     ]
     return ["", *lines]

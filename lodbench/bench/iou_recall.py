@@ -80,7 +80,7 @@ def measure_iou_recall(
     ]
     points = pd.DataFrame(
         [
-            (block.method, block.tilt, iou, block.found.recall[_LABEL], *block.found.interval[_LABEL])
+            (block.method, block.tilt, iou, block.summary.recall[_LABEL], *block.summary.interval[_LABEL])
             for iou, rows in sweep(jobs, progress, threads).groupby("iou")
             for block in blocks_of(rows)
         ],
@@ -171,10 +171,10 @@ def measure_instances(segmenter: Segmenter, data: Path, progress: Progress = no_
         labels = read_labels(sample.mask)
         height, width = labels.shape
         entry = Entry(sample.photo.name, sample.key, None, None, sample.photo, None)
-        found = np.zeros(labels.shape, np.uint16)
+        guess = np.zeros(labels.shape, np.uint16)
         for k, mask in enumerate(segmenter.segment_instances(entry), start=1):
-            found[cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0] = k
-        apart += match_instances(found, labels, _LEAST_PX)
+            guess[cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0] = k
+        apart += match_instances(guess, labels, _LEAST_PX)
         mask = cv2.resize(segmenter.segment(entry), (width, height)) >= BUILDING_THRESHOLD
         parts += match_instances(
             np.asarray(cv2.connectedComponents(mask.astype(np.uint8))[1], np.int32), labels, _LEAST_PX
@@ -188,7 +188,9 @@ def _report(name: str, data: Path, views: int, rows: dict[str, InstanceMatches])
     figures = []
     for words, matches in rows.items():
         quality = (matches.panoptic, matches.recognition, matches.segmentation)
-        cells.append([words, *(f"{value:.3f}" for value in quality), str(matches.found), str(matches.true)])
+        cells.append(
+            [words, *(f"{value:.3f}" for value in quality), str(matches.predicted), str(matches.true)]
+        )
         figures += [
             Figure(f"{words.replace(' ', '_')}_{kind}", value, "")
             for kind, value in zip(("pq", "rq", "sq"), quality, strict=True)
@@ -203,21 +205,21 @@ class InstanceMatches:
 
     matched: int = 0
     iou_sum: float = 0.0
-    found: int = 0
+    predicted: int = 0
     true: int = 0
 
     def __add__(self, other: InstanceMatches) -> InstanceMatches:
         return InstanceMatches(
             self.matched + other.matched,
             self.iou_sum + other.iou_sum,
-            self.found + other.found,
+            self.predicted + other.predicted,
             self.true + other.true,
         )
 
     @property
     def recognition(self) -> float:
         """Returns the share of pairs among all, RQ, which is the F1 at IoU one half; NaN of nothing."""
-        either = self.found + self.true
+        either = self.predicted + self.true
         return 2 * self.matched / either if either else float("nan")
 
     @property
@@ -228,23 +230,25 @@ class InstanceMatches:
     @property
     def panoptic(self) -> float:
         """Returns PQ, the product of both; NaN of nothing."""
-        return 2 * self.iou_sum / (self.found + self.true) if self.found + self.true else float("nan")
+        return 2 * self.iou_sum / (self.predicted + self.true) if self.predicted + self.true else float("nan")
 
 
-def match_instances(found: NDArray[np.integer], true: NDArray[np.integer], least_px: int) -> InstanceMatches:
+def match_instances(
+    predicted: NDArray[np.integer], true: NDArray[np.integer], least_px: int
+) -> InstanceMatches:
     """Returns how labels of a photo, (H, W) and 0 for no building, go with the true ones.
 
     Buildings of fewer pixels than ``least_px`` do not count, on either side.
     """
-    found_ids, a, of_found = np.unique(found, return_inverse=True, return_counts=True)
+    predicted_ids, a, of_predicted = np.unique(predicted, return_inverse=True, return_counts=True)
     true_ids, b, of_true = np.unique(true, return_inverse=True, return_counts=True)
-    shared = np.zeros((len(found_ids), len(true_ids)))
+    shared = np.zeros((len(predicted_ids), len(true_ids)))
     np.add.at(shared, (a.ravel(), b.ravel()), 1)
-    counted_found = (found_ids > 0) & (of_found >= least_px)
+    counted_predicted = (predicted_ids > 0) & (of_predicted >= least_px)
     counted_true = (true_ids > 0) & (of_true >= least_px)
-    iou = shared / (of_found[:, None] + of_true[None] - shared)
-    pairs = iou[counted_found][:, counted_true]
+    iou = shared / (of_predicted[:, None] + of_true[None] - shared)
+    pairs = iou[counted_predicted][:, counted_true]
     is_pair = pairs > 0.5
     return InstanceMatches(
-        int(is_pair.sum()), float(pairs[is_pair].sum()), int(counted_found.sum()), int(counted_true.sum())
+        int(is_pair.sum()), float(pairs[is_pair].sum()), int(counted_predicted.sum()), int(counted_true.sum())
     )

@@ -42,7 +42,7 @@ from lodbench.reporting.figures import SERIES, draw_figure
 from lodbench.segmentation.masks import MaskFiles, MasksParams
 from lodbench.storage import make_folder, random_stream
 from lodbench.synthesis.demo import DemoParams, open_demo, textured_map_of_demo
-from lodbench.synthesis.surveys import seen_from_above, write_surface_model
+from lodbench.synthesis.surveys import viewed_from_above, write_surface_model
 from lodbench.synthesis.town.build import CITY_FILE, FINE_CITY_FILE
 from lodbench.synthesis.views import FINE_SIZE, written_once
 
@@ -237,7 +237,7 @@ def block_errors(truth: Scene, derived: Scene) -> NDArray[np.float64]:
 
     def from_above(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         corners = scene.vertices[scene.triangles].astype(np.float64) + (scene.origin - truth.origin)
-        return seen_from_above(corners, west, north, _CELL_M, shape)
+        return viewed_from_above(corners, west, north, _CELL_M, shape)
 
     roofs, triangle = from_above(truth)
     blocks, _ = from_above(derived)
@@ -282,7 +282,7 @@ def _queries_of(demo: Dataset, survey: Path, name: str, method: str, options: Ma
     )
 
 
-def _found(queries: pd.DataFrame) -> float:
+def _percent_within(queries: pd.DataFrame) -> float:
     return 100.0 * float(hits_of(queries[list(ERROR)].to_numpy(), PROBABILITY_THRESHOLD).mean())
 
 
@@ -291,7 +291,7 @@ def _table(rows: Rows) -> str:
     head = ["", *(f"{split} %" for split in splits), "median m", "median deg", "triangles", "CPU s/query"]
     lines = [head]
     for name, method, queries in rows:
-        shares = [f"{_found(queries[queries['split'] == split]):.0f}" for split in splits]
+        shares = [f"{_percent_within(queries[queries['split'] == split]):.0f}" for split in splits]
         medians = [f"{queries[error].median():.2f}" for error in ERROR]
         first = queries.iloc[0]
         lines.append(
@@ -303,7 +303,7 @@ def _table(rows: Rows) -> str:
 def _figures(rows: Rows) -> Iterator[Figure]:
     for name, method, queries in rows:
         for split, own in queries.groupby("split", sort=False):
-            yield Figure(f"within (2 m, 2 deg), {method}, {name}, {split}", _found(own), "%")
+            yield Figure(f"within (2 m, 2 deg), {method}, {name}, {split}", _percent_within(own), "%")
         yield Figure(f"median error, {method}, {name}", float(queries[ERROR[0]].median()), "m")
 
 
@@ -323,7 +323,9 @@ def _pictures(rows: Rows) -> dict[str, bytes]:
             axis.hlines(
                 np.median(errors), place - 0.44 * step, place + 0.44 * step, color=colour, linewidth=1.5
             )
-            axis.annotate(f"{_found(queries):.0f} %", (place, 110.0), ha="center", fontsize=8, color=colour)
+            axis.annotate(
+                f"{_percent_within(queries):.0f} %", (place, 110.0), ha="center", fontsize=8, color=colour
+            )
         axis.axhline(2.0, color="#808080", linewidth=0.8, linestyle="--")
         axis.set_yscale("log")
         axis.yaxis.set_major_formatter("{x:g}")

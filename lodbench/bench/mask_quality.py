@@ -81,7 +81,7 @@ def draw_all(views: Sequence[tuple[str, Picture, Mask, Mask]], title: str) -> by
         views: Caption, (H, W, 3) BGR photo, and (H, W) found and true mask of each.
         title: Whose masks of what.
     """
-    tiles = [_captioned(caption, tinted(photo, found, truth, 3)) for caption, photo, found, truth in views]
+    tiles = [_captioned(caption, tinted(photo, guess, truth, 3)) for caption, photo, guess, truth in views]
     blank = np.full_like(tiles[0], _PAPER)
     columns = min(_PER_GROUP, len(tiles))
     tiles += [blank] * (-len(tiles) % columns)
@@ -89,10 +89,10 @@ def draw_all(views: Sequence[tuple[str, Picture, Mask, Mask]], title: str) -> by
     return png_bytes(np.vstack([_legend(title, rows[0].shape[1]), *rows]))
 
 
-def tinted(photo: Picture, found: NDArray[np.bool_], truth: NDArray[np.bool_], thickness: int) -> Picture:
+def tinted(photo: Picture, guess: NDArray[np.bool_], truth: NDArray[np.bool_], thickness: int) -> Picture:
     """Returns an (H, W, 3) BGR photo with its true outline, and what is wrongly found or missed tinted."""
     canvas = np.ascontiguousarray(photo)
-    for wrong, colour in ((found & ~truth, _EXTRA), (truth & ~found, _MISSED)):
+    for wrong, colour in ((guess & ~truth, _EXTRA), (truth & ~guess, _MISSED)):
         canvas[wrong] = (0.35 * canvas[wrong] + 0.65 * np.array(colour)).astype(np.uint8)
     draw_outline(canvas, truth, _OUTLINE, thickness)
     return canvas
@@ -274,7 +274,7 @@ def name_and_weights(segmenter: Segmenter) -> str:
     return f"{segmenter.name}, weights {digest[:12]}" if digest else segmenter.name
 
 
-def found_mask(segmenter: Segmenter, photo: Path, shape: Sequence[int]) -> Mask:
+def predicted_mask(segmenter: Segmenter, photo: Path, shape: Sequence[int]) -> Mask:
     """Returns the (H, W) mask that a segmenter makes of a photo, at the size of its true mask."""
     return binary_mask(photo_probability(segmenter, photo), shape[1], shape[0])
 
@@ -282,12 +282,12 @@ def found_mask(segmenter: Segmenter, photo: Path, shape: Sequence[int]) -> Mask:
 def _measured(segmenter: Segmenter, sample: Sample, truth: _Truth) -> dict[str, Any]:
     """Returns a row as ``report_masks`` wants it."""
     started = time.process_time()
-    found = found_mask(segmenter, sample.photo, truth.mask.shape)
+    guess = predicted_mask(segmenter, sample.photo, truth.mask.shape)
     seconds = time.process_time() - started
-    row = {"key": sample.key, "photo": sample.photo, "mask": sample.mask, "found": found, "seconds": seconds}
-    row |= _overlap("mask", found, truth.mask)
+    row = {"key": sample.key, "photo": sample.photo, "mask": sample.mask, "found": guess, "seconds": seconds}
+    row |= _overlap("mask", guess, truth.mask)
     if truth.visible is not None:
-        row |= _overlap("ceiling", truth.visible, truth.mask) | _overlap("visible", found, truth.visible)
+        row |= _overlap("ceiling", truth.visible, truth.mask) | _overlap("visible", guess, truth.visible)
     return row
 
 

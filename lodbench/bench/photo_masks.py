@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.bench import Figure, Progress, no_progress
-from lodbench.bench.mask_quality import SHEET_FILE, draw_all, found_mask, name_and_weights, one_core, tinted
+from lodbench.bench.mask_quality import (
+    SHEET_FILE,
+    draw_all,
+    name_and_weights,
+    one_core,
+    predicted_mask,
+    tinted,
+)
 from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError
@@ -51,7 +58,7 @@ class PhotoMask:
     place: str  # folder of the place
     photo: Path  # its file
     truth: Mask  # (H, W) the true mask
-    found: Mask  # (H, W) the segmenter's
+    predicted: Mask  # (H, W) the segmenter's
     seconds: float  # CPU time from the file to the mask
 
     @property
@@ -62,12 +69,12 @@ class PhotoMask:
     @property
     def iou(self) -> float:
         """Returns intersection over union, which says nothing of an empty photo."""
-        return float((self.truth & self.found).sum() / max(1, int((self.truth | self.found).sum())))
+        return float((self.truth & self.predicted).sum() / max(1, int((self.truth | self.predicted).sum())))
 
     @property
-    def share_found(self) -> float:
+    def building_share(self) -> float:
         """Returns the share of the photo that was found to be building."""
-        return float(self.found.mean())
+        return float(self.predicted.mean())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +96,7 @@ class PhotoMaskReport:
 
     def empty(self) -> list[float]:
         """Returns the shares found in photos without buildings."""
-        return [photo.share_found for photo in self.photos if photo.is_empty]
+        return [photo.building_share for photo in self.photos if photo.is_empty]
 
     def figures(self) -> list[Figure]:
         """Returns means over photos and over places, each place's, and the shares found in empty photos."""
@@ -110,7 +117,7 @@ class PhotoMaskReport:
         photos = [["place", "photo", "IoU", "share found", "true share"]]
         for p in self.photos:
             iou = "-" if p.is_empty else f"{p.iou:.3f}"
-            photos.append([p.place, p.photo.name, iou, f"{p.share_found:.3f}", f"{p.truth.mean():.3f}"])
+            photos.append([p.place, p.photo.name, iou, f"{p.building_share:.3f}", f"{p.truth.mean():.3f}"])
         places = self.by_place()
         rows = [["", "photos", "mean IoU", "(95 %)"]]
         rows += [[place, str(len(ious)), *mean_and_interval(ious)] for place, ious in places.items()]
@@ -136,16 +143,20 @@ class PhotoMaskReport:
         views = []
         for photo in self.photos:
             write_overlay(photo, folder)
-            measured = f"{100 * photo.share_found:.1f} % found" if photo.is_empty else f"IoU {photo.iou:.3f}"
+            measured = (
+                f"{100 * photo.building_share:.1f} % found" if photo.is_empty else f"IoU {photo.iou:.3f}"
+            )
             picture = np.ascontiguousarray(read_photo(photo.photo)[..., ::-1])
-            views.append((f"{measured}  {photo.place}/{photo.photo.stem}", picture, photo.found, photo.truth))
+            views.append(
+                (f"{measured}  {photo.place}/{photo.photo.stem}", picture, photo.predicted, photo.truth)
+            )
         write_bytes(folder / SHEET_FILE, draw_all(views, self.segmenter))
 
 
 def write_overlay(photo: PhotoMask, folder: Path) -> None:
     """Writes a photo with the true outline white, what was wrongly found orange, what was missed violet."""
     # Traced masks are of their photo's size.
-    canvas = tinted(read_photo(photo.photo)[..., ::-1], photo.found, photo.truth, 2)
+    canvas = tinted(read_photo(photo.photo)[..., ::-1], photo.predicted, photo.truth, 2)
     scale = min(1.0, _WIDTH / canvas.shape[1])
     small = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     (folder / photo.place).mkdir(parents=True, exist_ok=True)
@@ -161,13 +172,13 @@ def labelled_photos(folder: Path) -> list[tuple[Path, Mask]]:
         DatasetError: There are no photos, or one has no mask or one of another size.
         QueryFault: A photo or a mask cannot be read.
     """
-    found = []
+    labelled = []
     for photo, path in traced_photos(folder):
         truth = np.asarray(read_mask(path) > _BUILDING)
         if truth.shape != read_photo(photo).shape[:2]:
             raise DatasetError(f"{path} is not of its photo's size.")
-        found.append((photo, truth))
-    return found
+        labelled.append((photo, truth))
+    return labelled
 
 
 def _unknown(photo: Path) -> Mask:
@@ -190,10 +201,10 @@ def measure_photo_masks(
     with one_core():
         for number, (photo, truth) in enumerate(labelled, start=1):
             started = time.process_time()
-            found = found_mask(segmenter, photo, truth.shape)
+            predicted = predicted_mask(segmenter, photo, truth.shape)
             seconds = time.process_time() - started
-            found &= ~_unknown(photo)
-            measured.append(PhotoMask(photo.parent.parent.name, photo, truth, found, seconds))
+            predicted &= ~_unknown(photo)
+            measured.append(PhotoMask(photo.parent.parent.name, photo, truth, predicted, seconds))
             progress(number, len(labelled))
     return PhotoMaskReport(name_and_weights(segmenter), folder.name, tuple(measured), notes_of(segmenter))
 

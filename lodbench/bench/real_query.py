@@ -150,8 +150,8 @@ def measure_real(
         for label, method in {**methods, **bound}.items():
             shots = _shots(photos, method, edges, city_map)
             for prior in options.labels():
-                found = _answers(method, shots, prior, options, city_map)
-                _note(trials, photos, label, prior, found, city_map)
+                answers = _answers(method, shots, prior, options, city_map)
+                _note(trials, photos, label, prior, answers, city_map)
                 progress(len(trials.rows), total)
     title = f"{', '.join(photos.dataset.name for photos in sets)}: priors {options.describe()}"
     report = report_real(pd.DataFrame(trials.rows), title, pd.DataFrame(truths))
@@ -275,16 +275,16 @@ def _answers(
             for query in queries
         ]
         wall, cpu = time.perf_counter(), time.process_time()
-        found: Sequence[Answer]
+        answers: Sequence[Answer]
         if isinstance(method, SupportsFlights):
-            found = localize_flight(method, queries, city_map, streams).estimates
+            answers = localize_flight(method, queries, city_map, streams).estimates
         else:
             try:
-                found = [localize_query(method, queries[0], city_map, streams[0])]
+                answers = [localize_query(method, queries[0], city_map, streams[0])]
             except QueryFault as fault:
-                found = [fault]
-        taken = (time.perf_counter() - wall) / len(found), (time.process_time() - cpu) / len(found)
-        for shot, query, answer in zip(together, queries, found, strict=True):
+                answers = [fault]
+        taken = (time.perf_counter() - wall) / len(answers), (time.process_time() - cpu) / len(answers)
+        for shot, query, answer in zip(together, queries, answers, strict=True):
             yield shot, query, answer, taken
 
 
@@ -293,12 +293,12 @@ def _note(
     photos: RealSet,
     label: str,
     prior: str,
-    found: Iterator[tuple[_Shot, Query, Answer, tuple[float, float]]],
+    answers: Iterator[tuple[_Shot, Query, Answer, tuple[float, float]]],
     city_map: CityMap,
 ) -> None:
     """Adds the rows of a method's answers, and what may be drawn of them."""
     name = photos.dataset.name
-    for shot, query, answer, taken in found:
+    for shot, query, answer, taken in answers:
         row = _row(shot, query, answer, taken, city_map)
         flight = "/".join(filter(None, shot.flight))
         trials.rows.append(
@@ -364,9 +364,9 @@ def _ground(shot: _Shot, query: Query, answer: Estimate) -> tuple[float, float]:
     if not len(shot.pixels):
         return math.nan, math.nan
     covariance = np.zeros((6, 6)) if answer.covariance is None else answer.covariance
-    found = ground_errors(query.camera, answer.pose, covariance, shot.truth, shot.surfaces, shot.pixels)
-    away = float(np.median(np.nan_to_num(found.distance_m, nan=np.inf)))
-    return away, math.nan if answer.covariance is None else float(found.is_within.mean())
+    errors = ground_errors(query.camera, answer.pose, covariance, shot.truth, shot.surfaces, shot.pixels)
+    away = float(np.median(np.nan_to_num(errors.distance_m, nan=np.inf)))
+    return away, math.nan if answer.covariance is None else float(errors.is_within.mean())
 
 
 def _overlays(trials: _Trials) -> dict[str, bytes]:

@@ -89,9 +89,9 @@ class PhotoEdges:
         size = self.camera.width, self.camera.height
         grey = photo if photo.ndim == 2 else cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)
         small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-        found = cv2.createLineSegmentDetector().detect(small)[0]
+        lines = cv2.createLineSegmentDetector().detect(small)[0]
         # OpenCV counts from the middle of the first pixel, cameras from its corner.
-        ends = np.empty((0, 2, 2)) if found is None else found.reshape(-1, 2, 2).astype(np.float64) + 0.5
+        ends = np.empty((0, 2, 2)) if lines is None else lines.reshape(-1, 2, 2).astype(np.float64) + 0.5
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         self._ends, self._lengths = ends[lengths >= _LEAST_PX], lengths[lengths >= _LEAST_PX]
         self._along = (self._ends[:, 1] - self._ends[:, 0]) / self._lengths[:, None]
@@ -140,9 +140,9 @@ def _feet(scene: Scene) -> Floats:
 
 def median_and_share(distances: Floats) -> tuple[float, float]:
     """Returns the median of the finite distances, pixels, and their share; NaN where there are none."""
-    found = distances[np.isfinite(distances)]
-    median = float(np.median(found)) if len(found) else float("nan")
-    return median, len(found) / len(distances) if len(distances) else float("nan")
+    finite = distances[np.isfinite(distances)]
+    median = float(np.median(finite)) if len(finite) else float("nan")
+    return median, len(finite) / len(distances) if len(distances) else float("nan")
 
 
 def report_real(trials: pd.DataFrame, title: str, truths: pd.DataFrame | None = None) -> Report:
@@ -177,7 +177,7 @@ def report_real(trials: pd.DataFrame, title: str, truths: pd.DataFrame | None = 
     return Report(text, figures, trials, partial(_pictures, named))
 
 
-def found(trials: pd.DataFrame, limit: Threshold) -> NDArray[np.bool_]:
+def is_within(trials: pd.DataFrame, limit: Threshold) -> NDArray[np.bool_]:
     """Returns (N,) which answers are nearer than metres and degrees."""
     return hits_of(trials[list(ERROR)].to_numpy(), limit)
 
@@ -222,12 +222,12 @@ def flight_errors(trials: pd.DataFrame) -> FlightErrors | None:
 def trusted(trials: pd.DataFrame) -> tuple[int, int]:
     """Returns how many answers of a probability of 0.9 and more are wrong, and how many there are."""
     sure = trials["probability"].to_numpy(np.float64) >= TRUSTED
-    return int((sure & ~found(trials, _RIGHT)).sum()), int(sure.sum())
+    return int((sure & ~is_within(trials, _RIGHT)).sum()), int(sure.sum())
 
 
 def _figures(name: str, rows: pd.DataFrame) -> Iterator[Figure]:
     for limit in LIMITS:
-        yield Figure(f"{name}: recall {limit.label}", 100.0 * float(found(rows, limit).mean()), "%")
+        yield Figure(f"{name}: recall {limit.label}", 100.0 * float(is_within(rows, limit).mean()), "%")
     middle = rows[[*ERROR, "seconds", "cpu_seconds"]].median()
     yield Figure(f"{name}: median translation", float(middle[ERROR[0]]), "m")
     yield Figure(f"{name}: median rotation", float(middle[ERROR[1]]), "deg")
@@ -243,7 +243,10 @@ def _figures(name: str, rows: pd.DataFrame) -> Iterator[Figure]:
         yield Figure(f"{name}: mean probability stated", 100.0 * float(rows["probability"].mean()), "%")
         yield Figure(f"{name}: answers at probability {TRUSTED:g}", float(sure), "")
         yield Figure(f"{name}: wrong answers at probability {TRUSTED:g}", float(wrong), "")
-    inside, share = held(rows), share_rejected(rows["probability"].to_numpy(np.float64), found(rows, _RIGHT))
+    inside, share = (
+        held(rows),
+        share_rejected(rows["probability"].to_numpy(np.float64), is_within(rows, _RIGHT)),
+    )
     if inside is not None:
         yield Figure(f"{name}: median squared error in stated sigmas", float(rows["surprise"].median()), "")
         yield Figure(f"{name}: places within the said {100 * _HELD:g} %", 100.0 * float(inside.mean()), "%")
@@ -278,7 +281,7 @@ def _summary(groups: Mapping[tuple[str, str], pd.DataFrame], at_truth: Mapping[s
 
 def _cells(rows: pd.DataFrame) -> list[str]:
     middle = rows[[*ERROR, "seconds", "cpu_seconds", "surprise"]].median()
-    recalls = [100.0 * float(found(rows, limit).mean()) for limit in LIMITS[1:]]
+    recalls = [100.0 * float(is_within(rows, limit).mean()) for limit in LIMITS[1:]]
     inside, errors, (wrong, sure) = held(rows), flight_errors(rows), trusted(rows)
     stated = "-" if rows["probability"].isna().any() else f"{100.0 * rows['probability'].mean():.0f}"
     return [
@@ -317,7 +320,7 @@ def _ground(rows: pd.DataFrame) -> str:
 
 def _interval(trials: pd.DataFrame) -> str:
     """Returns the 95 % interval of right answers over photos: answers to one share what is wrong with it."""
-    right = trials.assign(right=found(trials, _RIGHT)).groupby("photo")["right"].agg(["sum", "count"])
+    right = trials.assign(right=is_within(trials, _RIGHT)).groupby("photo")["right"].agg(["sum", "count"])
     if len(right) < 2:
         return "-"
     low, high = bootstrap_ratio(*right.to_numpy(np.float64).T)
@@ -357,7 +360,7 @@ def _pictures(by_method: dict[str, pd.DataFrame]) -> dict[str, bytes]:
 
 
 def _draw_basins(axis: Axes, name: str, rows: pd.DataFrame) -> None:
-    right = found(rows, _RIGHT)
+    right = is_within(rows, _RIGHT)
     places = rows[["prior_east_m", "prior_north_m", "east_m", "north_m"]].to_numpy().reshape(-1, 2, 2)
     for (start, end), is_right in zip(places, right, strict=True):
         colour = SERIES[0] if is_right else SERIES[1]
@@ -400,7 +403,7 @@ class EdgeBound:
         if edges is None:
             raise QueryFault("there is no photo that can be decoded")
         likelihood = EdgeLikelihood(edges, query.camera, city_map, prior, self._sigmas)
-        found = likelihood.refined(vector_from_pose(self._truths[query.name]))
-        if found is None:
+        refined = likelihood.refined(vector_from_pose(self._truths[query.name]))
+        if refined is None:
             raise QueryFault("too few roof lines are in view")
-        return Estimate(pose_from_vector(found.vector), 1.0, covariance=found.covariance)
+        return Estimate(pose_from_vector(refined.vector), 1.0, covariance=refined.covariance)

@@ -292,5 +292,5 @@ def _size(params: GenerateParams) -> str:
 def resident_mb() -> float | None:
     """Returns the memory this process holds, megabytes, where the system states it."""
     status = Path("/proc/self/status")
-    found = re.search(r"VmRSS:\s*(\d+) kB", status.read_text()) if status.is_file() else None
-    return int(found[1]) * 1024 / 1e6 if found else None
+    match = re.search(r"VmRSS:\s*(\d+) kB", status.read_text()) if status.is_file() else None
+    return int(match[1]) * 1024 / 1e6 if match else None

@@ -72,9 +72,9 @@ def measure_tracking(
     tracks, errors, sigmas_m, probabilities, lost = [], [], [], [], 0
     for number, seed in enumerate(seeds):
         drawn = _drawn(scene, seed, options)
-        found = _tracked(city, scene, drawn, segmenter, options)
-        tracks.append(found)
-        for frame, query in zip(found.frames, drawn, strict=True):
+        flight = _tracked(city, scene, drawn, segmenter, options)
+        tracks.append(flight)
+        for frame, query in zip(flight.frames, drawn, strict=True):
             probabilities.append(frame.probability)
             if frame.pose is None:
                 lost += 1
@@ -82,7 +82,7 @@ def measure_tracking(
                 errors.append(pose_error(frame.pose, query.truth.shifted(scene.origin)))
                 sigmas_m.append(np.nan if frame.sigmas is None else frame.sigmas[0])
         progress(number + 1, len(seeds))
-    count = sum(len(found.frames) - 1 for found in tracks)
+    count = sum(len(flight.frames) - 1 for flight in tracks)
     # As everywhere: a frame without an answer is infinitely far off.
     metres = np.array([error.translation_m for error in errors] + [np.inf] * lost)
     degrees = np.array([error.rotation_deg for error in errors] + [180.0] * lost)
@@ -90,12 +90,12 @@ def measure_tracking(
     near = int(((metres < 2.0) & (degrees < 2.0)).sum())
 
     def each_ms(name: str) -> float:
-        return 1000.0 * sum(found.seconds[name] for found in tracks) / count
+        return 1000.0 * sum(flight.seconds[name] for flight in tracks) / count
 
     sigma_m = float(np.nanmedian(sigmas_m)) if np.isfinite(sigmas_m).any() else np.inf
     figures = [
         Figure("photos per second from pixels to pose", 1000.0 / each_ms("total"), "1/s"),
-        Figure("processors' time of a frame", 1000.0 * sum(found.cpu_s for found in tracks) / count, "ms"),
+        Figure("processors' time of a frame", 1000.0 * sum(flight.cpu_s for flight in tracks) / count, "ms"),
         Figure("masks, beside poses", each_ms("masks"), "ms"),
         Figure("poses", each_ms("poses"), "ms"),
         Figure("frames within 2 m and 2 deg", 100.0 * near / len(metres), "%"),
@@ -221,11 +221,11 @@ def _solve(
     # As runs ask methods.
     solve_jointly = single_threaded_blas(method.solve_jointly)
     began, cpu = perf_counter(), process_time()
-    found = solve_jointly(queries, alone, CityMap(scene))
+    solution = solve_jointly(queries, alone, CityMap(scene))
     wall_s, cpu_s = perf_counter() - began, process_time() - cpu
     errors = [
         pose_error(each.pose, true).translation_m
-        for each, true in zip(found.estimates, truth, strict=True)
+        for each, true in zip(solution.estimates, truth, strict=True)
         if isinstance(each, Estimate)
     ]
     peak_mib = None

@@ -255,8 +255,8 @@ class CityMap:
         def view(i: int) -> ViewEdges:
             pose = rotations[i], centers[i]
             depth = self._raster.depths(camera, rotations[i : i + 1], centers[i : i + 1])[0]
-            seen = visible_buildings(self._spheres, *pose, planes)
-            return edges_in_view(self.edge_faces, seen, camera, pose, depth, crease_deg)
+            visible = visible_buildings(self._spheres, *pose, planes)
+            return edges_in_view(self.edge_faces, visible, camera, pose, depth, crease_deg)
 
         return tuple(view(i) for i in range(len(centers)))
 

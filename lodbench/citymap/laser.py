@@ -36,21 +36,21 @@ def range_log_densities(query: Query, city_map: CityMap, vectors: Floats) -> Flo
 
     Eq. (M9) of docs/methods/index.md.
     """
-    laser, found = None if query.measured is None else query.measured.laser, np.zeros(len(vectors))
+    laser, log_densities = None if query.measured is None else query.measured.laser, np.zeros(len(vectors))
     if laser is None:
-        return found
+        return log_densities
     surfaces, camera = city_map.surfaces, query.camera
     for row, vector in enumerate(vectors):
         pose = pose_from_vector(vector[:6])
         residual = laser_residual(at_centre(surfaces, camera, pose), pose, laser)
         elsewhere = math.log(_ELSEWHERE / _ELSEWHERE_M)
         if residual is None:
-            found[row] = elsewhere
+            log_densities[row] = elsewhere
             continue
         sigma = math.hypot(residual.sigma_m, _ROUGH_M)
         met = _log_normal(residual.residual_m, sigma) + math.log(1.0 - _ELSEWHERE)
-        found[row] = np.logaddexp(met, elsewhere)
-    return found
+        log_densities[row] = np.logaddexp(met, elsewhere)
+    return log_densities
 
 
 class RangedPose(NamedTuple):
@@ -101,8 +101,8 @@ def pose_by_range(
         return RangedPose(vector, None, np.zeros((6, 6)), said)
 
     # The nearest first: of draws that meet one surface it says best how the range changes.
-    found = [_met(surfaces, camera, vector, away, covariance, laser) for away in _drawn(covariance)]
-    known = [each for each in found if each is not None]
+    draws = [_met(surfaces, camera, vector, away, covariance, laser) for away in _drawn(covariance)]
+    known = [each for each in draws if each is not None]
     if not known:
         return unused("where map and pose show no surface")
     likeliest = max(known, key=lambda each: each.log_density).centre.hits

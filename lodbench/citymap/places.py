@@ -255,7 +255,7 @@ def update_by_range(
 
 
 # Rays on the 95 % ellipse around a pixel, for what else it may show.
-_AROUND = 8
+_NUM_RAYS = 8
 
 
 class Ellipse(NamedTuple):
@@ -341,10 +341,10 @@ def locate(
     require_pixels(camera, pixels)
     surfaces = Surfaces(scene, map_sigma_m, ground_sigma_m)
     uncertainty = Uncertainty(covariance, tuple(parameters), pixel_sigma_px)
-    found = places_of(surfaces, camera, pose.shifted(-scene.origin), pixels, uncertainty, laser)[0]
-    if found is None:
+    located = places_of(surfaces, camera, pose.shifted(-scene.origin), pixels, uncertainty, laser)[0]
+    if located is None:
         raise nowhere(pixels[0])
-    return shifted(found, scene.origin)
+    return shifted(located, scene.origin)
 
 
 def require_pixels(camera: Camera, pixels: Floats) -> None:
@@ -370,10 +370,10 @@ def nowhere(pixel: Floats) -> LodbenchError:
     )
 
 
-def shifted(found: LocatedPixel, offset: Floats) -> LocatedPixel:
+def shifted(pixel: LocatedPixel, offset: Floats) -> LocatedPixel:
     """Returns a place moved by (3,) metres."""
     return LocatedPixel(
-        found.place + offset, found.covariance, found.surface, found.building, found.beside, found.notes
+        pixel.place + offset, pixel.covariance, pixel.surface, pixel.building, pixel.beside, pixel.notes
     )
 
 
@@ -425,7 +425,7 @@ def _beside(
     ray = linear.rays[rows] / np.linalg.norm(linear.rays[rows], axis=1, keepdims=True)
     across = np.eye(3) - ray[:, :, None] * ray[:, None]
     values, axes = np.linalg.eigh(across @ spread @ across)
-    turns = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False)
+    turns = np.linspace(0.0, 2.0 * np.pi, _NUM_RAYS, endpoint=False)
     reach = np.sqrt(CHI2_95 * np.maximum(values[:, None, 1:], 0.0))
     rim = (np.stack([np.cos(turns), np.sin(turns)], axis=1) * reach) @ axes[:, :, 1:].transpose(0, 2, 1)
     rays = linear.hits.places[rows][:, None] + rim - pose.center
@@ -433,6 +433,6 @@ def _beside(
     names = [surfaces.name(hits, k) or "nothing" for k in range(len(hits.kind))]
     others: list[tuple[str, ...]] = [()] * len(linear.hits.kind)
     for k, row in enumerate(rows):
-        around = dict.fromkeys(names[k * _AROUND : (k + 1) * _AROUND])
-        others[row] = tuple(name for name in around if name != surfaces.name(linear.hits, row))
+        near = dict.fromkeys(names[k * _NUM_RAYS : (k + 1) * _NUM_RAYS])
+        others[row] = tuple(name for name in near if name != surfaces.name(linear.hits, row))
     return others

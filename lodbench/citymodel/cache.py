@@ -231,7 +231,7 @@ def open_scene_folder(
         CityModelError: It is damaged, of another level of detail or reference system than requested, made
             with other options, or was written when Mercator of the whole world was taken as metres.
     """
-    city, made = _load_told(folder)
+    city, made = _load_stored(folder)
     again, crs = "Convert the file it was made from again", options.crs
     if made is not None:
         _require_made_so(folder, made, made_with(options, roof_height))
@@ -279,10 +279,10 @@ def load_city(folder: Path) -> OpenCity:
     Raises:
         CityModelError: It is damaged.
     """
-    return _load_told(folder)[0]
+    return _load_stored(folder)[0]
 
 
-def _load_told(folder: Path) -> tuple[OpenCity, dict[str, Any] | None]:
+def _load_stored(folder: Path) -> tuple[OpenCity, dict[str, Any] | None]:
     """Returns a stored city, and how it was made (``made_with``): None where it does not say."""
     scene, extra = read_scene(folder)
     try:

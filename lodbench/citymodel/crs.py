@@ -133,9 +133,9 @@ def crs_label(name: str) -> tuple[str, bool]:
             return "EPSG:" + "+".join(known[:2]), True
         return text, False
     compound = _COMPOUND_EPSG.fullmatch(text)
-    codes_found = list(compound.groups()) if compound else _EPSG_CODE.findall(text)
-    if codes_found:
-        return "EPSG:" + "+".join(codes_found[:2]), False
+    numbers = list(compound.groups()) if compound else _EPSG_CODE.findall(text)
+    if numbers:
+        return "EPSG:" + "+".join(numbers[:2]), False
     return text, False
 
 

@@ -316,13 +316,13 @@ def shaped_building(
     if shape == "flat":
         facets = [(outline, np.array([0.0, 0.0, ridge]))]
     else:
-        around = shapely.get_coordinates(shapely.minimum_rotated_rectangle(outline))[:4]
-        sides = around[1] - around[0], around[3] - around[0]
+        rectangle = shapely.get_coordinates(shapely.minimum_rotated_rectangle(outline))[:4]
+        sides = rectangle[1] - rectangle[0], rectangle[3] - rectangle[0]
         along, across = sorted(sides, key=lambda side: -float(np.hypot(*side)))
         length, width = float(np.hypot(*along)), float(np.hypot(*across))
         if width <= 0 or eaves >= ridge or outline.area < _LEAST_FILL * length * width:
             return None
-        centre = around.mean(axis=0)
+        centre = rectangle.mean(axis=0)
         facets = []
         for facet in facets_of(shape, length, width, is_across):
             places = centre + 0.5 * facet.corners @ np.stack([along, across])
@@ -333,10 +333,10 @@ def shaped_building(
             kept = [each for each in shapely.get_parts(piece) if each.geom_type == "Polygon"]
             facets += [(each, plane) for each in kept if each.area > _LEAST_FACET * outline.area]
     back = np.array([1.0 / squeeze, 1.0, 1.0]), np.array([*middle, 0.0])
-    found = [Polygon3d(SurfaceKind.GROUND, _lifted(outline, np.array([0.0, 0.0, floor]), is_down=True))]
-    found += [Polygon3d(SurfaceKind.ROOF, _lifted(piece, plane)) for piece, plane in facets]
-    found += [Polygon3d(SurfaceKind.WALL, [wall]) for wall in _walls(facets, outline, floor)]
-    return [Polygon3d(kind, [ring * back[0] + back[1] for ring in lifted]) for kind, lifted in found]
+    polygons = [Polygon3d(SurfaceKind.GROUND, _lifted(outline, np.array([0.0, 0.0, floor]), is_down=True))]
+    polygons += [Polygon3d(SurfaceKind.ROOF, _lifted(piece, plane)) for piece, plane in facets]
+    polygons += [Polygon3d(SurfaceKind.WALL, [wall]) for wall in _walls(facets, outline, floor)]
+    return [Polygon3d(kind, [ring * back[0] + back[1] for ring in lifted]) for kind, lifted in polygons]
 
 
 def _lifted(polygon: Any, plane: Floats, is_down: bool = False) -> list[Floats]:
@@ -361,8 +361,8 @@ def _walls(facets: Sequence[tuple[Any, Floats]], outline: Any, floor: float) -> 
             middles = shapely.points(0.5 * (ring + following)[:, :2])
             is_rim = shapely.dwithin(outline.boundary, middles, reach)
             for start, end in zip(ring[is_rim], following[is_rim], strict=True):
-                feet = [(*start[:2], floor), (*end[:2], floor)]
+                bottom = [(*start[:2], floor), (*end[:2], floor)]
                 top = [each for each in (end, start) if each[2] > floor]
                 if top:
-                    walls.append(np.array([*feet, *map(tuple, top)]))
+                    walls.append(np.array([*bottom, *map(tuple, top)]))
     return walls

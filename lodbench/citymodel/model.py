@@ -381,7 +381,7 @@ def plain_level(wanted: str) -> str:
 
 
 def _candidates(names: list[str], wanted: str) -> list[str]:
-    found = [name for name in names if name.partition(".")[0] == wanted or name in (wanted, "")]
+    levels = [name for name in names if name.partition(".")[0] == wanted or name in (wanted, "")]
     if wanted == "3" and "4" in names:
-        found.append("4")
-    return found
+        levels.append("4")
+    return levels

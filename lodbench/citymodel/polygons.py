@@ -209,7 +209,7 @@ def _bring_to_metres(
     if len({systems[n] if override is None else systems[n][1] for n in used}) <= 1:
         name, order = systems[used[0] if len(used) else 0]
         return to_metres(
-            points, name, override, raw.findings, order, partial(_told_by_faces, raw, polygons, None)
+            points, name, override, raw.findings, order, partial(_faces_north_first, raw, polygons, None)
         )
     point_srs = np.repeat(srs, np.diff(polygons.ring_starts[polygons.polygon_starts]))
     first_label: str | None = None
@@ -217,7 +217,7 @@ def _bring_to_metres(
         is_chosen = point_srs == number
         part = points[is_chosen]
         name, order = systems[number]
-        faces = partial(_told_by_faces, raw, polygons, srs == number)
+        faces = partial(_faces_north_first, raw, polygons, srs == number)
         label = to_metres(part, name, override, raw.findings, order, faces)
         if first_label is None:
             first_label = label
@@ -228,7 +228,7 @@ def _bring_to_metres(
     return first_label
 
 
-def _told_by_faces(
+def _faces_north_first(
     raw: RawCity, polygons: Polygons, is_chosen: NDArray[np.bool_] | None, least_buildings: int
 ) -> bool | None:
     """Returns whether northings stand first in polygons of a reference system; meshes have x to the east."""
@@ -308,10 +308,10 @@ def move_bases(
             middles = np.stack(
                 [np.bincount(building, points[:, k], minlength=count) / sizes for k in (0, 1)], axis=1
             )
-            found = ground_under(middles, label, options)
-            for b in np.flatnonzero(~np.isfinite(found)):
+            ground = ground_under(middles, label, options)
+            for b in np.flatnonzero(~np.isfinite(ground)):
                 findings.add(GROUND_DEFAULTED, building_ids[b], f"ground_m={options.ground_m:g}")
-            heights = np.where(np.isfinite(found), found, options.ground_m)
+            heights = np.where(np.isfinite(ground), ground, options.ground_m)
         points[:, 2] += heights[building]
         detail = f"set on {options.terrain or f'{options.ground_m:g} m'}"
     findings.add(BASE_MOVED, "", detail)

@@ -213,8 +213,8 @@ def open_scene(
     """
     model = read_city_model(path, crs=crs, options=options)
     mesh = mesh_model(model, lod, roof_height=roof_height)
-    for found in (model.findings.counts(), mesh.findings.counts()):
-        for code, count in found.items():
+    for counts in (model.findings.counts(), mesh.findings.counts()):
+        for code, count in counts.items():
             _LOGGER.info("%s: %s, %d times", path, code, count)
     return mesh.scene
 
@@ -271,10 +271,10 @@ def _reader_of(source: Source) -> str:
         )
     if source.path.is_dir() or source.suffix in SURFACE_SUFFIXES:
         return "surface"
-    found = identify(source.head(), source.suffix)
-    if found is None:
+    city_format = identify(source.head(), source.suffix)
+    if city_format is None:
         raise NotACity(
             f"{source.name} is no city model that lodbench can read.",
             f"Supported: {formats_in_words()}; most as .gz, in a .zip, and folders of them.",
         )
-    return found.name
+    return city_format.name

@@ -228,10 +228,10 @@ def own_geojson(source: Source) -> str | None:
         return None
     try:
         with source.open() as stream:
-            found = _OWN.match(stream.read(HEAD_BYTES))
+            match = _OWN.match(stream.read(HEAD_BYTES))
     except (OSError, CityModelError):
         return None  # whoever reads it says what is wrong with it
-    return None if found is None else found[1].decode("utf-8", "replace")
+    return None if match is None else match[1].decode("utf-8", "replace")
 
 
 def is_own_geopackage(path: Path) -> bool:

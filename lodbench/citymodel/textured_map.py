@@ -156,9 +156,9 @@ def read_textured(path: Path, up_axis: str = "auto", options: ReadOptions | None
 
         return TexturedMesh.of_parts(textured_parts(path, options or ReadOptions()))
     if path.is_dir():
-        found = sorted(file for file in path.rglob("*") if file.suffix.lower() in _MESHES + _CITIES)
+        paths = sorted(file for file in path.rglob("*") if file.suffix.lower() in _MESHES + _CITIES)
         # Beside each file macOS keeps one of its own, of the same ending.
-        files = [file for file in found if not file.name.startswith("._")]
+        files = [file for file in paths if not file.name.startswith("._")]
         if not files:
             raise DatasetError(
                 f"{path} holds no textured mesh.", f"Looked for {', '.join(_MESHES + _CITIES)}."
@@ -187,8 +187,8 @@ def files_of_textured(path: Path) -> list[Path]:
 
     folder = TextureFolder(path.parent, path.parent)
     others, pictures = named_files(path, folder)
-    found = (folder.path(name) for name in (*others, *pictures))
-    return [path, *(file for file in found if file is not None)]
+    paths = (folder.path(name) for name in (*others, *pictures))
+    return [path, *(file for file in paths if file is not None)]
 
 
 def _read_file(path: Path, root: Path, up_axis: str, options: ReadOptions) -> TexturedMesh:
@@ -236,9 +236,9 @@ def textured_model(model: CityModel, hint: str = "Leave out --textures.") -> Tex
     if model.pictures is None or picture is None or uv is None or not (picture >= 0).any():
         stated = "" if model.pictures is None else "; ".join(model.pictures.notes)
         raise DatasetError(f"{model.source} has no surface with a picture.", stated or hint)
-    is_seen = (picture >= 0) | ~_lies_on_a_picture(polygons, picture)
-    polygons = select_polygons(polygons, np.flatnonzero(is_seen))
-    picture, uv = picture[is_seen], np.asarray(polygons.uv)
+    is_kept = (picture >= 0) | ~_lies_on_a_picture(polygons, picture)
+    polygons = select_polygons(polygons, np.flatnonzero(is_kept))
+    picture, uv = picture[is_kept], np.asarray(polygons.uv)
     result = triangulate(polygons, model.building_ids, Findings())
     places = uv[result.triangles]
     has_place = ~np.isnan(places.reshape(-1, 6).sum(axis=1))
@@ -292,16 +292,16 @@ def offset_to_city(
         DatasetError: It lies over the city in neither.
     """
     low, high = scene.extent_m
-    found = []
+    overlaps = []
     for frame, offset in (("the city's coordinates", -scene.origin), ("local coordinates", np.zeros(3))):
         points = mesh.corners.reshape(-1, 3) + offset
         share = _overlap(points.min(axis=0), points.max(axis=0), low, high)
         if share >= _LEAST_OVERLAP:
             return offset, f"{name} is in {frame}; {share:.0%} of the smaller plan overlap"
-        found.append(f"{share:.0%} in {frame}")
+        overlaps.append(f"{share:.0%} in {frame}")
     box = mesh.corners.reshape(-1, 3)
     raise DatasetError(
-        f"{name} is not where the city is: their plans overlap {', '.join(found)}. It spans x "
+        f"{name} is not where the city is: their plans overlap {', '.join(overlaps)}. It spans x "
         f"{box[:, 0].min():.0f} to {box[:, 0].max():.0f}, y {box[:, 1].min():.0f} to {box[:, 1].max():.0f}.",
         f"Move it into the city's coordinates. {cure}",
     )

@@ -195,14 +195,14 @@ def complete(words: Sequence[str]) -> int:
     from lodbench.cli.settings import SETTINGS_COMMANDS
 
     typed = words[-1] if words else ""
-    found: Iterable[str]
+    completions: Iterable[str]
     if len(words) < 2:
-        found = COMMANDS
+        completions = COMMANDS
     elif words[0] in SETTINGS_COMMANDS:
-        found = _settings(words[0], words[1:-1], typed)
+        completions = _settings(words[0], words[1:-1], typed)
     else:
-        found = _flags(words[0], words[1:-1], typed)
-    sys.stdout.write("".join(f"{word}\n" for word in sorted(found) if word.startswith(typed)))
+        completions = _flags(words[0], words[1:-1], typed)
+    sys.stdout.write("".join(f"{word}\n" for word in sorted(completions) if word.startswith(typed)))
     return 0
 
 
@@ -228,7 +228,7 @@ def _settings(command: str, before: Sequence[str], typed: str) -> Iterable[str]:
     return dict.fromkeys(names)
 
 
-class _Found(Exception):
+class _ParserKnown(Exception):
     """Leaves a command once its parser is known."""
 
 
@@ -251,12 +251,12 @@ def _flags(command: str, before: Sequence[str], typed: str) -> Iterable[str]:
     def keep(parser: object) -> None:
         parsers.append(parser)  # type: ignore[arg-type]
         if not any(hasattr(action, "_name_parser_map") for action in parsers[-1]._actions):
-            raise _Found
+            raise _ParserKnown
 
     waiting.append(keep)
     try:
         run(list(before))
-    except (_Found, LodbenchError, SystemExit):
+    except (_ParserKnown, LodbenchError, SystemExit):
         pass
     finally:
         waiting.remove(keep)

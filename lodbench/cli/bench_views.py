@@ -53,10 +53,10 @@ def seeds(text: str) -> list[int]:
         ConfigError: One is no whole number, or given twice: what it draws would count twice.
     """
     hint = "Write --seeds 0,1,2"
-    found = whole_numbers("Seeds", text, hint)
-    if len(set(found)) < len(found):
+    numbers = whole_numbers("Seeds", text, hint)
+    if len(set(numbers)) < len(numbers):
         raise ConfigError(f"A seed is given twice: {text}.", hint)
-    return found
+    return numbers
 
 
 def _range(text: str) -> tuple[float, float]:

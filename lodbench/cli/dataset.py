@@ -86,26 +86,26 @@ def main_list(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     parser = Parser("lodbench dataset list", description="The datasets, and what is there.")
     options = parsed(parser, argv[1:], ListOptions)
-    found = [survey(spec, options.root, None) for spec in SPECS.values()]
+    inventories = [survey(spec, options.root, None) for spec in SPECS.values()]
     others = [plug_in for plug_in in installed("datasets") if plug_in.name not in SPECS]
     if options.json:
-        values = [*map(_survey_values, found), *map(_other_values, others)]
+        values = [*map(_survey_values, inventories), *map(_other_values, others)]
         sys.stdout.write(json.dumps(values, indent=2) + "\n")
         return 0
     root = data_root() if options.root is None else Path(options.root).expanduser()
     lines = [f"published datasets in {root}"]
-    for item in found:
+    for item in inventories:
         lines += _lines(item)
     lines += map(_other_line, others)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return 0
 
 
-def _lines(found: Survey) -> list[str]:
-    missing, spec = found.missing(), found.spec
-    has_any = found.is_there
+def _lines(surveyed: Survey) -> list[str]:
+    missing, spec = surveyed.missing(), surveyed.spec
+    has_any = surveyed.is_there
     state = "complete" if not missing else "incomplete" if has_any else "not there"
-    size = f", {found.num_bytes() / 2**20:,.1f} MiB" if has_any else ""
+    size = f", {surveyed.num_bytes() / 2**20:,.1f} MiB" if has_any else ""
     lines = [f"{spec.id:<13} {state}{size}: {spec.title}, {spec.map_words}"]
     if missing:
         lines += [f"  missing  {line}" for line in missing] if has_any else []
@@ -133,17 +133,17 @@ def _other_values(plug_in: PlugIn) -> dict[str, Any]:
     return {"name": plug_in.name, "title": title, "package": plug_in.package, "fault": fault}
 
 
-def _survey_values(found: Survey) -> dict[str, Any]:
-    spec = found.spec
+def _survey_values(inventory: Survey) -> dict[str, Any]:
+    spec = inventory.spec
     return {
         "name": spec.id,
         "title": spec.title,
         "lod": spec.lod,
-        "root": str(found.root),
-        "splits": {split.spec.name: str(split.folder) for split in found.splits},
-        "city_model": None if found.city_model is None else str(found.city_model),
-        "bytes": found.num_bytes(),
-        "missing": found.missing(),
+        "root": str(inventory.root),
+        "splits": {split.spec.name: str(split.folder) for split in inventory.splits},
+        "city_model": None if inventory.city_model is None else str(inventory.city_model),
+        "bytes": inventory.num_bytes(),
+        "missing": inventory.missing(),
         "sources": [{"what": h.what, "url": h.url, "how": h.how} for h in spec.hosts],
     }
 

@@ -236,10 +236,10 @@ def section(values: dict[str, Any], name: str) -> dict[str, Any]:
     Raises:
         ConfigError: It was taken away or set to something else.
     """
-    found = values.get(name)
-    if not isinstance(found, dict):
-        raise ConfigError(f"{name} is a group of settings, not {found}.", f"Leave {name} out, or name one.")
-    return found
+    group = values.get(name)
+    if not isinstance(group, dict):
+        raise ConfigError(f"{name} is a group of settings, not {group}.", f"Leave {name} out, or name one.")
+    return group
 
 
 def register_config_sources() -> None:

@@ -178,11 +178,11 @@ def main(argv: Sequence[str]) -> int:
     options = options_of(parser().parse_args(argv), LocalizeOptions)
     from lodbench.harness.photo.localize import LocalizedPhoto
 
-    found = localized(options)
-    if not isinstance(found, LocalizedPhoto):
-        return _print_many(found, options)
-    sys.stdout.write((_json(found.to_json()) if options.json else describe(found)) + "\n")
-    return 0 if found.is_trusted else NOT_TRUSTED
+    surveys = localized(options)
+    if not isinstance(surveys, LocalizedPhoto):
+        return _print_many(surveys, options)
+    sys.stdout.write((_json(surveys.to_json()) if options.json else describe(surveys)) + "\n")
+    return 0 if surveys.is_trusted else NOT_TRUSTED
 
 
 def localized(options: LocalizeOptions) -> LocalizedPhoto | Answers:
@@ -219,10 +219,10 @@ def _one(request: PhotoRequest, options: LocalizeOptions) -> LocalizedPhoto:
     from lodbench.harness.photo.many import write_view
 
     with Progress(request.photo.name, STEPS, unit="steps") as progress:
-        found = localize_photo(request, progress.advance)
-    write_view(found.view, request, [found])
-    _write_sidecars([(request.photo, found)], options)
-    return found
+        answer = localize_photo(request, progress.advance)
+    write_view(answer.view, request, [answer])
+    _write_sidecars([(request.photo, answer)], options)
+    return answer
 
 
 def _several(
@@ -248,10 +248,12 @@ def _several(
         raise ConfigError(f"`--reconstruction` {_TIES}.", _NO_FLIGHT)
     else:
         answers = localize_photos(request, photos, masks)
-    if answers.found:
+    if answers.localized:
         pages = {flight.name: answers.page(flight).name for flight in answers.flights}
-        write_view(answers.view, request, answers.found, pages)
-    _write_sidecars([(each.photo, each.found) for each in answers.photos if each.found is not None], options)
+        write_view(answers.view, request, answers.localized, pages)
+    _write_sidecars(
+        [(each.photo, each.localized) for each in answers.photos if each.localized is not None], options
+    )
     return answers
 
 
@@ -265,13 +267,13 @@ def _warn_of_unused(photos: Sequence[Path], options: LocalizeOptions) -> None:
         _LOGGER.warning("%s", note)
 
 
-def _write_sidecars(found: Sequence[tuple[Path, LocalizedPhoto]], options: LocalizeOptions) -> None:
+def _write_sidecars(answers: Sequence[tuple[Path, LocalizedPhoto]], options: LocalizeOptions) -> None:
     """Writes XMP beside the photos whose poses are to be trusted, if that was requested."""
     from lodbench.harness.photo.outputs import write_sidecars
 
-    trusted = [(photo, answer.pose) for photo, answer in found if answer.is_trusted]
-    if options.sidecars and found:
-        sys.stderr.write(f"lodbench: sidecars: {write_sidecars(trusted, found[0][1].crs)}\n")
+    trusted = [(photo, answer.pose) for photo, answer in answers if answer.is_trusted]
+    if options.sidecars and answers:
+        sys.stderr.write(f"lodbench: sidecars: {write_sidecars(trusted, answers[0][1].crs)}\n")
 
 
 def _method(options: LocalizeOptions, masks: Path | None) -> Method:
@@ -349,7 +351,7 @@ def _print_many(answers: Answers, options: LocalizeOptions) -> int:
     if options.json:
         values = [
             {
-                **({"failure": answer.failure} if answer.found is None else answer.found.to_json()),
+                **({"failure": answer.failure} if answer.localized is None else answer.localized.to_json()),
                 "photo": str(answer.photo),
                 "flight": answer.flight or None,
             }
@@ -358,9 +360,9 @@ def _print_many(answers: Answers, options: LocalizeOptions) -> int:
         sys.stdout.write(_json(values) + "\n")
     else:
         sys.stdout.write(describe_many(answers, has_masks=options.masks_used is not None))
-    if all(answer.found is None for answer in answers.photos):
+    if all(answer.localized is None for answer in answers.photos):
         return 1
-    is_well = all(answer.found is not None and answer.found.is_trusted for answer in answers.photos)
+    is_well = all(answer.localized is not None and answer.localized.is_trusted for answer in answers.photos)
     return 0 if is_well else NOT_TRUSTED
 
 

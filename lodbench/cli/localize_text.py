@@ -31,10 +31,10 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
     lines += [_photo_table(answers), ""]
     lines += _failure_lines(answers)
     lines += [f"hint: {hint}" for hint in dict.fromkeys(filter(None, (a.hint for a in answers.photos)))]
-    shared = [set(found.notes) for found in answers.found]
+    shared = [set(localized.notes) for localized in answers.localized]
     lines += [f"note: {note}" for note in sorted(set.intersection(*shared))] if shared else []
     lines += _doubt_lines(answers)
-    doubted = sum(not found.is_trusted for found in answers.found)
+    doubted = sum(not localized.is_trusted for localized in answers.localized)
     counts = trust_counts(answer.trust for answer in answers.photos)
     lines.append(f"{aligned_text.count_of(len(answers.photos), 'photos')}: {counts}")
     if doubted:
@@ -52,13 +52,13 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
         )
     files = [("table", answers.table), ("map", answers.map), ("", answers.geopackage)]
     files += [("page", answers.page(flight)) for flight in answers.flights]
-    files += [("in 3D", answers.view)] if answers.found else []
+    files += [("in 3D", answers.view)] if answers.localized else []
     return "\n".join([*lines, *(f"{name + ':' if name else '':<9} {path}" for name, path in files)]) + "\n"
 
 
 def _photo_table(answers: Answers) -> str:
     """Returns a line per photo: its place on Earth, or in the city's coordinates where that is not known."""
-    is_local = bool(answers.found) and all(found.place is None for found in answers.found)
+    is_local = bool(answers.localized) and all(localized.place is None for localized in answers.localized)
     columns = [*flight_words.place_columns(not is_local), ("moved m", "moved_m", "z.2f")]
     rows = [["", *(head for head, _, _ in columns), "sure", "trust"]]
     for answer in answers.photos:
@@ -73,7 +73,7 @@ def _failure_lines(answers: Answers) -> list[str]:
     """Returns why photos have no pose: a line per reason, with the photos that have it alike."""
     alike: dict[str, list[PhotoAnswer]] = defaultdict(list)
     for answer in answers.photos:
-        if answer.found is None:
+        if answer.localized is None:
             alike[answer.failure.replace(answer.photo.name, "the photo")].append(answer)
     lines = []
     for reason, failed in alike.items():
@@ -89,9 +89,15 @@ def _failure_lines(answers: Answers) -> list[str]:
 
 def _doubt_lines(answers: Answers) -> list[str]:
     """Returns what the method says of answers that are not to be trusted: why they may be wrong."""
-    doubted = [(a.photo, a.found) for a in answers.photos if a.found is not None and not a.found.is_trusted]
+    doubted = [
+        (a.photo, a.localized)
+        for a in answers.photos
+        if a.localized is not None and not a.localized.is_trusted
+    ]
     lines = [
-        aligned_text.plain_text(f"{photo}: {note}") for photo, found in doubted for note in found.method_notes
+        aligned_text.plain_text(f"{photo}: {note}")
+        for photo, answer in doubted
+        for note in answer.method_notes
     ]
     more = len(lines) - _MOST_DOUBTS
     return lines if more <= 0 else [*lines[:_MOST_DOUBTS], f"and {more} more such notes in the table"]
@@ -106,30 +112,32 @@ def _flight_lines(answers: Answers) -> list[str]:
     return lines
 
 
-def describe(found: LocalizedPhoto) -> str:
+def describe(localized: LocalizedPhoto) -> str:
     """Returns the report."""
-    x, y, z = (float(v) for v in found.pose.center)
-    lens = "" if found.lens_percent is None else f", its focal length good to {found.lens_percent:.1f} %"
+    x, y, z = (float(v) for v in localized.pose.center)
+    lens = (
+        "" if localized.lens_percent is None else f", its focal length good to {localized.lens_percent:.1f} %"
+    )
     rows = [
-        *_place_rows(found),
-        ("local", f"{x:.2f} {y:.2f} {z:.2f} m in {found.crs or 'the frame of the city model'}"),
-        ("prior", f"{found.moved.translation_m:.2f} m and {found.moved.rotation_deg:.2f} deg away"),
-        *_trust_rows(found),
-        ("with", f"LoD {found.lod or 'unnamed'} of the map; camera: {found.camera_source}{lens}"),
-        ("overlay", str(found.overlay)),
-        ("in 3D", str(found.view)),
+        *_place_rows(localized),
+        ("local", f"{x:.2f} {y:.2f} {z:.2f} m in {localized.crs or 'the frame of the city model'}"),
+        ("prior", f"{localized.moved.translation_m:.2f} m and {localized.moved.rotation_deg:.2f} deg away"),
+        *_trust_rows(localized),
+        ("with", f"LoD {localized.lod or 'unnamed'} of the map; camera: {localized.camera_source}{lens}"),
+        ("overlay", str(localized.overlay)),
+        ("in 3D", str(localized.view)),
     ]
-    if found.geojson is not None:
-        rows.append(("map", str(found.geojson)))
-    lines = [found.photo, *(f"  {name:<9}  {text}" for name, text in rows)]
-    return "\n".join([*lines, *(f"  note: {note}" for note in found.notes)])
+    if localized.geojson is not None:
+        rows.append(("map", str(localized.geojson)))
+    lines = [localized.photo, *(f"  {name:<9}  {text}" for name, text in rows)]
+    return "\n".join([*lines, *(f"  note: {note}" for note in localized.notes)])
 
 
-def _place_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
+def _place_rows(localized: LocalizedPhoto) -> list[tuple[str, str]]:
     """Returns where on Earth the camera is, if anybody knows, and where it looks."""
-    place = found.place
+    place = localized.place
     if place is None:
-        return [("heading", _look_words(*look_from_rotation(found.pose.rotation), "grid"))]
+        return [("heading", _look_words(*look_from_rotation(localized.pose.rotation), "grid"))]
     return [
         ("latitude", f"{place.latitude_deg:.7f}"),
         ("longitude", f"{place.longitude_deg:.7f}"),
@@ -144,30 +152,31 @@ def _look_words(heading_deg: float, pitch_deg: float, roll_deg: float, north: st
     return f"{heading:.2f} deg clockwise from {north} north, pitch {pitch_deg:z.2f}, roll {roll_deg:z.2f}"
 
 
-def _trust_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
+def _trust_rows(localized: LocalizedPhoto) -> list[tuple[str, str]]:
     """Returns how sure the method is, and the next best pose."""
     rows = []
-    if found.probability is None:
+    if localized.probability is None:
         rows.append(("sure", "this method does not say"))
         rows.append(
             (
                 "score",
-                f"{table_heads.finite_text(found.score, '.3f')}, the method's own measure: higher is better",
+                f"{table_heads.finite_text(localized.score, '.3f')}, the method's own measure: "
+                "higher is better",
             )
         )
     else:
-        percent = f"{percent_text(found.probability)} within 2 m and 2 deg"
-        rows.append(("sure", f"{percent}: {trust_word(found.probability)}"))
-    if found.covariance is not None:
-        x, y, z, *turns = survey_sigmas(found.pose, found.covariance)
+        percent = f"{percent_text(localized.probability)} within 2 m and 2 deg"
+        rows.append(("sure", f"{percent}: {trust_word(localized.probability)}"))
+    if localized.covariance is not None:
+        x, y, z, *turns = survey_sigmas(localized.pose, localized.covariance)
         heading, pitch, roll = (f"{turn:.2f}" for turn in turns)
         place = f"{x:.2f} {y:.2f} {z:.2f} m"
         rows.append(("sigmas", f"{place}; heading {heading}  pitch {pitch}  roll {roll} deg"))
-    if found.alternatives:
-        away = found.alternatives[0].center - found.pose.center
+    if localized.alternatives:
+        away = localized.alternatives[0].center - localized.pose.center
         x, y, z = (float(v) for v in away)
         how = "(worse fit)"
-        if found.alternative_probabilities:
-            how = f"({percent_text(found.alternative_probabilities[0])})"
+        if localized.alternative_probabilities:
+            how = f"({percent_text(localized.alternative_probabilities[0])})"
         rows.append(("2nd best", f"{x:+.1f} {y:+.1f} {z:+.1f} m from there {how}"))
     return rows

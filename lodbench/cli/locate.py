@@ -116,21 +116,21 @@ def describe(placed: PlacedPhoto) -> str:
     rows = [[*head, "95 % on the map m", "bearing deg", *(["m2"] if has_regions else []), "shows"]]
     lines = []
     for each in placed.features:
-        found, ellipse = each.found, true_ellipse(each.found, placed.frame)
-        earth = [f"{value:.7f}" for value in earth_of(found, placed.frame).values()]
-        east, north, height = (f"{float(value):.2f}" for value in found.place)
+        point, ellipse = each.point, true_ellipse(each.point, placed.frame)
+        earth = [f"{value:.7f}" for value in earth_of(point, placed.frame).values()]
+        east, north, height = (f"{float(value):.2f}" for value in point.place)
         doubt = ["-", "-", "-"]
-        if ellipse is not None and found.covariance is not None:
-            doubt = [f"{found.covariance[2, 2] ** 0.5:.2f}", f"{ellipse.major_m:.2f} x {ellipse.minor_m:.2f}"]
+        if ellipse is not None and point.covariance is not None:
+            doubt = [f"{point.covariance[2, 2] ** 0.5:.2f}", f"{ellipse.major_m:.2f} x {ellipse.minor_m:.2f}"]
             doubt.append(f"{ellipse.bearing_deg:.0f}")
         if has_regions:
             doubt.append("-" if each.outline is None else f"{each.outline.area:.1f}")
         more = f", {len(each.shows) - _SHOWN} more" if len(each.shows) > _SHOWN else ""
         shows = plain_text(", ".join(each.shows[:_SHOWN]) + more)
         rows.append([each.name, *earth, east, north, height, *doubt, shows])
-        if found.beside and each.outline is None:
-            lines.append(f"{each.name}: near an edge; it may show {plain_text(', '.join(found.beside))}")
-        lines += [f"{each.name}: {note}" for note in found.notes]
+        if point.beside and each.outline is None:
+            lines.append(f"{each.name}: near an edge; it may show {plain_text(', '.join(point.beside))}")
+        lines += [f"{each.name}: {note}" for note in point.notes]
     lines += ["the place of a region is that of its middle"] if has_regions else []
     lines += [f"note: {note}" for note in placed.notes]
     lines += [] if placed.map is None else [f"map: {placed.map}"]

@@ -271,8 +271,8 @@ def describe_map(solved: TracedMap) -> str:
         lines.append(
             f"{roof.name}: roof {roof.height:.2f} +-{roof.height_sigma:.2f} m, ground "
             f"{building.ground:.2f} +-{building.ground_sigma:.2f} m, corners +-{roof.plan_sigma:.2f} m; "
-            f"edges {roof.residual_px:.2f} px off, {100 * roof.found:.0f} % found in {roof.photos} photos; "
-            f"snapping moved it {plan:.2f} m in plan, {up:+.2f} m in height"
+            f"edges {roof.residual_px:.2f} px off, {100 * roof.matched_share:.0f} % found in "
+            f"{roof.photos} photos; snapping moved it {plan:.2f} m in plan, {up:+.2f} m in height"
         )
     return "\n".join([*lines, *(f"note: {note}" for note in solved.placed.notes)])
 

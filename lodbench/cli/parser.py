@@ -194,14 +194,14 @@ class Parser(argparse.ArgumentParser):
             waiting[-1](self)
         if not any(isinstance(action, argparse._SubParsersAction) for action in self._actions):
             self._require_flags(words)
-        found, left = super().parse_known_args(args, namespace)
+        options, left = super().parse_known_args(args, namespace)
         # argparse ends a list of words at the first flag; what stands behind it belongs to it all the same.
         for action in self._get_positional_actions():
             if action.nargs in ("+", "*"):
                 more = [self._get_value(action, word) for word in left if not word.startswith("-")]
-                setattr(found, action.dest, [*getattr(found, action.dest), *more])
+                setattr(options, action.dest, [*getattr(options, action.dest), *more])
                 left = [word for word in left if word.startswith("-")]
-        return found, left
+        return options, left
 
     def _require_flags(self, words: Sequence[str]) -> None:
         for before, word in pairwise(["", *words]):

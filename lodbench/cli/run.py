@@ -158,7 +158,7 @@ def run_config(values: dict[str, Any]) -> Run:
 
 def _is_fruitless(run: Run) -> bool:
     """Tells whether every query of a run failed."""
-    return bool(run.predictions) and all(found.pose is None for found in run.predictions.values())
+    return bool(run.predictions) and all(prediction.pose is None for prediction in run.predictions.values())
 
 
 def _options_of(values: dict[str, Any]) -> RunOptions:
@@ -215,9 +215,9 @@ def picture_to_open(runs: Sequence[Run]) -> str:
         return float(run.queries[ERROR[0]].fillna(math.inf).median())
 
     for run in sorted(runs, key=middle):
-        found = run.queries[is_answered(run.queries)]
+        answered = run.queries[is_answered(run.queries)]
         for split in reversed(run.splits):
-            kind, chosen = next(iter(gallery.chosen_queries(found, split).items()))
+            kind, chosen = next(iter(gallery.chosen_queries(answered, split).items()))
             for _, row in chosen[:1].iterrows():
                 path = run.folder / "overlays" / gallery.overlay_name(split, kind, 1, row["query"])
                 if path.is_file():

@@ -45,18 +45,18 @@ def settings_of(command: str, words: Sequence[str]) -> list[str]:
     Raises:
         ConfigError: A flag is followed by no value.
     """
-    found: list[str] = []
+    kept: list[str] = []
     rest = list(words)
     while rest:
         word = rest.pop(0)
         if word in _FLAGS_WITH_VALUE:
-            found += [word, *rest[:1]]
+            kept += [word, *rest[:1]]
             rest = rest[1:]
         elif word in _FLAGS or not word.startswith("-") or word.split("=")[0] in _FLAGS_WITH_VALUE:
-            found.append(word)
+            kept.append(word)
         else:
-            found.append(_as_setting(command, word, rest))
-    return [_current(command, word) for word in found]
+            kept.append(_as_setting(command, word, rest))
+    return [_current(command, word) for word in kept]
 
 
 def _as_setting(command: str, word: str, rest: list[str]) -> str:
@@ -178,12 +178,12 @@ def _group_text(folder: str, name: str) -> str:
 
 def groups_of(config_name: str) -> list[Group]:
     """Returns the groups in a configuration's list of defaults."""
-    found = []
+    groups = []
     for line in config_text(config_name).splitlines():
         match = _DEFAULT.match(line)
         if match and match["group"] != "override":
-            found.append(Group(match["package"] or match["group"], match["group"], match["name"]))
-    return found
+            groups.append(Group(match["package"] or match["group"], match["group"], match["name"]))
+    return groups
 
 
 def settings_in(text: str, prefix: str = "") -> Iterator[Setting]:

@@ -158,14 +158,14 @@ def evaluate_poses(dataset: Dataset, settings: EvaluateSettings) -> Result:
     entries = chosen_entries(dataset, splits, settings.limit)
     known = {word for entry in dataset.entries for word in (entry.name, entry.key)}
     kind, listed = read_pose_file(settings.poses, settings.format, known)
-    found, moved = brought(listed, dataset.crs)
+    poses, moved = brought(listed, dataset.crs)
     # Matched with all queries: a name of another split is no unknown name.
-    matched = match_poses(found, dataset.entries, kind)
+    matched = match_poses(poses, dataset.entries, kind)
     suspicion = suspect_convention(matched.poses, _references(dataset), kind != "c2w")
     notes = moved + matched.notes + ((suspicion,) if suspicion else ())
     inputs = {
         "queries": queries_digest(dataset, entries),
-        "poses": digest_of([[pose.name, pose_numbers(pose.pose)] for pose in found]),
+        "poses": digest_of([[pose.name, pose_numbers(pose.pose)] for pose in poses]),
     }
     config = {
         **settings.config,

@@ -111,15 +111,15 @@ def photo_fault(entry: Entry) -> str:
 
 def mask_fault(mask: Path, size: tuple[int, int]) -> str:
     """Returns why a mask's file does not fit a photo of some width and height; "" if it does."""
-    found = picture_size(mask)
-    if found is None:
+    mask_size = picture_size(mask)
+    if mask_size is None:
         return f"the mask {mask.name} cannot be read"
-    return aspect_fault(found, size)
+    return aspect_fault(mask_size, size)
 
 
-def aspect_fault(found: tuple[int, int], size: tuple[int, int]) -> str:
+def aspect_fault(mask_size: tuple[int, int], size: tuple[int, int]) -> str:
     """Returns why a mask of some width and height does not fit a photo of another; "" if it does."""
-    width, height = found
+    width, height = mask_size
     apart = abs((width / height) / (size[0] / size[1]) - 1.0)
     # Sides are whole: of a photo a few pixels wide, rounding alone changes the aspect by more.
     if apart > max(_ASPECT_TOLERANCE, 0.5 / width, 0.5 / height):

@@ -189,9 +189,9 @@ def _split_folders(root: Path) -> list[Path]:
         is_of_photos = _first_file(root, [PRIOR_FILE, CAMERA_FILE]) is not None
         raise DatasetError(f"{root} holds no {TRUTH_FILE}.", _NO_TRUTH_HINT if is_of_photos else _LAYOUT_HINT)
     for child in sorted(set(root.iterdir()) - set(folders)):
-        if found := _first_file(child, [PRIOR_FILE, CAMERA_FILE]):
+        if file := _first_file(child, [PRIOR_FILE, CAMERA_FILE]):
             raise DatasetError(
-                f"{child} holds {found.name} and no {TRUTH_FILE}: as a split it would be left out.",
+                f"{child} holds {file.name} and no {TRUTH_FILE}: as a split it would be left out.",
                 _NO_TRUTH_HINT,
             )
     return folders
@@ -344,7 +344,7 @@ def stated_city(root: Path, folders: Sequence[Path]) -> tuple[Path | None, tuple
     folder, stated = next(iter(named.items()))
     about = abouts[folder]
     try:
-        return _found_city(root, folder, stated, about)
+        return _named_city(root, folder, stated, about)
     except PermissionError as error:
         reason = f"{folder / ABOUT_FILE}: city_model {stated!r:.60} may not be looked at."
         raise DatasetError(reason, "Ask for permission, or set `city=FILE`.") from error
@@ -355,7 +355,7 @@ def stated_city(root: Path, folders: Sequence[Path]) -> tuple[Path | None, tuple
         ) from error
 
 
-def _found_city(
+def _named_city(
     root: Path, folder: Path, stated: str, about: Mapping[str, Any]
 ) -> tuple[Path | None, tuple[str, ...]]:
     path = Path(os.path.normpath(folder.absolute() / stated))
@@ -446,7 +446,7 @@ def _beside_reconstruction(root: Path, dataset: Dataset) -> Findings:
     if not is_colmap(folder):
         return findings
     try:
-        there = {found.name: found.pose for found in read_colmap(folder)}
+        there = {image.name: image.pose for image in read_colmap(folder)}
         known = [(e.key, there[e.name], dataset.truth[e.key]) for e in dataset.entries if e.name in there]
         keys, poses, truth = zip(*known, strict=True) if known else ((), (), ())
         fitted = fit_similarity(poses, truth, np.full((len(keys), 3), _SAME_M), np.full(len(keys), _SAME_M))

@@ -97,18 +97,18 @@ def declared_inputs(part: object, attribute: str, default: Collection[str] = ())
     Raises:
         ConfigError: It declares something that is no input.
     """
-    found = getattr(part, attribute, default)
+    stated = getattr(part, attribute, default)
     known, name = [item.value for item in Input], getattr(part, "name", part)
-    if not isinstance(found, Collection):
+    if not isinstance(stated, Collection):
         raise ConfigError(
-            f"{name} says {attribute} {found!r}, which are no inputs.", f"It is a set of {', '.join(known)}."
+            f"{name} says {attribute} {stated!r}, which are no inputs.", f"It is a set of {', '.join(known)}."
         )
-    for word in found:
+    for word in stated:
         if word not in known:
             raise ConfigError(
                 f"{name} says {attribute} {word!r}, which is no input.", nearest_names(str(word), known)
             )
-    return frozenset(Input(word) for word in found)
+    return frozenset(Input(word) for word in stated)
 
 
 def inputs_of(dataset: Dataset, entries: Sequence[Entry]) -> frozenset[Input]:
@@ -229,10 +229,10 @@ def read_labels(path: Path, what: str = INSTANCES_FOLDER) -> NDArray[np.uint16]:
     if labels is None or labels.ndim != 2 or labels.dtype not in (np.uint8, np.uint16):
         values = "0, then one per building" if what == INSTANCES_FOLDER else _CLASS_VALUES
         raise QueryFault(f"{what} {path.name} is not a grey image of 8 or 16 bits: {values}")
-    seen = np.zeros(2**16, np.bool_)
+    is_present = np.zeros(2**16, np.bool_)
     for row in labels:  # all at once it takes eight times the picture
-        seen[row] = True
-    count = int(seen[1:].sum())
+        is_present[row] = True
+    count = int(is_present[1:].sum())
     if count > _MOST:
         raise QueryFault(f"{what} {path.name} has {count} labels: is it a photo?")
     return labels.astype(np.uint16)
@@ -261,10 +261,10 @@ def masks_of_labels(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
     Raises:
         QueryFault: They would take more than 1 GB.
     """
-    found = np.unique(labels)
-    found = found[found > 0]
-    if len(found) * labels.size > _MOST_VALUES:
+    unique = np.unique(labels)
+    unique = unique[unique > 0]
+    if len(unique) * labels.size > _MOST_VALUES:
         raise QueryFault(
-            f"instances: {len(found)} masks of {labels.shape[1]} x {labels.shape[0]} are too many"
+            f"instances: {len(unique)} masks of {labels.shape[1]} x {labels.shape[0]} are too many"
         )
-    return np.asarray(labels[None] == found[:, None, None])
+    return np.asarray(labels[None] == unique[:, None, None])

@@ -90,9 +90,9 @@ def find_mask(folder: Path | None, name: str, photo: Path | None = None) -> Path
     """
     if folder is None:
         return None
-    found = (find_inside(folder, spelt) for spelt in _mask_names(PurePosixPath(name)))
+    candidates = (find_inside(folder, spelt) for spelt in _mask_names(PurePosixPath(name)))
     own = None if photo is None else photo.resolve()
-    return next((file for file in found if file is not None and file.resolve() != own), None)
+    return next((file for file in candidates if file is not None and file.resolve() != own), None)
 
 
 def _mask_names(image: PurePosixPath) -> list[str]:
@@ -105,8 +105,8 @@ def find_photo(folder: Path, name: str) -> Path | None:
     is_whole = path.suffix.lower() in PHOTO_SUFFIXES
     bare, endings = (path.with_suffix(""), (path.suffix.lower(),)) if is_whole else (path, PHOTO_SUFFIXES)
     names = [f"{bare}{spelt}" for ending in endings for spelt in (ending, ending.upper())]
-    found = [file for file in (find_inside(folder, spelt) for spelt in names) if file is not None]
-    return find_inside(folder, name) or (found[0] if len(found) == 1 else None)
+    matches = [file for file in (find_inside(folder, spelt) for spelt in names) if file is not None]
+    return find_inside(folder, name) or (matches[0] if len(matches) == 1 else None)
 
 
 def require_some_mask(folder: Path, names: Sequence[str], photos: Sequence[Path | None] = ()) -> None:
@@ -301,19 +301,19 @@ def images_from_photos(
     images, left_out, last = list[OwnImage](), LeftOut(), LodbenchError("")
     photos = find_photos(folder, masks)
     require_photos(photos, folder)
-    found_masks = [find_mask(masks, path.name, path) for path in photos]
-    copies, _ = copies_among(photos, found_masks)
-    for row, (path, mask) in enumerate(zip(photos, found_masks, strict=True)):
+    mask_files = [find_mask(masks, path.name, path) for path in photos]
+    copies, _ = copies_among(photos, mask_files)
+    for row, (path, mask) in enumerate(zip(photos, mask_files, strict=True)):
         if row in copies:
             left_out.append((path.name, copies[row]))
             continue
         try:
             photo = read_photo_metadata(path)
             require_stated(photo, heights, knows_camera=camera is not None)
-            found = camera_given(camera, camera_sigmas) if camera else camera_from_photo(photo)
+            own_camera = camera_given(camera, camera_sigmas) if camera else camera_from_photo(photo)
             prior = pose_from_photo(photo, frame, heights)
-            own = OwnImage(path.name, found.camera, prior, photo=path, mask=mask, stated=photo)
-            own = replace(own, lens_percent=found.lens_percent, camera_sigmas=found.camera_sigmas)
+            own = OwnImage(path.name, own_camera.camera, prior, photo=path, mask=mask, stated=photo)
+            own = replace(own, lens_percent=own_camera.lens_percent, camera_sigmas=own_camera.camera_sigmas)
             images.append(replace(own, measured=measured_of(photo, heights)))
         except LodbenchError as fault:
             # Should none be left, the last one's hint says what to do about all.
@@ -327,7 +327,7 @@ def images_from_photos(
 
 
 def images_from_poses(
-    found: Sequence[FoundPose],
+    posed_images: Sequence[FoundPose],
     *,
     photos: Path | None = None,
     masks: Path | None = None,
@@ -339,7 +339,7 @@ def images_from_poses(
     """Returns posed images, their poses as the truth, with priors from the photos where these state one.
 
     Args:
-        found: Images of another program's model, in the city's coordinates.
+        posed_images: Images of another program's model, in the city's coordinates.
         photos: Folder that the image names are relative to, or None for poses alone.
         masks: Folder of masks of the photos as stored, or None.
         cameras: Intrinsics by image name and how well they are known, where the model has none.
@@ -348,7 +348,7 @@ def images_from_poses(
         heights: How the drone's heights become the city's.
     """
     images, left_out = list[OwnImage](), LeftOut()
-    for image in found:
+    for image in posed_images:
         photo = None if photos is None else find_photo(photos, image.name)
         if photo is not None:  # matrices and Metashape's labels lack the ending
             image = image._replace(name=str(PurePosixPath(image.name).with_name(photo.name)))

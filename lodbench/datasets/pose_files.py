@@ -71,8 +71,8 @@ def read_pose_file(path: Path, format_name: str, known: Collection[str] = ()) ->
     require_regular(path)
     kind = _guess(path, known) if format_name == "auto" else format_name
     if kind in (_FILES if path.is_dir() else _FOLDERS):
-        found, wanted = ("a folder", "a file") if path.is_dir() else ("a file", "a folder")
-        raise DatasetError(f"{path} is {found}.", f"format={kind} reads {wanted}.")
+        actual, wanted = ("a folder", "a file") if path.is_dir() else ("a file", "a folder")
+        raise DatasetError(f"{path} is {actual}.", f"format={kind} reads {wanted}.")
     read = load_plugin("pose_formats", kind)
     with blaming("pose_formats", kind, f"read {path}"):
         read_poses = (of_kind(pose, FoundPose) for pose in read(path))
@@ -126,14 +126,14 @@ def is_number(word: str) -> bool:
 _NORTH_M = 50.0
 
 
-def brought(found: Sequence[FoundPose], crs: str | None) -> tuple[list[FoundPose], tuple[str, ...]]:
+def brought(images: Sequence[FoundPose], crs: str | None) -> tuple[list[FoundPose], tuple[str, ...]]:
     """Returns poses in a city's coordinates, and what the reader should know of those that were moved.
 
     Places are moved, and headings turned from the one grid north to the other; heights stay as they are.
     Poses whose file declares no system are taken to be in the city's.
 
     Args:
-        found: As their file has them.
+        images: As their file has them.
         crs: Of the city, projected in metres; None where nobody knows it.
 
     Raises:
@@ -142,7 +142,7 @@ def brought(found: Sequence[FoundPose], crs: str | None) -> tuple[list[FoundPose
     """
     moved: list[FoundPose] = []
     notes: dict[str, str] = {}
-    for image in found:
+    for image in images:
         if image.crs == DEGREES_CRS:
             moved.append(image._replace(pose=_projected(image, crs), crs=crs))
             notes.setdefault(

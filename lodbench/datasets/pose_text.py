@@ -42,10 +42,10 @@ def read_hypotheses(path: str | Path) -> dict[str, tuple[Pose, ...]]:
     Raises:
         DatasetError: As for ``read_poses``, but for the repeated name.
     """
-    found: dict[str, tuple[Pose, ...]] = {}
+    hypotheses: dict[str, tuple[Pose, ...]] = {}
     for _, name, pose in _read_lines(Path(path), _parse_place, _POSE_LAYOUT):
-        found[name] = (*found.get(name, ()), pose)
-    return found
+        hypotheses[name] = (*hypotheses.get(name, ()), pose)
+    return hypotheses
 
 
 def read_cameras(path: str | Path) -> dict[str, Camera]:
@@ -314,12 +314,12 @@ def require_plain_names(names: list[str], forbidden: str, format_name: str) -> N
     Raises:
         DatasetError: A name holds a character that would end it, or occurs twice.
     """
-    seen: set[str] = set()
+    earlier: set[str] = set()
     for name in names:
         if not name or any(letter in forbidden for letter in name):
             raise DatasetError(
                 f"The image name {name!r} cannot be written as {format_name}.", "Rename the image."
             )
-        if name in seen:
+        if name in earlier:
             raise DatasetError(f"Two images are called {name!r}.", "Export one split at a time.")
-        seen.add(name)
+        earlier.add(name)

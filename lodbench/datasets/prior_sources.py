@@ -189,8 +189,8 @@ class FilePrior:
         """
         if self.path is None:
             return dataset
-        found = _by_key(Path(self.path).expanduser(), dataset.entries)
-        return _with_priors(dataset, [found.get(entry.key, ()) for entry in dataset.entries], Findings())
+        poses = _by_key(Path(self.path).expanduser(), dataset.entries)
+        return _with_priors(dataset, [poses.get(entry.key, ()) for entry in dataset.entries], Findings())
 
     def describe(self) -> str:
         """Returns the protocol in words."""
@@ -261,9 +261,9 @@ class SensorPrior:
         if not any(priors):
             hint = in_settings(reason.hint) if "geoid" in reason.hint else "Use `prior=file`."
             raise DatasetError(f"No photo of {dataset.name} states a prior: {reason}", hint)
-        found = _with_priors(dataset, priors, findings)
-        pairs = zip(found.entries, measured, strict=True)
-        return replace(found, entries=tuple(replace(entry, measured=own) for entry, own in pairs))
+        updated = _with_priors(dataset, priors, findings)
+        pairs = zip(updated.entries, measured, strict=True)
+        return replace(updated, entries=tuple(replace(entry, measured=own) for entry, own in pairs))
 
     def _at_fix(self, entry: Entry, fixes: Mapping[str, Fix]) -> PhotoMetadata:
         """Returns what a photo states, with the place of its fix."""
@@ -371,7 +371,7 @@ def _numbers(pose: Pose | None) -> list[float] | None:
 
 
 def _by_key(path: Path, entries: Sequence[Entry]) -> dict[str, tuple[Pose, ...]]:
-    keys, found = dict[str, list[str]](), dict[str, tuple[Pose, ...]]()
+    keys, poses = dict[str, list[str]](), dict[str, tuple[Pose, ...]]()
     for entry in entries:
         for word in {entry.key, entry.name}:
             keys.setdefault(word, []).append(entry.key)
@@ -380,8 +380,8 @@ def _by_key(path: Path, entries: Sequence[Entry]) -> dict[str, tuple[Pose, ...]]
         if len(owners) != 1:
             meaning = f"may be any of {', '.join(owners)}" if owners else "is not a query of the dataset"
             raise DatasetError(f"{line.where}: {line.name} {meaning}.", "Write split/name.")
-        found[owners[0]] = (*found.get(owners[0], ()), line.pose)
-    return found
+        poses[owners[0]] = (*poses.get(owners[0], ()), line.pose)
+    return poses
 
 
 def _with_priors(dataset: Dataset, priors: Sequence[Sequence[Pose]], findings: Findings) -> Dataset:

@@ -209,9 +209,9 @@ class Candidates(NamedTuple):
 
     def nearest(self, count: int) -> Floats:
         """Returns (count,) the distance of the nearest candidate of each point, pixels; inf without one."""
-        found = np.full(count, np.inf)
-        np.minimum.at(found, self.points, np.abs(self.distances))
-        return found
+        distances = np.full(count, np.inf)
+        np.minimum.at(distances, self.points, np.abs(self.distances))
+        return distances
 
     def expected(self, count: int, sigma_px: float) -> tuple[Floats, Floats]:
         """Returns (count,) expected distances, and (count,) probabilities that there is an edge.

@@ -166,8 +166,8 @@ class ErrorGroup:
         square = float(residuals @ residuals) / self.count + left_open
         # Expectation maximisation goes a share of the way, less the more is left open: the rest is added.
         power = 0.5 / max(1.0 - left_open**2, 1.0 / _LONGEST)
-        found = self.scale * square**power
-        return float(np.clip(found ** (members / (members + _DECLARED_COUNT)), _LEAST_SCALE, 1.0))
+        scale = self.scale * square**power
+        return float(np.clip(scale ** (members / (members + _DECLARED_COUNT)), _LEAST_SCALE, 1.0))
 
     def _record(self, rows: Rows, columns: Rows, slopes: Floats, residuals: Floats) -> None:
         self._rows.append(rows)
@@ -197,8 +197,8 @@ def maximize(
         population: number of points in each, even: every draw is used with both signs.
         generator: the random generator.
     """
-    (found,) = maximize_abreast(value, [start], generations, population, [generator])
-    return found
+    (gaussian,) = maximize_abreast(value, [start], generations, population, [generator])
+    return gaussian
 
 
 def maximize_abreast(

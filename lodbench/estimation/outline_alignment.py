@@ -112,13 +112,13 @@ def sample_outline(
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     room = _ROOM
     while True:
-        found = np.empty((room, 25)), np.empty(room, dtype=np.int64)
+        buffers = np.empty((room, 25)), np.empty(room, dtype=np.int64)
         view = rotation, center, derivatives, intrinsics
-        count = kernels.sample_edges(edges, visible, *view, silhouette, spacing_px, *found)
+        count = kernels.sample_edges(edges, visible, *view, silhouette, spacing_px, *buffers)
         if count <= room:
             break
         room = count
-    rows, buildings = found[0][:count], found[1][:count]
+    rows, buildings = buffers[0][:count], buffers[1][:count]
     moves = np.ascontiguousarray(rows[:, 5:23].reshape(count, 9, 2))
     return OutlinePoints(rows[:, 0:2], rows[:, 2:4], rows[:, 4], moves, buildings, rows[:, 23:])
 

@@ -265,7 +265,7 @@ class ReliabilityBin:
     high: float  # upper end, outside it unless it is 1
     count: int  # queries
     confidence: float  # their mean probability, in [0, 1]
-    found: float  # share that was found, in [0, 1]
+    hit_share: float  # share that was found, in [0, 1]
     interval: Interval  # 95 % interval of that share, in [0, 1]
 
 
@@ -290,15 +290,15 @@ def calibrate(
 
     The probability of a query without an answer is 0; bins are those of the reliability diagram.
     """
-    confidence, found = np.asarray(probabilities, dtype=np.float64), np.asarray(hits, dtype=np.bool_)
-    bins = _bins(confidence, found, num_bins)
-    coverage, risk = risk_coverage(confidence, found)
+    confidence, is_hit = np.asarray(probabilities, dtype=np.float64), np.asarray(hits, dtype=np.bool_)
+    bins = _bins(confidence, is_hit, num_bins)
+    coverage, risk = risk_coverage(confidence, is_hit)
     count = len(confidence)
-    error = sum(b.count * abs(b.found - b.confidence) for b in bins) / count if count else math.nan
+    error = sum(b.count * abs(b.hit_share - b.confidence) for b in bins) / count if count else math.nan
     return Calibration(
         bins=bins,
         ece=error,
-        brier=float(np.mean((confidence - found) ** 2)) if count else math.nan,
+        brier=float(np.mean((confidence - is_hit) ** 2)) if count else math.nan,
         coverage=coverage,
         risk=risk,
         aurc=float(risk[1:].mean()) if count else math.nan,
@@ -344,19 +344,19 @@ def share_rejectable(probabilities: Floats) -> float:
     return float(wrong[lost] / wrong[-1])
 
 
-def _bins(confidence: Floats, found: Hits, num_bins: int) -> tuple[ReliabilityBin, ...]:
+def _bins(confidence: Floats, hits: Hits, num_bins: int) -> tuple[ReliabilityBin, ...]:
     index = np.minimum((confidence * num_bins).astype(np.int64), num_bins - 1)
     bins = []
     for b in np.unique(index):
         mine = index == b
-        low, high = wilson_interval(found[mine])
+        low, high = wilson_interval(hits[mine])
         bins.append(
             ReliabilityBin(
                 low=float(b) / num_bins,
                 high=float(b + 1) / num_bins,
                 count=int(mine.sum()),
                 confidence=float(confidence[mine].mean()),
-                found=float(found[mine].mean()),
+                hit_share=float(hits[mine].mean()),
                 interval=(low / 100.0, high / 100.0),
             )
         )
@@ -376,19 +376,19 @@ def compute_metrics(queries: pd.DataFrame) -> dict[str, float]:
     numbers: dict[str, float] = {}
     for name, metric in installed_metrics().items():
         try:
-            found = {str(key): float(value) for key, value in metric(queries).items()}
+            metric_numbers = {str(key): float(value) for key, value in metric(queries).items()}
         except STOPPED:
             raise
         except BaseException as error:  # whatever a plug-in's own code raises
             warnings.warn(f"metric {name} is left out: {type(error).__name__}: {error}", stacklevel=2)
             continue
-        if twice := sorted(found.keys() & numbers.keys()):
+        if twice := sorted(metric_numbers.keys() & numbers.keys()):
             warnings.warn(f"metric {name} is left out: {twice[0]} is another metric's", stacklevel=2)
             continue
-        if taken := sorted(filter(is_taken, found)):
+        if taken := sorted(filter(is_taken, metric_numbers)):
             warnings.warn(f"metric {name} is left out: {taken[0]} is a name of lodbench's own", stacklevel=2)
             continue
-        numbers |= found
+        numbers |= metric_numbers
     return numbers
 
 
@@ -425,11 +425,11 @@ def calibration(queries: pd.DataFrame) -> dict[str, float]:
         return dict.fromkeys(_CALIBRATION, math.nan)
     confidence = queries["probability"].fillna(0.0).to_numpy()
     errors = queries[["translation_error_m", "rotation_error_deg"]].to_numpy()
-    found = calibrate(confidence, hits_of(errors, PROBABILITY_THRESHOLD))
+    calibrated = calibrate(confidence, hits_of(errors, PROBABILITY_THRESHOLD))
     return dict(
         zip(
             _CALIBRATION,
-            (100.0 * float(confidence.mean()), 100.0 * found.ece, 100.0 * found.aurc),
+            (100.0 * float(confidence.mean()), 100.0 * calibrated.ece, 100.0 * calibrated.aurc),
             strict=True,
         )
     )

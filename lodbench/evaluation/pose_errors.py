@@ -171,18 +171,18 @@ def summarize(
     """
     table = np.array(errors, dtype=np.float64).reshape(-1, 2)
     answered = np.isfinite(table[:, 0])
-    found = {t.label: hits_of(table, t) for t in thresholds}
+    hits = {t.label: hits_of(table, t) for t in thresholds}
     areas = {t.label: _area_shares(table, t) for t in thresholds}
     columns = 100.0 * np.array(list(areas.values()), dtype=np.float64).reshape(len(areas), len(table)).T
     return SplitSummary(
         num_queries=len(table),
         num_failed=int((~answered).sum()),
-        recall={label: _percent(hit) for label, hit in found.items()},
-        interval={label: wilson_interval(hit) for label, hit in found.items()},
+        recall={label: _percent(hit) for label, hit in hits.items()},
+        interval={label: wilson_interval(hit) for label, hit in hits.items()},
         median_translation_m=_median(table[:, 0]),
         median_rotation_deg=_median(table[:, 1]),
         hypotheses_per_query=float(np.mean(hypotheses)) if len(hypotheses) else math.nan,
-        answered_recall={label: _percent(hit[answered]) for label, hit in found.items()},
+        answered_recall={label: _percent(hit[answered]) for label, hit in hits.items()},
         auc={label: _percent(np.sort(share)) for label, share in areas.items()},
         median_interval={
             name: bootstrap_median(table[:, column])
@@ -403,11 +403,11 @@ def _median_ranks(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 def _ranks_of_median(parts: Iterable[Floats]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Returns the places of the two middle ones, (R,) each, in values drawn (R, N) times each, by parts."""
-    found = []
+    ranks = []
     for weights in parts:
         reached, n = np.cumsum(weights, axis=1), weights.shape[1]
-        found.append([(reached <= rank).sum(axis=1) for rank in ((n - 1) // 2, n // 2)])
-    low, high = np.concatenate(found, axis=1)
+        ranks.append([(reached <= rank).sum(axis=1) for rank in ((n - 1) // 2, n // 2)])
+    low, high = np.concatenate(ranks, axis=1)
     return low, high
 
 

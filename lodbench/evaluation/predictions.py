@@ -257,7 +257,7 @@ class Matched:
     notes: tuple[str, ...]
 
 
-def match_poses(found: Sequence[FoundPose], entries: Sequence[Entry], format_name: str) -> Matched:
+def match_poses(listed: Sequence[FoundPose], entries: Sequence[Entry], format_name: str) -> Matched:
     """Returns the poses of some queries.
 
     A name means ``split/name``, else the image's file name, else, for formats that keep no ending
@@ -268,17 +268,17 @@ def match_poses(found: Sequence[FoundPose], entries: Sequence[Entry], format_nam
         DatasetError: Two poses are for one query, a name may mean several queries, or none is known.
     """
     index = _index(entries, with_stems=format_name in ("c2w", "tum"))
-    unknown = [pose for pose in found if not _candidates(index, pose.name)]
-    if len(unknown) == len(found):
-        if format_name == "tum" and len(found) == len(entries) and all(is_number(p.name) for p in found):
-            return _by_order(found, entries)
+    unknown = [pose for pose in listed if not _candidates(index, pose.name)]
+    if len(unknown) == len(listed):
+        if format_name == "tum" and len(listed) == len(entries) and all(is_number(p.name) for p in listed):
+            return _by_order(listed, entries)
         raise DatasetError(
-            f"No name of the pose file is a query: the first is {found[0].name!r} ({found[0].where}).",
+            f"No name of the pose file is a query: the first is {listed[0].name!r} ({listed[0].where}).",
             f"The dataset's first query is {entries[0].key}." if entries else "The dataset has no queries.",
         )
     places: dict[str, str] = {}
     poses: dict[str, Pose] = {}
-    for name, where, pose, *_ in found:
+    for name, where, pose, *_ in listed:
         keys = _candidates(index, name)
         if len(keys) > 1:
             raise DatasetError(f"{where}: {name} may be any of {', '.join(keys)}.", "Write split/name.")
@@ -286,7 +286,7 @@ def match_poses(found: Sequence[FoundPose], entries: Sequence[Entry], format_nam
             if key in places:
                 raise DatasetError(f"{where}: {key} has a pose already, from {places[key]}.")
             places[key], poses[key] = where, pose
-    loose = [pose for pose in found if pose.name not in index and _candidates(index, pose.name)]
+    loose = [pose for pose in listed if pose.name not in index and _candidates(index, pose.name)]
     return Matched(poses, (*_note_loose(loose, index), *_note_unknown(unknown)))
 
 
@@ -347,11 +347,11 @@ def _candidates(index: Mapping[str, list[str]], name: str) -> list[str]:
     return index.get(name) or index.get(PurePosixPath(name).name, [])
 
 
-def _by_order(found: Sequence[FoundPose], entries: Sequence[Entry]) -> Matched:
-    times = [float(pose.name) for pose in found]
+def _by_order(listed: Sequence[FoundPose], entries: Sequence[Entry]) -> Matched:
+    times = [float(pose.name) for pose in listed]
     if any(b <= a for a, b in pairwise(times)):
         raise DatasetError("The timestamps do not increase, and they are no names of queries.")
-    poses = {entry.key: pose.pose for entry, pose in zip(entries, found, strict=True)}
+    poses = {entry.key: pose.pose for entry, pose in zip(entries, listed, strict=True)}
     return Matched(poses, ("the timestamps are no names: poses were taken in the order of the queries",))
 
 

@@ -218,10 +218,10 @@ class Ledger:
         # What follows the last line end is a half line, or nothing.
         *lines, half = content.split(b"\n")
         for line in lines:
-            found = _CHECK.fullmatch(line[-_CHECK_BYTES:])
-            item = _parse(line[:-_CHECK_BYTES] + b"}" if found else line)
-            is_sound = line == _checked(line[:-_CHECK_BYTES] + b"}") if found else not has_checks
-            has_checks |= found is not None
+            match = _CHECK.fullmatch(line[-_CHECK_BYTES:])
+            item = _parse(line[:-_CHECK_BYTES] + b"}" if match else line)
+            is_sound = line == _checked(line[:-_CHECK_BYTES] + b"}") if match else not has_checks
+            has_checks |= match is not None
             if item is None or not is_sound:
                 damaged += 1
             else:

@@ -152,10 +152,10 @@ class Pose:
 
 def _three(name: str, values: Sequence[float] | Matrix) -> Matrix:
     """Returns a place or an offset as (3,) float64."""
-    found = np.asarray(values, dtype=np.float64)
-    if found.shape != (3,):
-        raise LodbenchError(f"{name} holds east, north and up: (3,), not {found.shape}.")
-    return found
+    vector = np.asarray(values, dtype=np.float64)
+    if vector.shape != (3,):
+        raise LodbenchError(f"{name} holds east, north and up: (3,), not {vector.shape}.")
+    return vector
 
 
 def _require_rotation(rotation: Matrix) -> None:

@@ -97,13 +97,13 @@ def fit_similarity(
         gaps = (now * turns.inv()).as_rotvec(degrees=True)
         return np.concatenate([((places - there) / sigma_m).ravel(), (gaps / sigma_deg[:, None]).ravel()])
 
-    found = least_squares(residuals, np.zeros(7), loss="soft_l1", f_scale=_OUTLIER_SIGMAS)
-    turn = Rotation.from_rotvec(found.x[3:6]) * turn
-    scale *= float(np.exp(found.x[6]))
-    shift = middle + reach * found.x[:3] - scale * turn.apply(own_middle)
+    solution = least_squares(residuals, np.zeros(7), loss="soft_l1", f_scale=_OUTLIER_SIGMAS)
+    turn = Rotation.from_rotvec(solution.x[3:6]) * turn
+    scale *= float(np.exp(solution.x[6]))
+    shift = middle + reach * solution.x[:3] - scale * turn.apply(own_middle)
     similarity = Similarity(scale, turn.as_matrix(), shift)
     units = np.array([reach] * 3 + [np.degrees(1.0)] * 3 + [1.0])
-    covariance = np.linalg.pinv(found.jac.T @ found.jac)
+    covariance = np.linalg.pinv(solution.jac.T @ solution.jac)
     sigmas = np.sqrt(np.diagonal(covariance)) * units
     distances = np.linalg.norm(similarity.points(centers) - there, axis=1)
     middle, covariance = similarity.points(own_middle[None])[0], covariance * np.outer(units, units)

@@ -319,13 +319,13 @@ def _of_dataset(folder: Path, crs: str | None) -> list[Entry]:
             f"{folder} has no true poses, and rough ones measure no roof.",
             "Localize the photos first, and name the folder that this writes as `--poses`.",
         )
-    found = [
+    images = [
         FoundPose(each.key, str(folder), dataset.truth[each.key], each.camera, dataset.crs)
         for each in dataset.entries
         if each.key in dataset.truth
     ]
     files = {each.key: each.image for each in dataset.entries}
-    return _posed_entries(found, files, crs)
+    return _posed_entries(images, files, crs)
 
 
 def _of_folder(folder: Path, poses: Path, crs: str | None) -> list[Entry]:
@@ -333,19 +333,19 @@ def _of_folder(folder: Path, poses: Path, crs: str | None) -> list[Entry]:
         solved = read_localized_folder(poses)
         cameras = {entry.key: entry.camera for entry in solved.dataset.entries} if solved.dataset else {}
         answers = solved.run.predictions
-        found = [
+        images = [
             FoundPose(key.partition("/")[2], str(poses), each.pose, cameras.get(key), solved.crs)
             for key, each in answers.items()
             if each.pose is not None and is_trusted(each.probability, each.score, each.mask_png != "")
         ]
     else:
-        found = read_pose_file(poses, "auto")[1]
-    files = {each.name: find_photo(folder, each.name) for each in found}
-    return _posed_entries(found, files, crs)
+        images = read_pose_file(poses, "auto")[1]
+    files = {each.name: find_photo(folder, each.name) for each in images}
+    return _posed_entries(images, files, crs)
 
 
-def _posed_entries(found: list[FoundPose], files: Mapping[str, Path | None], crs: str | None) -> list[Entry]:
-    whole = [each for each in found if each.camera is not None and files.get(each.name) is not None]
+def _posed_entries(images: list[FoundPose], files: Mapping[str, Path | None], crs: str | None) -> list[Entry]:
+    whole = [each for each in images if each.camera is not None and files.get(each.name) is not None]
     return [
         Entry(each.name.replace("/", "_"), "photos", each.camera, each.pose, files[each.name], None)
         for each in brought(whole, crs)[0]

@@ -96,12 +96,12 @@ class Views:
     def views(self) -> list[View]:
         """Returns them, drawn and with their masks."""
         with Progress("masks", len(self._entries)) as progress:
-            found = []
+            views = []
             for entry in self._entries:
                 view = self._view(entry)
-                found += [view] if view is not None else []
+                views += [view] if view is not None else []
                 progress.advance()
-        return found
+        return views
 
     def _view(self, entry: Entry) -> View | None:
         truth, given = self._dataset.truth.get(entry.key), entry.camera
@@ -132,11 +132,11 @@ class Views:
                 yield view, Reading(faults.MASK_UNLIKE_CITY, "", view.iou)
 
     def _readings(self, view: View, doubtful: Sequence[View]) -> Iterator[Reading]:
-        mask, seen = view.mask, view.silhouette
+        mask, silhouette = view.mask, view.silhouette
         assert mask is not None  # noqa: S101 - the caller has looked
         for words, turn in _TURNS.items():
-            if (turned := turn(mask)).shape == seen.shape:
-                yield Reading(faults.MASK_TURNED, words, _iou(seen, turned))
+            if (turned := turn(mask)).shape == silhouette.shape:
+                yield Reading(faults.MASK_TURNED, words, _iou(silhouette, turned))
         for words, camera in _other_cameras(view.camera, view.entry):
             yield Reading(
                 faults.CAMERA_UNLIKE_VIEW, words, _iou(self._renderer.render(camera, view.pose), mask)
@@ -169,9 +169,9 @@ class Views:
                     for (view, _), score in zip(pairs, np.diag(scores), strict=True):
                         own[view.entry.split].append(float(score))
                     yield from self._photo_readings(pairs, scores)
-        for split, found in own.items():
-            if len(found) >= _SEVERAL and np.median(found) < _RANDOM:
-                words = f"mean rank of gradients there {np.median(found):.2f}, 0.5 anywhere"
+        for split, mean_ranks in own.items():
+            if len(mean_ranks) >= _SEVERAL and np.median(mean_ranks) < _RANDOM:
+                words = f"mean rank of gradients there {np.median(mean_ranks):.2f}, 0.5 anywhere"
                 yield faults.PHOTO_UNLIKE_CITY, split, words
 
     def _photo_readings(
@@ -202,11 +202,11 @@ class Views:
     def _best_camera(self, view: View, photo: Photo) -> tuple[float, str]:
         """Returns the score of the other camera whose outlines a photo has best, and its words."""
         ranks = _gradient_ranks(photo)
-        found = [(0.0, "")]
+        candidates = [(0.0, "")]
         for words, camera in _other_cameras(view.camera, view.entry):
             edges = _outline(self._renderer.render(camera, view.pose))
-            found += [(float(ranks[edges].mean()), words)] if edges.any() else []
-        return max(found)
+            candidates += [(float(ranks[edges].mean()), words)] if edges.any() else []
+        return max(candidates)
 
 
 def check_views(dataset: Dataset, scene: Scene | None, with_pixels: bool, findings: Findings) -> None:

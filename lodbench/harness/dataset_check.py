@@ -238,10 +238,10 @@ def _compare_with_paper(split: SplitReport, findings: Findings) -> None:
         )
     if split.paper_prior is None or split.prior is None:
         return
-    ratios = [found / paper for found, paper in zip(split.prior, split.paper_prior, strict=True)]
+    ratios = [prior / paper for prior, paper in zip(split.prior, split.paper_prior, strict=True)]
     if any(abs(ratio - 1) > _SAME_MEDIAN for ratio in ratios):
-        found, paper = split.prior, split.paper_prior
-        detail = f"{found[0]:.2f} m / {found[1]:.2f} deg, paper {paper[0]:g} / {paper[1]:g}"
+        prior, paper = split.prior, split.paper_prior
+        detail = f"{prior[0]:.2f} m / {prior[1]:.2f} deg, paper {paper[0]:g} / {paper[1]:g}"
         findings.add(faults.PRIORS_UNLIKE_PAPER, split.name, detail)
 
 

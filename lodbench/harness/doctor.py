@@ -170,8 +170,8 @@ def _packages() -> Iterator[Check]:
         if _is_wanted(requirement, ""):
             fault = _fault(requirement)
             hint = f"pip install '{requirement}'" if fault else ""
-            found = fault or version(requirement.name)
-            yield Check("packages", requirement.name, BROKEN if fault else OK, found, hint, is_base=True)
+            state = fault or version(requirement.name)
+            yield Check("packages", requirement.name, BROKEN if fault else OK, state, hint, is_base=True)
     for extra in distribution("lodbench").metadata.get_all("Provides-Extra") or []:
         if extra in _NOT_FOR_USERS:
             continue
@@ -202,12 +202,12 @@ def _is_wanted(requirement: Requirement, extra: str) -> bool:
 def _fault(requirement: Requirement) -> str:
     """Returns what is wrong with a required package, or nothing."""
     try:
-        found = version(requirement.name)
+        installed_version = version(requirement.name)
     except PackageNotFoundError:
         return "is not installed"
-    if requirement.specifier.contains(found, prereleases=True):
+    if requirement.specifier.contains(installed_version, prereleases=True):
         return ""
-    return f"is {found}, not {requirement.specifier}"
+    return f"is {installed_version}, not {requirement.specifier}"
 
 
 def _folders() -> Iterator[Check]:

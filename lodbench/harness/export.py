@@ -370,8 +370,8 @@ def queries_with_poses(run: StoredRun) -> pd.DataFrame:
 def _features(run: StoredRun, frame: MapFrame) -> list[dict[str, Any]]:
     features = []
     for key, row in run.queries.iterrows():
-        found = run.predictions[str(key)]
-        stated: dict[str, Any] = {"name": row["query"], "split": row["split"], "trust": trust_of(found)}
+        prediction = run.predictions[str(key)]
+        stated: dict[str, Any] = {"name": row["query"], "split": row["split"], "trust": trust_of(prediction)}
         numbers = (
             ("score", "probability", "translation_error_m", "rotation_error_deg")
             if key in run.poses
@@ -384,7 +384,7 @@ def _features(run: StoredRun, frame: MapFrame) -> list[dict[str, Any]]:
         if pose is None:
             features.append(geojson.nowhere_feature(stated))
         else:
-            features.append(geojson.camera_feature(frame, pose, stated, found.covariance))
+            features.append(geojson.camera_feature(frame, pose, stated, prediction.covariance))
     return features
 
 
@@ -498,8 +498,8 @@ def _mesh(scene: Scene) -> Any:
 
 
 def _about(row: pd.Series[Any]) -> str:
-    found = f"score {row['score']}, {row['hypotheses']:.0f} hypotheses"
-    lines = [f"### {row.name}", row["failure"] or found]
+    summary = f"score {row['score']}, {row['hypotheses']:.0f} hypotheses"
+    lines = [f"### {row.name}", row["failure"] or summary]
     for what, (metres, degrees) in (("estimate", ERROR), ("prior", PRIOR_ERROR)):
         if np.isfinite(row[metres]):
             lines.append(f"- {what}: {row[metres]:.2f} m, {row[degrees]:.2f} deg from the truth")

@@ -227,10 +227,10 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
     queries, left_out = _queries(request, images, start.similarity, city.scene)
     _require_enough(len(queries), len(images), left_out)
     streams = [partial(random_stream, request.seed, "georeference", query.name) for query in queries]
-    found = solved_flight(request.method, queries, CityMap(city.scene), streams, request.out)
+    solution = solved_flight(request.method, queries, CityMap(city.scene), streams, request.out)
     # Nothing is said of it where the code of a plug-in failed: then each photo has the reason.
-    reasons = [(query.name, str(each)) for query, each in zip(queries, found.estimates, strict=True)]
-    placement = found.findings.get(PLACEMENT, {"used": {}, "left_out": reasons})
+    reasons = [(query.name, str(each)) for query, each in zip(queries, solution.estimates, strict=True)]
+    placement = solution.findings.get(PLACEMENT, {"used": {}, "left_out": reasons})
     left_out += [(name, reason) for name, reason in placement["left_out"]]
     _require_enough(len(placement["used"]), len(images), left_out)
     laid = placement["similarity"]
@@ -240,7 +240,7 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
         placement=placement,
         cameras=tuple(image._replace(pose=similarity.pose(image.pose)) for image in images),
         left_out=tuple(left_out),
-        findings={name: value for name, value in found.findings.items() if name != PLACEMENT},
+        findings={name: value for name, value in solution.findings.items() if name != PLACEMENT},
         start=start.source,
         crs=city.scene.crs,
         files={},

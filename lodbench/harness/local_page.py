@@ -88,11 +88,11 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answers with the page, or what it shows."""
         address = self._address()
-        found = None if address is None else self._server.shown(address)
-        if found is None:
+        response = None if address is None else self._server.shown(address)
+        if response is None:
             self.send_error(HTTPStatus.NOT_FOUND)
         else:
-            self._send(*found)
+            self._send(*response)
 
     def do_POST(self) -> None:
         """Does what the page asks for."""

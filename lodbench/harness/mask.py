@@ -25,7 +25,7 @@ Points = NDArray[np.float64]
 Window = tuple[slice, slice]
 
 # A stroke is seen in its surroundings: so much more than its brush on all sides, of at most this many pixels.
-_AROUND_BRUSHES, _AROUND_PX, _WORKING_PX, _ROUNDS = 4.0, 40.0, 320, 3
+_MARGIN_BRUSHES, _MARGIN_PX, _WORKING_PX, _ROUNDS = 4.0, 40.0, 320, 3
 _UNDO_STEPS = 50
 
 
@@ -146,7 +146,7 @@ def _under_brush(points: Points, radius_px: float, shape: tuple[int, ...]) -> tu
 
 
 def _surroundings(box: Window, radius_px: float, shape: tuple[int, ...]) -> Window:
-    reach = round(_AROUND_BRUSHES * radius_px + _AROUND_PX)
+    reach = round(_MARGIN_BRUSHES * radius_px + _MARGIN_PX)
     rows, columns = (
         slice(max(0, part.start - reach), min(size, part.stop + reach))
         for part, size in zip(box, shape, strict=True)
@@ -172,8 +172,8 @@ def _followed(photo: NDArray[np.uint8], mask: Mask, strokes: NDArray[np.int8]) -
     outside, inside = np.zeros((1, 65)), np.zeros((1, 65))
     cv2.setRNGSeed(0)
     cv2.grabCut(picture, small, (0, 0, 0, 0), outside, inside, _ROUNDS, cv2.GC_INIT_WITH_MASK)
-    found = np.isin(small, (cv2.GC_FGD, cv2.GC_PR_FGD)).astype(np.float32)
-    followed = cv2.resize(found, (width, height), interpolation=cv2.INTER_LINEAR) >= 0.5
+    foreground = np.isin(small, (cv2.GC_FGD, cv2.GC_PR_FGD)).astype(np.float32)
+    followed = cv2.resize(foreground, (width, height), interpolation=cv2.INTER_LINEAR) >= 0.5
     followed[strokes > 0], followed[strokes < 0] = True, False
     return np.asarray(np.where(rim, mask, followed))
 

@@ -171,9 +171,9 @@ def _colour(renderer: Renderer, view: View) -> Picture:
 def _write_instances(renderer: Renderer, view: View) -> list[Path]:
     """Writes every building's silhouette, hidden or not, as run lengths in the form of COCO."""
     instances = cast("InstanceRenderer", renderer).instances(view.camera, view.pose)
-    names, found = renderer.scene.building_ids, []
+    names, records = renderer.scene.building_ids, []
     for building, mask in instances.masks():
-        found.append(
+        records.append(
             {
                 "building": names[building],
                 "area": int(mask.sum()),
@@ -181,7 +181,7 @@ def _write_instances(renderer: Renderer, view: View) -> list[Path]:
                 "segmentation": {"size": list(mask.shape), "counts": column_runs(mask)},
             }
         )
-    write_text(view.file(".json"), json.dumps({"instances": found}, ensure_ascii=False) + "\n")
+    write_text(view.file(".json"), json.dumps({"instances": records}, ensure_ascii=False) + "\n")
     return [view.file(".json")]
 
 

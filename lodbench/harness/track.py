@@ -200,11 +200,11 @@ def _tracked(
     if isinstance(mask, str):
         return TrackedFrame(shot.name, shot.time_s, LOST, None, 0.0, mask)
     query = replace(first, name=shot.name, time_s=shot.time_s, building_probability=mask)
-    found = localize_next(follower, query, city_map, partial(random_stream, 0, "track", shot.name))
-    state = state_of(found)
-    pose = None if state == LOST else found.pose.shifted(city_map.scene.origin)
-    sigmas = None if found.covariance is None else _sigmas(found.covariance)
-    reported = state, pose, found.score, "", sigmas, found.probability or 0.0
+    estimate = localize_next(follower, query, city_map, partial(random_stream, 0, "track", shot.name))
+    state = state_of(estimate)
+    pose = None if state == LOST else estimate.pose.shifted(city_map.scene.origin)
+    sigmas = None if estimate.covariance is None else _sigmas(estimate.covariance)
+    reported = state, pose, estimate.score, "", sigmas, estimate.probability or 0.0
     return TrackedFrame(shot.name, shot.time_s, *reported)
 
 

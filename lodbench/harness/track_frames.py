@@ -230,8 +230,8 @@ class Footage:
                 is_stamped = self.rate is None and math.isfinite(stamp_s) and stamp_s > time_s
                 time_s = stamp_s if is_stamped else (number / rate if self.rate else time_s + 1.0 / rate)
                 if number % self.every == 0:
-                    is_whole, found = video.retrieve()
-                    pixels = np.asarray(found, dtype=np.uint8) if is_whole else None
+                    is_whole, frame = video.retrieve()
+                    pixels = np.asarray(frame, dtype=np.uint8) if is_whole else None
                     size = None if pixels is None else _size(pixels)
                     yield Shot(_frame_name(number), time_s, pixels, size)
                 number += 1
@@ -292,8 +292,8 @@ class MaskMaker:
         """Returns (H, W) the probability of building as the pinhole sees it, or why there is none."""
         started = time.perf_counter()
         try:
-            found = check_mask(self._made(shot), self.camera)
-            return np.asarray(undistorted(found, self.camera, self.pinhole))
+            mask = check_mask(self._made(shot), self.camera)
+            return np.asarray(undistorted(mask, self.camera, self.pinhole))
         except QueryFault as fault:
             return fault.message
         finally:

@@ -94,11 +94,11 @@ class TransformersMatcher:
         grey = pair.pictures @ np.array([0.2989, 0.5870, 0.1140], np.float32)
         blob = torch.from_numpy(np.repeat(grey[None, :, None], 3, axis=2))
         with torch.inference_mode():
-            found = self._net(blob)
+            prediction = self._net(blob)
         # Places are shares of the picture's size.
         size = np.array(pair.pictures.shape[2:0:-1], np.float32)
-        places = found.keypoints[0].float().numpy() * size
-        there, scores = found.matches[0].long().numpy(), found.matching_scores[0].float().numpy()
+        places = prediction.keypoints[0].float().numpy() * size
+        there, scores = prediction.matches[0].long().numpy(), prediction.matching_scores[0].float().numpy()
         one, other, score = self._pairs(places, there, scores)
         first_px, in_first = pair.original(one, 0)
         second_px, in_second = pair.original(other, 1)
@@ -208,10 +208,10 @@ class Loftr:
         grey = pair.pictures @ np.array([0.2989, 0.5870, 0.1140], np.float32)
         blobs = torch.from_numpy(grey[:, None, None])
         with torch.inference_mode():
-            found = self._net({"image0": blobs[0], "image1": blobs[1]})
-        score = found["confidence"].float().numpy()
-        first_px, in_first = pair.original(found["keypoints0"].numpy(), 0)
-        second_px, in_second = pair.original(found["keypoints1"].numpy(), 1)
+            correspondences = self._net({"image0": blobs[0], "image1": blobs[1]})
+        score = correspondences["confidence"].float().numpy()
+        first_px, in_first = pair.original(correspondences["keypoints0"].numpy(), 0)
+        second_px, in_second = pair.original(correspondences["keypoints1"].numpy(), 1)
         kept = in_first & in_second & (score >= self.params.threshold)
         return Matches(first_px[kept], second_px[kept], score[kept].astype(np.float32))
 

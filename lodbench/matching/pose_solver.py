@@ -74,8 +74,8 @@ def open_pose_solver(name: str, **settings: Any) -> PoseSolver:
 
 def reprojection_error_px(points: Floats, pixels: Floats, camera: Camera, pose: Pose) -> Floats:
     """Returns (N,) distances between where points are seen and where a pose puts them; inf behind it."""
-    seen = camera.project((points - pose.center) @ pose.rotation.T)
-    return np.asarray(np.nan_to_num(np.linalg.norm(seen - pixels, axis=1), nan=np.inf))
+    projected = camera.project((points - pose.center) @ pose.rotation.T)
+    return np.asarray(np.nan_to_num(np.linalg.norm(projected - pixels, axis=1), nan=np.inf))
 
 
 def agreeing(
@@ -107,17 +107,17 @@ class _Solver:
         if len(points) < _FEWEST:
             return None
         middle = np.median(points, axis=0)
-        found = self._found(np.ascontiguousarray(points - middle), np.ascontiguousarray(pixels), camera)
-        if found is None:
+        solution = self._estimate(np.ascontiguousarray(points - middle), np.ascontiguousarray(pixels), camera)
+        if solution is None:
             return None
-        turn, translation = found
+        turn, translation = solution
         center = np.asarray(middle - turn.T @ translation, dtype=np.float64)
         if not np.isfinite(center).all():
             return None
         pose = Pose.from_center(turn, center)
         return SolvedPose(pose, agreeing(points, pixels, camera, pose, self.params.threshold_px))
 
-    def _found(self, near: Floats, pixels: Floats, camera: Camera) -> tuple[Floats, Floats] | None:
+    def _estimate(self, near: Floats, pixels: Floats, camera: Camera) -> tuple[Floats, Floats] | None:
         """Returns cam_from_world of the near points, (3, 3) and (3,); None where too few agree."""
         raise NotImplementedError
 
@@ -125,7 +125,7 @@ class _Solver:
 class OpencvPose(_Solver):
     """Solves with OpenCV, which the base install has."""
 
-    def _found(self, near: Floats, pixels: Floats, camera: Camera) -> tuple[Floats, Floats] | None:
+    def _estimate(self, near: Floats, pixels: Floats, camera: Camera) -> tuple[Floats, Floats] | None:
         options = cv2.UsacParams()
         options.threshold = self.params.threshold_px
         options.maxIterations = self.params.max_iterations
@@ -156,7 +156,7 @@ class PoselibPose(_Solver):
 
     package = "poselib"
 
-    def _found(self, near: Floats, pixels: Floats, camera: Camera) -> tuple[Floats, Floats] | None:
+    def _estimate(self, near: Floats, pixels: Floats, camera: Camera) -> tuple[Floats, Floats] | None:
         options = {
             # Two versions call the threshold by two names, and neither minds one it does not know.
             "max_reproj_error": self.params.threshold_px,
@@ -164,10 +164,10 @@ class PoselibPose(_Solver):
             "max_iterations": self.params.max_iterations,
             "success_prob": self.params.confidence,
         }
-        found, info = self._library.estimate_absolute_pose(pixels, near, _pinhole(camera), options, {})
-        if info.get("num_inliers", 0) < _FEWEST or not np.isfinite(found.Rt).all():
+        pose, info = self._library.estimate_absolute_pose(pixels, near, _pinhole(camera), options, {})
+        if info.get("num_inliers", 0) < _FEWEST or not np.isfinite(pose.Rt).all():
             return None
-        return np.asarray(found.R), np.asarray(found.t)
+        return np.asarray(pose.R), np.asarray(pose.t)
 
 
 class PycolmapPose(_Solver):
@@ -175,17 +175,17 @@ class PycolmapPose(_Solver):
 
     package = "pycolmap"
 
-    def _found(self, near: Floats, pixels: Floats, camera: Camera) -> tuple[Floats, Floats] | None:
+    def _estimate(self, near: Floats, pixels: Floats, camera: Camera) -> tuple[Floats, Floats] | None:
         options = self._library.AbsolutePoseEstimationOptions()
         options.ransac.max_error = self.params.threshold_px
         options.ransac.max_num_trials = self.params.max_iterations
         options.ransac.confidence = self.params.confidence
         options.ransac.random_seed = 0
         pinhole = self._library.Camera(**_pinhole(camera))
-        found = self._library.estimate_and_refine_absolute_pose(pixels, near, pinhole, options)
-        if found is None or found["num_inliers"] < _FEWEST:
+        solution = self._library.estimate_and_refine_absolute_pose(pixels, near, pinhole, options)
+        if solution is None or solution["num_inliers"] < _FEWEST:
             return None
-        matrix = np.asarray(found["cam_from_world"].matrix())
+        matrix = np.asarray(solution["cam_from_world"].matrix())
         return matrix[:, :3], matrix[:, 3]
 
 
@@ -296,19 +296,19 @@ def poses_of_pairs(points: Floats, rays: Floats) -> tuple[Floats, Floats]:
         c = (start**2).sum(axis=1) - (apart[:, :2] ** 2).sum(axis=1)
         root = np.sqrt(b * b - a * c)
         depths = np.stack([(-b + root) / a, (-b - root) / a])
-    found_yaws, found_centers = [], []
+    yaws, centers = [], []
     for other in depths:
         depth = offset + other * share
         kept = np.isfinite(depth) & np.isfinite(other) & (depth > 0) & (other > 0)
-        seen = (depth[:, None] * first - other[:, None] * second)[kept]
+        observed = (depth[:, None] * first - other[:, None] * second)[kept]
         real = apart[kept]
-        yaw = np.arctan2(real[:, 1], real[:, 0]) - np.arctan2(seen[:, 1], seen[:, 0])
+        yaw = np.arctan2(real[:, 1], real[:, 0]) - np.arctan2(observed[:, 1], observed[:, 0])
         reach = (depth[:, None] * first)[kept]
         x = np.cos(yaw) * reach[:, 0] - np.sin(yaw) * reach[:, 1]
         y = np.sin(yaw) * reach[:, 0] + np.cos(yaw) * reach[:, 1]
-        found_yaws.append(yaw)
-        found_centers.append(points[kept, 0] - np.stack([x, y, reach[:, 2]], axis=1))
-    return np.concatenate(found_yaws), np.concatenate(found_centers)
+        yaws.append(yaw)
+        centers.append(points[kept, 0] - np.stack([x, y, reach[:, 2]], axis=1))
+    return np.concatenate(yaws), np.concatenate(centers)
 
 
 def _turned(level: Floats, yaw: float) -> Floats:
@@ -320,6 +320,6 @@ def _turned(level: Floats, yaw: float) -> Floats:
 
 def _cost(near: Floats, pixels: Floats, camera: Camera, pose: Pose, limit_px: float) -> float:
     """Returns the sum of squared errors, each at most the limit's (MSAC)."""
-    seen = camera.project((near - pose.center) @ pose.rotation.T)
-    square = np.nan_to_num(((seen - pixels) ** 2).sum(axis=1), nan=np.inf)
+    projected = camera.project((near - pose.center) @ pose.rotation.T)
+    square = np.nan_to_num(((projected - pixels) ** 2).sum(axis=1), nan=np.inf)
     return float(np.minimum(square, limit_px**2).sum())

@@ -213,8 +213,8 @@ class PicturePair:
         Returns:
             (N, 2) COLMAP pixels, and (N,).
         """
-        found = ((np.asarray(places, np.float32) + np.float32(0.5)) / self.factors[number]).astype(np.float32)
-        return found, np.asarray(((found >= 0) & (found <= self.sizes[number])).all(axis=1))
+        uv = ((np.asarray(places, np.float32) + np.float32(0.5)) / self.factors[number]).astype(np.float32)
+        return uv, np.asarray(((uv >= 0) & (uv <= self.sizes[number])).all(axis=1))
 
 
 def make_pair(first: Image, second: Image, longest_px: int, cell_px: int) -> PicturePair:

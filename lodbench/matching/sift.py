@@ -55,8 +55,8 @@ class Sift:
             RenderingError: The picture is no such array.
         """
         grey = cv2.cvtColor(check_image(image), cv2.COLOR_RGB2GRAY)
-        points, found = self._sift.detectAndCompute(grey, None)
-        descriptors = np.zeros((0, 128)) if found is None else found.astype(np.float64)
+        points, raw = self._sift.detectAndCompute(grey, None)
+        descriptors = np.zeros((0, 128)) if raw is None else raw.astype(np.float64)
         descriptors = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
         # OpenCV calls the first pixel's centre 0; SIFT's sub-pixel fit may step over the border by a little.
         places = np.array([point.pt for point in points], dtype=np.float64).reshape(-1, 2) + 0.5
@@ -123,7 +123,7 @@ class MutualNn:
             away[rows, nearest] = np.inf
             second = away.argmin(axis=1)
             # Differences of large squares round: the two that count are measured again.
-            one, two = (np.linalg.norm(some - those[found], axis=1) for found in (nearest, second))
+            one, two = (np.linalg.norm(some - those[neighbours], axis=1) for neighbours in (nearest, second))
             nearest, one, two = (
                 np.where(two < one, second, nearest),
                 np.minimum(one, two),

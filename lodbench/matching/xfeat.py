@@ -110,10 +110,10 @@ class XFeat:
         rows, columns = -(-images.shape[1] // 8), -(-images.shape[2] // 8)
         blob = torch.from_numpy(np.concatenate([_filled_up(image) for image in images]))
         with torch.inference_mode():
-            found = self._trunk(blob.contiguous(memory_format=torch.channels_last))[0]
-        found = found.permute(0, 2, 3, 1).numpy()[:, :rows, :columns]
-        length = np.maximum(np.linalg.norm(found, axis=3, keepdims=True), 1e-12)
-        return np.asarray(found / length, dtype=np.float32)
+            descriptors = self._trunk(blob.contiguous(memory_format=torch.channels_last))[0]
+        descriptors = descriptors.permute(0, 2, 3, 1).numpy()[:, :rows, :columns]
+        length = np.maximum(np.linalg.norm(descriptors, axis=3, keepdims=True), 1e-12)
+        return np.asarray(descriptors / length, dtype=np.float32)
 
     def extract(self, image: Image) -> Features:
         """Returns the features of an (H, W, 3) picture: descriptors (N, 64) of length 1.
@@ -124,14 +124,14 @@ class XFeat:
         import torch
 
         height, width = image.shape[:2]
-        found = self._net.detectAndCompute(torch.from_numpy(_filled_up(image)))[0]
+        features = self._net.detectAndCompute(torch.from_numpy(_filled_up(image)))[0]
         # The network calls the first pixel's centre 0.
-        places = found["keypoints"].numpy().reshape(-1, 2).astype(np.float32) + np.float32(0.5)
+        places = features["keypoints"].numpy().reshape(-1, 2).astype(np.float32) + np.float32(0.5)
         inside = (places < (width, height)).all(axis=1)
         return Features(
             keypoints=places[inside],
-            descriptors=found["descriptors"].numpy().reshape(-1, 64).astype(np.float32)[inside],
-            scores=found["scores"].numpy().astype(np.float32)[inside],
+            descriptors=features["descriptors"].numpy().reshape(-1, 64).astype(np.float32)[inside],
+            scores=features["scores"].numpy().astype(np.float32)[inside],
             size=(width, height),
         )
 
@@ -161,9 +161,9 @@ class XFeatNn(MutualNn):
 
     def match(self, first: Features, second: Features) -> Matches:
         """Returns the matches, in the first picture's order; the score is minus the distance."""
-        found = super().match(first, second)
-        near = -found.scores <= self.params.max_distance  # type: ignore[attr-defined]
-        return Matches(found.first[near], found.second[near], found.scores[near])
+        matches = super().match(first, second)
+        near = -matches.scores <= self.params.max_distance  # type: ignore[attr-defined]
+        return Matches(matches.first[near], matches.second[near], matches.scores[near])
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,9 +231,9 @@ class XFeatLighterGlue:
             }
 
         with torch.inference_mode():
-            found = self._net({"image0": side(first), "image1": side(second)})
-        here, there = found["matches"][0].numpy().reshape(-1, 2).T
-        scores = found["scores"][0].numpy().astype(np.float32)
+            prediction = self._net({"image0": side(first), "image1": side(second)})
+        here, there = prediction["matches"][0].numpy().reshape(-1, 2).T
+        scores = prediction["scores"][0].numpy().astype(np.float32)
         return Matches(first.keypoints[here], second.keypoints[there], scores)
 
 

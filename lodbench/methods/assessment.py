@@ -141,13 +141,13 @@ def edge_excess(edges: PhotoEdges, laid: Projected) -> float | None:
     count = len(laid.pixels)
     if count < FEWEST_POINTS:
         return None
-    found = edges.across(laid.pixels, laid.normals, max(_ASIDE_PX) + _ON_PX)
-    if not len(found.points):
+    candidates = edges.across(laid.pixels, laid.normals, max(_ASIDE_PX) + _ON_PX)
+    if not len(candidates.points):
         return None
 
     def share(aside_px: float) -> float:
         near = np.zeros(count, dtype=bool)
-        near[found.points[np.abs(found.distances - aside_px) < _ON_PX]] = True
+        near[candidates.points[np.abs(candidates.distances - aside_px) < _ON_PX]] = True
         return float(near.mean())
 
     return share(0.0) - float(np.mean([share(aside) for aside in _ASIDE_PX]))
@@ -187,9 +187,9 @@ def _camera_sigmas(query: Query) -> Floats:
     """Returns (4,) deviations in the order of ``LensErrors``, less what the method knows already."""
     if query.camera_sigmas is None:
         return np.zeros(4)
-    found, known = _sigmas_of(query.camera_sigmas), 0.01 * (query.lens_percent or 0.0)
-    found[0] = np.sqrt(max(found[0] ** 2 - known**2, 0.0))
-    return found
+    sigmas, known = _sigmas_of(query.camera_sigmas), 0.01 * (query.lens_percent or 0.0)
+    sigmas[0] = np.sqrt(max(sigmas[0] ** 2 - known**2, 0.0))
+    return sigmas
 
 
 def _sigmas_of(sigmas: CameraSigmas) -> Floats:

@@ -96,17 +96,17 @@ class Auto:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
             ConfigError: The segmenter's weights are missing or no network.
         """
-        found = self._by_pixels.localize(query, city_map, streams)
-        by_pixels = assessed(found, query, city_map, self._by_pixels.params)
+        estimate = self._by_pixels.localize(query, city_map, streams)
+        by_pixels = assessed(estimate, query, city_map, self._by_pixels.params)
         if query.segment is None or (by_pixels.probability or 0.0) >= TRUSTED:
             return by_pixels
         try:
             query = replace(query, building_probability=query.segment(query.prior))
-            found = self._by_mask.localize(query, city_map, streams)
+            estimate = self._by_mask.localize(query, city_map, streams)
         except QueryFault as fault:
             note = f"a mask was tried as well, without result: {fault.message.rstrip('.')}"
             return replace(by_pixels, notes=(*by_pixels.notes, note))
-        by_mask = assessed(found, query, city_map, self._by_mask.params)
+        by_mask = assessed(estimate, query, city_map, self._by_mask.params)
         return fuse_estimates(by_pixels, replace(by_mask, mask=query.building_probability))
 
 

@@ -91,16 +91,16 @@ def localize_flight(
     city_map.usage.take()
     started = time.perf_counter()
     if alone is not None and isinstance(method, SupportsPhotosAlone):
-        found = method.solve(queries, alone, city_map)
+        flight = method.solve(queries, alone, city_map)
     else:
-        found = method.localize_flight(queries, city_map, streams)
-    if not isinstance(found, FlightEstimate) or len(found.estimates) != len(queries):
+        flight = method.localize_flight(queries, city_map, streams)
+    if not isinstance(flight, FlightEstimate) or len(flight.estimates) != len(queries):
         raise TypeError(f"localize_flight returned no FlightEstimate of {len(queries)} photos")
     try:
-        json.dumps(found.findings, sort_keys=True)
+        json.dumps(flight.findings, sort_keys=True)
     except (TypeError, ValueError, RecursionError) as error:
         raise TypeError(f"findings of a flight are no JSON values: {error}") from error
-    return FlightEstimate(_shared_out(found.estimates, queries, city_map, method, started), found.findings)
+    return FlightEstimate(_shared_out(flight.estimates, queries, city_map, method, started), flight.findings)
 
 
 def localize_next(follower: Follower, query: Query, city_map: CityMap, streams: Streams) -> Estimate:

@@ -164,10 +164,10 @@ class LodLocV2:
         def scorer_at(size: tuple[int, int]) -> Scoring:
             return PoseScorer(query, city_map, size, self.params.fit)
 
-        found = search(scorer_at, query.prior, self.params, streams)
-        if found.score <= 0:
+        estimate = search(scorer_at, query.prior, self.params, streams)
+        if estimate.score <= 0:
             raise nothing_fits("no hypothesis fits the query")
-        return found
+        return estimate
 
 
 def search(

@@ -178,17 +178,17 @@ class Tracker:
         if not (query.mask >= 0.5).any():
             return self._keep(query, _TrackedPose(self._predicted(query), 0.0), LOST)
         if self._time_s is None:
-            found = self._searched(query, self._vector, ContourAlignmentParams(), streams)
-            return self._keep(query, found, TRACKED if found.iou >= self.params.least_iou else LOST)
+            candidate = self._searched(query, self._vector, ContourAlignmentParams(), streams)
+            return self._keep(query, candidate, TRACKED if candidate.iou >= self.params.least_iou else LOST)
         predicted = self._predicted(query)
         if not self._lost:
-            found = self._aligned(query, predicted)
-            if found.iou >= self._least():
-                return self._keep(query, found, TRACKED)
-        found = self._searched(query, predicted, self.params.search(self._lost + 1), streams)
-        if found.iou >= self._least():
-            return self._keep(query, found, FOUND)
-        return self._keep(query, _TrackedPose(predicted, found.iou), LOST)
+            candidate = self._aligned(query, predicted)
+            if candidate.iou >= self._least():
+                return self._keep(query, candidate, TRACKED)
+        candidate = self._searched(query, predicted, self.params.search(self._lost + 1), streams)
+        if candidate.iou >= self._least():
+            return self._keep(query, candidate, FOUND)
+        return self._keep(query, _TrackedPose(predicted, candidate.iou), LOST)
 
     def _predicted(self, query: Query) -> Floats:
         seconds = 0.0 if self._time_s is None else _time_of(query) - self._time_s
@@ -227,31 +227,31 @@ class Tracker:
         return _TrackedPose(vector[:6], here.iou, covariance, probability_within(covariance, vector[:6]))
 
     def _searched(
-        self, query: Query, around: Floats, params: ContourAlignmentParams, streams: Streams
+        self, query: Query, start: Floats, params: ContourAlignmentParams, streams: Streams
     ) -> _TrackedPose:
         """Returns the best place within a search; its IoU is 0 where none fits."""
         try:
-            found = ContourAlignment(params).localize(_from(query, around), self._map, streams)
+            estimate = ContourAlignment(params).localize(_from(query, start), self._map, streams)
         except QueryFault:
-            return _TrackedPose(around, 0.0)
-        vector, probability = vector_from_pose(found.pose), found.probability or 0.0
-        return _TrackedPose(vector, float(found.score), found.covariance, probability)
+            return _TrackedPose(start, 0.0)
+        vector, probability = vector_from_pose(estimate.pose), estimate.probability or 0.0
+        return _TrackedPose(vector, float(estimate.score), estimate.covariance, probability)
 
-    def _keep(self, query: Query, found: _TrackedPose, state: str) -> Estimate:
+    def _keep(self, query: Query, tracked: _TrackedPose, state: str) -> Estimate:
         """Remembers what became of a frame, and returns it."""
         if state == LOST:
             self._lost += 1
         else:
-            self._motion = self._motion_to(query, found.vector) if state == TRACKED else np.zeros(6)
+            self._motion = self._motion_to(query, tracked.vector) if state == TRACKED else np.zeros(6)
             self._lost = 0
-            self._ious.append(found.iou)
-            self._vector = found.vector
+            self._ious.append(tracked.iou)
+            self._vector = tracked.vector
             self._time_s = _time_of(query)
         # One frame says how sure it is by itself: nothing of it is calibrated.
-        known = (None, 0.0) if state == LOST else (found.covariance, found.probability)
+        known = (None, 0.0) if state == LOST else (tracked.covariance, tracked.probability)
         return Estimate(
-            pose_from_vector(found.vector),
-            found.iou,
+            pose_from_vector(tracked.vector),
+            tracked.iou,
             covariance=known[0],
             probability=known[1],
             notes=() if state == TRACKED else (state,),
@@ -268,14 +268,14 @@ class Tracker:
         return np.asarray(_NEWS * new + (1.0 - _NEWS) * self._motion if self._motion.any() else new)
 
 
-def state_of(found: Estimate) -> str:
+def state_of(estimate: Estimate) -> str:
     """Returns what became of a frame: ``TRACKED``, ``FOUND`` or ``LOST``."""
-    return found.notes[0] if found.notes else TRACKED
+    return estimate.notes[0] if estimate.notes else TRACKED
 
 
-def _from(query: Query, around: Floats) -> Query:
+def _from(query: Query, vector: Floats) -> Query:
     """Returns a query whose search starts elsewhere; frames that follow another have the lens as declared."""
-    return replace(query, prior=pose_from_vector(around))
+    return replace(query, prior=pose_from_vector(vector))
 
 
 def _time_of(query: Query) -> float:

@@ -292,9 +292,9 @@ def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
     """
     require_lens_picture(photo)
     width, height = _size_when_taken(photo)
-    found = _calibrated(photo, width, height)
-    if found is not None:
-        return found
+    calibrated = _calibrated(photo, width, height)
+    if calibrated is not None:
+        return calibrated
     for fx, fy, source, percent in focal_lengths(photo, width, height):
         if source == "focal_plane":
             _require_own_pixels(photo, fx, width, height)
@@ -494,8 +494,8 @@ def _source_pixels(
     x = np.arange(pinhole.width) + 0.5 if x is None else x
     y = np.arange(pinhole.height) + 0.5 if y is None else y
     ray_x, ray_y = np.meshgrid((x - pinhole.cx) / pinhole.fx, (y - pinhole.cy) / pinhole.fy)
-    seen_x, seen_y = distort(camera.lens, camera.distortion, ray_x, ray_y)
-    return camera.fx * seen_x + camera.cx, camera.fy * seen_y + camera.cy
+    distorted_x, distorted_y = distort(camera.lens, camera.distortion, ray_x, ray_y)
+    return camera.fx * distorted_x + camera.cx, camera.fy * distorted_y + camera.cy
 
 
 def _is_shown(camera: Camera, zoom: float) -> bool:

@@ -42,16 +42,16 @@ def find_photos(folder: Path, masks: Path | None = None, *others: Path | None) -
         return [folder]
     pictures = (path for path in folder.rglob("*") if path.suffix.lower() in PHOTO_SUFFIXES)
     # macOS keeps files of its own beside photos that it copies to a card, in the same ending.
-    found = sorted(path for path in pictures if not path.name.startswith("._") and not path.is_dir())
-    if not found:
+    paths = sorted(path for path in pictures if not path.name.startswith("._") and not path.is_dir())
+    if not paths:
         raise DatasetError(f"{folder} holds no photos.", f"Looked for {', '.join(PHOTO_SUFFIXES)} files.")
     aside_from = [other.resolve() for other in (masks, *others) if other is not None]
     aside = [other for other in aside_from if not folder.resolve().is_relative_to(other)]
     are_photos = {
         parent: not any(parent.resolve().is_relative_to(other) for other in aside)
-        for parent in {path.parent for path in found}
+        for parent in {path.parent for path in paths}
     }
-    photos = [path for path in found if are_photos[path.parent]]
+    photos = [path for path in paths if are_photos[path.parent]]
     made = {path.with_name(mask_name(path.stem)) for path in photos}
     if masks is not None and masks.resolve() not in aside:
         made |= {path.with_suffix(".png") for path in photos if path.suffix.lower() != ".png"}
@@ -163,7 +163,7 @@ def split_flights(photos: Sequence[tuple[Path, PhotoMetadata]]) -> list[Flight]:
     for (_, key), rows in groups.items():
         rows.sort(key=lambda row: natural_key(photos[row][0].name))
         by_camera.setdefault(key, []).extend(_split_folder(rows, [stated for _, stated in photos]))
-    flights = [flight for found in by_camera.values() for flight in _joined(found)]
+    flights = [flight for camera_flights in by_camera.values() for flight in _joined(camera_flights)]
     return sorted(flights, key=lambda flight: min(flight.rows))
 
 
@@ -217,12 +217,12 @@ def _rising(times: Sequence[datetime | None]) -> set[int]:
         before[place] = places[length - 1] if length else None
         ends[length : length + 1] = [time]
         places[length : length + 1] = [place]
-    found: set[int] = set()
+    subsequence: set[int] = set()
     last = places[-1] if places else None
     while last is not None:
-        found.add(last)
+        subsequence.add(last)
         last = before[last]
-    return found
+    return subsequence
 
 
 def _taken_at(stated: PhotoMetadata) -> datetime | None:

@@ -63,14 +63,14 @@ class Measurements:
 
     def words(self) -> list[str]:
         """Returns it in words of a text file, with as many digits as restore it."""
-        found = {name: s for name, s in zip(AXES, self.sigmas, strict=True) if s is not None}
+        numbers = {name: s for name, s in zip(AXES, self.sigmas, strict=True) if s is not None}
         if self.laser is not None:
-            found |= {"range": self.laser.range_m, "sigma_range": self.laser.sigma_m}
+            numbers |= {"range": self.laser.range_m, "sigma_range": self.laser.sigma_m}
         if self.takeoff_height_m is not None:
-            found |= {"takeoff": self.takeoff_height_m, "sigma_takeoff": self.takeoff_sigma_m}
+            numbers |= {"takeoff": self.takeoff_height_m, "sigma_takeoff": self.takeoff_sigma_m}
         if self.time_s is not None:
-            found |= {"time": self.time_s}
-        return [f"{name}={float(value)!r}" for name, value in found.items()]
+            numbers |= {"time": self.time_s}
+        return [f"{name}={float(value)!r}" for name, value in numbers.items()]
 
 
 _WORDS = (*AXES, "range", "sigma_range", "takeoff", "sigma_takeoff", "time")
@@ -136,8 +136,8 @@ def measured_of(
     if heights.source_for(photo) == "takeoff" or height_doubt(photo):
         wrong.append(2)
     sigmas = [s if s is None or k > 2 else math.hypot(s, FRAME_M) for k, s in enumerate(photo.sigmas)]
-    found = Measurements(tuple(sigmas), photo.laser, photo.relative_altitude_m).without_sigmas(wrong)
-    return None if found == Measurements() else found
+    measured = Measurements(tuple(sigmas), photo.laser, photo.relative_altitude_m).without_sigmas(wrong)
+    return None if measured == Measurements() else measured
 
 
 # A datum shift known no better than this is worth telling.
@@ -215,9 +215,9 @@ def _mixed_note(photos: Sequence[PhotoMetadata], options: HeightOptions) -> str 
 
 def _doubt_note(photos: Sequence[PhotoMetadata], options: HeightOptions) -> str | None:
     """Returns a sentence if heights may be above the ellipsoid though they are not taken so."""
-    is_told = options.source != "auto" or options.takeoff_m is not None
+    is_given = options.source != "auto" or options.takeoff_m is not None
     doubts = [doubt for doubt in map(height_doubt, photos) if doubt]
-    if not doubts or is_told:
+    if not doubts or is_given:
         return None
     return (
         f"heights of {len(doubts)} of {len(photos)} photos are taken as above sea level, and may be above "

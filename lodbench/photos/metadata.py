@@ -155,22 +155,22 @@ def stated_at_start(subtitles: Path, video: PhotoMetadata) -> PhotoMetadata:
     """
     with subtitles.open("rb") as stream:
         text = stream.read(_MOST_BYTES).decode("utf-8", "replace")
-    found: dict[str, Any] = {}
+    stated: dict[str, Any] = {}
     # Texts of subtitles follow a line of times.
     for cue in (part.partition("\n")[2] for part in text.split("-->")[1 : 1 + _FIRST_CUES]):
-        found = _stated(cue) | found
-    if not any(found.get(name) for name in _ANGLES):  # zeros, wherever it looks
-        found = {name: value for name, value in found.items() if name not in _ANGLES}
-    if not found:  # of a film
+        stated = _stated(cue) | stated
+    if not any(stated.get(name) for name in _ANGLES):  # zeros, wherever it looks
+        stated = {name: value for name, value in stated.items() if name not in _ANGLES}
+    if not stated:  # of a film
         return video
-    return PhotoMetadata(video.name, video.width, video.height, make="DJI", **found)
+    return PhotoMetadata(video.name, video.width, video.height, make="DJI", **stated)
 
 
 def _stated(cue: str) -> dict[str, float]:
     named = ((_NAMES.get(name.lower()), number_of(number)) for name, number in _NAMED.findall(cue))
-    found = {name: number for name, number in named if name is not None and number is not None}
+    stated = {name: number for name, number in named if name is not None and number is not None}
     if match := _GPS.search(cue):
-        found |= {"longitude_deg": float(match[1]), "latitude_deg": float(match[2])}
+        stated |= {"longitude_deg": float(match[1]), "latitude_deg": float(match[2])}
     if match := _GIMBAL.search(cue):
-        found |= dict(zip(_ANGLES, map(float, match.groups()), strict=True))
-    return found | place_of(found.pop("latitude_deg", None), found.pop("longitude_deg", None))
+        stated |= dict(zip(_ANGLES, map(float, match.groups()), strict=True))
+    return stated | place_of(stated.pop("latitude_deg", None), stated.pop("longitude_deg", None))

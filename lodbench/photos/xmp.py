@@ -194,14 +194,14 @@ def _projection(properties: list[_Property]) -> str:
 
 def _field_of_view(properties: list[_Property]) -> dict[str, float]:
     """Returns the fields of view that XMP states, degrees, across and down."""
-    found: dict[str, float] = {}
+    fields_deg: dict[str, float] = {}
     for each in properties:
         match = _FIELD_OF_VIEW.fullmatch(each.name.rpartition("/")[2])
         number = number_of(each.value.rstrip(" \N{DEGREE SIGN}degrs")) if match else None
         if match and number is not None and 0 < number < 180:
             axis = (match[1] or match[2]).lower()
-            found.setdefault("field_across_deg" if axis == "h" else "field_down_deg", number)
-    return found
+            fields_deg.setdefault("field_across_deg" if axis == "h" else "field_down_deg", number)
+    return fields_deg
 
 
 def _pix4d(properties: list[_Property]) -> dict[str, float]:
@@ -240,15 +240,15 @@ def _without_angles(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _other_angles(properties: list[_Property]) -> str:
     """Returns a clause that quotes the angles of namespaces that are not read; "" where there are none."""
-    found: dict[str, str] = {}
+    angles: dict[str, str] = {}
     for each in properties:
         is_read = any(part in each.namespace for part in _PROPERTIES)
         is_angle = _OTHER_ANGLE.fullmatch(each.name.rpartition("/")[2])
         if is_angle and not is_read and _LIGHT_SENSOR not in each.namespace.lower():
             number = _WRITTEN_NUMBER.fullmatch(each.value.strip())
             name = f"{each.prefix[:20]}:{each.name[:40]}" if each.prefix else each.name[:40]
-            found.setdefault(name, f"{name} {number[0]}" if number else name)
-    listed = ", ".join([*found.values()][:6])
+            angles.setdefault(name, f"{name} {number[0]}" if number else name)
+    listed = ", ".join([*angles.values()][:6])
     return f"its XMP states {listed}, which makers mean differently" if listed else ""
 
 
@@ -271,10 +271,10 @@ def _rtk(properties: Mapping[str, str]) -> dict[str, bool]:
     """Returns whether a height is an RTK receiver's, and whether nobody says if it is."""
     flag = number_of(properties.get("RtkFlag")) or 0.0
     is_single = flag == _SINGLE_POINT
-    is_told = is_single and properties.get("AltitudeType", "").strip() == _BY_RTK
+    is_rtk = is_single and properties.get("AltitudeType", "").strip() == _BY_RTK
     return {
-        "has_rtk": is_told or _RTK_FLOAT <= flag <= _RTK_FIXED,
-        "is_single_point": is_single and not is_told,
+        "has_rtk": is_rtk or _RTK_FLOAT <= flag <= _RTK_FIXED,
+        "is_single_point": is_single and not is_rtk,
     }
 
 

@@ -417,8 +417,8 @@ class Open3dRenderer:
 
     def depth(self, camera: Camera, pose: Pose) -> NDArray[np.float32]:
         """Returns (H, W) float32 depth along the optical axis, metres; 0 where there is nothing."""
-        found = self._caster.cast_rays(self._rays(camera, pose), nthreads=self._threads)["t_hit"]
-        hits = np.asarray(found.numpy(), dtype=np.float32)
+        t_hit = self._caster.cast_rays(self._rays(camera, pose), nthreads=self._threads)["t_hit"]
+        hits = np.asarray(t_hit.numpy(), dtype=np.float32)
         return np.where(np.isfinite(hits), hits + np.float32(NEAR_M), np.float32(0))
 
     def _rays(self, camera: Camera, pose: Pose) -> Any:

@@ -17,7 +17,7 @@ from lodbench.kernels.arguments import DIRECTIONS, EDGE_LEVELS, MAX_STRENGTH, ST
 _KERNEL_PX = 16.0
 
 
-def mean_around(picture: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+def gaussian_mean(picture: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
     """Returns the Gaussian mean around each pixel of an (H, W) picture."""
     height, width = picture.shape
     smaller = max(1, int(sigma_px / _KERNEL_PX))
@@ -39,7 +39,7 @@ _GREY_SPREAD = 2.0
 _LOCAL_SHARE, _LOCAL_PARTS = 0.7, 8.0
 # Levels of the strength of edges, and the part of the width that their mean is taken over.
 _EDGE_LEVELS = 12
-_AROUND_SHARE = 12.0
+_MEAN_SHARE = 12.0
 # Over how many pixels the texture is smoothed, standard deviation.
 _TEXTURE_PX = 2.0
 
@@ -104,8 +104,8 @@ def edge_bins(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Edg
     """
     lab = _blurred_lab(photo, size, blur_px)
     gradients = [np.abs(cv2.Sobel(lab, cv2.CV_32F, *axis)).sum(axis=2) for axis in ((1, 0), (0, 1))]
-    around = mean_around(gradients[0] + gradients[1], size[0] / _AROUND_SHARE) + np.float32(1e-3)
-    across, down = (_levels(gradient / around, _EDGE_LEVELS).astype(np.uint16) for gradient in gradients)
+    local_mean = gaussian_mean(gradients[0] + gradients[1], size[0] / _MEAN_SHARE) + np.float32(1e-3)
+    across, down = (_levels(gradient / local_mean, _EDGE_LEVELS).astype(np.uint16) for gradient in gradients)
     return EdgeBins(across, down, _EDGE_LEVELS)
 
 
@@ -129,8 +129,8 @@ def _local(channel: Picture) -> Picture:
 
     Eq. (R1) of docs/methods/region.md.
     """
-    around = mean_around(channel, channel.shape[1] / _LOCAL_PARTS)
-    return np.asarray(channel - np.float32(_LOCAL_SHARE) * around, dtype=np.float32)
+    local_mean = gaussian_mean(channel, channel.shape[1] / _LOCAL_PARTS)
+    return np.asarray(channel - np.float32(_LOCAL_SHARE) * local_mean, dtype=np.float32)
 
 
 def _texture(grey: Picture) -> Picture:
@@ -167,7 +167,7 @@ def gradient_forms(
     across, down = (cv2.split(cv2.Sobel(lab, cv2.CV_32F, *axis, scale=0.125)) for axis in ((1, 0), (0, 1)))
     pairs = ((across, across), (across, down), (down, down))
     xx, xy, yy = (one[0] * other[0] + one[1] * other[1] + one[2] * other[2] for one, other in pairs)
-    squares = (mean_around(np.sqrt(xx + yy), size[0] / _AROUND_SHARE) + np.float32(least_mean)) ** 2
+    squares = (gaussian_mean(np.sqrt(xx + yy), size[0] / _MEAN_SHARE) + np.float32(least_mean)) ** 2
     return np.asarray(cv2.merge([xx / squares, xy / squares, yy / squares]), dtype=np.float32)
 
 

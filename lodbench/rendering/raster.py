@@ -200,8 +200,10 @@ class RasterRenderer:
 
         def tasks() -> Iterator[tuple[int, Band, NDArray[np.int64]]]:
             for view in range(len(centers)):
-                seen = kernels.visible_buildings(self._mesh.spheres, rotations[view], centers[view], planes)
-                yield from ((view, band, seen) for band in bands)
+                visible = kernels.visible_buildings(
+                    self._mesh.spheres, rotations[view], centers[view], planes
+                )
+                yield from ((view, band, visible) for band in bands)
 
         if self._pool is None:
             for task in tasks():

@@ -41,8 +41,8 @@ class Layers:
 
         Buildings in front hide those behind: the masks do not overlap, and their union is ``mask``.
         """
-        seen = np.unique(self.building)
-        return {int(b): self.building == b for b in seen if b >= 0}
+        buildings = np.unique(self.building)
+        return {int(b): self.building == b for b in buildings if b >= 0}
 
 
 Floats = NDArray[np.float64]

@@ -287,11 +287,11 @@ class SilhouetteRenderer:
         """
         view, (rotation, center) = _view(camera), projection.pose_arrays(pose)
         poses = rotation[None], center[None]
-        seen = np.sort(projection.select_buildings(self._arrays, *poses, view.planes))
+        visible = np.sort(projection.select_buildings(self._arrays, *poses, view.planes))
         scratch, words = self._working_memory(camera)
         return Instances(
             (camera.width, camera.height),
-            *draw_instances(self._arrays, seen, *poses, view, scratch, words[:1]),
+            *draw_instances(self._arrays, visible, *poses, view, scratch, words[:1]),
         )
 
     def silhouettes(self, camera: Camera, rotations: Floats, centers: Floats) -> Words:

@@ -81,10 +81,10 @@ class Ground:
     def distances(self, center: Floats, directions: Floats) -> Floats:
         """Returns (N,) in how many of its lengths each of (N, 3) rays meets the ground; inf for never."""
         low, high = self._bases[:, 2].min() - _BEYOND_M, self._bases[:, 2].max() + _BEYOND_M
-        found = np.full(len(directions), np.inf)
+        distances = np.full(len(directions), np.inf)
         falls = np.flatnonzero(directions[:, 2] < 0)
         if center[2] <= low or not len(falls):
-            return found
+            return distances
         rays = directions[falls]
         first = np.maximum(0.0, (high - center[2]) / rays[:, 2])
         last = (low - center[2]) / rays[:, 2]
@@ -111,8 +111,8 @@ class Ground:
                 break
         # Not where no building is near, nor at a camera that is in the ground.
         is_known = np.isfinite(self.at((center + away[:, None] * rays)[:, :2]).height_m) & (away > first)
-        found[falls[is_known]] = away[is_known]
-        return found
+        distances[falls[is_known]] = away[is_known]
+        return distances
 
 
 GROUND = "ground"
@@ -202,10 +202,10 @@ class Surfaces:
                 tested, _ = take_segments(scene.triangle_starts, building[rows])
                 owner = np.repeat(ray[rows], counts[rows])
                 corners = scene.vertices[scene.triangles[tested]].astype(np.float64)
-                found = _triangle_distances(center, rays[owner], corners)
-                is_near = found < away[owner]
-                order = np.flatnonzero(is_near)[np.argsort(-found[is_near], kind="stable")]
-                away[owner[order]], triangle[owner[order]] = found[order], tested[order]
+                distances = _triangle_distances(center, rays[owner], corners)
+                is_near = distances < away[owner]
+                order = np.flatnonzero(is_near)[np.argsort(-distances[is_near], kind="stable")]
+                away[owner[order]], triangle[owner[order]] = distances[order], tested[order]
         return away, triangle
 
     def _boxes_on(

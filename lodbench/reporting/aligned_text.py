@@ -55,8 +55,8 @@ def plain_lines(text: str) -> str:
     return _CONTROLS.sub(_kept, _SEQUENCES.sub("", text))
 
 
-def _kept(found: re.Match[str]) -> str:
-    return found[0] if found[0] in "\n\t" else " "
+def _kept(match: re.Match[str]) -> str:
+    return match[0] if match[0] in "\n\t" else " "
 
 
 def csv_cell(value: object) -> str:

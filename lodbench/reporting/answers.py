@@ -55,7 +55,9 @@ def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction])
     answered = sum(predictions[str(key)].pose is not None for key in queries.index)
     is_said = any(predictions[str(key)].probability is not None for key in queries.index)
     notes = [f"{key}: {note}" for key in queries.index for note in predictions[str(key)].notes]
-    reasons = Counter(found.failure for key in queries.index if (found := predictions[str(key)]).pose is None)
+    reasons = Counter(
+        answer.failure for key in queries.index if (answer := predictions[str(key)]).pose is None
+    )
     notes = [f"{count} x {reason}" for reason, count in sorted(reasons.items()) if reason] + notes
     basis = "goes by the probability that the method gives of being within 2 m and 2 degrees"
     return (
@@ -92,11 +94,11 @@ def is_trusted(probability: float | None, score: float | None, has_mask: bool) -
 
 def untrusted_note(predictions: Iterable[Prediction]) -> str:
     """Returns a line that says how many poses are unreliable, and what to do; "" if none."""
-    answered = [found for found in predictions if found.pose is not None]
-    count = sum(trust_of(found) == UNTRUSTED for found in answered)
+    answered = [answer for answer in predictions if answer.pose is not None]
+    count = sum(trust_of(answer) == UNTRUSTED for answer in answered)
     if not count:
         return ""
-    has_masks = any(found.mask_png for found in answered)
+    has_masks = any(answer.mask_png for answer in answered)
     overlap = f", or IoU of mask and model below {TRUSTED_OVERLAP:g}" if has_masks else ""
     return (
         f"{count} of {len(answered)} poses are unreliable (probability below "
@@ -157,31 +159,31 @@ def trust_counts(words: Iterable[str]) -> str:
     return ", ".join(f"{count[word]} {called}" for word, called in _COUNTED.items() if count[word])
 
 
-def _cells(key: str, found: Prediction) -> list[str]:
+def _cells(key: str, answer: Prediction) -> list[str]:
     place = ["-"] * 6
-    if found.pose is not None:
-        look = look_from_rotation(found.pose.rotation)
-        place = [f"{value:z.2f}" for value in (*found.pose.center, *look)]
-    score = finite_text(math.nan if found.score is None else found.score, ".3f")
-    sure = "-" if found.probability is None else probability_text(found.probability, 3)
-    return [plain_text(key), *place, score, sure, trust_of(found)]
+    if answer.pose is not None:
+        look = look_from_rotation(answer.pose.rotation)
+        place = [f"{value:z.2f}" for value in (*answer.pose.center, *look)]
+    score = finite_text(math.nan if answer.score is None else answer.score, ".3f")
+    sure = "-" if answer.probability is None else probability_text(answer.probability, 3)
+    return [plain_text(key), *place, score, sure, trust_of(answer)]
 
 
-def why_of(found: Prediction) -> tuple[str, ...]:
+def why_of(answer: Prediction) -> tuple[str, ...]:
     """Returns why an answer is not to be trusted fully, and its method's notes; empty for neither."""
-    if found.pose is None:
+    if answer.pose is None:
         return ()
     # Of the upper triangle, row by row.
-    variances = np.array(found.covariance)[[0, 6, 11, 15, 18, 20]] if found.covariance else None
+    variances = np.array(answer.covariance)[[0, 6, 11, 15, 18, 20]] if answer.covariance else None
     return reasons_for_doubt(
-        trust_of(found),
-        found.pose,
-        found.notes,
+        trust_of(answer),
+        answer.pose,
+        answer.notes,
         variances,
-        found.alternatives,
-        found.alternative_probabilities,
-        overlap=found.score if found.mask_png else None,
-        trace=found.trace,
+        answer.alternatives,
+        answer.alternative_probabilities,
+        overlap=answer.score if answer.mask_png else None,
+        trace=answer.trace,
     )
 
 

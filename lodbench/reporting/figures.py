@@ -171,11 +171,11 @@ def _budget_curve(
 
 def _reliability(axes: Axes, calibration: Calibration, colour: str, number_offset: int) -> None:
     confidence = [100 * b.confidence for b in calibration.bins]
-    found = [100 * b.found for b in calibration.bins]
-    below = [100 * (b.found - b.interval[0]) for b in calibration.bins]
-    above = [100 * (b.interval[1] - b.found) for b in calibration.bins]
-    axes.errorbar(confidence, found, yerr=[below, above], color=colour, fmt="o", markersize=4, linewidth=1)
-    for x, y, b in zip(confidence, found, calibration.bins, strict=True):
+    shares = [100 * b.hit_share for b in calibration.bins]
+    below = [100 * (b.hit_share - b.interval[0]) for b in calibration.bins]
+    above = [100 * (b.interval[1] - b.hit_share) for b in calibration.bins]
+    axes.errorbar(confidence, shares, yerr=[below, above], color=colour, fmt="o", markersize=4, linewidth=1)
+    for x, y, b in zip(confidence, shares, calibration.bins, strict=True):
         axes.annotate(
             str(b.count), (x, y), (4, number_offset), textcoords="offset points", fontsize=7, color=colour
         )
@@ -419,25 +419,25 @@ def comparison_cells(rows: Iterable[Comparison], names: tuple[str, str]) -> list
     return body
 
 
-def agreement_text(found: Agreement | None) -> str:
+def agreement_text(agreement: Agreement | None) -> str:
     """Returns in words how far the answers of two runs lie apart; "" where no query has two."""
-    if found is None:
+    if agreement is None:
         return ""
     return (
-        f"Both runs answered {count_of(found.answered, 'queries')}; {found.within} within 2 m and 2 deg of "
-        f"each other; median difference {found.median_m:.2f} m ({found.median_plan_m:.2f} m in plan, "
-        f"{found.median_height_m:.2f} m in height) and {found.median_deg:.2f} deg."
+        f"Both runs answered {count_of(agreement.answered, 'queries')}; {agreement.within} within 2 m and "
+        f"2 deg of each other; median difference {agreement.median_m:.2f} m ({agreement.median_plan_m:.2f} m "
+        f"in plan, {agreement.median_height_m:.2f} m in height) and {agreement.median_deg:.2f} deg."
     )
 
 
-def format_apart(found: Mapping[str, Apart]) -> str:
+def format_apart(differences: Mapping[str, Apart]) -> str:
     """Returns how far answers to the same photos lie apart, a line each, those furthest apart first."""
-    ranked = sorted(found.items(), key=lambda item: (-item[1].error.translation_m, item[0]))
+    ranked = sorted(differences.items(), key=lambda item: (-item[1].error.translation_m, item[0]))
     rows = [["", "apart m", "apart deg", "in plan m", "in height m"]]
     for key, ((metres, degrees), parts) in ranked[:_MOST_LINES]:
         numbers = [f"{metres:.2f}", f"{degrees:.2f}", f"{parts.horizontal_m:.2f}", f"{parts.vertical_m:+.2f}"]
         rows.append([plain_text(key), *numbers])
-    left = len(found) - _MOST_LINES
+    left = len(differences) - _MOST_LINES
     more = f"\n{count_of(left, 'more photos')}: --out compared.html shows all" if left > 0 else ""
     return f"{format_columns(rows)}{more}"
 

@@ -246,10 +246,10 @@ def build_leaderboard(root: Path) -> dict[Path, str]:
         (
             name,
             _HEADS.get(name, ""),
-            facts(Counter(entry["source"] for entry in found)),
-            best_of(blocks_of(found)),
+            facts(Counter(entry["source"] for entry in members)),
+            best_of(blocks_of(members)),
         )
-        for name, found in datasets.items()
+        for name, members in datasets.items()
     ]
     texts = {root / INDEX: rendered("leaderboard_index.html.jinja", boards=boards)}
     for name, entries in datasets.items():
@@ -293,12 +293,12 @@ def blocks_of(entries: Sequence[Entry]) -> list[Block]:
     keys = [_group(entry) for entry in entries]
     photos = common_photos(keys, [entry["protocol"].get("images") for entry in entries])
     groups: dict[tuple[int, str, str], dict[str, list[Entry]]] = {}
-    for key, seen, entry in zip(keys, photos, entries, strict=True):
-        groups.setdefault(key, {}).setdefault(seen, []).append(entry)
+    for key, photo_set, entry in zip(keys, photos, entries, strict=True):
+        groups.setdefault(key, {}).setdefault(photo_set, []).append(entry)
     return [
-        _block(key, members, seen if len(by_photos) > 1 else "")
+        _block(key, members, photo_set if len(by_photos) > 1 else "")
         for key, by_photos in sorted(groups.items())
-        for seen, members in sorted(by_photos.items())
+        for photo_set, members in sorted(by_photos.items())
     ]
 
 

@@ -196,8 +196,8 @@ def _ellipse(spot: Spot, low: Floats, enlarged: int) -> str:
 
 def _tracks(spots: Sequence[Spot], low: Floats) -> list[tuple[str, str]]:
     named = (("prior", [s.prior for s in spots]), ("estimate", [s.estimate for s in spots]))
-    found = [(kind, [_at(place, low) for place in places if place is not None]) for kind, places in named]
-    return [(kind, "M" + "L".join(f"{x:g} {y:g}" for x, y in places)) for kind, places in found if places]
+    tracks = [(kind, [_at(place, low) for place in places if place is not None]) for kind, places in named]
+    return [(kind, "M" + "L".join(f"{x:g} {y:g}" for x, y in places)) for kind, places in tracks if places]
 
 
 def _ring(ring: Floats, low: Floats) -> str:
@@ -252,16 +252,16 @@ def _lines(spot: Spot, low: Floats) -> list[tuple[str, str]]:
         return []
     x, y = _at(end, low)
     named = ((kind, getattr(spot, kind)) for kind in kinds)
-    found = [(kind, _at(start, low)) for kind, start in named if start is not None]
-    return [(kind, f"M{a:g} {b:g}L{x:g} {y:g}") for kind, (a, b) in found]
+    starts = [(kind, _at(start, low)) for kind, start in named if start is not None]
+    return [(kind, f"M{a:g} {b:g}L{x:g} {y:g}") for kind, (a, b) in starts]
 
 
 def _dots(spot: Spot, low: Floats) -> list[tuple[str, str]]:
     kinds = ("truth", "prior", "estimate", "second")
     named = ((kind, getattr(spot, kind)) for kind in kinds)
-    found = [(kind, _at(place, low)) for kind, place in named if place is not None]
+    dots = [(kind, _at(place, low)) for kind, place in named if place is not None]
     # A line of no length with a round end is a dot as wide as its pen, at every scale.
-    return [(kind, f"M{x:g} {y:g}h0") for kind, (x, y) in found]
+    return [(kind, f"M{x:g} {y:g}h0") for kind, (x, y) in dots]
 
 
 def _at(place: Floats, low: Floats) -> tuple[float, float]:

@@ -40,8 +40,8 @@ class Column(NamedTuple):
 
     def values(self, row: Mapping[str, Any]) -> tuple[float, ...]:
         """Returns its numbers, NaN for those that are not there."""
-        found = (row.get(name) for name in self.numbers)
-        return tuple(math.nan if value is None else float(value) for value in found)
+        numbers = (row.get(name) for name in self.numbers)
+        return tuple(math.nan if value is None else float(value) for value in numbers)
 
     def text(self, row: Mapping[str, Any] | None) -> str:
         """Returns a cell: what a paper printed where it did, a dash where there is nothing."""
@@ -220,11 +220,11 @@ def names_of(summaries: Sequence[dict[str, Any]], free: Collection[str] = ()) ->
             f"{key}={summary['protocol'].get(key)}" for key in dict.fromkeys(differing) if key not in free
         ]
         names.append(" ".join(dict.fromkeys([label, *words, *_set_apart(summary, peers)])))
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     unique = []
     for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        unique.append(f"{name} #{seen[name]}" if names.count(name) > 1 else name)
+        counts[name] = counts.get(name, 0) + 1
+        unique.append(f"{name} #{counts[name]}" if names.count(name) > 1 else name)
     return unique
 
 
@@ -280,7 +280,7 @@ def _words_apart(
 ) -> list[list[str]]:
     """Returns for each run the words of ``labels_of`` beside its method's name."""
     names = [method_name(member) for member in members]
-    found = []
+    per_run = []
     for member, name in zip(members, names, strict=True):
         peers = [other for other, theirs in zip(members, names, strict=True) if theirs == name]
         params = member["method"].get("params", {})
@@ -295,8 +295,8 @@ def _words_apart(
         words = [f"{key}={params[key]}" for key in differing]
         words += [f"{key}={member['protocol'].get(key)}" for key in sorted(free)]
         words += [word for word in _set_apart(member, peers) if word.startswith(_OF_SEGMENTER)]
-        found.append(words)
-    return found
+        per_run.append(words)
+    return per_run
 
 
 def _params(member: dict[str, Any]) -> dict[str, Any]:

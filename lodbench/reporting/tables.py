@@ -135,8 +135,8 @@ def tables_of(
     keys = [_shared(summary, free) for summary in summaries]
     photos = common_photos(keys, [summary["dataset"].get("images") for summary in summaries])
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
-    for summary, key, seen in zip(summaries, keys, photos, strict=True):
-        groups.setdefault((*key, seen), []).append(summary)
+    for summary, key, photo_set in zip(summaries, keys, photos, strict=True):
+        groups.setdefault((*key, photo_set), []).append(summary)
     titles = table_heads.titles_of(
         [shared[0] for shared in groups], [members[0] for members in groups.values()]
     )
@@ -191,19 +191,19 @@ def _table(
     labels = table_heads.labels_of(members, free - {"seed"} if over_seeds else free, others)
     for label, member in zip(labels, members, strict=True):
         labelled.setdefault(label if over_seeds else f"{label}\0{len(labelled)}", []).append(member)
-    found = []
+    lines = []
     for label, runs in labelled.items():
         require_one_run_a_seed(label, runs)
         require_seeds_alone(label, runs)
         shown = label.split("\0")[0] + (f" ({count_of(len(runs), 'seeds')})" if over_seeds else "")
         numbers = {name: mean_numbers(runs, name) for name in runs[0]["splits"]}
-        found.append(
+        lines.append(
             table_heads.Line(shown, numbers, is_prior=runs[0]["method"]["name"] == table_heads.PRIOR_METHOD)
         )
     if len({table_heads.method_name(member) for member in members}) == 1:
         # One method under several settings: in their order, whatever the order of the folders.
-        found.sort(key=lambda row: table_heads.natural(row.label))
-    return RecallTable(title, tuple([*rows, *found]))
+        lines.sort(key=lambda row: table_heads.natural(row.label))
+    return RecallTable(title, tuple([*rows, *lines]))
 
 
 def format_text(table: RecallTable) -> str:
@@ -311,7 +311,7 @@ def _best(table: RecallTable) -> set[tuple[int, int]]:
     The prior is no method; a recall of 0 is nobody's best; a cell of two numbers is best if both are.
     """
     places = [(n, list(table.cells(line))) for n, line in enumerate(table.lines) if not line.is_prior]
-    found: set[tuple[int, int]] = set()
+    best: set[tuple[int, int]] = set()
     for i in range(len(places[0][1]) if places else 0):
         column: table_heads.Column = places[0][1][i][0]
         rows = {n: cells[i][1] for n, cells in places}
@@ -320,8 +320,8 @@ def _best(table: RecallTable) -> set[tuple[int, int]]:
         if column.better and len(known) > 1:
             most = np.max(list(known.values()), axis=0)
             is_any = column.better < 0 or most[0] > 0
-            found |= {(n, i) for n, value in known.items() if is_any and np.array_equal(value, most)}
-    return found
+            best |= {(n, i) for n, value in known.items() if is_any and np.array_equal(value, most)}
+    return best
 
 
 def _tex_group(table: RecallTable, start: int) -> str:

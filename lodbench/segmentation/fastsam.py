@@ -74,22 +74,22 @@ def likely_apart(
 
 
 def counted(
-    found: Instances, classes: list[int], most_share: float, shape: tuple[int, int]
+    instances: Instances, classes: list[int], most_share: float, shape: tuple[int, int]
 ) -> NDArray[np.bool_]:
     """Returns the (N, H, W) masks of the instances that count.
 
     Args:
-        found: All instances.
+        instances: All instances.
         classes: Numbers of the classes that count; empty for all.
         most_share: Instances that cover more of the photo do not count: ground, sky, a whole quarter.
         shape: Height and width, where nothing was found.
     """
-    if not len(found.masks):
+    if not len(instances.masks):
         return np.zeros((0, *shape), np.bool_)
-    counts = found.masks.mean(axis=(1, 2)) <= most_share
+    counts = instances.masks.mean(axis=(1, 2)) <= most_share
     if classes:
-        counts &= np.isin(found.classes, classes)
-    return np.asarray(found.masks[counts])
+        counts &= np.isin(instances.classes, classes)
+    return np.asarray(instances.masks[counts])
 
 
 def _corners(boxes: Floats) -> Floats:
@@ -202,7 +202,7 @@ class FastSam(PhotoSegmenter):
 
     def logits(self, photo: NDArray[np.uint8]) -> Floats:
         """Returns (h, w): infinite where there is building, minus infinity elsewhere."""
-        mask = self._found(photo).any(axis=0)
+        mask = self._instances(photo).any(axis=0)
         return np.where(mask, np.float32(np.inf), np.float32(-np.inf))
 
     def segment_instances(self, entry: Entry) -> NDArray[np.bool_]:
@@ -213,17 +213,17 @@ class FastSam(PhotoSegmenter):
         """
         if entry.image is None:
             raise QueryFault("no photo to segment")
-        return self._found(read_photo(entry.image))
+        return self._instances(read_photo(entry.image))
 
-    def _found(self, photo: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    def _instances(self, photo: NDArray[np.uint8]) -> NDArray[np.bool_]:
         """Returns (N, h, w) bool at the working size, likeliest first."""
         params = self.params
         height, width = photo.shape[:2]
         width, height = working_size(width, height, params.size)
         square = np.full((params.size, params.size, 3), _GREY, np.uint8)
         square[:height, :width] = resized_photo(photo, width, height)
-        found = decode(*self._outputs(square), params.confidence, params.overlap)
-        return counted(found, params.classes, params.most_share, square.shape[:2])[:, :height, :width]
+        instances = decode(*self._outputs(square), params.confidence, params.overlap)
+        return counted(instances, params.classes, params.most_share, square.shape[:2])[:, :height, :width]
 
     def _outputs(self, square: NDArray[np.uint8]) -> tuple[Floats, Floats]:
         """Returns the anchors' rows (4 + classes + P, anchors) and the prototypes (P, h, w)."""

@@ -92,8 +92,8 @@ def aligned(
     for start in _apart(grid, fits, np.array([1.5 * _STEP_PX, 1.5 * _STEP_PX, turn_deg / 2.0]), _STARTS):
         simplex = np.vstack([start, start + np.diag(_FIRST_STEPS)])
         options = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "xatol": 0.02, "fatol": 1e-6}
-        found = scipy.optimize.minimize(lambda m: -value(m), start, method="Nelder-Mead", options=options)
-        modes.append(np.asarray(found.x, np.float64))
+        optimum = scipy.optimize.minimize(lambda m: -value(m), start, method="Nelder-Mead", options=options)
+        modes.append(np.asarray(optimum.x, np.float64))
     values = np.array([value(mode) for mode in modes])
     return [
         Alignment(moved(guide, motion, (width, height)), value(motion), motion)
@@ -274,10 +274,10 @@ def guided_mask(photo: NDArray[np.uint8], guides: list[Mask], params: MapGuidedP
     width, height = working_size(width, height, params.size)
     small = np.ascontiguousarray(resized_photo(photo, width, height)[..., ::-1])
     reach = params.reach * max(width, height)
-    found: list[Alignment] = []
+    alignments: list[Alignment] = []
     for guide in guides:
-        found += aligned(small, guide, reach, params.turn_deg, count=2)
-    first, *others = sorted(found, key=lambda alignment: -alignment.fit)
+        alignments += aligned(small, guide, reach, params.turn_deg, count=2)
+    first, *others = sorted(alignments, key=lambda alignment: -alignment.fit)
     probability, evidence = cut(small, first.mask), held_out_evidence(small, first.mask)
     if not others:
         return GuidedMask(probability, None, evidence, 0.0)
@@ -485,11 +485,11 @@ class MapInstances:
         centers, yaws = search_grid(ranges, _INSTANCE_STRIDES).around(pose)
         rotations = rotations_at_yaws(pose.euler.pitch_deg, pose.euler.roll_deg, yaws)
         best = int(np.argmax(city_map.fit(camera, rotations, centers, IouFit(mask))))
-        (seen,) = city_map.buildings(camera, rotations[best : best + 1], centers[best : best + 1])
-        if not (seen >= 0).any():
+        (buildings,) = city_map.buildings(camera, rotations[best : best + 1], centers[best : best + 1])
+        if not (buildings >= 0).any():
             raise QueryFault("no building of the map is in view of the prior")
         photo = resized_photo(read_photo(entry.image), width, height)
-        return masks_of_labels(parted(photo, mask, seen))
+        return masks_of_labels(parted(photo, mask, buildings))
 
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns a digest of the photos' contents, the settings and the weights."""
@@ -504,20 +504,20 @@ class MapInstances:
         )
 
 
-def parted(photo: NDArray[np.uint8], mask: Mask, seen: NDArray[np.int32]) -> NDArray[np.uint16]:
+def parted(photo: NDArray[np.uint8], mask: Mask, buildings: NDArray[np.int32]) -> NDArray[np.uint16]:
     """Returns (H, W) labels that fill a mask, 0 outside it: buildings of a map that lies nearly right.
 
     Args:
         photo: (H, W, 3) RGB.
         mask: (H, W), where the photo shows buildings.
-        seen: (H, W), which building the map has there, -1 for none.
+        buildings: (H, W), which building the map has there, -1 for none.
     """
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _CORE_PX + 1, 2 * _CORE_PX + 1))
     markers = np.zeros(mask.shape, np.int32)
     # The watershed's first basin is what is no building.
     markers[cv2.dilate(mask.astype(np.uint8), disc) == 0] = 1
-    for number, building in enumerate(np.unique(seen[(seen >= 0) & mask]), start=2):
-        inside = ((seen == building) & mask).astype(np.uint8)
+    for number, building in enumerate(np.unique(buildings[(buildings >= 0) & mask]), start=2):
+        inside = ((buildings == building) & mask).astype(np.uint8)
         core = cv2.erode(inside, disc, borderValue=1)
         markers[(core if core.any() else inside) > 0] = number
     basins = cv2.watershed(np.ascontiguousarray(photo[..., ::-1]), markers)

@@ -373,9 +373,9 @@ def _hole_outlines(hole: Mask, part: Mask) -> Iterator[Ring]:
         return
     for first, last in ((0, rows[0]), (rows[0], len(hole))):
         for (x, y), piece in _parts(hole[first:last], 4):
-            around = part[first + y :, x:][: piece.shape[0], : piece.shape[1]]
-            for found in _hole_outlines(piece, around):
-                yield np.add(found, (x, first + y), dtype=np.int32)
+            surroundings = part[first + y :, x:][: piece.shape[0], : piece.shape[1]]
+            for outline in _hole_outlines(piece, surroundings):
+                yield np.add(outline, (x, first + y), dtype=np.int32)
 
 
 def _outline(part: Mask) -> Ring:

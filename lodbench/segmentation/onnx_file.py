@@ -156,15 +156,15 @@ def _count(content: bytes, field: Field) -> int:
 
 def _numbers(content: bytes, fields: list[Field], wanted: int, most: int = 64) -> list[int]:
     """Returns the whole numbers of a repeated field, packed or one by one."""
-    found: list[int] = []
+    integers: list[int] = []
     for number, wire, value, end in fields:
         if number == wanted and wire == _BYTES:
-            found += _packed(content, value, end, most)
+            integers += _packed(content, value, end, most)
         elif number == wanted and wire == _VARINT:
-            found.append(value)
-        if len(found) > most:
+            integers.append(value)
+        if len(integers) > most:
             raise ValueError("a shape has too many dimensions")
-    return found
+    return integers
 
 
 def _check_dimensions(dims: list[int]) -> None:

@@ -71,8 +71,8 @@ class Compact(PackagedNetwork):
         if self.params.weights is not None:
             return (f"segmenter compact, weights of {self._path.name}",)
         views = self.packaged_training().get("views", {}).get("train")
-        seen = f"{views} rendered views" if views else "rendered views"
-        return (f"segmenter compact, domain: {self.domain}: trained on {seen}; real photos look different",)
+        source = f"{views} rendered views" if views else "rendered views"
+        return (f"segmenter compact, domain: {self.domain}: trained on {source}; real photos look different",)
 
     def new_net(self, is_filled: bool) -> Any:
         """Returns the torch network with random weights."""
@@ -340,8 +340,8 @@ def adapted(logits: Logits, photo: NDArray[np.uint8], weight: float) -> Logits:
         return logits
     weights = sureness * ((0.5 * sure.sum() / sure) ** _BALANCE)[is_building.astype(np.int64)]
     features = _features(resized_photo(photo, *small))
-    found = features @ _logistic_regression(features, is_building, weights)
-    own = np.clip(found, -_MOST_LOGIT, _MOST_LOGIT).reshape(small[::-1]).astype(np.float32)
+    own_logits = features @ _logistic_regression(features, is_building, weights)
+    own = np.clip(own_logits, -_MOST_LOGIT, _MOST_LOGIT).reshape(small[::-1]).astype(np.float32)
     of_photo = cv2.resize(own, (width, height), interpolation=cv2.INTER_LINEAR)
     return np.asarray((1.0 - 0.5 * weight) * logits + weight * of_photo, np.float32)
 
@@ -350,11 +350,11 @@ def _features(photo: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Returns (H * W, K) a constant, and colours and textures around each pixel, of mean 0, deviation 1."""
     lab: Any = cv2.cvtColor(photo.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB)
     edges = np.abs(cv2.Laplacian(lab[..., 0], cv2.CV_32F))
-    seen = np.dstack([lab, edges])
-    around = [cv2.GaussianBlur(seen, (0, 0), blur_px) for blur_px in _BLURS_PX]
-    for each in around:
+    channels = np.dstack([lab, edges])
+    blurred = [cv2.GaussianBlur(channels, (0, 0), blur_px) for blur_px in _BLURS_PX]
+    for each in blurred:
         each[..., 3] = np.log(_LEAST_TEXTURE + each[..., 3])
-    whole = np.dstack(around).reshape(photo.shape[0] * photo.shape[1], -1).astype(np.float64)
+    whole = np.dstack(blurred).reshape(photo.shape[0] * photo.shape[1], -1).astype(np.float64)
     scaled = np.clip((whole - whole.mean(axis=0)) / (whole.std(axis=0) + 1e-3), -3.0, 3.0)
     return np.column_stack([np.ones(len(scaled)), scaled])
 
@@ -446,8 +446,8 @@ class EfficientUnet(PackagedNetwork):
         looks = []
         for scale in self.params.scales:
             for step in (1, -1) if self.params.mirrored else (1,):
-                found = self.logits_at(np.ascontiguousarray(photo[:, ::step]), max(32, round(scale * size)))
-                looks.append(cv2.resize(found, wanted, interpolation=cv2.INTER_LINEAR)[:, ::step])
+                logits = self.logits_at(np.ascontiguousarray(photo[:, ::step]), max(32, round(scale * size)))
+                looks.append(cv2.resize(logits, wanted, interpolation=cv2.INTER_LINEAR)[:, ::step])
         mean = np.asarray(np.mean(looks, axis=0), np.float32)
         return adapted(mean, photo, self.params.own_colours)
 

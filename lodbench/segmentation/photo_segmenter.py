@@ -311,19 +311,19 @@ class PackagedNetwork(PhotoSegmenter):
         hint = f"lodbench train segmenter={self.name} writes networks that answer {self.channels} per pixel."
         try:
             self._net.setInput(blob)
-            found = np.asarray(self._net.forward(), np.float32)
+            logits = np.asarray(self._net.forward(), np.float32)
         except cv2.error as error:
             if is_out_of_memory(error):
                 raise
             raise ConfigError(f"{self._path} is no network of photos: OpenCV cannot ask it.", hint) from error
-        if found.shape != (1, self.channels, *tile.shape[:2]):
+        if logits.shape != (1, self.channels, *tile.shape[:2]):
             raise ConfigError(
-                f"{self._path} answers {found.shape} to a photo of {tile.shape[:2]}.",
+                f"{self._path} answers {logits.shape} to a photo of {tile.shape[:2]}.",
                 hint,
             )
         if self.params.weights:
-            _require_logits(found, self._path, hint)
-        return np.asarray(found[0, 0] if self.channels == 1 else found[0].transpose(1, 2, 0))
+            _require_logits(logits, self._path, hint)
+        return np.asarray(logits[0, 0] if self.channels == 1 else logits[0].transpose(1, 2, 0))
 
     def build(self, init: str | None) -> Any:
         """Returns the torch network, with random weights, those of a checkpoint or those of an ONNX file.
@@ -342,8 +342,8 @@ class PackagedNetwork(PhotoSegmenter):
     def packaged_training(self) -> dict[str, Any]:
         """Returns what the package's weights were trained on and how."""
         path = packaged_file(f"{self.weights_name}.json")
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-        return found
+        training: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        return training
 
     def store(self, net: Any, folder: Path) -> Path:
         """Writes a network as ONNX, its normalisations folded into the convolutions; returns the file."""
@@ -354,13 +354,13 @@ class PackagedNetwork(PhotoSegmenter):
         return path
 
 
-def _require_logits(found: NDArray[np.float32], path: Path, hint: str) -> None:
+def _require_logits(logits: NDArray[np.float32], path: Path, hint: str) -> None:
     """Makes sure that a network answers logits: of anything else the whole photo would be building."""
     # OpenCV makes the largest of all numbers of NaN.
-    if not np.abs(found).max() < _MOST_LOGIT:
+    if not np.abs(logits).max() < _MOST_LOGIT:
         raise ConfigError(f"{path} answers NaN, or values beyond {_MOST_LOGIT:g}: it is damaged.", hint)
-    if 0 <= found.min() and (found.max() <= 1 or found.min() == 0):
-        within = f"{abs(found.min()):g} to {abs(found.max()):g}"  # no negative zeros
+    if 0 <= logits.min() and (logits.max() <= 1 or logits.min() == 0):
+        within = f"{abs(logits.min()):g} to {abs(logits.max()):g}"  # no negative zeros
         raise ConfigError(
             f"{path} answers values of {within}, as probabilities and classes are, where logits are wanted.",
             "Export it without the sigmoid, or whatever else is at its end.",

@@ -182,17 +182,17 @@ def _from_coco(stored: dict[str, Any], path: Path, photo: str, height: int, widt
 
 def _image_of(images: list[dict[str, Any]], path: Path, photo: str) -> dict[str, Any]:
     """Returns the image of a photo's name; the only one where its name differs in the ending alone."""
-    found = [image for image in images if _name_of(str(image["file_name"])) == _name_of(photo)]
-    if len(found) > 1:
-        names = " and ".join(str(image["file_name"]) for image in found[:2])
+    matches = [image for image in images if _name_of(str(image["file_name"])) == _name_of(photo)]
+    if len(matches) > 1:
+        names = " and ".join(str(image["file_name"]) for image in matches[:2])
         raise DatasetError(
-            f"{path.name} has {len(found)} images called {photo}: {names}.", "Export the one alone."
+            f"{path.name} has {len(matches)} images called {photo}: {names}.", "Export the one alone."
         )
-    if not found and len(images) != 1:
+    if not matches and len(images) != 1:
         raise DatasetError(f"{path.name} has {len(images)} images, none of them {photo}.")
-    if not found and not _means(str(images[0]["file_name"]), photo):
+    if not matches and not _means(str(images[0]["file_name"]), photo):
         raise _other_photo(path, str(images[0]["file_name"]), photo, "file_name")
-    return (found or images)[0]
+    return (matches or images)[0]
 
 
 def _means(named: str, photo: str) -> bool:

@@ -175,7 +175,7 @@ class Semantic(TorchSegmenter):
         try:
             # A checkpoint that brings code is refused: otherwise the user is prompted to let it run.
             with _offline():
-                model, found = AutoModelForSemanticSegmentation.from_pretrained(
+                model, info = AutoModelForSemanticSegmentation.from_pretrained(
                     str(self._folder), local_files_only=True, use_safetensors=True, output_loading_info=True,
                     trust_remote_code=False,
                 )  # fmt: skip
@@ -184,7 +184,7 @@ class Semantic(TorchSegmenter):
                 f"{self._folder} holds no semantic segmentation network: {_first_line(error)}",
                 "A folder with config.json and safetensors is wanted.",
             ) from error
-        missing = sorted(name for name in found["missing_keys"] if not name.endswith("num_batches_tracked"))
+        missing = sorted(name for name in info["missing_keys"] if not name.endswith("num_batches_tracked"))
         if missing:
             raise ConfigError(
                 f"{self._folder} lacks {len(missing)} weights of the network: {', '.join(missing[:3])}, ...",

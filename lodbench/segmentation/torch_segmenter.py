@@ -132,14 +132,14 @@ class TorchSegmenter(PhotoSegmenter):
         """
         height, width = photo.shape[:2]
         width, height = probability.working_size(width, height, self.params.size)
-        seen = (self.params.size, self.params.size) if self.is_square else (width, height)
-        image = probability.padded_photo(probability.resized_photo(photo, *seen), self.stride)
-        found = self._memory.run(image, self._run)[: seen[1], : seen[0]]
-        if (seen[1], seen[0]) == (height, width):
-            return found
+        input_size = (self.params.size, self.params.size) if self.is_square else (width, height)
+        image = probability.padded_photo(probability.resized_photo(photo, *input_size), self.stride)
+        logits = self._memory.run(image, self._run)[: input_size[1], : input_size[0]]
+        if (input_size[1], input_size[0]) == (height, width):
+            return logits
         import cv2
 
-        return np.asarray(cv2.resize(found, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
+        return np.asarray(cv2.resize(logits, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
     def _run(self, tile: NDArray[np.uint8]) -> NDArray[np.float32]:
         import torch

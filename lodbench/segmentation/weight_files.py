@@ -119,10 +119,10 @@ def weights_file(weights: str, hint: str = "Check the path.", suffix: str = ".sa
     if suffix == ".safetensors" and not path.exists() and _is_hub_id(place):
         path = hub_folder(place)
     if path.is_dir():
-        found = sorted(path.glob(f"*{suffix}"))
-        if len(found) != 1:
-            raise ConfigError(f"{path} is a folder of {len(found)} files *{suffix} instead of one.", hint)
-        path = found[0]
+        files = sorted(path.glob(f"*{suffix}"))
+        if len(files) != 1:
+            raise ConfigError(f"{path} is a folder of {len(files)} files *{suffix} instead of one.", hint)
+        path = files[0]
     if not path.is_file():
         raise ConfigError(f"There are no weights {path}.", hint)
     _require_contents([path], pins)
@@ -196,8 +196,8 @@ def _require_contents(files: list[Path], pins: list[str]) -> None:
     if len(pins) > len(files):
         raise ConfigError(f"{len(pins)} sha256 pin {', '.join(map(str, files))}.", "One for each file.")
     for file, pinned in zip(files, pins, strict=False):
-        found = file_digest(file)
-        if found != pinned:
+        digest = file_digest(file)
+        if digest != pinned:
             raise ConfigError(
-                f"The weights {file} have the sha256 {found}, not {pinned}.", "Fetch them anew."
+                f"The weights {file} have the sha256 {digest}, not {pinned}.", "Fetch them anew."
             )

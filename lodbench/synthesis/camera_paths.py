@@ -236,7 +236,7 @@ def _anywhere(params: GenerateParams, area: SurveyArea) -> Iterator[Pose]:
         yield _looking_at(target, params, generator)
 
 
-def _around_priors(params: GenerateParams, area: SurveyArea) -> Iterator[Pose]:
+def _near_priors(params: GenerateParams, area: SurveyArea) -> Iterator[Pose]:
     """Yields draws around each given pose."""
     errors = UniformPrior(*params.prior_m, *params.prior_deg)
     for number, pose in enumerate(_given(params, area)):
@@ -274,7 +274,7 @@ CAMERA_PATHS: dict[str, Callable[[GenerateParams, SurveyArea], Iterator[Pose]]] 
     "random": _at_random,
     "anywhere": _anywhere,
     "trajectory": _along_trajectory,
-    "priors": _around_priors,
+    "priors": _near_priors,
 }
 
 # How far a pilot or a gust moves the drone off its path (m), and turns it (deg), standard deviations.

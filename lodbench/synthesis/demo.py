@@ -119,8 +119,8 @@ def instances_of_demo(demo: Dataset, city: Path, seed: int) -> Path:
                 reason = f"{demo.root} is no whole demo: {entry.key} has no mask."
                 raise DatasetError(reason, "Delete the folder.")
             truth = demo.truth[entry.key].shifted(-scene.origin)
-            (seen,) = raster.buildings(entry.camera, truth.rotation[None], truth.center[None])
-            labels = degraded_instances(seen, mask > 0, random_stream(seed, "demo", entry.name, "instances"))
+            (clean,) = raster.buildings(entry.camera, truth.rotation[None], truth.center[None])
+            labels = degraded_instances(clean, mask > 0, random_stream(seed, "demo", entry.name, "instances"))
             file = make_folder(folder / entry.split) / f"{Path(entry.name).stem}.png"
             write_bytes(file, encoded_labels(labels), False)
 

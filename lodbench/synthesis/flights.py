@@ -224,10 +224,10 @@ def _poses(
     generator = random_stream(params.flights_seed, "flight", flight, "path")
     for _ in range(_MOST_TRIES):
         target = target_near(check.boxes.bases, generator)
-        seen = [pose for pose in fly(target, generator, wanted) if check.accepts(pose)]
-        if len(seen) >= wanted:
-            first = (len(seen) - wanted) // 2
-            return seen[first : first + wanted]
+        accepted = [pose for pose in fly(target, generator, wanted) if check.accepts(pose)]
+        if len(accepted) >= wanted:
+            first = (len(accepted) - wanted) // 2
+            return accepted[first : first + wanted]
     raise DatasetError(
         f"No {kind} flight of {wanted} photos that all show buildings was found.",
         "Set `dataset.path=orbit`, or fewer `dataset.num_photos`.",
@@ -242,8 +242,8 @@ def _silhouette(renderer: Renderer, camera: Camera, pose: Pose, distortion: floa
     wide = camera.with_margins(margin, margin)
     clean = renderer.render(wide, pose)
     u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    seen, lens = np.stack([u.ravel(), v.ravel()], axis=1), np.array([distortion, 0.0, 0.0, 0.0])
-    straight = cv2.undistortPoints(seen[:, None], camera.matrix, lens, P=camera.matrix)[:, 0]
+    pixels, lens = np.stack([u.ravel(), v.ravel()], axis=1), np.array([distortion, 0.0, 0.0, 0.0])
+    straight = cv2.undistortPoints(pixels[:, None], camera.matrix, lens, P=camera.matrix)[:, 0]
     columns = np.clip(np.floor(straight[:, 0]).astype(int) + margin, 0, wide.width - 1)
     rows = np.clip(np.floor(straight[:, 1]).astype(int) + margin, 0, wide.height - 1)
     return np.asarray(clean[rows, columns].reshape(camera.height, camera.width))

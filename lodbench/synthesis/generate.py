@@ -81,13 +81,13 @@ def begin_manifest(
     path = out / MANIFEST_FILE
     remove_leftovers(out)
     if out.exists() and any(out.iterdir()):
-        found = _read(path)
-        if not isinstance(found.get("settings"), dict):
+        existing = _read(path)
+        if not isinstance(existing.get("settings"), dict):
             raise DatasetError(
                 f"{out} holds something else than a training set.", "Name a new or empty folder with `out=`."
             )
-        if found.get("digest") != manifest["digest"]:
-            changed = _difference(found, manifest)
+        if existing.get("digest") != manifest["digest"]:
+            changed = _difference(existing, manifest)
             raise DatasetError(
                 f"{out} holds another training set{changed}.",
                 "Name another folder with `out=`, or remove it.",
@@ -154,19 +154,19 @@ def _texture_digests(path: Path) -> dict[str, str]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        found = parse_json(path.read_text(encoding="utf-8"))
+        manifest = parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return manifest if isinstance(manifest, dict) else {}
 
 
-def _difference(found: dict[str, Any], wanted: dict[str, Any]) -> str:
+def _difference(existing: dict[str, Any], wanted: dict[str, Any]) -> str:
     """Returns the first setting that differs, or what else does, for a message."""
-    old = found["settings"]
+    old = existing["settings"]
     for key, value in json.loads(json.dumps(wanted["settings"])).items():
         if key not in _PATHS and old.get(key) != value:
             return f" ({key} is {old.get(key)} there)"
-    if found.get("code") != wanted["code"]:
+    if existing.get("code") != wanted["code"]:
         return " (made by another version of lodbench or of its libraries)"
     return " (of other input files, or read in another way)"
 
@@ -263,8 +263,8 @@ def generate_training_data(
         # Names and a digest go over the network: what stands around a city takes more than the city.
         files: dict[str, Any] = {name: _whole(getattr(params, name)) for name in _FILES}
         others: dict[str, Any] = {name: _whole(getattr(options, name)) for name in PATH_OPTIONS}
-        found = replace(params, **files), replace(options, **others)
-        workers = (_make_world, (*found, parts.digest(), out, own_digest()))
+        absolute = replace(params, **files), replace(options, **others)
+        workers = (_make_world, (*absolute, parts.digest(), out, own_digest()))
     _write_views(workers, missing, out, resumed, executor)
     write_sheet(params, plan.views, out / SHEET_FILE)
     finish_manifest(manifest, out)

@@ -83,7 +83,7 @@ class Land(NamedTuple):
 
 def ground_from_bases(view: TopView) -> Ground:
     """Returns ground at the height of the nearest buildings' bases, smoothed."""
-    rows, columns = view.tops_m.shape
+    rows, columns = view.surface_m.shape
     wide, high = columns * view.cell_m, rows * view.cell_m
     cell = max(_LEAST_GROUND_CELL_M, max(wide, high, 2 * MARGIN_M) / _MAX_GROUND_SIDE)
     level = Ground(view.west, view.south, cell, np.zeros((int(high / cell) + 2, int(wide / cell) + 2)))
@@ -102,10 +102,10 @@ def ground_from_raster(view: TopView, scene: Scene, raster: str) -> Ground:
     """
     fallback = ground_from_bases(view)
     places = fallback.places + scene.origin[:2]
-    found = ground_under(places, scene.crs or "", ReadOptions(terrain=raster)) - scene.origin[2]
-    if not np.isfinite(found).any():
+    terrain_m = ground_under(places, scene.crs or "", ReadOptions(terrain=raster)) - scene.origin[2]
+    if not np.isfinite(terrain_m).any():
         raise DatasetError(f"The terrain {raster} covers no part of the city.", "Check its reference system.")
-    heights = np.where(np.isfinite(found), found, fallback.heights_m.ravel())
+    heights = np.where(np.isfinite(terrain_m), terrain_m, fallback.heights_m.ravel())
     return fallback._replace(heights_m=heights.reshape(fallback.heights_m.shape))
 
 
@@ -131,13 +131,13 @@ class TopView(NamedTuple):
     west: float  # left edge, local metres
     south: float  # lower edge
     cell_m: float  # size of a cell
-    tops_m: Grid  # (rows, columns) height of the highest surface, NaN where there is no building
+    surface_m: Grid  # (rows, columns) height of the highest surface, NaN where there is no building
     bases: Floats  # (B, 3) middle of each building's lowest points, local metres; empty ones are left out
 
     @property
     def is_built(self) -> NDArray[np.bool_]:
         """Returns (rows, columns) whether a building covers a cell."""
-        return np.asarray(np.isfinite(self.tops_m))
+        return np.asarray(np.isfinite(self.surface_m))
 
     @property
     def free_m(self) -> Grid:
@@ -146,7 +146,7 @@ class TopView(NamedTuple):
 
     def jittered(self, spacing_m: float, generator: np.random.Generator) -> Floats:
         """Returns places all over the grid, about a spacing apart, (N, 2)."""
-        rows, columns = self.tops_m.shape
+        rows, columns = self.surface_m.shape
         axes = [
             np.arange(start + 0.5 * spacing_m, start + count * self.cell_m, spacing_m)
             for start, count in ((self.west, columns), (self.south, rows))
@@ -156,7 +156,7 @@ class TopView(NamedTuple):
 
     def cells_of(self, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Returns rows and columns of points, (N, 2), those of the rim for points beyond it."""
-        rows, columns = self.tops_m.shape
+        rows, columns = self.surface_m.shape
         column, row = np.floor((points - [self.west, self.south]) / self.cell_m).astype(np.int64).T
         return np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
 
@@ -183,8 +183,8 @@ def look_down(scene: Scene) -> TopView:
     camera = Camera(columns, rows, focal, focal, 0.5 * columns, 0.5 * rows)
     pose = Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), middle)
     depth = RasterRenderer(scene, threads=1).depth(camera, pose)
-    tops = np.ascontiguousarray(np.where(depth > 0, _ABOVE_M - depth, np.nan)[::-1], dtype=np.float32)
-    return TopView(west, south, cell, tops, building_boxes(scene).bases)
+    surface_m = np.ascontiguousarray(np.where(depth > 0, _ABOVE_M - depth, np.nan)[::-1], dtype=np.float32)
+    return TopView(west, south, cell, surface_m, building_boxes(scene).bases)
 
 
 def draw_land_cover(view: TopView, generator: np.random.Generator) -> LandCover:

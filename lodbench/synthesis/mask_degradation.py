@@ -85,8 +85,8 @@ def _borders(labels: Labels) -> dict[tuple[int, int], int]:
     """Returns how many pixels of pairs of buildings lie side by side."""
     sides = [(labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])]
     touching = [np.stack([a, b], axis=-1)[(a != b) & (a >= 0) & (b >= 0)] for a, b in sides]
-    found, counts = np.unique(np.sort(np.concatenate(touching), axis=1), axis=0, return_counts=True)
-    return {(int(a), int(b)): int(n) for (a, b), n in zip(found, counts, strict=True)}
+    pairs, counts = np.unique(np.sort(np.concatenate(touching), axis=1), axis=0, return_counts=True)
+    return {(int(a), int(b)): int(n) for (a, b), n in zip(pairs, counts, strict=True)}
 
 
 def _split(labels: Labels, share: float, generator: np.random.Generator) -> Labels:

@@ -131,7 +131,7 @@ _RINGS = ((-0.5, 0.5, 0.5, 0.14), (-0.5, 0.5, 0.5, 0.55), (-0.42, 0.24, 0.46, 0.
 
 def add_trees(
     builder: MeshBuilder,
-    feet: Points,
+    bases: Points,
     chances: np.random.Generator,
     broadleaf: float,
     room_m: Points | None = None,
@@ -143,7 +143,7 @@ def add_trees(
     ``room_m``, (N,), is the greatest radius of each crown; None where nothing is near. Trees viewed from afar
     only are of fewer triangles and without trunks.
     """
-    count = len(feet)
+    count = len(bases)
     is_broad = chances.random(count) < broadleaf
     radius = np.where(is_broad, chances.uniform(1.7, 4.3, count), chances.uniform(1.4, 2.8, count))
     radius = radius if room_m is None else np.minimum(radius, room_m)
@@ -157,14 +157,14 @@ def add_trees(
     half = 0.5 * (height - trunk_m)
     points = crown * np.stack([radius, radius, half], axis=1)[:, None, :]
     points[:, :, :2] *= taper[:, :, None]
-    points += feet[:, None, :] + np.stack([0 * half, 0 * half, trunk_m + half], axis=1)[:, None, :]
+    points += bases[:, None, :] + np.stack([0 * half, 0 * half, trunk_m + half], axis=1)[:, None, :]
     leaf = np.where(is_broad[:, None], _drawn(_LEAVES, count, chances), _drawn(_NEEDLES, count, chances))
     shade = chances.normal(1.0, 0.07, (count, len(faces), 1))
     trees = builder.add_copies(SurfaceClass.FOLIAGE, points, faces, leaf[:, None, :] * shade)
     if not is_far:
         size = np.stack([0.06 * radius + 0.07, 0.06 * radius + 0.07, trunk_m + 0.4 * half], axis=1)
         post, sides = _post()
-        trunks = post[None] * size[:, None, :] + feet[:, None, :]
+        trunks = post[None] * size[:, None, :] + bases[:, None, :]
         builder.add_copies(SurfaceClass.TRUNK, trunks, sides, _TRUNK, trees)
 
 
@@ -200,20 +200,20 @@ def _ball(halvings: int) -> tuple[Points, Triangles]:
 
 
 def add_cars(
-    builder: MeshBuilder, feet: Points, ways: Points, slope: Points, chances: np.random.Generator
+    builder: MeshBuilder, bases: Points, ways: Points, slope: Points, chances: np.random.Generator
 ) -> None:
     """Adds a car over each foot, (N, 3) metres, that points along a way, (N, 2) unit directions.
 
     ``slope``, (N,), is by how much the ground rises per metre ahead.
     """
-    count = len(feet)
+    count = len(bases)
     lengths, widths, heights = (chances.uniform(*bounds, count) for bounds in _SIZES_M)
     shape, faces, is_glass = _unit_car()
     ahead, left, up = np.moveaxis(shape[None] * np.stack([lengths, widths, heights], axis=1)[:, None], 2, 0)
     points = np.empty((count, len(shape), 3))
-    points[..., 0] = feet[:, None, 0] + ahead * ways[:, None, 0] + left * -ways[:, None, 1]
-    points[..., 1] = feet[:, None, 1] + ahead * ways[:, None, 1] + left * ways[:, None, 0]
-    points[..., 2] = feet[:, None, 2] + up + ahead * slope[:, None]
+    points[..., 0] = bases[:, None, 0] + ahead * ways[:, None, 0] + left * -ways[:, None, 1]
+    points[..., 1] = bases[:, None, 1] + ahead * ways[:, None, 1] + left * ways[:, None, 0]
+    points[..., 2] = bases[:, None, 2] + up + ahead * slope[:, None]
     paint = _PAINTS[chances.integers(len(_PAINTS), size=count)] * chances.uniform(0.85, 1.1, (count, 1))
     tint = np.where(is_glass[None, :, None], _GLASS, paint[:, None, :])
     surface = np.where(is_glass, SurfaceClass.CAR_GLASS, SurfaceClass.CAR_BODY).astype(np.uint8)

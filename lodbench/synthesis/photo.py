@@ -195,15 +195,15 @@ def ground_in_view(camera: Camera, pose: Pose, low_m: float, high_m: float) -> F
     return np.asarray(points)
 
 
-def draw_sun_map(raster: RasterRenderer, sun: Floats, seen: Floats, size: int) -> SunMap:
+def draw_sun_map(raster: RasterRenderer, sun: Floats, visible: Floats, size: int) -> SunMap:
     """Returns the depth map, so many pixels wide, of the part of a scene that can be seen.
 
-    The raster draws what casts shadows; ``sun``, (3,), leads towards the sun; ``seen``, (N, 3) local metres,
-    are points that a picture shows.
+    The raster draws what casts shadows; ``sun``, (3,), leads towards the sun; ``visible``, (N, 3) local
+    metres, are points that a picture shows.
     """
     rotation = _looking_along(-sun)
-    middle = np.median(seen, axis=0)
-    near = seen[np.linalg.norm(seen - middle, axis=1) <= REACH_M]
+    middle = np.median(visible, axis=0)
+    near = visible[np.linalg.norm(visible - middle, axis=1) <= REACH_M]
     plan = (near - middle) @ rotation.T
     radius = float(np.abs(plan[:, :2]).max()) + 2.0 if len(near) else 10.0
     center = middle + sun * _DISTANCE_M
@@ -299,10 +299,10 @@ class PhotoRenderer:
     def _sun_map(self, camera: Camera, pose: Pose, look: Look) -> looks.SunMap:
         if self._casters is None:
             return NO_SUN_MAP
-        seen = ground_in_view(camera, pose, *self._levels_m)
+        visible = ground_in_view(camera, pose, *self._levels_m)
         # As fine as the picture, about: in steps, so that its memory is used again.
         size = min(_MOST_SUN_MAP, max(_LEAST_SUN_MAP, (3 * max(camera.width, camera.height) // 2) // 64 * 64))
-        return draw_sun_map(self._casters, np.array(look.sun), seen, size)
+        return draw_sun_map(self._casters, np.array(look.sun), visible, size)
 
 
 def photo_file(photo: NDArray[np.uint8], suffix: str, response: CameraResponse) -> bytes:

@@ -139,14 +139,14 @@ class _ViewFilter:
         if not self.boxes.are_clear_of(pose.center, _CLEARANCE_M):
             return IN_BUILDING
         building = self._raster.draw(self._camera, pose).building
-        seen = np.bincount(self._region[building[building >= 0]], minlength=len(SPLITS)) / building.size
-        if self._params.min_buildings == 0 and not seen.any():
+        shares = np.bincount(self._region[building[building >= 0]], minlength=len(SPLITS)) / building.size
+        if self._params.min_buildings == 0 and not shares.any():
             nearest = np.linalg.norm(self.boxes.bases[:, :2] - pose.center[:2], axis=1).argmin()
             return SPLITS[self._region[self.boxes.building[nearest]]]
-        if seen.sum() < max(self._params.min_buildings, 1.0 / building.size):
+        if shares.sum() < max(self._params.min_buildings, 1.0 / building.size):
             return NO_BUILDINGS
-        most = int(seen.argmax())
-        return TWO_REGIONS if seen.sum() - seen[most] > self._params.overlap else SPLITS[most]
+        most = int(shares.argmax())
+        return TWO_REGIONS if shares.sum() - shares[most] > self._params.overlap else SPLITS[most]
 
 
 def _name(params: GenerateParams, scene: Scene, index: int, pose: Pose) -> str:

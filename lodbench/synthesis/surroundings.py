@@ -78,12 +78,12 @@ def standing_clutter(props: objects.SceneProps, land: Land) -> list[list[float]]
     kinds |= (props.surface == SurfaceClass.GROUND) & props.tint.any(axis=1)
     order = np.flatnonzero(kinds)[np.argsort(props.objects[kinds], kind="stable")]
     starts = np.unique(props.objects[order], return_index=True)[1]
-    found = []
+    boxes = []
     for own in np.split(order, starts[1:]) if len(order) else []:
         points = props.vertices[props.triangles[own].ravel()].astype(np.float64)
         if (points[:, 2] - land.ground.at(points[:, :2])).max() > _STANDS_M:
-            found.append((np.r_[points[:, :2].min(axis=0), points[:, :2].max(axis=0)]).tolist())
-    return [(np.array(each) + np.tile(props.origin[:2], 2)).tolist() for each in found]
+            boxes.append((np.r_[points[:, :2].min(axis=0), points[:, :2].max(axis=0)]).tolist())
+    return [(np.array(each) + np.tile(props.origin[:2], 2)).tolist() for each in boxes]
 
 
 def _add_prism(builder: MeshBuilder, spot: Spot, local: Floats, ridge: Floats, tint: Floats) -> None:
@@ -183,9 +183,9 @@ def _car_park(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) ->
     _patch(builder, spot, (32.0, 17.0), surface, pick(_YARDS[3:], chances, *_SHADES))
     stalls = np.array([(x, y) for y in (-5.5, 5.5) for x in np.arange(-14.0, 14.1, 2.7)])
     taken = stalls[chances.random(len(stalls)) < 0.75]
-    feet = spot.places(taken)
+    places = spot.places(taken)
     ways = np.sign(taken[:, 1:]) * np.array([-spot.along[1], spot.along[0]])
-    objects.add_cars(builder, spot.ground.on_ground(feet, _ABOVE_M), ways, 0 * feet[:, 0], chances)
+    objects.add_cars(builder, spot.ground.on_ground(places, _ABOVE_M), ways, 0 * places[:, 0], chances)
 
 
 # What adds it, and how far from buildings and carriageways its middle is.

@@ -143,7 +143,7 @@ def corner_light(triangle: NDArray[np.int64], corners: Floats, shading: Shading)
 
 
 # The map is a square of tiles round the middle of town; what lies around it has plain colours.
-_TILES, _TILE_M, _AROUND_M = 4, 325.0, 1500.0
+_TILES, _TILE_M, _LAND_M = 4, 325.0, 1500.0
 # Ground triangles hang over a tile's edge.
 _HANG_M = 24.0
 _SUN_MAP, _BAND = 2048, 256
@@ -181,7 +181,7 @@ def write_textured_map(path: Path, town: Town, scene: Scene) -> None:
     """
     painter = _Painter(town, scene)
     tiles = [patch for cell in np.ndindex(_TILES, _TILES) for patch in painter.tile(np.array(cell))]
-    write_bytes(path, _glb([*tiles, painter.around()]), survives_power_cut=False)
+    write_bytes(path, _glb([*tiles, painter.surroundings()]), survives_power_cut=False)
 
 
 class _Painter:
@@ -208,9 +208,9 @@ class _Painter:
     def tile(self, cell: NDArray[np.int64]) -> Iterator[Patch]:
         """Yields ground, faces of houses, and what is too small for a picture, of one tile."""
         corner, name = self.middle + (cell - _TILES / 2) * _TILE_M, f"{cell[0]} {cell[1]}"
-        seen = [(*(corner + _TILE_M * np.array(c)), z) for c in np.ndindex(2, 2) for z in self.levels]
+        extent = [(*(corner + _TILE_M * np.array(c)), z) for c in np.ndindex(2, 2) for z in self.levels]
         sun = np.array(self.shading.look.sun)
-        shading = self.shading._replace(sun_map=draw_sun_map(self.casters, sun, np.array(seen), _SUN_MAP))
+        shading = self.shading._replace(sun_map=draw_sun_map(self.casters, sun, np.array(extent), _SUN_MAP))
         here = np.flatnonzero((self.tile_of == cell).all(axis=1))
         west, south = corner - _HANG_M
         square = (float(west), float(south), _TILE_M + 2 * _HANG_M)
@@ -224,9 +224,9 @@ class _Painter:
         if len(rest):
             yield self._plain(f"small {name}", rest, shading)
 
-    def around(self) -> Patch:
+    def surroundings(self) -> Patch:
         """Returns the land around the town, without shadows."""
-        is_near = np.abs(self.corners.mean(axis=1)[:, :2] - self.middle).max(axis=1) < _AROUND_M
+        is_near = np.abs(self.corners.mean(axis=1)[:, :2] - self.middle).max(axis=1) < _LAND_M
         return self._plain("around", np.flatnonzero(is_near & ~self.in_town), self.shading)
 
     def _plain(self, name: str, triangle: NDArray[np.int64], shading: Shading) -> Patch:
@@ -312,7 +312,7 @@ def _colours_then(town: Town, name: str) -> NDArray[np.float64]:
 NO_DATA = -9999.0
 
 
-def seen_from_above(
+def viewed_from_above(
     corners: Floats, west: float, north: float, cell_m: float, shape: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Returns (rows, columns) the highest point over the middle of each cell, NaN for none, and its triangle.
@@ -337,7 +337,7 @@ def orthophoto(
 
     Args:
         mesh: In the frame of the cells.
-        west: As for ``seen_from_above``.
+        west: As for ``viewed_from_above``.
         north: Likewise.
         cell_m: Likewise.
         triangle: As that returns it.
@@ -400,10 +400,10 @@ def write_surface_model(
     west, north = (float(value) for value in (np.floor(low[0]), np.ceil(high[1])))
     rows, columns = (int(side) for side in np.ceil((high - low)[[1, 0]] / cell_m))
     shape = (rows, columns)
-    heights, _ = seen_from_above(mesh.corners, west, north, cell_m, shape)
+    heights, _ = viewed_from_above(mesh.corners, west, north, cell_m, shape)
     heights += random_stream(seed, "surface model").normal(scale=noise_m, size=shape) if noise_m else 0.0
     fine = (2 * shape[0], 2 * shape[1])
-    _, triangle = seen_from_above(mesh.corners, west, north, 0.5 * cell_m, fine)
+    _, triangle = viewed_from_above(mesh.corners, west, north, 0.5 * cell_m, fine)
     colours = np.moveaxis(orthophoto(mesh, west, north, 0.5 * cell_m, triangle), 2, 0)
     heights = np.where(np.isnan(heights), NO_DATA, heights + origin[2]).astype(np.float32)
     place = west + float(origin[0]), north + float(origin[1])

@@ -324,10 +324,10 @@ def draw_through_lens(draw: Callable[[Camera], NDArray[Any]], lens: Camera) -> N
     if not lens.distortion:
         return draw(lens)
     columns, rows = np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5
-    seen_x, seen_y = np.meshgrid((columns - lens.cx) / lens.fx, (rows - lens.cy) / lens.fy)
-    ray_x, ray_y = _undistort(lens, seen_x, seen_y)
-    axes = ((ray_x, seen_x), (ray_y, seen_y))
-    reach = max(1.0, *(float(np.abs(ray).max() / np.abs(seen).max()) for ray, seen in axes))
+    lens_x, lens_y = np.meshgrid((columns - lens.cx) / lens.fx, (rows - lens.cy) / lens.fy)
+    ray_x, ray_y = _undistort(lens, lens_x, lens_y)
+    axes = ((ray_x, lens_x), (ray_y, lens_y))
+    reach = max(1.0, *(float(np.abs(ray).max() / np.abs(distorted).max()) for ray, distorted in axes))
     pinhole = replace(lens.without_distortion(), fx=lens.fx / reach, fy=lens.fy / reach)
     picture = draw(pinhole)
     x, y = pinhole.fx * ray_x + pinhole.cx, pinhole.fy * ray_y + pinhole.cy
@@ -341,10 +341,10 @@ def draw_through_lens(draw: Callable[[Camera], NDArray[Any]], lens: Camera) -> N
     return np.asarray(cv2.remap(picture, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
-def _undistort(lens: Camera, seen_x: NDArray[Any], seen_y: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _undistort(lens: Camera, lens_x: NDArray[Any], lens_y: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Returns the pinhole's normalised coordinates of the lens's, by fixed-point iteration."""
-    x, y = seen_x, seen_y
+    x, y = lens_x, lens_y
     for _ in range(_ITERATIONS):
         distorted_x, distorted_y = distort(lens.lens, lens.distortion, x, y)
-        x, y = x + seen_x - distorted_x, y + seen_y - distorted_y
+        x, y = x + lens_x - distorted_x, y + lens_y - distorted_y
     return x, y

@@ -201,9 +201,9 @@ def draw_queries(scene: Scene, renderer: Renderer, params: ViewsParams) -> tuple
     sampling = ViewSampling(heights_m, building_share=share, area_m=area_m, seed=seed)
     views = sample_views(scene, renderer, camera, sampling, params.num_views, "accuracy")
     world, noted = params.world, params.prior()
-    seen = world.perturbed(scene)
-    photographed = renderer if seen is scene else make_renderer("silhouette", seen, None)
-    raster = RasterRenderer(seen)
+    perturbed = world.perturbed(scene)
+    photographed = renderer if perturbed is scene else make_renderer("silhouette", perturbed, None)
+    raster = RasterRenderer(perturbed)
     prior = replace(noted, pitch_deg=world.tilt * noted.pitch_deg, roll_deg=world.tilt * noted.roll_deg)
     queries = []
     for index, truth in enumerate(views.poses):
@@ -276,12 +276,12 @@ def open_views(params: ViewsParams) -> Dataset:
     return replace(folder, version=f"views {VIEWS_VERSION}{look}, seed {params.views_seed}")
 
 
-def _with_measurements(dataset: Dataset, seen: Scene, params: ViewsParams) -> Dataset:
+def _with_measurements(dataset: Dataset, perturbed: Scene, params: ViewsParams) -> Dataset:
     """Returns views with what a receiver and a laser measure there, with errors of the stated deviations.
 
     Priors are where the receiver has them; no range is measured where the photo's centre shows no surface.
     """
-    surfaces, entries = Surfaces(seen), []
+    surfaces, entries = Surfaces(perturbed), []
     for entry in dataset.entries:
         truth, prior, camera, measured = dataset.truth[entry.key], entry.prior, entry.camera, Measurements()
         assert prior is not None  # noqa: S101 - all views have one
@@ -292,7 +292,7 @@ def _with_measurements(dataset: Dataset, seen: Scene, params: ViewsParams) -> Da
             prior = Pose.from_center(prior.rotation, truth.center + params.rtk_m * errors[:3])
             measured = Measurements((*(params.rtk_m,) * 3, None, None, None))
         if params.laser_m is not None:
-            local, middle = truth.shifted(-seen.origin), 0.5 * np.array([[camera.width, camera.height]])
+            local, middle = truth.shifted(-perturbed.origin), 0.5 * np.array([[camera.width, camera.height]])
             ray = pixel_rays(camera, middle).directions @ local.rotation
             way = surfaces.hit(local.center, ray).places[0] - local.center
             range_m = float(np.linalg.norm(way)) + params.laser_m * float(errors[3])

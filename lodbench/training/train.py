@@ -244,7 +244,7 @@ def _code_of(segmenter: TrainableSegmenter) -> dict[str, str]:
 
 def _sets(data: Path) -> dict[str, Any]:
     """Returns the manifests' digests and settings of the training sets below a folder."""
-    found = {}
+    sets = {}
     for path in sorted(data.rglob("manifest.json")):
         try:
             manifest = parse_json(path.read_text(encoding="utf-8"))
@@ -253,8 +253,8 @@ def _sets(data: Path) -> dict[str, Any]:
         if not isinstance(manifest, dict):
             continue
         name = path.parent.relative_to(data).as_posix()
-        found[name] = {key: manifest.get(key) for key in ("digest", "views", "state", "versions")}
-    return found
+        sets[name] = {key: manifest.get(key) for key in ("digest", "views", "state", "versions")}
+    return sets
 
 
 def _json(record: dict[str, Any]) -> str:

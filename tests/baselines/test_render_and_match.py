@@ -10,7 +10,7 @@ import pytest
 from lodbench.baselines.cadloc import Cadloc, CadlocParams
 from lodbench.baselines.render_and_match.lifting import lift
 from lodbench.baselines.render_and_match.retrieval import places_over, retrieved
-from lodbench.baselines.render_and_match.view import canvas_camera, views_around
+from lodbench.baselines.render_and_match.view import canvas_camera, views_near
 from lodbench.baselines.uavd4l import Uavd4l, Uavd4lParams
 
 from lodbench.cli import main
@@ -164,7 +164,7 @@ def test_a_canvas_shows_more_at_the_same_scale():
 
 
 def test_views_beside_a_pose_keep_height_and_direction(truths):
-    views = views_around(truths[0], 11, 20.0)
+    views = views_near(truths[0], 11, 20.0)
     assert views[0] is truths[0]
     for view in views[1:]:
         assert np.array_equal(view.rotation, truths[0].rotation)

@@ -10,7 +10,7 @@ import pytest
 
 from lodbench.bench.photo_masks import TracedOptions, open_traced_photos
 from lodbench.bench.real_query import RealOptions, RealSet, measure_real, shared_and_own
-from lodbench.bench.real_report import flight_errors, found, held, report_real, trusted
+from lodbench.bench.real_report import flight_errors, held, is_within, report_real, trusted
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.cli.bench import main
@@ -72,8 +72,8 @@ class TestTheReport:
 
     def test_limits_are_strict_and_failures_count(self):
         ends = trials((1.9, 0.1, 0.5), (2.0, 0.1, 0.5), (1.0, 1.5, 0.5), (math.inf, 180.0, 0.0))
-        assert found(ends, Threshold(2, 1)).tolist() == [True, False, False, False]
-        assert found(ends, Threshold(2, 2)).tolist() == [True, False, True, False]
+        assert is_within(ends, Threshold(2, 1)).tolist() == [True, False, False, False]
+        assert is_within(ends, Threshold(2, 2)).tolist() == [True, False, True, False]
         figures = {f.figure: f.value for f in report_real(ends, "data").figures}
         assert figures["m: recall 2m-2deg"] == 50.0
         assert figures["m: priors"] == 4.0

@@ -12,7 +12,7 @@ from lodbench.citymodel.scene import build_scene
 from lodbench.citymodel.surface.orthophoto import open_imagery, square_corners
 from lodbench.citymodel.textured_map import open_textured_map, read_textured
 from lodbench.errors import CityModelError, ConfigError, DatasetError
-from lodbench.synthesis.surveys import orthophoto, seen_from_above
+from lodbench.synthesis.surveys import orthophoto, viewed_from_above
 
 from .surface_case import CELL_M, NORTH, WEST, heights_of, write_raster
 
@@ -205,7 +205,7 @@ def test_squares_follow_the_heights_within_the_tolerance() -> None:
         [corners[..., ::-1] + 0.5, heights[corners[..., 0], corners[..., 1]][..., None]], axis=2
     )
     # Cells' middles are the corners, so heights are compared half a cell further.
-    found, _ = seen_from_above(points * (1.0, -1.0, 1.0), 0.0, 0.0, 1.0, heights.shape)
+    found, _ = viewed_from_above(points * (1.0, -1.0, 1.0), 0.0, 0.0, 1.0, heights.shape)
     both = np.isfinite(found) & np.isfinite(heights)
     assert np.abs(found - heights)[both].max() <= 0.26
     assert both[:-1, :-1].sum() >= np.isfinite(heights[:-1, :-1]).sum() - 150
@@ -225,7 +225,7 @@ def test_the_mesh_has_the_colours_of_their_places(tmp_path: Path) -> None:
     path = write_raster(tmp_path / "dsm.tif", heights)
     options = ReadOptions(orthophoto=str(write_colours(tmp_path / "dop.tif", picture)))
     mesh = read_textured(path, options=options)
-    _, triangle = seen_from_above(mesh.corners, WEST, NORTH, CELL_M, heights.shape)
+    _, triangle = viewed_from_above(mesh.corners, WEST, NORTH, CELL_M, heights.shape)
     seen = orthophoto(mesh, WEST, NORTH, CELL_M, triangle)
     assert (seen[24:44, 24:48] == RED).all()
     assert (seen[100:180, 100:180] == GREY).all()

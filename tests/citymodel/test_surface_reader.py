@@ -9,7 +9,7 @@ import pytest
 from lodbench.citymodel import ReadOptions, mesh_model, open_scene, read_city_model
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.errors import CityModelError
-from lodbench.synthesis.surveys import seen_from_above
+from lodbench.synthesis.surveys import viewed_from_above
 
 from .gml_text import codes
 from .surface_case import CELL_M, NORTH, WEST, ground_m, heights_of, write_raster
@@ -37,7 +37,7 @@ def from_above(model: CityModel, shape: tuple[int, int]) -> np.ndarray:
     """Returns the highest point of a model over each cell of the test's rasters, NaN for none."""
     scene = mesh_model(model, "2").scene
     corners = scene.vertices[scene.triangles].astype(np.float64) + scene.origin
-    return seen_from_above(corners, WEST, NORTH, CELL_M, shape)[0]
+    return viewed_from_above(corners, WEST, NORTH, CELL_M, shape)[0]
 
 
 @pytest.mark.parametrize("pitch", [0.0, 0.6])

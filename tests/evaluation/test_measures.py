@@ -186,7 +186,7 @@ def test_counts_of_a_flight_and_of_two():
         clutter=[(706.0, 700.0, 712.0, 702.4), (110.0, 110.0, 120.0, 120.0)],
     )
     assert score == MapScore(
-        heights=4, recovered=2, wrong=2, found_wrong=1, doubted=3, rightly=1, demolished=2,
+        heights=4, recovered=2, wrong=2, doubted_wrong=1, doubted=3, rightly=1, demolished=2,
         reported_demolished=2, rightly_demolished=1, unmapped=1, found=1, places=3,
         rightly_unmapped=1, clutter=1,
     )  # fmt: skip

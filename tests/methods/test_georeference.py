@@ -17,13 +17,7 @@ from lodbench.geometry import EulerAngles, Pose
 from lodbench.geometry.pose import vector_from_pose
 from lodbench.geometry.similarity import Similarity, fit_similarity
 from lodbench.methods.flight import FlightMethod, FlightParams
-from lodbench.methods.georeference import (
-    PLACEMENT,
-    SIGMAS,
-    Georeference,
-    GeoreferenceParams,
-    pose_covariance,
-)
+from lodbench.methods.georeference import PLACEMENT, SIGMAS, Georeference, GeoreferenceParams, pose_covariance
 from lodbench.methods.localize import localize_flight
 from lodbench.methods.protocol import Estimate, FlightEstimate
 from lodbench.storage import random_stream

@@ -11,7 +11,7 @@ from lodbench.geometry.angles import rotation_from_euler
 from lodbench.kernels.arguments import DIRECTIONS, EDGE_LEVELS, LinePoints
 from lodbench.kernels.photo_edges import count_along_lines, sum_along_lines
 from lodbench.methods.region.line_likelihood import line_poses
-from lodbench.rendering.photo_bins import directed_edge_levels, mean_around
+from lodbench.rendering.photo_bins import directed_edge_levels, gaussian_mean
 from lodbench.storage import random_stream
 
 
@@ -88,7 +88,7 @@ def test_it_is_the_blur_to_a_fiftieth(size, share):
     picture = noise + np.linspace(0.0, 2.0, width, dtype=np.float32) ** 2
     picture[: height // 3] += 1.0
     expected = cv2.GaussianBlur(picture, (0, 0), width / share)
-    apart = np.abs(mean_around(picture, width / share) - expected) / picture.std()
+    apart = np.abs(gaussian_mean(picture, width / share) - expected) / picture.std()
     assert apart.max() < 0.025
     assert apart.mean() < 0.003
 
@@ -96,4 +96,4 @@ def test_it_is_the_blur_to_a_fiftieth(size, share):
 @given(st.integers(1, 40), st.integers(1, 40), st.floats(0.5, 200.0))
 def test_of_an_even_picture_of_any_size_it_is_the_picture(height, width, sigma_px):
     picture = np.full((height, width), 0.25, dtype=np.float32)
-    np.testing.assert_allclose(mean_around(picture, sigma_px), picture, atol=1e-5)
+    np.testing.assert_allclose(gaussian_mean(picture, sigma_px), picture, atol=1e-5)

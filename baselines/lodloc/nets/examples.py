@@ -48,20 +48,20 @@ def losses_of(
     taken = draw.choice(len(wireframe), min(settings.points, len(wireframe)), replace=False)
     points = torch.from_numpy(wireframe[taken])
     intrinsics = torch.tensor([camera.fx, camera.fy, camera.cx, camera.cy], dtype=torch.float32)
-    found = {}
+    losses = {}
     for number, (scale, widths, weight) in enumerate(STAGES):
         # The grid's tilt is the sensor's; once the range is narrow, what tilt costs is mostly made up for.
         tilt = view.priors[which] if number == 0 else view.truth
-        poses = _poses_around(view.truth, tilt, np.array(widths), settings.poses, draw)
-        found[f"stage {number + 1}"] = weight * selection_loss(
+        poses = _poses_near(view.truth, tilt, np.array(widths), settings.poses, draw)
+        losses[f"stage {number + 1}"] = weight * selection_loss(
             maps[number], scale, points, *poses, intrinsics
         )
     truth = _tensors(view.truth.rotation, np.zeros(3))
     ended = refinement_loss(maps[3], points, _start(view.truth, draw), truth, intrinsics, _STEPS)
-    return found | {"refinement": _REFINEMENT_WEIGHT * ended}
+    return losses | {"refinement": _REFINEMENT_WEIGHT * ended}
 
 
-def _poses_around(
+def _poses_near(
     truth: Pose, tilt: Pose, widths: np.ndarray, count: int, draw: np.random.Generator
 ) -> tuple[Tensor, Tensor]:
     """Returns rotations (K, 3, 3) and centres (K, 3), less the true one: first the truth's, at a tilt.

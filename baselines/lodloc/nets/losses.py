@@ -64,15 +64,15 @@ def refinement_loss(
         steps: How many; each starts where the one before ended, without its gradient.
     """
     wanted, wanted_in_camera = projected(points, truth[0][None], truth[1][None], intrinsics)
-    is_seen = _is_inside(wanted[0], values) & (wanted_in_camera[0, :, 2] > _LEAST_DEPTH_M)
-    if int(is_seen.sum()) < 12:
+    is_visible = _is_inside(wanted[0], values) & (wanted_in_camera[0, :, 2] > _LEAST_DEPTH_M)
+    if int(is_visible.sum()) < 12:
         return values.sum() * 0.0
     losses = []
     rotation, center = start
     for _ in range(steps):
         rotation, center = _step(values, points, rotation.detach(), center.detach(), intrinsics)
-        found, _ = projected(points[is_seen], rotation[None], center[None], intrinsics)
-        squared = ((found[0] - wanted[0, is_seen]) ** 2).sum(dim=1)
+        reprojected, _ = projected(points[is_visible], rotation[None], center[None], intrinsics)
+        squared = ((reprojected[0] - wanted[0, is_visible]) ** 2).sum(dim=1)
         # Barron's general loss with alpha = 1.
         robust = torch.sqrt(squared / _SCALE_PX**2 + 1.0) - 1.0
         losses.append(robust.clamp_max(_MOST).mean())

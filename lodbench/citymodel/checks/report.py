@@ -84,8 +84,8 @@ def check_planes(model: CityModel, findings: Findings) -> None:
 
     for n in np.flatnonzero(~shapely.is_valid(shapes) & has_area).tolist():
         reason = str(shapely.is_valid_reason(shapes[n]))
-        found = _PLACE.search(reason)
-        spot = np.zeros(2) if found is None else np.array([float(found[1]), float(found[2])])
+        match = _PLACE.search(reason)
+        spot = np.zeros(2) if match is None else np.array([float(match[1]), float(match[2])])
         code = _code_of(reason, rings[polygons.polygon_starts[n] : polygons.polygon_starts[n + 1]])
         add(code, n, reason.partition("[")[0].strip().lower(), spot)
     is_hole = np.ones(len(rings), np.bool_)
@@ -290,16 +290,16 @@ def check_city(model: CityModel) -> CityReport:
     like any other, and solids are there to be looked at.
     """
     start = time.perf_counter()
-    found = [_defect(model, item) for item in model.findings.items]
+    defects = [_defect(model, item) for item in model.findings.items]
     areas = []
     for lod in model.lods:
         try:
             mesh = mesh_model(model, lod, stands_in=False)
         except NothingToMesh as nothing:
             areas.append(LevelAreas(lod, nothing.area_m2, 0.0, nothing.area_m2))
-            found += _of_level(model, lod, nothing.findings)
+            defects += _of_level(model, lod, nothing.findings)
             continue
-        found += _of_level(model, lod, mesh.findings)
+        defects += _of_level(model, lod, mesh.findings)
         areas.append(LevelAreas(lod, mesh.area_m2, mesh.meshed_m2, mesh.lost_m2))
     geometry = Findings()
     check_planes(model, geometry)
@@ -307,8 +307,8 @@ def check_city(model: CityModel) -> CityReport:
     check_shells(model, geometry)
     check_solids(model, geometry)
     check_parts(model, geometry)
-    found += [_defect(model, item) for item in geometry.items]
-    return CityReport(model.source, _rows(found), tuple(areas), model.crs, time.perf_counter() - start)
+    defects += [_defect(model, item) for item in geometry.items]
+    return CityReport(model.source, _rows(defects), tuple(areas), model.crs, time.perf_counter() - start)
 
 
 def _of_level(model: CityModel, lod: str, findings: Findings) -> list[tuple[FindingCode, FoundDefect]]:
@@ -318,12 +318,12 @@ def _of_level(model: CityModel, lod: str, findings: Findings) -> list[tuple[Find
     is_meshed &= (polygons.kind != SurfaceKind.INTERIOR) | model.has_interiors
     chosen = np.flatnonzero(is_meshed)
     order = chosen[np.argsort(polygons.building[chosen], kind="stable")]
-    found = []
+    defects = []
     for item in findings.items:
         place = None if item.place is None else tuple((np.asarray(item.place) + model.origin).tolist())
         number = int(order[item.polygon]) if item.polygon >= 0 else -1
-        found.append(_defect(model, replace(item, polygon=number, place=place)))
-    return found
+        defects.append(_defect(model, replace(item, polygon=number, place=place)))
+    return defects
 
 
 def _defect(model: CityModel, item: Finding) -> tuple[FindingCode, FoundDefect]:
@@ -333,9 +333,9 @@ def _defect(model: CityModel, item: Finding) -> tuple[FindingCode, FoundDefect]:
     return item.code, FoundDefect(item.object_id, item.detail, name, item.place)
 
 
-def _rows(found: list[tuple[FindingCode, FoundDefect]]) -> tuple[FindingRow, ...]:
+def _rows(defects: list[tuple[FindingCode, FoundDefect]]) -> tuple[FindingRow, ...]:
     by_code: dict[FindingCode, list[FoundDefect]] = {}
-    for code, defect in found:
+    for code, defect in defects:
         by_code.setdefault(code, []).append(defect)
     rows = [
         FindingRow(
@@ -412,14 +412,14 @@ def format_report(report: CityReport) -> str:
     else:
         widths = [max(len(line[i]) for line in cells) for i in range(6)]
         rows: tuple[FindingRow | None, ...] = (None, *report.rows)
-        for line, found in zip(cells, rows, strict=True):
+        for line, finding in zip(cells, rows, strict=True):
             text = "  ".join(
                 cell.rjust(width) if i in (3, 4, 5) else cell.ljust(width)
                 for i, (cell, width) in enumerate(zip(line, widths, strict=False))
             )
             lines.append(f"{text}  {line[6]}")
-            if found is not None and (found.objects or found.example):
-                first = ", ".join(filter(None, (*found.objects[:1], found.example)))
+            if finding is not None and (finding.objects or finding.example):
+                first = ", ".join(filter(None, (*finding.objects[:1], finding.example)))
                 lines.append(f"{'':{widths[0]}}  e.g. {first}")
     for level in report.areas:
         name = f"LoD{level.lod}" if level.lod else "all"

@@ -184,26 +184,26 @@ def _num_pieces(points: Floats, corners: Floats) -> int:
     while len(piece):
         labels, sizes = np.unique(piece, return_counts=True)
         is_mine = piece == labels[np.argmin(sizes)]
-        seen = _seen_from(points[is_mine], points[~is_mine], corners)
-        if seen.any():
-            piece[np.isin(piece, piece[~is_mine][seen])] = piece[is_mine][0]
+        is_visible = _in_sight(points[is_mine], points[~is_mine], corners)
+        if is_visible.any():
+            piece[np.isin(piece, piece[~is_mine][is_visible])] = piece[is_mine][0]
         else:
             num_apart += 1
             points, piece = points[~is_mine], piece[~is_mine]
     return num_apart
 
 
-def _seen_from(points: Floats, others: Floats, corners: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _in_sight(points: Floats, others: Floats, corners: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Returns which other points some of the points see; the first of them that see any are enough."""
-    seen = np.zeros(len(others), np.bool_)
+    is_visible = np.zeros(len(others), np.bool_)
     step = max(1, _MOST_PAIRS // max(1, len(others)))
     for k in range(0, len(points), step):
         block = points[k : k + step]
         ways = np.repeat(block, len(others), axis=0), np.tile(others, (len(block), 1))
-        seen = np.asarray(_is_free(*ways, corners).reshape(len(block), len(others)).any(axis=0))
-        if seen.any():
+        is_visible = np.asarray(_is_free(*ways, corners).reshape(len(block), len(others)).any(axis=0))
+        if is_visible.any():
             break
-    return seen
+    return is_visible
 
 
 def _is_free(start: Floats, end: Floats, corners: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -238,12 +238,12 @@ def check_solids(model: CityModel, findings: Findings) -> None:
     report = ShellReport(model, findings, solids.part[shell_solid])
     lod = _lods(model, solids)
     part = solids.part[shell_solid].astype(np.int64)
-    seen: set[tuple[int, int]] = set()
+    cut_pairs: set[tuple[int, int]] = set()
     for first, second, point in _crossings(faces, part, lod):
         pair = (min(first, second), max(first, second))
-        if pair in seen:
+        if pair in cut_pairs:
             continue
-        seen.add(pair)
+        cut_pairs.add(pair)
         if first == second:
             report.add(
                 codes.SHELL_SELF_INTERSECTION, first, point, "an edge passes through a face of its shell"
@@ -253,10 +253,10 @@ def check_solids(model: CityModel, findings: Findings) -> None:
         else:
             report.add(codes.SOLIDS_INTERSECT, first, point, "an edge passes through a face of another solid")
     _check_twins(report, faces, shell_solid, part, lod)
-    _check_inner(report, faces, solids, seen)
-    overlapping = {(int(shell_solid[a]), int(shell_solid[b])) for a, b in seen}
+    _check_inner(report, faces, solids, cut_pairs)
+    overlapping = {(int(shell_solid[a]), int(shell_solid[b])) for a, b in cut_pairs}
     check_composites(report, faces, solids, shell_solid, overlapping)
-    check_insides(report, faces, solids, seen)
+    check_insides(report, faces, solids, cut_pairs)
 
 
 def _lods(model: CityModel, solids: Solids) -> Ints:
@@ -317,12 +317,12 @@ def _check_inner(report: ShellReport, faces: SolidFaces, solids: Solids, cut: se
     """Reports inner shells that lie outside of the outer one; those that cut it are reported already."""
     for solid in np.flatnonzero(np.diff(solids.shell_starts) > 1).tolist():
         outer = int(solids.shell_starts[solid])
-        around = faces.corners[faces.shell == outer]
+        outer_corners = faces.corners[faces.shell == outer]
         for inner in range(outer + 1, int(solids.shell_starts[solid + 1])):
             own = np.flatnonzero(faces.edge_shell == inner)
             if len(own) and (outer, inner) not in cut:
                 middle = faces.start[own].mean(axis=0)
-                if abs(winding(around, middle)) < 0.5:
+                if abs(winding(outer_corners, middle)) < 0.5:
                     report.add(
                         codes.SHELL_OUTSIDE, inner, int(faces.point[own[0]]), "a hole of a solid lies outside"
                     )

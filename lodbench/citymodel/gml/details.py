@@ -109,9 +109,9 @@ def _leaves(element: Element) -> dict[str, Any]:
         text = (node.text or "").strip()
         name, parent = local_name(node.tag), node.getparent()
         if len(node) == 0 and text and name not in ("pos", "posList"):
-            around = "" if parent is None else local_name(parent.tag)
+            parent_name = "" if parent is None else local_name(parent.tag)
             given = next((v for key, v in node.items() if local_name(str(key)) == "Type"), None)
-            put_value(values, str(given or _ADDRESS_NAMES.get((around, name), name)), text)
+            put_value(values, str(given or _ADDRESS_NAMES.get((parent_name, name), name)), text)
     return values
 
 
@@ -138,29 +138,31 @@ class Appearances:
     materials: dict[str, tuple[int, int, int]] = field(default_factory=dict)  # diffuse RGB of each surface
 
 
-def read_appearances(member: Element, found: Appearances, folder: TextureFolder) -> None:
+def read_appearances(member: Element, appearances: Appearances, folder: TextureFolder) -> None:
     """Adds what a member of the file says; what a surface was given first stays.
 
     Args:
         member: Any element.
-        found: Receives it.
+        appearances: Receives it.
         folder: Where world files lie beside the pictures.
     """
     for texture in member.iter("{*}ParameterizedTexture"):
-        _read_parameterized(texture, found)
+        _read_parameterized(texture, appearances)
     for texture in member.iter("{*}GeoreferencedTexture"):
         ground = _georeference(texture, folder)
         if ground is not None:
-            found.grounds |= {target: ground for target in _targets(texture) if target not in found.grounds}
+            appearances.grounds |= {
+                target: ground for target in _targets(texture) if target not in appearances.grounds
+            }
     for material in member.iter("{*}X3DMaterial"):
         colour = numbers_of(_text(material, "diffuseColor"))
         if len(colour) == 3 and np.isfinite(colour).all():
             red, green, blue = np.rint(255 * np.clip(colour, 0.0, 1.0)).astype(int).tolist()
             for target in _targets(material):
-                found.materials.setdefault(target, (red, green, blue))
+                appearances.materials.setdefault(target, (red, green, blue))
 
 
-def _read_parameterized(texture: Element, found: Appearances) -> None:
+def _read_parameterized(texture: Element, appearances: Appearances) -> None:
     image = Image(_text(texture, "imageURI"), _text(texture, "wrapMode"))
     for places in texture.iter("{*}TexCoordList"):
         coordinates = list(places.iterchildren("{*}textureCoordinates"))
@@ -168,18 +170,18 @@ def _read_parameterized(texture: Element, found: Appearances) -> None:
         rings = [ring.text or "" for ring in places.iterchildren("{*}ring")] or [""] * len(coordinates)
         for each, ring in zip(coordinates, rings, strict=False):
             name = each.get("ring") or ring
-            found.rings.setdefault(name.strip().removeprefix("#"), (image, each.text or ""))
+            appearances.rings.setdefault(name.strip().removeprefix("#"), (image, each.text or ""))
     for matrix in texture.iter("{*}worldToTexture"):
         numbers = numbers_of(matrix.text)
         if len(numbers) == 12:
             for target in _targets_above(matrix):
-                found.planes.setdefault(target, (image, numbers.reshape(3, 4)))
+                appearances.planes.setdefault(target, (image, numbers.reshape(3, 4)))
 
 
 def _targets(element: Element) -> list[str]:
     """Returns the ids that an appearance is for: ``<target>#id</target>``, or the attribute ``uri``."""
-    found = [(target.get("uri") or target.text or "").strip() for target in element.iter("{*}target")]
-    return [name.removeprefix("#") for name in found if name]
+    uris = [(target.get("uri") or target.text or "").strip() for target in element.iter("{*}target")]
+    return [name.removeprefix("#") for name in uris if name]
 
 
 def _targets_above(element: Element) -> list[str]:
@@ -241,13 +243,13 @@ class AppearanceReader:
 
     def __init__(self, textures: SurfaceTextures) -> None:
         self._textures = textures
-        self._found = Appearances()
+        self._appearances = Appearances()
         self._rings: dict[int, tuple[str, ...]] = {}
         self._surfaces: dict[int, tuple[str, ...]] = {}
 
     def read_member(self, member: Element, polygons: dict[Element, int], first_serial: int) -> None:
         """Adds the appearances of a member, and the ids of its polygons and their rings."""
-        read_appearances(member, self._found, self._textures.folder)
+        read_appearances(member, self._appearances, self._textures.folder)
         above: dict[Element | None, tuple[str, ...]] = {None: ()}
         for element, number in polygons.items():
             serial = first_serial + number
@@ -261,7 +263,7 @@ class AppearanceReader:
             columns: As for ``city_of_columns``, points in the coordinates of the file.
             flipped: Serial numbers of the polygons whose rings were turned round.
         """
-        found = self._found
+        found = self._appearances
         if not (found.rings or found.planes or found.grounds or found.materials):
             return
         lengths, notes = columns["ring_lengths"].tolist(), self._textures.notes
@@ -280,7 +282,9 @@ class AppearanceReader:
 
     def _lay(self, serial: int, lengths: list[int], points: Floats, is_flipped: bool) -> bool:
         """Lays the picture that a polygon's outline has, else that of what it is part of, if there is any."""
-        entries = [self._found.rings.get(name) if name else None for name in self._rings.get(serial, ())]
+        entries = [
+            self._appearances.rings.get(name) if name else None for name in self._rings.get(serial, ())
+        ]
         if not entries or entries[0] is None:
             whole = self._on_surface(serial, points)
             return whole is not None and self._textures.lay(serial, [len(points)], [whole])
@@ -293,13 +297,13 @@ class AppearanceReader:
     def _on_surface(self, serial: int, points: Floats) -> tuple[Image, Floats] | None:
         """Returns the picture of a polygon or of what it is part of, by a matrix or a place on the ground."""
         for name in self._surfaces.get(serial, ()):
-            if name in self._found.planes:
-                image, matrix = self._found.planes[name]
+            if name in self._appearances.planes:
+                image, matrix = self._appearances.planes[name]
                 homogeneous = np.column_stack([points, np.ones(len(points))]) @ matrix.T
                 with np.errstate(divide="ignore", invalid="ignore"):
                     return image, homogeneous[:, :2] / homogeneous[:, 2:]
-            if name in self._found.grounds:
-                ground = self._found.grounds[name]
+            if name in self._appearances.grounds:
+                ground = self._appearances.grounds[name]
                 return Image(ground.image), self._on_ground(ground, points)
         return None
 

@@ -25,7 +25,7 @@ _FEW_NUMBERS = 1_000_000
 _DECIMAL = rb"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 _NUMBER = re.compile(_DECIMAL)
 _NUMBERS = re.compile(rb"\s*(?:%s(?:\s+|\Z))*" % _DECIMAL)
-_num_seen = 0
+_num_counted = 0
 
 
 def parse_rings(texts: list[bytes]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
@@ -75,9 +75,9 @@ def parse_rings(texts: list[bytes]) -> tuple[NDArray[np.float64], NDArray[np.int
 
 def is_few(num_numbers: int) -> bool:
     """Counts numbers; returns whether there are so few in all that no kernel is worth its loading."""
-    global _num_seen
-    _num_seen += num_numbers
-    return _num_seen <= _FEW_NUMBERS
+    global _num_counted
+    _num_counted += num_numbers
+    return _num_counted <= _FEW_NUMBERS
 
 
 def _parse_few(
@@ -90,13 +90,13 @@ def _parse_few(
     for n, data in enumerate(texts):
         words = data.split()
         if _NUMBERS.fullmatch(data):
-            found = [float(word) for word in words]
-            is_bad[n] = not np.isfinite(found).all()
+            numbers = [float(word) for word in words]
+            is_bad[n] = not np.isfinite(numbers).all()
         else:
-            found = [float(word) if _NUMBER.fullmatch(word) else np.nan for word in words]
+            numbers = [float(word) if _NUMBER.fullmatch(word) else np.nan for word in words]
             is_bad[n] = True
-        counts[n] = len(found)
-        values += found
+        counts[n] = len(numbers)
+        values += numbers
     return np.array(values, np.float64), counts, is_bad
 
 

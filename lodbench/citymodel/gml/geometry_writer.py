@@ -29,7 +29,7 @@ class AppearanceXml:
 
     def __init__(self, polygons: Polygons, dialect: Dialect, pictures: WrittenPictures) -> None:
         self._polygons, self._dialect, self._pictures = polygons, dialect, pictures
-        self._found: dict[int, dict[str, list[tuple[str, str]]]] = defaultdict(lambda: defaultdict(list))
+        self._by_picture: dict[int, dict[str, list[tuple[str, str]]]] = defaultdict(lambda: defaultdict(list))
 
     def add(self, polygon: int, polygon_id: str, ring: int, points: slice) -> str | None:
         """Returns the id that a ring gets because a picture lies on it, or None.
@@ -47,13 +47,13 @@ class AppearanceXml:
         closed = np.concatenate([places, places[:1]])
         text = " ".join(["%.7g"] * closed.size) % tuple(closed.ravel().tolist())
         ring_id = f"{polygon_id}-ring{ring}"
-        self._found[picture][polygon_id].append((ring_id, text))
+        self._by_picture[picture][polygon_id].append((ring_id, text))
         return ring_id
 
     def take(self) -> str:
         """Returns the appearance of all that was added, and forgets it; nothing where there is none."""
-        textures = [self._texture(number, targets) for number, targets in sorted(self._found.items())]
-        self._found.clear()
+        textures = [self._texture(number, targets) for number, targets in sorted(self._by_picture.items())]
+        self._by_picture.clear()
         if not textures:
             return ""
         is_old = self._dialect.version == "2.0"

@@ -94,14 +94,14 @@ class LinkResolver:
         ``srs_name`` is the reference system of what declares none in it.
         """
         index = index_member(member, None)
-        found = [
+        matches = [
             (number, target)
             for target in self._wanted.keys() & index.elements.keys()
             for number in self._wanted.pop(target)
         ]
-        if found:
+        if matches:
             self._walk.default_srs = self._walk.srs_names.index(srs_name)
-        for number, target in sorted(found):
+        for number, target in sorted(matches):
             self._follow(index, target, self.unresolved[number], building_ids)
         return bool(self._wanted)
 
@@ -176,17 +176,17 @@ class LinkResolver:
         self, index: MemberIndex, element: Element, reference: Reference, building_ids: list[str]
     ) -> bool:
         """Copies each geometry of an object at its own level and of its own kind; tells if there are any."""
-        around, properties = element.getparent(), 0
+        parent, properties = element.getparent(), 0
         for prop in element.iter(*names.GEOMETRY_PROPERTIES):
             lod_name = names.property_lod(prop.tag)
-            if lod_name is None or around is None or names.is_another_s(prop, around, self._walk.left_out):
+            if lod_name is None or parent is None or names.is_another_s(prop, parent, self._walk.left_out):
                 continue
             properties += 1
             if local_name(prop.tag).endswith("ImplicitRepresentation"):
                 detail = f"{local_name(prop.tag)} of an object elsewhere"
                 self._findings.add(codes.GEOMETRY_UNSUPPORTED, building_ids[reference.building], detail)
                 continue
-            lod, kind = self._walk.lods.index(lod_name), names.surface_kind(prop, around)
+            lod, kind = self._walk.lods.index(lod_name), names.surface_kind(prop, parent)
             own = reference._replace(lod=lod, kind=_INTERIOR if reference.kind == _INTERIOR else kind)
             hrefs = (*filter(None, [prop.get(XLINK_HREF)]), *self._copy_below(prop, index, own))
             for inner in self._targets_within(index, hrefs, own, building_ids):
@@ -258,7 +258,7 @@ class LinkResolver:
         walk = self._walk
         polygon = len(walk.batch.owners)
         walk.part = reference.part
-        srs_name, dimension = declared_around(element)
+        srs_name, dimension = inherited_srs(element)
         srs = walk.default_srs if srs_name is None else walk.srs_names.index(srs_name)
         walk.walk_geometry(element, reference.building, reference.lod, reference.kind, srs, dimension)
         index.polygons[element] = polygon
@@ -331,8 +331,8 @@ class SolidReader:
                     for shell in solid.iterchildren(name)
                 ]
                 if any(shells):
-                    around = names.owner_of(solid, prop, composites, -1) if composites else -1
-                    self._table.solids.append((names.owner_of(prop, building, part_of, own), shells, around))
+                    parent = names.owner_of(solid, prop, composites, -1) if composites else -1
+                    self._table.solids.append((names.owner_of(prop, building, part_of, own), shells, parent))
 
     def _faces(self, shell: Element) -> list[tuple[int, bool]]:
         """Returns serial number and direction of each polygon of a shell, borrowed ones included."""
@@ -355,7 +355,7 @@ class SolidReader:
         return faces
 
 
-def declared_around(geometry: Element) -> tuple[str | None, int]:
+def inherited_srs(geometry: Element) -> tuple[str | None, int]:
     """Returns the srsName and the srsDimension around a geometry, None and 0 where none is."""
     systems = (node.get("srsName") for node in geometry.iterancestors())
     dimensions = ((node.get("srsDimension") or "").strip() for node in geometry.iterancestors())

@@ -301,12 +301,12 @@ def is_another_s(node: Element, building: Element, left_out: set[Element]) -> bo
 
 def extension_above(node: Element, building: Element) -> Element | None:
     """Returns the outermost property of an extension that something inside of a building stands in."""
-    found = None
+    outermost = None
     for above in node.iterancestors():
         if above is building:
             break
-        found = above if is_extension(above.tag) else found
-    return found
+        outermost = above if is_extension(above.tag) else outermost
+    return outermost
 
 
 def buildings_inside(element: Element) -> set[Element]:
@@ -356,19 +356,19 @@ def envelope_srs(element: Element) -> str | None:
 
 def measured_height(noted: Mapping[str, list[Element]]) -> float | None:
     """Returns an object's height above the ground in metres, from its ``noted_children``; or its storeys'."""
-    found: dict[str, Any] = {}
+    heights: dict[str, Any] = {}
     for name in HEIGHTS:
         for child in noted.get(name, ()):
             metres = metres_of(child)
             if metres is not None:
-                found[name] = [float(word) * metres for word in numbers_in(child)]
+                heights[name] = [float(word) * metres for word in numbers_in(child)]
     if "height" in noted:
-        found["height"] = value_of(noted["height"][-1], 0)
-    if not found:
+        heights["height"] = value_of(noted["height"][-1], 0)
+    if not heights:
         return None
-    if "measuredHeight" not in found:
-        take_measured_height(found)
-    return overall_height(found)
+    if "measuredHeight" not in heights:
+        take_measured_height(heights)
+    return overall_height(heights)
 
 
 # Of the object itself, of its surfaces and parts, and of their surfaces: a look at all would cost too much,

@@ -112,7 +112,7 @@ class _Reader:
         self._version: str | None = None
         self._srs_name: str | None = None
         self._root_srs: str | None = None
-        self._around: Element | None = None  # what the members of now stand in
+        self._parent: Element | None = None  # what the members of now stand in
 
     def read(self, stream: BinaryIO, *, is_folded: bool = False) -> None:
         folding = self.walk.folding = Folding(is_on=is_folded)
@@ -176,9 +176,9 @@ class _Reader:
 
     def _begin_member(self, member: Element) -> None:
         self.walk.begin_member()
-        around = member.getparent()
-        if around is not None and around is not self._around:  # its Envelope goes with its first member
-            self._around, self._srs_name = around, names.envelope_srs(around) or self._root_srs
+        parent = member.getparent()
+        if parent is not None and parent is not self._parent:  # its Envelope goes with its first member
+            self._parent, self._srs_name = parent, names.envelope_srs(parent) or self._root_srs
 
     def _read_member(self, member: Element) -> None:
         self._begin_member(member)

@@ -303,29 +303,29 @@ class CityGmlWriter:
             return ""
         element, _ = self._holder(n, type_, parent_type)
         rank = self._dialect.rank
-        found: list[Property] = list(self._geometry.properties(n, self._ids[n], type_))
+        properties: list[Property] = list(self._geometry.properties(n, self._ids[n], type_))
         if table.attributes:
-            found += properties_of(table.attributes[n], type_, self._dialect)
+            properties += properties_of(table.attributes[n], type_, self._dialect)
         for child in children[n]:
             xml = self._object(child, type_, children)
             if xml:
                 _, holder = self._holder(child, like_buildings(table.types[child])[1], type_)
-                found.append((holder, tag(holder, xml)))
-        found.sort(key=lambda one: rank.get(one[0], len(rank)))
-        xml = tag(element, "".join(xml for _, xml in found), gml__id=self._ids[n])
+                properties.append((holder, tag(holder, xml)))
+        properties.sort(key=lambda one: rank.get(one[0], len(rank)))
+        xml = tag(element, "".join(xml for _, xml in properties), gml__id=self._ids[n])
         return renamed(xml, prefix) if prefix and table.parents[n] < 0 else xml
 
     def _of_layer(self, n: int, type_: str) -> str:
         """Returns an object that is neither building, bridge nor tunnel."""
         table, dialect = self._objects, self._dialect
         element = element_of(type_, dialect)
-        found: list[Property] = list(layer_geometry(self._geometry, n, self._ids[n], type_, dialect))
+        properties: list[Property] = list(layer_geometry(self._geometry, n, self._ids[n], type_, dialect))
         if table.attributes:
             stated = table.attributes[n].items()
             own = {key: value for key, value in stated if (type_, key) != ("TINRelief", "lod")}
-            found += properties_of(own, type_, dialect)
-        found.sort(key=lambda one: dialect.rank.get(one[0], len(dialect.rank)))
-        xml = tag(element, "".join(xml for _, xml in found), gml__id=self._ids[n])
+            properties += properties_of(own, type_, dialect)
+        properties.sort(key=lambda one: dialect.rank.get(one[0], len(dialect.rank)))
+        xml = tag(element, "".join(xml for _, xml in properties), gml__id=self._ids[n])
         return renamed(xml, element.partition(":")[0])
 
     def _holder(self, n: int, type_: str, parent_type: str) -> tuple[str, str]:

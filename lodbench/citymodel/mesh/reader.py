@@ -83,7 +83,7 @@ def _require_counts(document: dict[str, Any], source: str) -> None:
 
 def _of_triangles(document: dict[str, Any]) -> set[int]:
     """Returns the numbers of the accessors that hold corners, places on pictures and indices."""
-    found: set[int] = set()
+    accessors: set[int] = set()
     for mesh in list_or_empty(document.get("meshes")):
         for primitive in list_or_empty(mesh.get("primitives")) if isinstance(mesh, dict) else ():
             if isinstance(primitive, dict):
@@ -92,8 +92,8 @@ def _of_triangles(document: dict[str, Any]) -> set[int]:
                     *(attributes.values() if isinstance(attributes, dict) else ()),
                     primitive.get("indices"),
                 ]
-                found.update(value for value in values if type(value) is int)
-    return found
+                accessors.update(value for value in values if type(value) is int)
+    return accessors
 
 
 def gltf_document(content: bytes) -> dict[str, Any] | None:

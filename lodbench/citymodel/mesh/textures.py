@@ -64,8 +64,8 @@ def _number(word: str) -> float | None:
 
 
 def _named_by_obj(path: Path, folder: TextureFolder) -> tuple[list[str], list[str]]:
-    found = _after(path, "mtllib", "usemtl")
-    libraries, pictures, materials = sorted(set(found["mtllib"])), set(), set()
+    by_keyword = _after(path, "mtllib", "usemtl")
+    libraries, pictures, materials = sorted(set(by_keyword["mtllib"])), set(), set()
     files = {library: folder.path(library) for library in libraries}
     for library, file in files.items():
         if file is not None:
@@ -74,7 +74,7 @@ def _named_by_obj(path: Path, folder: TextureFolder) -> tuple[list[str], list[st
             parent = PurePosixPath(library.replace("\\", "/")).parent.as_posix()
             names = [picture_name(words, file.name) for words in own["map_Kd"]]
             pictures |= {name if parent == "." else f"{parent}/{name}" for name in names}
-    undefined = sorted(set(found["usemtl"]) - materials)
+    undefined = sorted(set(by_keyword["usemtl"]) - materials)
     if undefined and None not in files.values():
         raise DatasetError(
             f"{path.name} uses materials that nothing defines: {', '.join(undefined[:3])}.",
@@ -85,26 +85,26 @@ def _named_by_obj(path: Path, folder: TextureFolder) -> tuple[list[str], list[st
 
 def _after(path: Path, *keywords: str) -> dict[str, list[str]]:
     """Returns what follows keywords on the lines of a file, whatever letters they are in."""
-    found: dict[str, list[str]] = {keyword: [] for keyword in keywords}
+    by_keyword: dict[str, list[str]] = {keyword: [] for keyword in keywords}
     spelt = {keyword.lower(): keyword for keyword in keywords}
     with path.open(encoding="latin-1") as stream:
         for line in stream:
             words = line.split(maxsplit=1)
             keyword = spelt.get(words[0].lower()) if len(words) == 2 else None
             if keyword is not None:
-                found[keyword].append(words[1].strip())
-    return found
+                by_keyword[keyword].append(words[1].strip())
+    return by_keyword
 
 
 def _named_by_gltf(path: Path) -> tuple[list[str], list[str]]:
     content = gltf_document(path.read_bytes()) or {}
     try:
-        found = [[str(entry.get("uri", "")) for entry in content.get(k, [])] for k in ("buffers", "images")]
+        names = [[str(entry.get("uri", "")) for entry in content.get(k, [])] for k in ("buffers", "images")]
         for material in content.get("materials", []):
             _require_plain(material, content, path.name)
     except (ValueError, AttributeError, TypeError, LookupError):
         return [], []  # the reader says what is wrong
-    others, pictures = ([uri for uri in uris if uri and not uri.startswith("data:")] for uris in found)
+    others, pictures = ([uri for uri in uris if uri and not uri.startswith("data:")] for uris in names)
     return sorted(set(others)), sorted(set(pictures))
 
 
@@ -154,12 +154,12 @@ def _require_plain(material: dict[str, Any], content: dict[str, Any], source: st
     texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
     transform = texture.get("extensions", {}).get(_TRANSFORM, {})
     is_moved = any(transform.get(key, stays) != stays for key, stays in _STAYS.items())
-    found: dict[str, Any] = content["textures"][texture["index"]] if texture else {"source": 0}
+    entry: dict[str, Any] = content["textures"][texture["index"]] if texture else {"source": 0}
     faults = {
         f"moves its picture ({_TRANSFORM})": is_moved,
         "lies by its second texture coordinates": texture.get("texCoord", 0) != 0,
         # KTX2 stands in an extension alone.
-        "has no PNG, JPEG or WebP": not ("source" in found or _WEBP in found.get("extensions", {})),
+        "has no PNG, JPEG or WebP": not ("source" in entry or _WEBP in entry.get("extensions", {})),
     }
     for what, is_so in faults.items():
         if is_so:
@@ -249,5 +249,5 @@ def _tinted(picture: NDArray[np.uint8], factor: NDArray[np.uint8] | None) -> NDA
     light = np.where(shades <= 0.04045, shades / 12.92, ((shades + 0.055) / 1.055) ** 2.4)
     light = light * (factor[:3, None] / 255.0)
     table = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    found = [own[picture[..., k]] for k, own in enumerate(np.rint(255.0 * table).astype(np.uint8))]
-    return np.stack(found, axis=-1)
+    channels = [own[picture[..., k]] for k, own in enumerate(np.rint(255.0 * table).astype(np.uint8))]
+    return np.stack(channels, axis=-1)

@@ -395,8 +395,8 @@ def surface_files(path: Path) -> list[Path]:
     """Returns the files of a surface model: the path itself, or rasters and laser points in a folder."""
     if not path.is_dir():
         return [path]
-    found = (file for file in sorted(path.rglob("*")) if file.suffix.lower() in SURFACE_SUFFIXES)
-    files = [file for file in found if file.is_file()]
+    paths = (file for file in sorted(path.rglob("*")) if file.suffix.lower() in SURFACE_SUFFIXES)
+    files = [file for file in paths if file.is_file()]
     return [file for file in files if not file.name.startswith("._")]
 
 
@@ -489,12 +489,12 @@ def _read_tiles(tiles: Sequence[_Tile], starts: NDArray[np.int64], rows: Span, c
         own_columns = max(columns[0] - left, 0), min(columns[1] - left, tile.shape[1])
         if own_rows[0] >= own_rows[1] or own_columns[0] >= own_columns[1]:
             continue
-        found = _read_tile(tile, own_rows, own_columns)
+        tile_heights = _read_tile(tile, own_rows, own_columns)
         part = heights[
             own_rows[0] + top - rows[0] : own_rows[1] + top - rows[0],
             own_columns[0] + left - columns[0] : own_columns[1] + left - columns[0],
         ]
-        np.copyto(part, found, where=np.isnan(part))
+        np.copyto(part, tile_heights, where=np.isnan(part))
     return heights
 
 

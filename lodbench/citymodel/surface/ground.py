@@ -186,11 +186,11 @@ def _lowest(grid: SurfaceGrid, step: int) -> tuple[Floats, int, float]:
 
 def _coarse(grid: SurfaceGrid, read: object, step: int) -> Floats:
     """Returns the lowest of another band of a grid in each coarse cell."""
-    found = np.full([math.ceil(side / step) for side in grid.shape], np.nan, np.float32)
+    lowest = np.full([math.ceil(side / step) for side in grid.shape], np.nan, np.float32)
     for rows, columns in grid.blocks(BLOCK - BLOCK % step):
         place = tuple(slice(span[0] // step, math.ceil(span[1] / step)) for span in (rows, columns))
-        found[place] = _reduced(read(rows, columns), step)  # type: ignore[operator]
-    return found
+        lowest[place] = _reduced(read(rows, columns), step)  # type: ignore[operator]
+    return lowest
 
 
 def _reduced(heights: Floats, step: int) -> Floats:
@@ -202,25 +202,25 @@ def _reduced(heights: Floats, step: int) -> Floats:
     rows, columns = padded.shape[0] // step, padded.shape[1] // step
     cells = padded.reshape(rows, step, columns, step).swapaxes(1, 2).reshape(rows, columns, step * step)
     low = np.partition(np.where(np.isnan(cells), np.inf, cells), 1, axis=2)[..., :2]
-    found = np.where(np.isfinite(low[..., 1]), low[..., 1], low[..., 0])
-    return np.where(np.isfinite(found), found, np.nan).astype(np.float32)
+    lowest = np.where(np.isfinite(low[..., 1]), low[..., 1], low[..., 0])
+    return np.where(np.isfinite(lowest), lowest, np.nan).astype(np.float32)
 
 
 def _of_terrain(grid: SurfaceGrid, step: int, shape: tuple[int, ...], options: ReadOptions) -> Floats:
     """Returns the terrain model at the middles of the coarse cells, metres; NaN where it has no height."""
-    found = np.empty(shape, np.float32)
+    terrain = np.empty(shape, np.float32)
     columns = (np.arange(shape[1]) + 0.5) * step
     for first in range(0, shape[0], 256):
         rows = (np.arange(first, min(first + 256, shape[0])) + 0.5) * step
         points = grid.places(np.tile(columns, len(rows)), np.repeat(rows, len(columns)))
         heights = ground_under(points, grid.crs or "", options) * grid.height_unit_m
-        found[first : first + 256] = heights.reshape(len(rows), -1)
-    if not np.isfinite(found).any():
+        terrain[first : first + 256] = heights.reshape(len(rows), -1)
+    if not np.isfinite(terrain).any():
         raise CityModelError(
             f"The terrain model {options.terrain} has no height under {grid.name}.",
             "Is it the same tile, and its reference system right?",
         )
-    return found
+    return terrain
 
 
 def _tell_offset(above: Floats, options: ReadOptions, findings: Findings) -> None:
@@ -379,10 +379,10 @@ def measure_roofs(grid: SurfaceGrid, ground: Ground, footprints: NDArray[Any]) -
     is_known = (cells >= np.minimum(_LEAST_CELLS, total)) & (cells > 0) & (cells >= _LEAST_SHARE * total)
     order = np.lexsort((heights[is_there], owners[is_there]))
     starts = np.concatenate([[0], np.cumsum(cells)])
-    found = (_quantile(heights[is_there][order], starts, share) for share in (EAVES, MIDDLE, RIDGE))
+    quantiles = (_quantile(heights[is_there][order], starts, share) for share in (EAVES, MIDDLE, RIDGE))
     low = np.full(count, np.inf)
     np.minimum.at(low, owners, grounds)
-    eaves, middle, ridge = (np.where(is_known, each, np.nan) for each in found)
+    eaves, middle, ridge = (np.where(is_known, each, np.nan) for each in quantiles)
     return RoofHeights(eaves, middle, ridge, np.where(np.isfinite(low), low, np.nan), cells)
 
 
@@ -430,11 +430,11 @@ def burnt(grid: SurfaceGrid, shapes: NDArray[Any], rows: Span, columns: Span) ->
     from rasterio.transform import from_origin
 
     west, north = (float(value) for value in grid.places(np.array([columns[0]]), np.array([rows[0]]))[0])
-    found: NDArray[np.int32] = rasterize(
+    labels: NDArray[np.int32] = rasterize(
         ((shape, n) for n, shape in enumerate(shapes)),
         out_shape=(rows[1] - rows[0], columns[1] - columns[0]),
         transform=from_origin(west, north, *grid.cell),
         fill=-1,
         dtype="int32",
     )
-    return found
+    return labels

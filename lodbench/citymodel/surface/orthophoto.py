@@ -56,7 +56,7 @@ class Imagery:
         width, height = (int(side) for side in size)
         with opened_raster(self.path, orthophoto_driver(self.path)) as raster:
             is_palette = bool(raster.colorinterp[0].name == "palette")
-            seen = {
+            warp_options = {
                 "crs": _own_crs(raster, self.crs),
                 "src_crs": _own_crs(raster, self.crs) if raster.crs is None else raster.crs,
                 "transform": from_bounds(*low, *high, width, height),
@@ -65,7 +65,7 @@ class Imagery:
                 "resampling": Resampling.nearest if is_palette else Resampling.average,
                 "add_alpha": not raster.nodatavals[0] and not _has_alpha(raster),
             }
-            with WarpedVRT(raster, **seen) as warped:
+            with WarpedVRT(raster, **warp_options) as warped:
                 bands = warped.read(_bands(raster))
                 alpha = warped.dataset_mask()
             colours = _of_palette(bands[0], raster) if is_palette else _as_bytes(bands, alpha > 0)
@@ -210,13 +210,13 @@ def read_colours(
         if own is None and raster.transform.is_identity:
             raise CityModelError(f"The orthophoto {path} does not say where it lies.", "Give it a place.")
         plane = own if grid.crs is None else CRS.from_wkt(require_crs(grid.crs).horizontal.to_wkt())
-        seen = {
+        warp_options = {
             "crs": plane, "src_crs": plane if own is None else own,
             "transform": from_origin(west, north, grid.cell[0] / per_cell, grid.cell[1] / per_cell),
             "width": per_cell * (columns[1] - columns[0]), "height": per_cell * (rows[1] - rows[0]),
             "resampling": Resampling.average,
         }  # fmt: skip
-        with WarpedVRT(raster, **seen) as warped:
+        with WarpedVRT(raster, **warp_options) as warped:
             return np.ascontiguousarray(np.moveaxis(warped.read([1, 2, 3]), 0, 2))
 
 
@@ -289,7 +289,7 @@ def square_corners(heights: Floats, tolerance_m: float) -> NDArray[np.int64]:
     Squares are the largest, of a power of two cells, whose triangles lie within the tolerance of the heights
     below them; those that hold a gap are left out, down to single cells.
     """
-    found: list[NDArray[np.int64]] = []
+    triangles: list[NDArray[np.int64]] = []
     rows, columns = (each - 1 for each in heights.shape)
     is_open = np.ones((rows, columns), np.bool_)
     side = _WIDEST
@@ -304,9 +304,9 @@ def square_corners(heights: Floats, tolerance_m: float) -> NDArray[np.int64]:
         is_open[(row[:, None, None] + offsets[:, None]), (column[:, None, None] + offsets)] = False
         a, b = np.stack([row, column], 1), np.stack([row + side, column], 1)
         c, d = np.stack([row + side, column + side], 1), np.stack([row, column + side], 1)
-        found += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
+        triangles += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
         side //= 2
-    return np.concatenate(found)
+    return np.concatenate(triangles)
 
 
 def _off(heights: Floats, row: NDArray[Any], column: NDArray[Any], side: int) -> Floats:

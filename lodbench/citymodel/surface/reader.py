@@ -133,8 +133,8 @@ def _edges(outlines: NDArray[Any], piece: NDArray[np.int64]) -> _Edges:
     count = int(place.max()) + 1
     key, opposite = place * count + place[following], place[following] * count + place
     order = np.argsort(key, kind="stable")
-    found = np.minimum(np.searchsorted(key[order], opposite), len(key) - 1)
-    other = np.where(key[order][found] == opposite, own[order][found], -1)
+    index = np.minimum(np.searchsorted(key[order], opposite), len(key) - 1)
+    other = np.where(key[order][index] == opposite, own[order][index], -1)
     return _Edges(points, points[following], own, other)
 
 

@@ -328,9 +328,9 @@ def _heights(
         findings.add(codes.UNDERGROUND, ids[i])
     is_missing |= is_turned
     default = np.nan if options.default_height_m is None else options.default_height_m / unit_m
-    tops = np.where(is_below, np.nan, np.where(is_missing, default, heights))
+    roof_heights = np.where(is_below, np.nan, np.where(is_missing, default, heights))
     height_from = np.where(is_missing, "default_height_m", height_from)
-    return tops, np.where(bottoms < tops, bottoms, 0.0), height_from
+    return roof_heights, np.where(bottoms < roof_heights, bottoms, 0.0), height_from
 
 
 def _no_height(source: str, findings: Findings) -> CityModelError:

@@ -108,12 +108,12 @@ def read_colmap_points(folder: Path) -> NDArray[np.float64]:
     path = folder / "points3D.txt"
     if not path.is_file():
         return np.zeros((0, 3))
-    found = []
+    coordinates = []
     for where, line in pose_text.content(path):
         with pose_text.LayoutGuard(where, "POINT3D_ID X Y Z R G B ERROR TRACK[]"):
             _, x, y, z, *_ = line.split()
-            found.append([float(x), float(y), float(z)])
-    return np.array(found, np.float64).reshape(-1, 3)
+            coordinates.append([float(x), float(y), float(z)])
+    return np.array(coordinates, np.float64).reshape(-1, 3)
 
 
 def write_colmap(images: Sequence[pose_text.FoundPose], folder: Path) -> None:

@@ -171,9 +171,9 @@ def read_table(path: Path) -> Iterator[FoundPose]:
             if any(cells[len(columns) :]):
                 raise LodbenchError(f"{len(cells)} values for {len(columns)} columns")
             row = {name: cell for name, cell in zip(columns, cells, strict=False) if name}
-            found = _of_row(where, row)
-        if found is not None:
-            yield found
+            pose = _of_row(where, row)
+        if pose is not None:
+            yield pose
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -236,22 +236,22 @@ def read_fixes(path: Path) -> dict[str, Fix]:
     Raises:
         DatasetError: It cannot be read, names a photo twice, or a value is missing, none or out of range.
     """
-    found: dict[str, Fix] = {}
+    fixes: dict[str, Fix] = {}
     for where, row in (_gpx_rows if path.suffix.lower() == ".gpx" else _csv_rows)(path):
         with LayoutGuard(where, _GPX_LAYOUT if path.suffix.lower() == ".gpx" else _FIX_LAYOUT):
             name = row.get("name", "")
             if not name:
                 raise LodbenchError("name is missing")
-            if name in found:
+            if name in fixes:
                 raise LodbenchError(f"the name {name} occurs twice")
             latitude, longitude = (_number(row, axis) for axis in ("latitude", "longitude"))
             if latitude is None or longitude is None:
                 raise LodbenchError("latitude or longitude is missing")
             sigmas = tuple(_number(row, axis) for axis in _FIX_SIGMAS)
-            found[name] = Fix(latitude, longitude, _number(row, "height"), sigmas)
-    if not found:
+            fixes[name] = Fix(latitude, longitude, _number(row, "height"), sigmas)
+    if not fixes:
         raise DatasetError(f"{path} holds no fixes.", f"It is {_FIX_LAYOUT}; or GPX: {_GPX_LAYOUT}.")
-    return found
+    return fixes
 
 
 def _csv_rows(path: Path) -> Iterator[tuple[str, dict[str, str]]]:

@@ -82,11 +82,11 @@ def _metashape_columns(where: str, line: str) -> dict[str, int]:
     with pose_text.LayoutGuard(where, ",".join(_METASHAPE_HEAD)):
         if any("longitude" in head for head in heads):
             raise DatasetError(f"{where}: the coordinates are in degrees.", _PROJECTED_HINT)
-        found = {"label": heads.index("label")}
+        columns = {"label": heads.index("label")}
         for name, source in _METASHAPE_COLUMNS.items():
             estimate = f"{name}_est"
-            found[name] = heads.index(estimate if estimate in heads else source)
-    return found
+            columns[name] = heads.index(estimate if estimate in heads else source)
+    return columns
 
 
 def read_pix4d(path: Path) -> Iterator[pose_text.FoundPose]:

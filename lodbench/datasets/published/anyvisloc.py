@@ -116,12 +116,12 @@ def open_anyvisloc(params: AnyVisLocParams) -> Dataset:
         ("map", params.map, _MAPS),
     ):
         own_layout.require_word(f"dataset.{setting}", word, words)
-    found, home = own_layout.find_parts(SPEC, params)
+    inventory, home = own_layout.find_parts(SPEC, params)
     scene = _scene(home, params.scene)
     findings = Findings()
     files = sorted(scene.glob("L??_????.npz"))
     if not files:
-        raise DatasetError(f"{scene} holds no L??_????.npz.", advice(found))
+        raise DatasetError(f"{scene} holds no L??_????.npz.", advice(inventory))
     samples = [_read(path) for path in files]
     poses = _poses(params.poses, samples, findings)
     pictures = kept_pictures(SPEC.id, files, scene.name, lambda: _pictures(samples))
@@ -136,11 +136,11 @@ def open_anyvisloc(params: AnyVisLocParams) -> Dataset:
         entries.append(entry)
         truth[entry.key] = pose
     dataset = own_layout.as_dataset(
-        found,
+        inventory,
         own_layout.without_lens(SPEC.id, entries),
         truth,
         findings,
-        city_model=found.city_model or city,
+        city_model=inventory.city_model or city,
         textured_map=textured,
         lod=params.lod,
         default_splits=(),

@@ -51,12 +51,12 @@ class Card:
         Raises:
             DatasetError: There is no such heading.
         """
-        found = re.search(
+        match = re.search(
             rf"^## {re.escape(title)}\n+(.*?)\s*(?=^## |\Z)", self.text, re.DOTALL | re.MULTILINE
         )
-        if found is None:
+        if match is None:
             raise DatasetError(f"The card of {self.name} has no section {title!r}.")
-        return found[1]
+        return match[1]
 
 
 def read_card(name: str) -> Card:

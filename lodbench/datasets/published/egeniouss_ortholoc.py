@@ -82,7 +82,7 @@ def open_egeniouss(params: EgenioussParams) -> Dataset:
     from lodbench.datasets.own import find_photo
 
     own_layout.require_word("dataset.priors", params.priors, _PRIORS)
-    found, home = own_layout.find_parts(EGENIOUSS, params)
+    inventory, home = own_layout.find_parts(EGENIOUSS, params)
     findings = Findings()
     queries = home / "query_images"
     true_rows = own_layout.read_pose_rows(queries / "val_gt_poses.txt")
@@ -121,7 +121,7 @@ def open_egeniouss(params: EgenioussParams) -> Dataset:
                     findings.add(code, entry.key)
     mesh = home / "mesh"
     return own_layout.as_dataset(
-        found,
+        inventory,
         own_layout.without_lens(EGENIOUSS.id, entries),
         truth,
         findings,
@@ -242,17 +242,19 @@ def open_ortholoc(params: OrthoLocParams) -> Dataset:
     """
     own_layout.require_word("dataset.focal", params.focal, _FOCALS)
     own_layout.require_word("dataset.pixel_origin", params.pixel_origin, [own_layout.AUTO, *_ORIGINS])
-    found, home = own_layout.find_parts(ORTHOLOC, params)
+    inventory, home = own_layout.find_parts(ORTHOLOC, params)
     files = [
         (split, path)
         for split in _SPLITS
         for path in sorted((home / "full" / split).glob("*.npz"))
         if fnmatch.fnmatch(path.stem, params.samples)
     ]
-    if not files and not found.is_there:
-        raise not_all_of(found)
+    if not files and not inventory.is_there:
+        raise not_all_of(inventory)
     if not files:
-        raise DatasetError(f"No sample of {found.root} is called {params.samples}.", "Set dataset.samples.")
+        raise DatasetError(
+            f"No sample of {inventory.root} is called {params.samples}.", "Set dataset.samples."
+        )
     if len(files) > _MOST_SAMPLES:
         raise DatasetError(
             f"{len(files)} samples are more than the {_MOST_SAMPLES} that are opened at a time.",
@@ -278,11 +280,11 @@ def open_ortholoc(params: OrthoLocParams) -> Dataset:
         entries.append(entry)
         truth[entry.key] = sample.pose.shifted(cell_offset(index))
     dataset = own_layout.as_dataset(
-        found,
+        inventory,
         entries,
         truth,
         findings,
-        city_model=found.city_model or city,
+        city_model=inventory.city_model or city,
         textured_map=textured,
         lod=params.lod,
         submission=partial(_predictions, [entry.key for entry in entries]),
@@ -343,9 +345,9 @@ def _half_pixel(reading: str, samples: Sequence[_Sample], findings: Findings) ->
         if points.shape[:2] != (height, width):
             raise DatasetError(f"{sample.path}: point_map is {points.shape}, its photo {height} x {width}.")
         rows, columns = np.mgrid[0:height:_STEP, 0:width:_STEP]
-        seen = points[rows, columns].astype(np.float64) @ sample.pose.rotation.T + sample.pose.translation
+        local = points[rows, columns].astype(np.float64) @ sample.pose.rotation.T + sample.pose.translation
         with np.errstate(all="ignore"):
-            pixels = seen @ sample.intrinsics.T
+            pixels = local @ sample.intrinsics.T
             pixels = pixels[..., :2] / pixels[..., 2:]
         off.append(np.nanmedian(pixels - np.stack([columns, rows], axis=2), axis=(0, 1)))
     offset = np.median(off, axis=0)

@@ -164,10 +164,10 @@ class Survey:
 
     def missing(self) -> list[str]:
         """Returns what a run needs and is not there: one line each."""
-        found = {files.spec.name: files for files in self.splits}
+        by_split = {files.spec.name: files for files in self.splits}
         lines = []
         for split in self.spec.splits:
-            files = found.get(split.name)
+            files = by_split.get(split.name)
             if files is None and split.is_test and not self.spec.parts:
                 lines.append(f"split {split.name}: no folder {split.folders[0]}")
             if files is not None:
@@ -237,7 +237,7 @@ def _survey_parts(spec: PublishedSpec, base: Path, city: str | None) -> Survey:
     )
 
 
-def require_data(found: Survey) -> None:
+def require_data(inventory: Survey) -> None:
     """Makes sure that there are queries.
 
     Raises:
@@ -245,29 +245,31 @@ def require_data(found: Survey) -> None:
             was named does not exist. The hint is a screen of text: what is missing, the expected tree,
             where to get it, what to do next.
     """
-    if found.city_model is not None and not found.city_model.exists():
-        raise DatasetError(f"The city model {found.city_model} does not exist.", "Set `city=FILE`.")
-    if found.spec.parts:
-        is_whole = not any(part.is_needed for part in found.lacking)
+    if inventory.city_model is not None and not inventory.city_model.exists():
+        raise DatasetError(f"The city model {inventory.city_model} does not exist.", "Set `city=FILE`.")
+    if inventory.spec.parts:
+        is_whole = not any(part.is_needed for part in inventory.lacking)
     else:
-        has_test = any(files.spec.is_test for files in found.splits)
-        is_whole = has_test and all(files.is_complete for files in found.splits)
+        has_test = any(files.spec.is_test for files in inventory.splits)
+        is_whole = has_test and all(files.is_complete for files in inventory.splits)
     if not is_whole:
-        raise not_all_of(found)
+        raise not_all_of(inventory)
 
 
-def not_all_of(found: Survey) -> DatasetError:
+def not_all_of(inventory: Survey) -> DatasetError:
     """Returns the error that parts of a dataset are missing, with the screen of text that says what to do."""
-    return DatasetError(f"{found.spec.id}: not all of {found.spec.title} is in {found.root}.", advice(found))
+    return DatasetError(
+        f"{inventory.spec.id}: not all of {inventory.spec.title} is in {inventory.root}.", advice(inventory)
+    )
 
 
-def advice(found: Survey) -> str:
+def advice(inventory: Survey) -> str:
     """Returns what to do about missing parts, for a screen of 24 lines."""
-    spec, where = found.spec, "" if found.root == data_root() else f" --root {found.root}"
+    spec, where = inventory.spec, "" if inventory.root == data_root() else f" --root {inventory.root}"
     lines = [
         "missing:",
-        *(f"  {line}" for line in found.missing()[:6]),
-        f"expected, in {found.root} or dataset.root=DIR:",
+        *(f"  {line}" for line in inventory.missing()[:6]),
+        f"expected, in {inventory.root} or dataset.root=DIR:",
         *(_parts_of(spec) if spec.parts else _tree_of(spec)),
         "get it:",
         *(f"  {host.what}: {host.url}\n    {host.how}" for host in spec.hosts),

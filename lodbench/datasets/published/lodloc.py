@@ -109,29 +109,31 @@ def open_published(spec: layout.PublishedSpec, params: PublishedParams) -> Datas
         raise ConfigError(f"dataset.frame={params.frame} is unknown.", nearest_names(params.frame, _FRAMES))
     if params.origin is not None and len(params.origin) != 3:
         raise ConfigError("dataset.origin takes three numbers: easting, northing, height.")
-    found = layout.survey(spec, params.root, params.city_model, params.prior_file)
-    layout.require_data(found)
-    _require_prior_file(params, found)
+    inventory = layout.survey(spec, params.root, params.city_model, params.prior_file)
+    layout.require_data(inventory)
+    _require_prior_file(params, inventory)
     findings = Findings()
-    _note_missing_splits(spec, found, findings)
-    complete = [files for files in found.splits if files.is_complete]
+    _note_missing_splits(spec, inventory, findings)
+    complete = [files for files in inventory.splits if files.is_complete]
     contents = [read_split(files, findings) for files in complete]
     options = ReadOptions()
-    textured = found.textured_map if params.textured_map is None else Path(params.textured_map).expanduser()
+    textured = (
+        inventory.textured_map if params.textured_map is None else Path(params.textured_map).expanduser()
+    )
     if textured is not None and not textured.exists():
         raise DatasetError(f"The textured map {textured} does not exist.", "Set `dataset.textured_map=FILE`.")
-    folder = found.references if params.references is None else Path(params.references).expanduser()
+    folder = inventory.references if params.references is None else Path(params.references).expanduser()
     references = () if folder is None else read_references(folder)
     if spec.ecef is not None:
         contents, references, options = _to_enu(
-            (contents, references), found, params.frame, spec.ecef, findings
+            (contents, references), inventory, params.frame, spec.ecef, findings
         )
     return Dataset(
         name=spec.id,
         version="",
-        root=found.root,
-        city_model=found.city_model,
-        city_hint=layout.advice(found),
+        root=inventory.root,
+        city_model=inventory.city_model,
+        city_hint=layout.advice(inventory),
         lod=None,
         splits=tuple(files.spec.name for files in complete),
         entries=tuple(entry for content in contents for entry in content.entries),
@@ -148,26 +150,28 @@ def open_published(spec: layout.PublishedSpec, params: PublishedParams) -> Datas
     )
 
 
-def _require_prior_file(params: PublishedParams, found: layout.Survey) -> None:
+def _require_prior_file(params: PublishedParams, inventory: layout.Survey) -> None:
     """Makes sure that a file of priors that was named is in a split."""
-    if params.prior_file is None or any(files.priors is not None for files in found.splits):
+    if params.prior_file is None or any(files.priors is not None for files in inventory.splits):
         return
-    there = {path.name for files in found.splits for path in files.folder.iterdir() if path != files.truth}
+    there = {
+        path.name for files in inventory.splits for path in files.folder.iterdir() if path != files.truth
+    }
     raise ConfigError(
-        f"dataset.prior_file={params.prior_file} is in no split of {found.root}.",
+        f"dataset.prior_file={params.prior_file} is in no split of {inventory.root}.",
         nearest_names(params.prior_file, there),
     )
 
 
-def _note_missing_splits(spec: layout.PublishedSpec, found: layout.Survey, findings: Findings) -> None:
+def _note_missing_splits(spec: layout.PublishedSpec, inventory: layout.Survey, findings: Findings) -> None:
     for split in spec.splits:
-        if split.is_test and split.name not in {files.spec.name for files in found.splits}:
+        if split.is_test and split.name not in {files.spec.name for files in inventory.splits}:
             findings.add(SPLIT_MISSING, split.name, f"no folder {split.folders[0]}")
 
 
 def _to_enu(
     posed: tuple[list[SplitContent], tuple[Reference, ...]],
-    found: layout.Survey,
+    inventory: layout.Survey,
     frame: str,
     ecef: ShiftedEcef,
     findings: Findings,
@@ -175,12 +179,12 @@ def _to_enu(
     """Returns splits and references in east, north, up, and how to read the city; says what was turned."""
     contents, references = posed
     poses = [pose for content in contents for pose in content.truth.values()]
-    city = _city_frame(found.city_model, ecef) if frame == "auto" else frame
+    city = _city_frame(inventory.city_model, ecef) if frame == "auto" else frame
     cameras = frame_of_poses(poses, ecef) if frame == "auto" else frame
     if city is None and cameras is None:
-        findings.add(FRAME_ASSUMED, found.spec.id)
+        findings.add(FRAME_ASSUMED, inventory.spec.id)
     elif None not in (city, cameras) and city != cameras:
-        findings.add(FRAMES_DIFFER, found.spec.id, f"city {city}, poses {cameras}")
+        findings.add(FRAMES_DIFFER, inventory.spec.id, f"city {city}, poses {cameras}")
     city, cameras = city or cameras or ENU, cameras or city or ENU
     options = ReadOptions()
     if city == SHIFTED_ECEF:

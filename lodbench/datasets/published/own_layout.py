@@ -71,30 +71,30 @@ def find_parts(spec: PublishedSpec, params: OwnLayoutParams) -> tuple[Survey, Pa
     Raises:
         DatasetError: Something that is needed is missing; the hint is a screen of text.
     """
-    found = survey(spec, params.root, params.city_model)
-    require_data(found)
-    return found, found.home or found.root
+    inventory = survey(spec, params.root, params.city_model)
+    require_data(inventory)
+    return inventory, inventory.home or inventory.root
 
 
 def as_dataset(
-    found: Survey, entries: Sequence[Entry], truth: Mapping[str, Pose], findings: Findings, **more: Any
+    inventory: Survey, entries: Sequence[Entry], truth: Mapping[str, Pose], findings: Findings, **more: Any
 ) -> Dataset:
     """Returns a dataset of entries and truth, with what its spec says; ``more`` are fields of ``Dataset``."""
-    spec = found.spec
+    spec = inventory.spec
     splits = tuple(dict.fromkeys(entry.split for entry in entries))
     tests = {split.name for split in spec.splits if split.is_test}
     fields: dict[str, Any] = {
         "name": spec.id,
         "version": "",
-        "root": found.root,
-        "city_model": found.city_model,
+        "root": inventory.root,
+        "city_model": inventory.city_model,
         "lod": None,
         "splits": splits,
         "entries": tuple(entries),
         "truth": dict(truth),
         "notes": notes_of(findings),
         "default_splits": tuple(name for name in splits if name in tests),
-        "city_hint": advice(found),
+        "city_hint": advice(inventory),
         "findings": tuple(findings.items),
         "protocol": spec.protocol,
     }
@@ -223,9 +223,9 @@ def pose_lines(
         if pose is None:
             continue
         placed = pose.shifted(offset_m)
-        seen = Pose(_FLIP @ placed.rotation, _FLIP @ placed.translation) if is_opengl else placed
-        written = Pose(seen.rotation.T, seen.center) if is_to_world else seen
-        place = seen.center if is_to_world or is_centre else seen.translation
+        converted = Pose(_FLIP @ placed.rotation, _FLIP @ placed.translation) if is_opengl else placed
+        written = Pose(converted.rotation.T, converted.center) if is_to_world else converted
+        place = converted.center if is_to_world or is_centre else converted.translation
         numbers = [*written.quat_wxyz, *map(float, place)]
         lines.append(" ".join([names.get(key, key.partition("/")[2]), *map(repr, numbers)]))
     return lines_to_text(lines)
@@ -267,7 +267,7 @@ def read_arrays(
     Raises:
         DatasetError: The file cannot be read or is too large, or an array is missing or something else.
     """
-    found: dict[str, NDArray[Any]] = {}
+    by_name: dict[str, NDArray[Any]] = {}
     try:
         with zipfile.ZipFile(path) as archive:
             size = sum(member.file_size for member in archive.infolist())
@@ -276,7 +276,7 @@ def read_arrays(
         with np.load(path, allow_pickle=False) as arrays:
             for name in wanted:
                 if name in arrays.files:
-                    found[name] = arrays[name]
+                    by_name[name] = arrays[name]
     except DatasetError:
         raise
     except Exception as error:  # zipfile and NumPy raise many kinds on damaged files
@@ -285,11 +285,11 @@ def read_arrays(
             f"{path} is no readable .npz: {reason.rstrip('.')}.", "Download it again."
         ) from error
     for name, rule in wanted.items():
-        if name in found:
-            _require_array(path, name, found[name], rule)
+        if name in by_name:
+            _require_array(path, name, by_name[name], rule)
         elif name not in optional:
             raise DatasetError(f"{path} has no array {name}.", f"Expected: {', '.join(wanted)}.")
-    return found
+    return by_name
 
 
 def _require_array(path: Path, name: str, array: NDArray[Any], rule: Array) -> None:

@@ -75,26 +75,26 @@ def read_many(path: Path) -> dict[str, list[FoundPose]]:
         DatasetError: As for ``read_pose_file``.
     """
     kind = "c2w" if path.is_dir() else "colmap" if path.name == "images.txt" else "lines"
-    found: dict[str, list[FoundPose]] = {}
+    by_name: dict[str, list[FoundPose]] = {}
     for pose in read_pose_file(path, kind)[1]:
         name = PurePosixPath(pose.name)
         if name.parts[:1] != ("db",):
-            found.setdefault(name.name, []).append(pose)
-    return found
+            by_name.setdefault(name.name, []).append(pose)
+    return by_name
 
 
-def only_ones(found: dict[str, list[FoundPose]]) -> dict[str, Pose]:
+def only_ones(by_name: dict[str, list[FoundPose]]) -> dict[str, Pose]:
     """Returns poses of which there may be one per name.
 
     Raises:
         DatasetError: A name occurs twice; the message has both places.
     """
-    for name, poses in found.items():
+    for name, poses in by_name.items():
         if len(poses) > 1:
             raise DatasetError(
                 f"{poses[1].where}: {name} has a pose already, from {poses[0].where}.", "Remove one."
             )
-    return {name: poses[0].pose for name, poses in found.items()}
+    return {name: poses[0].pose for name, poses in by_name.items()}
 
 
 def stems_of(name: str) -> tuple[str, ...]:
@@ -212,12 +212,12 @@ def read_split(files: SplitFiles, findings: Findings) -> SplitContent:
     split = files.spec.name
     assert files.truth is not None  # noqa: S101 - the caller has made sure
     assert files.cameras is not None  # noqa: S101 - likewise
-    found = only_ones(read_many(files.truth))
+    poses = only_ones(read_many(files.truth))
     images = {path.name: path for path in sorted(files.images.iterdir())} if files.images else {}
     listed = _listed(files)
     # A folder of matrices knows stems only: then the photos name the queries.
-    names = listed if listed is not None else list(images if files.truth.is_dir() and images else found)
-    truth = _truth(files, found, names, findings)
+    names = listed if listed is not None else list(images if files.truth.is_dir() and images else poses)
+    truth = _truth(files, poses, names, findings)
     known = {name: truth[name] for name in names if name in truth}
     for name in truth:
         if name not in known:
@@ -249,15 +249,15 @@ def _listed(files: SplitFiles) -> list[str] | None:
 
 
 def _truth(
-    files: SplitFiles, found: dict[str, Pose], names: Iterable[str], findings: Findings
+    files: SplitFiles, poses: dict[str, Pose], names: Iterable[str], findings: Findings
 ) -> dict[str, Pose]:
     assert files.truth is not None  # noqa: S101 - the caller has made sure
     if files.truth.is_dir():
-        return by_stem(found, names, files.truth, findings)
+        return by_stem(poses, names, files.truth, findings)
     if files.truth_folder is None:
-        return found
+        return poses
     matrices = by_stem(only_ones(read_many(files.truth_folder)), names, files.truth_folder, findings)
-    return prefer_per_image(found, matrices, files.spec.name, findings)
+    return prefer_per_image(poses, matrices, files.spec.name, findings)
 
 
 def _priors(files: SplitFiles, names: Iterable[str], findings: Findings) -> dict[str, list[Pose]]:
@@ -268,8 +268,8 @@ def _priors(files: SplitFiles, names: Iterable[str], findings: Findings) -> dict
         others = ", ".join(path.name for path in files.other_priors)
         detail = f"{files.priors.name}, not {others} (dataset.prior_file=NAME)"
         findings.add(faults.FILE_CHOSEN, files.spec.name, detail)
-    found = {name: [pose.pose for pose in poses] for name, poses in read_many(files.priors).items()}
-    return by_stem(found, names, files.priors, findings) if files.priors.is_dir() else found
+    priors = {name: [pose.pose for pose in poses] for name, poses in read_many(files.priors).items()}
+    return by_stem(priors, names, files.priors, findings) if files.priors.is_dir() else priors
 
 
 def _mask(files: SplitFiles, name: str) -> Path | None:
@@ -282,13 +282,13 @@ def _mask(files: SplitFiles, name: str) -> Path | None:
 
 def _are_masks(images: dict[str, Path]) -> bool:
     """Tells by the first whether pictures in the photos' place are masks, as LoD-Loc v2's code has them."""
-    picture = next((found for path in images.values() if (found := read_picture(path)) is not None), None)
+    picture = next((decoded for path in images.values() if (decoded := read_picture(path)) is not None), None)
     # Nearly all of a mask is black or white, however a JPEG blurred its outlines; no photo is.
     return picture is not None and float(np.mean((picture < 32) | (picture > 223))) > _MASK_SHARE
 
 
 def _report(entries: tuple[Entry, ...], truth: dict[str, Pose], findings: Findings) -> None:
-    seen: dict[bytes, str] = {}
+    by_pose: dict[bytes, str] = {}
     for entry in entries:
         lacks = {
             faults.NO_TRUTH: entry.name not in truth,
@@ -302,7 +302,7 @@ def _report(entries: tuple[Entry, ...], truth: dict[str, Pose], findings: Findin
                 findings.add(code, entry.key)
         if entry.name in truth:
             pose = truth[entry.name]
-            twin = seen.setdefault(pose.cam_from_world.tobytes(), entry.key)
+            twin = by_pose.setdefault(pose.cam_from_world.tobytes(), entry.key)
             if twin != entry.key:
                 findings.add(faults.SAME_POSE, entry.key, f"that of {twin}")
             _check_name(entry, pose, findings)

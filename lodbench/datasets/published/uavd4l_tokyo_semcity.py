@@ -78,7 +78,7 @@ def open_uavd4l(params: Uavd4lParams) -> Dataset:
     Raises:
         DatasetError: Parts are missing or malformed, or the textured map does not exist.
     """
-    found, home = own_layout.find_parts(UAVD4L, params)
+    inventory, home = own_layout.find_parts(UAVD4L, params)
     findings, query = Findings(), home / "Query"
     textured = home / "Model" if params.textured_map is None else Path(params.textured_map).expanduser()
     if not textured.exists() and params.textured_map is not None:
@@ -103,10 +103,10 @@ def open_uavd4l(params: Uavd4lParams) -> Dataset:
                     findings.add(code, entry.key)
     if not entries:
         raise DatasetError(f"No true pose of {query} is of a photo or a camera there.", "Names must agree.")
-    city = found.city_model or (textured if textured.exists() else None)
+    city = inventory.city_model or (textured if textured.exists() else None)
     return replace(
         own_layout.as_dataset(
-            found,
+            inventory,
             own_layout.without_lens(UAVD4L.id, entries),
             {entry.key: truth[entry.name] for entry in entries},
             findings,
@@ -240,9 +240,9 @@ def open_semcitylocked(params: SemCityParams) -> Dataset:
     """
     own_layout.require_word("dataset.level", params.level, ("1", "2", "3"))
     own_layout.require_word("dataset.up_axis", params.up_axis, (own_layout.AUTO, *_UP_AXES))
-    found, home = own_layout.find_parts(SEMCITYLOCKED, params)
+    inventory, home = own_layout.find_parts(SEMCITYLOCKED, params)
     findings = Findings()
-    city = found.city_model
+    city = inventory.city_model
     if params.city_model is None and (home / "LoD_model").is_dir():
         city = next(iter(sorted((home / "LoD_model").glob(f"*lod{params.level}.obj"))), None)
     known = _true_poses(params)
@@ -263,7 +263,7 @@ def open_semcitylocked(params: SemCityParams) -> Dataset:
         raise DatasetError(f"{folder} holds no photos.", "They are JPEG, as the drone stored them.")
     options = ReadOptions() if city is None else ReadOptions(up_axis=_up_axis(city, params, findings))
     dataset = own_layout.as_dataset(
-        found,
+        inventory,
         own_layout.without_lens(SEMCITYLOCKED.id, entries),
         {entry.key: known[Path(entry.name).stem] for entry in entries if Path(entry.name).stem in known},
         findings,
@@ -284,8 +284,8 @@ def _true_poses(params: SemCityParams) -> dict[str, Pose]:
     if params.poses is None:
         return {}
     shift = [-value for value in params.origin or (0.0, 0.0, 0.0)]
-    _, found = read_pose_file(Path(params.poses).expanduser(), params.poses_format)
-    placed, _ = brought(found, params.crs)
+    _, poses = read_pose_file(Path(params.poses).expanduser(), params.poses_format)
+    placed, _ = brought(poses, params.crs)
     return {Path(pose.name).stem: pose.pose.shifted(shift) for pose in placed}
 
 

@@ -73,8 +73,8 @@ def dataset_rules(tried: Tried) -> Rules:
         require(dataset.name == tried.name, f"its name is {dataset.name!r}: runs are stored under that")
         _require_sound(dataset)
         require(prior_digest(opened().entries) == prior_digest(dataset.entries), "opened twice, other priors")
-        found = f"{len(dataset.entries)} queries in {', '.join(dataset.splits)}"
-        return f"{found}; poses sound, files there, the same again"
+        summary = f"{len(dataset.entries)} queries in {', '.join(dataset.splits)}"
+        return f"{summary}; poses sound, files there, the same again"
 
     return [("parameters", parameters), ("content", content)]
 
@@ -100,22 +100,22 @@ def prior_rules(tried: Tried) -> Rules:
     """Returns the rules of a source of priors."""
 
     def apply(dataset: Dataset, seed: int = 0) -> Dataset:
-        found: Dataset = tried.make().apply(dataset, seed)
-        return found
+        redrawn: Dataset = tried.make().apply(dataset, seed)
+        return redrawn
 
     def priors() -> str:
         words = tried.make().describe()
         require(isinstance(words, str) and bool(words), "describe says nothing", "Tables print it.")
         try:
-            found = apply(tried.dataset)
+            redrawn = apply(tried.dataset)
         except LodbenchError as error:
             return f"none for these photos, and it says so: {error.message}"
-        keys = [entry.key for entry in found.entries]
+        keys = [entry.key for entry in redrawn.entries]
         require(keys == [entry.key for entry in tried.entries], "other queries, or in another order")
-        require(found.truth == tried.dataset.truth, "the truth was changed")
-        for entry in found.entries:
+        require(redrawn.truth == tried.dataset.truth, "the truth was changed")
+        for entry in redrawn.entries:
             _require_pose(entry.prior, entry.key)
-        first = prior_digest(found.entries)
+        first = prior_digest(redrawn.entries)
         require(
             prior_digest(apply(tried.dataset).entries) == first,
             "the same seed, other priors",
@@ -142,12 +142,12 @@ def pose_format_rules(tried: Tried) -> Rules:
     def sample() -> str:
         if tried.sample is None:
             return "not tried: name a file with --sample FILE"
-        found = list(tried.part(tried.sample))
-        require(len(found) > 0, "it holds no poses")
-        for each in found:
+        poses = list(tried.part(tried.sample))
+        require(len(poses) > 0, "it holds no poses")
+        for each in poses:
             require(isinstance(each, FoundPose), f"it yields {type(each).__name__}", "Yield FoundPose.")
             _require_pose(each.pose, each.name)
-        return f"{len(found)} poses, world to camera by their word"
+        return f"{len(poses)} poses, world to camera by their word"
 
     return [("no poses", garbage), ("sample", sample)]
 
@@ -155,9 +155,9 @@ def pose_format_rules(tried: Tried) -> Rules:
 def metric_rules(tried: Tried) -> Rules:
     """Returns the rules of a metric."""
     row = {"query": "a", "split": "a", "failure": "", "hypotheses": 10, "mask_iou": 0.8, "probability": 0.7}
-    found = {**dict(zip(ERROR, (1.0, 0.2), strict=True)), **dict(zip(PARTS, (0.6, 0.8, 0.1), strict=False))}
+    right = {**dict(zip(ERROR, (1.0, 0.2), strict=True)), **dict(zip(PARTS, (0.6, 0.8, 0.1), strict=False))}
     failed = {**dict(zip(ERROR, FAILED, strict=True)), **dict(zip(PARTS, FAILED_PARTS, strict=False))}
-    rows = [{**row, **found}, {**row, "query": "b", **found}, {"query": "c", "split": "a", **failed}]
+    rows = [{**row, **right}, {**row, "query": "b", **right}, {"query": "c", "split": "a", **failed}]
     rows[2] |= {"failure": "no mask", "hypotheses": 0}
 
     def numbers() -> str:
@@ -240,10 +240,10 @@ def export_rules(tried: Tried) -> Rules:
 def _run_of(tried: Tried) -> StoredRun:
     """Returns a run that found all photos but the last."""
     dataset, entries = tried.dataset, tried.entries
-    found = {entry.key: Prediction(dataset.truth[entry.key]) for entry in entries[:-1]}
-    predictions = {**found, entries[-1].key: Prediction(None, "no mask")}
+    answered = {entry.key: Prediction(dataset.truth[entry.key]) for entry in entries[:-1]}
+    predictions = {**answered, entries[-1].key: Prediction(None, "no mask")}
     queries = evaluate(entries, predictions, dataset.truth, {entry.key: entry.prior for entry in entries})
-    poses = {key: prediction.pose for key, prediction in found.items() if prediction.pose is not None}
+    poses = {key: prediction.pose for key, prediction in answered.items() if prediction.pose is not None}
     summary = {"method": {"name": "trial", "variant": ""}, "dataset": {"name": dataset.name}}
     return StoredRun(tried.folder / "run", summary, {}, queries, poses, (), {})
 
@@ -330,13 +330,13 @@ def _silhouettes(tried: Tried, renderer: Any) -> str:
 
 def _depth(tried: Tried, renderer: Any) -> str:
     pose = tried.truths[0]
-    found, mask = renderer.depth(CAMERA, pose), renderer.render(CAMERA, pose)
-    require(found.shape == mask.shape and found.dtype == np.float32, f"{found.shape} {found.dtype}")
-    differing = float(np.mean((found > 0) != mask))
+    depth, mask = renderer.depth(CAMERA, pose), renderer.render(CAMERA, pose)
+    require(depth.shape == mask.shape and depth.dtype == np.float32, f"{depth.shape} {depth.dtype}")
+    differing = float(np.mean((depth > 0) != mask))
     require(
         differing <= _MOST_DIFFERENT, f"{100 * differing:.1f} % of the pixels: depth here, silhouette not"
     )
-    return f"{found[found > 0].min():.1f} to {found.max():.1f} m, 0 beside the buildings"
+    return f"{depth[depth > 0].min():.1f} to {depth.max():.1f} m, 0 beside the buildings"
 
 
 def fit_rules(tried: Tried) -> Rules:
@@ -356,17 +356,13 @@ def fit_rules(tried: Tried) -> Rules:
     def values() -> str:
         fit = tried.part(*given)
         require(tuple(fit.size) == size, f"size is {fit.size}: width, then height")
-        found = np.asarray(fit(words))
-        require(
-            found.shape == (5,) and found.dtype == np.float64, f"{found.shape} {found.dtype}", "(N,) float64"
-        )
-        require(np.isfinite(found).all() and found.min() >= 0 and found.max() <= 1, f"{found}: not in [0, 1]")
-        require(found[0] >= found.max(), f"the mask itself fits {found[0]:.3f}, another {found.max():.3f}")
-        require(found[-1] == 0, f"nothing fits {found[-1]:.3f}", "Nothing in common is 0.")
+        fits = np.asarray(fit(words))
+        require(fits.shape == (5,) and fits.dtype == np.float64, f"{fits.shape} {fits.dtype}", "(N,) float64")
+        require(np.isfinite(fits).all() and fits.min() >= 0 and fits.max() <= 1, f"{fits}: not in [0, 1]")
+        require(fits[0] >= fits.max(), f"the mask itself fits {fits[0]:.3f}, another {fits.max():.3f}")
+        require(fits[-1] == 0, f"nothing fits {fits[-1]:.3f}", "Nothing in common is 0.")
         return (
-            f"{found[0]:.3f} at the truth, "
-            + ", ".join(f"{value:.3f}" for value in found[1:])
-            + " further off"
+            f"{fits[0]:.3f} at the truth, " + ", ".join(f"{value:.3f}" for value in fits[1:]) + " further off"
         )
 
     def alone() -> str:

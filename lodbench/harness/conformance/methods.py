@@ -149,8 +149,8 @@ def known_inputs(kind: Any) -> str:
 
 def right_name(kind: Any, name: str) -> str:
     """A class is called what its entry point is: runs are stored under that name."""
-    found = getattr(kind, "name", None)
-    require(found == name, f"the class says {found!r}", f"Set name = {name!r}, as the entry point does.")
+    label = getattr(kind, "name", None)
+    require(label == name, f"the class says {label!r}", f"Set name = {name!r}, as the entry point does.")
     try:
         return path_name("method", name)
     except ConfigError as error:
@@ -191,9 +191,9 @@ def _whole_configuration(
 def _answered(answers: TrialAnswers) -> str:
     """There is an answer, of the right type, to at least one query."""
     hint = "Return an Estimate, or raise QueryFault."
-    for found in answers.by_name.values():
-        require(isinstance(found, Estimate | QueryFault), f"localize returned {type(found).__name__}", hint)
-    faults = {str(found) for found in answers.by_name.values() if isinstance(found, QueryFault)}
+    for answer in answers.by_name.values():
+        require(isinstance(answer, Estimate | QueryFault), f"localize returned {type(answer).__name__}", hint)
+    faults = {str(answer) for answer in answers.by_name.values() if isinstance(answer, QueryFault)}
     reasons = f" ({'; '.join(sorted(faults))})" if faults else ""
     reported = f"{len(answers.estimates)} of {len(answers.by_name)} queries{reasons}"
     hint = "The queries have exact masks and photos: one at least should be answered."
@@ -203,12 +203,12 @@ def _answered(answers: TrialAnswers) -> str:
 
 def _finite_pose(answers: TrialAnswers) -> str:
     """A pose is a Pose, finite, its rotation one."""
-    for name, found in answers.estimates.items():
-        words = f"{name}: pose is a {type(found.pose).__name__}"
-        require(isinstance(found.pose, Pose), words, "Make it with Pose.from_matrix.")
-        is_finite = np.isfinite(found.pose.cam_from_world).all()
+    for name, estimate in answers.estimates.items():
+        words = f"{name}: pose is a {type(estimate.pose).__name__}"
+        require(isinstance(estimate.pose, Pose), words, "Make it with Pose.from_matrix.")
+        is_finite = np.isfinite(estimate.pose.cam_from_world).all()
         require(is_finite, f"{name}: the pose is not finite", "Raise QueryFault where there is no answer.")
-        Pose.from_matrix(found.pose.cam_from_world)
+        Pose.from_matrix(estimate.pose.cam_from_world)
     return "finite, rotations orthonormal"
 
 
@@ -233,28 +233,28 @@ def _near_the_prior(answers: TrialAnswers) -> str:
 
 def _counted_hypotheses(answers: TrialAnswers) -> str:
     """Hypotheses are counted by the map; information only."""
-    return f"{max(found.hypotheses for found in answers.estimates.values())} at most, counted by the map"
+    return f"{max(answer.hypotheses for answer in answers.estimates.values())} at most, counted by the map"
 
 
 def _plain_score(answers: TrialAnswers) -> str:
     """A score is a finite number, or NaN where a method has none; times and traces are finite."""
-    for name, found in answers.estimates.items():
-        is_number = isinstance(found.score, float | np.floating) and not math.isinf(found.score)
-        require(is_number, f"{name}: score is {found.score!r}", "A float, higher is better; NaN for none.")
-        values = [*found.seconds.values(), *(v for steps in found.trace.values() for v in steps)]
+    for name, estimate in answers.estimates.items():
+        is_number = isinstance(estimate.score, float | np.floating) and not math.isinf(estimate.score)
+        require(is_number, f"{name}: score is {estimate.score!r}", "A float, higher is better; NaN for none.")
+        values = [*estimate.seconds.values(), *(v for steps in estimate.trace.values() for v in steps)]
         is_finite = np.isfinite(np.array(values, dtype=np.float64)).all()
-        is_sound = bool(is_finite) and min(found.seconds.values(), default=0) >= 0
+        is_sound = bool(is_finite) and min(estimate.seconds.values(), default=0) >= 0
         words = f"{name}: seconds or trace hold {values}"
         require(is_sound, words, "Finite numbers; seconds are not negative.")
-    scores = [found.score for found in answers.estimates.values() if not math.isnan(found.score)]
+    scores = [estimate.score for estimate in answers.estimates.values() if not math.isnan(estimate.score)]
     return f"{min(scores):.3f} to {max(scores):.3f}" if scores else "none is given"
 
 
 def _sound_uncertainty(answers: TrialAnswers) -> str:
     """A covariance, if given, is one; a probability lies in [0, 1]."""
     hint = "Leave it None, or see Estimate in lodbench/methods/protocol.py."
-    for name, found in answers.estimates.items():
-        fault = uncertainty_fault(found)
+    for name, estimate in answers.estimates.items():
+        fault = uncertainty_fault(estimate)
         require(not fault, f"{name}: {fault}", hint)
     given = next(iter(answers.estimates.values()))
     parts = {"covariance": given.covariance, "probability": given.probability}
@@ -266,9 +266,9 @@ def _right_prior_params(method: Method) -> str:
     if not isinstance(method, SupportsPriorWidth):
         return "not offered: `lodbench basin` runs the method as it is"
     kind = type(method).params_type  # type: ignore[attr-defined]
-    found = method.params_for_prior(UniformPrior(50.0, 50.0, 50.0))
-    words = f"params_for_prior returned {type(found).__name__}"
-    require(isinstance(found, kind), words, f"Return {kind.__name__}.")
+    params = method.params_for_prior(UniformPrior(50.0, 50.0, 50.0))
+    words = f"params_for_prior returned {type(params).__name__}"
+    require(isinstance(params, kind), words, f"Return {kind.__name__}.")
     return f"returns {kind.__name__}"
 
 
@@ -290,16 +290,16 @@ def _untouched_queries(method: Method, answers: TrialAnswers) -> str:
 def _same_again(method: Method, answers: TrialAnswers) -> str:
     """The same queries and streams give the same answers to the bit."""
     for query in answers.trial.queries:
-        found = ask(method, answers.trial, query)
-        _require_same(found, answers, query, "another answer from the same streams", _STREAMS_HINT)
+        answer = ask(method, answers.trial, query)
+        _require_same(answer, answers, query, "another answer from the same streams", _STREAMS_HINT)
     return "the same streams, the same answers to the bit"
 
 
 def _any_order(method: Method, answers: TrialAnswers) -> str:
     """An answer does not depend on the queries before it: runs resume, and share out their work."""
     for query in (*reversed(answers.trial.queries), answers.trial.queries[-1]):
-        found = ask(method, answers.trial, query)
-        _require_same(found, answers, query, "another answer where other queries came before", _STATE_HINT)
+        answer = ask(method, answers.trial, query)
+        _require_same(answer, answers, query, "another answer where other queries came before", _STATE_HINT)
     return "backwards and twice, the same answers"
 
 
@@ -341,8 +341,8 @@ def _batches_answer_alike(method: Method, answers: TrialAnswers) -> str:
     require(method.batch_size >= 1, f"batch_size is {method.batch_size}", "It is at least 1.")
     streams = [streams_of(query) for query in trial.queries]
     batch = localize_queries(method, trial.queries, trial.city_map, streams)
-    for query, found in zip(trial.queries, batch, strict=True):
-        _require_same(found, answers, query, "another answer in a batch", "Let both share their code.")
+    for query, answer in zip(trial.queries, batch, strict=True):
+        _require_same(answer, answers, query, "another answer in a batch", "Let both share their code.")
     return f"up to {method.batch_size} at a time, the same answers"
 
 
@@ -358,24 +358,24 @@ def _empty_mask(method: Method, answers: TrialAnswers) -> str:
     query = answers.trial.queries[0]
     if query.building_probability is None:
         return "no mask is required"
-    found = ask(method, answers.trial, replace(query, building_probability=np.zeros_like(query.mask)))
-    if isinstance(found, QueryFault):
-        return f"QueryFault: {found.message}"
+    answer = ask(method, answers.trial, replace(query, building_probability=np.zeros_like(query.mask)))
+    if isinstance(answer, QueryFault):
+        return f"QueryFault: {answer.message}"
     if query.reconstructed is not None:
         return "its flight's reconstruction places it"
-    if _values(found) == _values(answers.by_name[query.name]):
+    if _values(answer) == _values(answers.by_name[query.name]):
         raise Violation("the same answer: the mask is not looked at", "Set requires = frozenset().")
     raise Violation("it is answered", "Raise QueryFault('the mask holds no building').")
 
 
-def _require_same(found: Answer, answers: TrialAnswers, query: Query, words: str, hint: str) -> None:
+def _require_same(answer: Answer, answers: TrialAnswers, query: Query, words: str, hint: str) -> None:
     """Requires the answer that a query had, to the bit."""
-    require(_values(found) == _values(answers.by_name[query.name]), f"{query.name}: {words}", hint)
+    require(_values(answer) == _values(answers.by_name[query.name]), f"{query.name}: {words}", hint)
 
 
-def _values(found: Answer) -> tuple[Any, ...]:
+def _values(answer: Answer) -> tuple[Any, ...]:
     """Returns an answer as values that are equal if it is the same to the bit; times are left out."""
-    if isinstance(found, QueryFault):
-        return (found.message,)
-    covariance = b"" if found.covariance is None else np.asarray(found.covariance).tobytes()
-    return (found.pose.cam_from_world.tobytes(), repr(float(found.score)), found.probability, covariance)
+    if isinstance(answer, QueryFault):
+        return (answer.message,)
+    covariance = b"" if answer.covariance is None else np.asarray(answer.covariance).tobytes()
+    return (answer.pose.cam_from_world.tobytes(), repr(float(answer.score)), answer.probability, covariance)

@@ -45,11 +45,11 @@ def extractor_rules(tried: Tried) -> Rules:
     """Returns the rules of a feature extractor."""
 
     def features() -> str:
-        found = tried.make().extract(_picture(tried))
-        require(isinstance(found, Features), f"extract returned {type(found).__name__}", "Return Features.")
-        require(len(found.keypoints) > 0, "no feature in a photo of seven blocks")
-        require(found.size == (CAMERA.width, CAMERA.height), f"size is {found.size}: width, then height")
-        shape = found.descriptors.shape
+        points = tried.make().extract(_picture(tried))
+        require(isinstance(points, Features), f"extract returned {type(points).__name__}", "Return Features.")
+        require(len(points.keypoints) > 0, "no feature in a photo of seven blocks")
+        require(points.size == (CAMERA.width, CAMERA.height), f"size is {points.size}: width, then height")
+        shape = points.descriptors.shape
         return f"{shape[0]}, descriptors of {shape[1]} numbers, all finite and in the picture"
 
     def same_again() -> str:
@@ -60,8 +60,8 @@ def extractor_rules(tried: Tried) -> Rules:
         return "the same picture, the same features to the bit; it is only read"
 
     def blank() -> str:
-        found = tried.make().extract(np.full((48, 64, 3), 128, np.uint8))
-        return f"{len(found.keypoints)} features in a grey picture"
+        points = tried.make().extract(np.full((48, 64, 3), 128, np.uint8))
+        return f"{len(points.keypoints)} features in a grey picture"
 
     return [
         ("features", features),
@@ -89,10 +89,10 @@ def _dot_s_place(tried: Tried) -> str:
     features = tried.make().extract(picture)
     # A detector of corners is not sure of anything in a dot.
     sure = 0.1 * float(tried.make().extract(_picture(tried)).scores.max())
-    found = features.keypoints[features.scores >= sure]
-    if not len(found):
+    keypoints = features.keypoints[features.scores >= sure]
+    if not len(keypoints):
         return "not seen: it is sure of nothing in a lone dot"
-    off = np.abs(found.mean(axis=0) - [41.5, 31.5]).max()
+    off = np.abs(keypoints.mean(axis=0) - [41.5, 31.5]).max()
     reported = f"a dot at (41.5, 31.5) is found {off:.2f} px off"
     require(off < 0.4, reported, "The first pixel's centre is (0.5, 0.5).")
     return reported
@@ -115,12 +115,12 @@ def matcher_rules(tried: Tried) -> Rules:
 
     def matches() -> str:
         picture = side(_picture(tried))
-        found = tried.make().match(picture, picture)
-        require(isinstance(found, Matches), f"match returned {type(found).__name__}", "Return Matches.")
-        require(len(found.first) > 0, "no match of a photo with itself")
-        far = float(np.median(np.linalg.norm(found.first - found.second, axis=1)))
+        matched = tried.make().match(picture, picture)
+        require(isinstance(matched, Matches), f"match returned {type(matched).__name__}", "Return Matches.")
+        require(len(matched.first) > 0, "no match of a photo with itself")
+        far = float(np.median(np.linalg.norm(matched.first - matched.second, axis=1)))
         require(far < 1.0, f"a photo matches itself {far:.1f} px off in the median")
-        return f"{len(found.first)} of a photo with itself, {far:.2f} px off in the median"
+        return f"{len(matched.first)} of a photo with itself, {far:.2f} px off in the median"
 
     def same_again() -> str:
         first, second = side(_picture(tried, 0)), side(_picture(tried, 1))
@@ -130,9 +130,9 @@ def matcher_rules(tried: Tried) -> Rules:
 
     def nothing() -> str:
         blank = side(np.full((CAMERA.height, CAMERA.width, 3), 128, np.uint8))
-        found = tried.make().match(blank, side(_picture(tried)))
-        require(isinstance(found, Matches), "no Matches", "Return Matches of length 0.")
-        return f"{len(found.first)} matches with a grey picture"
+        matched = tried.make().match(blank, side(_picture(tried)))
+        require(isinstance(matched, Matches), "no Matches", "Return Matches of length 0.")
+        return f"{len(matched.first)} matches with a grey picture"
 
     return [
         ("takes", takes_what),
@@ -148,33 +148,35 @@ def retrieval_rules(tried: Tried) -> Rules:
 
     def described() -> str:
         given = photos.copy()
-        found = tried.make().describe(given)
+        matrix = tried.make().describe(given)
         require(
-            isinstance(found, np.ndarray) and found.dtype == np.float32, "describe returns float32 arrays"
+            isinstance(matrix, np.ndarray) and matrix.dtype == np.float32, "describe returns float32 arrays"
         )
-        require(found.ndim == 2 and len(found) == len(photos), f"{len(photos)} pictures give {found.shape}")
-        lengths = np.linalg.norm(found, axis=1)
+        require(
+            matrix.ndim == 2 and len(matrix) == len(photos), f"{len(photos)} pictures give {matrix.shape}"
+        )
+        lengths = np.linalg.norm(matrix, axis=1)
         require(np.allclose(lengths, 1.0, atol=1e-3), f"descriptors have lengths {lengths.round(3).tolist()}")
         require(np.array_equal(given, photos), "the pictures were written to", "Work on a copy.")
-        return f"{found.shape[1]} numbers, of length 1"
+        return f"{matrix.shape[1]} numbers, of length 1"
 
     def same_again() -> str:
-        found = tried.make().describe(photos)
-        require(np.array_equal(found, tried.make().describe(photos)), "another descriptor the second time")
+        matrix = tried.make().describe(photos)
+        require(np.array_equal(matrix, tried.make().describe(photos)), "another descriptor the second time")
         alone = np.concatenate([tried.make().describe(photo[None]) for photo in photos])
-        require(np.allclose(alone, found, atol=1e-4), "another descriptor beside other pictures")
+        require(np.allclose(alone, matrix, atol=1e-4), "another descriptor beside other pictures")
         return "made anew, and picture by picture"
 
-    def found_again() -> str:
-        found = tried.make().describe(photos)
+    def nearest_is_own() -> str:
+        matrix = tried.make().describe(photos)
         darker = tried.make().describe((0.8 * photos).astype(np.uint8))
-        nearest = np.argmax(darker @ found.T, axis=1)
+        nearest = np.argmax(darker @ matrix.T, axis=1)
         require(
             np.array_equal(nearest, np.arange(len(photos))), "a darker picture resembles another one more"
         )
         return "a darker picture resembles itself most"
 
-    return [("describe", described), ("same again", same_again), ("found again", found_again)]
+    return [("describe", described), ("same again", same_again), ("found again", nearest_is_own)]
 
 
 def solver_rules(tried: Tried) -> Rules:
@@ -217,13 +219,13 @@ def solver_rules(tried: Tried) -> Rules:
 
 def _solved(tried: Tried, outliers: float, count: int = _COUNT) -> list[tuple[SolvedPose | None, Pose]]:
     """Returns the answer for each true pose, given so many of its correspondences, and that pose."""
-    found = []
+    solutions = []
     for number, truth in enumerate(tried.truths):
         points, pixels = _correspondences(truth, outliers, number)
         prior = truth.shifted([8.0, -6.0, 4.0])
         answer = tried.make().solve(points[:count], pixels[:count], CAMERA, prior)
-        found.append((answer, truth))
-    return found
+        solutions.append((answer, truth))
+    return solutions
 
 
 def _correspondences(truth: Pose, outliers: float, number: int) -> tuple[Floats, Floats]:
@@ -263,8 +265,8 @@ def segmenter_rules(tried: Tried) -> Rules:
 
     def nothing_to_see() -> str:
         bare = replace(entries[0], image=None, mask=None)
-        found = _answer(tried, tried.make(), provides[0], bare)
-        return f"QueryFault: {found}" if isinstance(found, str) else "a mask all the same"
+        answer = _answer(tried, tried.make(), provides[0], bare)
+        return f"QueryFault: {answer}" if isinstance(answer, str) else "a mask all the same"
 
     return [
         ("declared", lambda: _declared(tried.part, provides)),
@@ -289,10 +291,10 @@ def _declared(part: Any, provides: Sequence[Input]) -> str:
 
 def _masks(tried: Tried, provides: Sequence[Input]) -> str:
     """Masks are of their type, and of the photo's aspect."""
-    found = [masks for kind in provides for masks in _answers(tried, kind)]
-    given = [masks for masks in found if not isinstance(masks, str)]
+    answers = [masks for kind in provides for masks in _answers(tried, kind)]
+    given = [masks for masks in answers if not isinstance(masks, str)]
     if not given:
-        return f"none, each with its reason: {found[0]}"
+        return f"none, each with its reason: {answers[0]}"
     for masks in given:
         if masks.ndim == 3:
             check_instances(masks, CAMERA)
@@ -302,7 +304,7 @@ def _masks(tried: Tried, provides: Sequence[Input]) -> str:
             continue
         require(masks.dtype == np.float32, f"a mask of {masks.dtype}", "Return float32.")
         check_mask(masks, CAMERA)
-    return f"{len(given)} of {len(found)} answers, of their type and the photo's aspect"
+    return f"{len(given)} of {len(answers)} answers, of their type and the photo's aspect"
 
 
 def _answer(tried: Tried, segmenter: Any, kind: Input, entry: Entry) -> NDArray[Any] | str:

@@ -199,7 +199,7 @@ class TrialAnswers:
     @property
     def estimates(self) -> dict[str, Estimate]:
         """Returns the answers that are one."""
-        return {name: found for name, found in self.by_name.items() if isinstance(found, Estimate)}
+        return {name: answer for name, answer in self.by_name.items() if isinstance(answer, Estimate)}
 
 
 def make_trial(folder: Path, method: object) -> Trial:

@@ -57,14 +57,14 @@ def masks_of(photos: Sequence[Path], masks: Path | None) -> tuple[list[Path | No
 
     A mask that may be of two photos is of neither; a photo that is another's copy says nothing new.
     """
-    found = [find_mask(masks, f"{photo.parent.name}/{photo.name}", photo) for photo in photos]
-    copies, unreadable = copies_among(photos, found)
+    mask_paths = [find_mask(masks, f"{photo.parent.name}/{photo.name}", photo) for photo in photos]
+    copies, unreadable = copies_among(photos, mask_paths)
     reasons = copies | unreadable
     users: dict[Path | None, list[int]] = defaultdict(list)
-    for row, mask in enumerate(found):
+    for row, mask in enumerate(mask_paths):
         if row not in copies:
             users[mask].append(row)
-    for row, (photo, mask) in enumerate(zip(photos, found, strict=True)):
+    for row, (photo, mask) in enumerate(zip(photos, mask_paths, strict=True)):
         if row in reasons:
             continue
         if masks is not None and mask is None:
@@ -73,7 +73,7 @@ def masks_of(photos: Sequence[Path], masks: Path | None) -> tuple[list[Path | No
             others = ", ".join(str(photos[other]) for other in users[mask] if other != row)
             own = Path(photo.parent.name) / f"{photo.stem}.png"
             reasons[row] = f"the mask {mask} may be of {others} as well: name it {own}"
-    return found, reasons
+    return mask_paths, reasons
 
 
 def poses_in_model(model: Path | None, photos: Sequence[Path]) -> dict[Path, Pose]:
@@ -88,14 +88,14 @@ def poses_in_model(model: Path | None, photos: Sequence[Path]) -> dict[Path, Pos
     return {} if model is None else poses_by_photo(model, list(read_colmap(model)), photos)
 
 
-def poses_by_photo(source: Path, found: Sequence[FoundPose], photos: Sequence[Path]) -> dict[Path, Pose]:
+def poses_by_photo(source: Path, listed: Sequence[FoundPose], photos: Sequence[Path]) -> dict[Path, Pose]:
     """Returns the poses of photos among those of a file or model, by photo; names as of ``poses_in_model``.
 
     Raises:
         DatasetError: There is none of any of the photos.
     """
     images: dict[str, list[FoundPose]] = defaultdict(list)
-    for image in found:
+    for image in listed:
         images[_bare(PurePosixPath(image.name)).name].append(image)
     named = Counter(photo.name for photo in photos)
     matched: dict[Path, FoundPose] = {}
@@ -112,7 +112,7 @@ def poses_by_photo(source: Path, found: Sequence[FoundPose], photos: Sequence[Pa
     if not known:
         raise DatasetError(
             f"{source} has none of these photos.",
-            f"Its images are called {', '.join(image.name for image in found[:3])}.",
+            f"Its images are called {', '.join(image.name for image in listed[:3])}.",
         )
     return known
 
@@ -179,8 +179,8 @@ def read_rough_poses(path: Path, photos: Sequence[Path], crs: str | None) -> Rou
         DatasetError: The file cannot be read, or has a pose of none of the photos.
     """
     names = {name for photo in photos for name in (photo.name, photo.stem)}
-    found, notes = brought(read_pose_file(path, "auto", names)[1], crs)
-    return RoughPoses(path, poses_by_photo(path, found, photos), notes)
+    listed, notes = brought(read_pose_file(path, "auto", names)[1], crs)
+    return RoughPoses(path, poses_by_photo(path, listed, photos), notes)
 
 
 def saved_masks_note(photos: Sequence[Path]) -> str | None:
@@ -248,8 +248,8 @@ def rough_start(request: Rough, images: Sequence[FoundPose], frame: MapFrame | N
     if request.start is not None and request.start.suffix == ".json":
         values = read_json(request.start)
         if "similarity" in values:
-            found = _stated_similarity(values["similarity"], request.start)
-            return RoughStart(found, f"the similarity in {request.start}")
+            similarity = _stated_similarity(values["similarity"], request.start)
+            return RoughStart(similarity, f"the similarity in {request.start}")
     if request.start is not None:
         listed, notes = brought(
             read_pose_file(request.start, "auto")[1], None if frame is None else frame.crs

@@ -94,8 +94,8 @@ def localize_flights(
         rows = list(ready)
         for flight in split_flights([(photos[row], ready[row].photo.stated) for row in rows]):
             mine = [rows[row] for row in flight.rows]
-            found = _solve(request, {row: ready[row] for row in mine}, photos, known, city_map, workers)
-            for row, estimate in zip(mine, found.estimates, strict=True):
+            solution = _solve(request, {row: ready[row] for row in mine}, photos, known, city_map, workers)
+            for row, estimate in zip(mine, solution.estimates, strict=True):
                 if isinstance(estimate, QueryFault):
                     failures[row] = estimate.message
                 else:
@@ -107,7 +107,7 @@ def localize_flights(
                 taken += height_notes([ready[row].photo.stated for row in mine], request.heights)
             name, paths = f"flight {len(flights) + 1}", tuple(photos[row] for row in mine)
             source: flight_words.PriorSource = "metadata" if request.start is None else "poses"
-            flights.append(FlightAnswer(name, paths, tuple(taken), found.findings, source))
+            flights.append(FlightAnswer(name, paths, tuple(taken), solution.findings, source))
         sent = {row: (ready[row].sent, ready[row].prior, each) for row, each in sorted(estimates.items())}
         located = dict(workers.each("overlays", _written, sent, photos))
     answers = [
@@ -124,7 +124,7 @@ def localize_flights(
             dict(zip(photos, names, strict=True)),
             answers,
             place.scene,
-            written.view.name if written.found else "",
+            written.view.name if written.localized else "",
             imagery,
         )
         write_text(written.page(flight_answer), page)
@@ -176,11 +176,11 @@ def _ready(
 ) -> tuple[dict[int, _Ready], dict[int, tuple[str, str]]]:
     """Returns the photos that can be used, by row, and why others cannot and what would help."""
     ready, failures = dict[int, _Ready](), dict[int, tuple[str, str]]()
-    for row, found in workers.each("masks", _prepared, items, photos):
-        if len(found) == 3:
-            ready[row] = _Ready(_received(request, found[0]), *found[1:])
+    for row, outcome in workers.each("masks", _prepared, items, photos):
+        if len(outcome) == 3:
+            ready[row] = _Ready(_received(request, outcome[0]), *outcome[1:])
         else:
-            failures[row] = found
+            failures[row] = outcome
     return dict(sorted(ready.items())), failures
 
 
@@ -227,10 +227,10 @@ def _alone(worker: PhotoWorker, item: tuple[Query, Streams]) -> Estimate | Query
     query, streams = item
     try:
         with reported_as_fault(f"method {getattr(method, 'name', '')}", worker.request.out, query.name):
-            (found,) = method.localize_alone([query], worker.city_map, [streams])
+            (answer,) = method.localize_alone([query], worker.city_map, [streams])
     except QueryFault as fault:
         return fault
-    return found
+    return answer
 
 
 def _written(worker: PhotoWorker, item: tuple[_Sent, Pose, Estimate]) -> LocalizedPhoto:
@@ -254,14 +254,14 @@ def solved_flight(
     ``alone`` is what each photo says by itself, where that is known.
     """
     origin, part = city_map.scene.origin, f"method {getattr(method, 'name', '')}"
-    found = answered_flight(method, queries, city_map, streams, out, "flight", part, alone)
+    solution = answered_flight(method, queries, city_map, streams, out, "flight", part, alone)
 
     def placed(each: Estimate) -> Estimate:
         others = tuple(pose.shifted(origin) for pose in each.alternatives)
         return replace(each, pose=each.pose.shifted(origin), alternatives=others)
 
-    answers = [each if isinstance(each, QueryFault) else placed(each) for each in found.estimates]
-    return FlightEstimate(answers, found.findings)
+    answers = [each if isinstance(each, QueryFault) else placed(each) for each in solution.estimates]
+    return FlightEstimate(answers, solution.findings)
 
 
 def _taken(flight: Flight, names: Sequence[str]) -> list[str]:
@@ -286,7 +286,9 @@ def _flight_of(photo: Path, flights: Sequence[FlightAnswer]) -> str:
 
 def _write_findings(answers: Answers, scene: Scene, frame: MapFrame | None) -> None:
     left_out = [
-        {"photo": str(each.photo), "reason": each.failure} for each in answers.photos if each.found is None
+        {"photo": str(each.photo), "reason": each.failure}
+        for each in answers.photos
+        if each.localized is None
     ]
     values = {"flights": [flight.to_json() for flight in answers.flights], "left_out": left_out}
     text = json.dumps(finite(values), indent=1, ensure_ascii=False, allow_nan=False)
@@ -310,36 +312,38 @@ def page_of_photos(
 ) -> str:
     """Returns the page of a flight whose photos `lodbench localize` found."""
     mine = [answer for answer in answers if answer.flight == flight.name]
-    placed = {names[answer.photo]: (answer, answer.found) for answer in mine if answer.found is not None}
+    placed = {
+        names[answer.photo]: (answer, answer.localized) for answer in mine if answer.localized is not None
+    }
     photos = [
         flight_words.photo_on_page(
             key,
-            (found.prior, found.pose, None),
-            found.covariance,
-            found.probability,
-            found.score,
+            (localized.prior, localized.pose, None),
+            localized.covariance,
+            localized.probability,
+            localized.score,
             answer.trust,
             answer.row(),
             reasons_for_doubt(
                 answer.trust,
-                found.pose,
-                found.method_notes,
-                None if found.covariance is None else np.diag(found.covariance),
-                found.alternatives,
-                found.alternative_probabilities,
+                localized.pose,
+                localized.method_notes,
+                None if localized.covariance is None else np.diag(localized.covariance),
+                localized.alternatives,
+                localized.alternative_probabilities,
             ),
         )
-        for key, (answer, found) in placed.items()
+        for key, (answer, localized) in placed.items()
     ]
     pictures = []
     for key in flight_words.chosen_for_pictures(list(placed)):
-        answer, found = placed[key]
-        drawn = read_picture(found.overlay)
+        answer, localized = placed[key]
+        drawn = read_picture(localized.overlay)
         if drawn is not None:
-            caption = _caption(key, answer.trust, found.moved)
+            caption = _caption(key, answer.trust, localized.moved)
             pictures.append(Picture(overlays.jpeg_bytes(drawn), "jpeg", caption, "", key))
     # Photos that are on no flight are on every flight's page: nobody knows which they belong to.
-    left_out = [(names[each.photo], each.failure) for each in answers if each.found is None]
+    left_out = [(names[each.photo], each.failure) for each in answers if each.localized is None]
     title = f"{flight.name[0].upper()}{flight.name[1:]}: {aligned_text.count_of(len(photos), 'photos')}"
     return flight_words.flight_page(
         title,

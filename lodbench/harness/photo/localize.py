@@ -294,7 +294,7 @@ def write_answer(
     overlay = request.out / f"{label}_overlay.png"
     geojson = request.out / f"{label}.geojson" if features else None
     has_mask = photo.mask is not None
-    found = LocalizedPhoto(
+    answer = LocalizedPhoto(
         photo=name,
         crs=scene.crs,
         lod=scene.lod,
@@ -322,13 +322,13 @@ def write_answer(
         features=tuple(features),
         thumbnail=view.thumbnail(),
     )
-    text = json.dumps({"sha256": digest, **found.to_json()}, indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps({"sha256": digest, **answer.to_json()}, indent=2, ensure_ascii=False, allow_nan=False)
     # First what says whose files these are: a command that is given again after a kill writes over its own.
     write_text(request.out / f"{label}.json", text + "\n")
     write_photo_overlay(overlay, view, place.renderer, prior, estimate)
     if geojson is not None:
         write_geojson(features, geojson)
-    return found
+    return answer
 
 
 def _label(out: Path, stem: str, digest: str) -> str:

@@ -247,12 +247,12 @@ def _queries(predictions: Mapping[str, Prediction]) -> pd.DataFrame:
         {
             "query": name,
             "split": _SPLIT,
-            "score": found.score,
-            "failure": "; ".join(filter(None, [NO_TRUTH, found.failure])),
+            "score": prediction.score,
+            "failure": "; ".join(filter(None, [NO_TRUTH, prediction.failure])),
             "tilt": "prior",
-            "probability": found.probability,
-            "covariance": " ".join(map(repr, found.covariance)),
+            "probability": prediction.probability,
+            "covariance": " ".join(map(repr, prediction.covariance)),
         }
-        for name, found in predictions.items()
+        for name, prediction in predictions.items()
     ]
     return queries_frame(rows)

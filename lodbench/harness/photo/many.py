@@ -185,7 +185,7 @@ class PhotoAnswer:
     """What became of one of many photos."""
 
     photo: Path  # the file
-    found: LocalizedPhoto | None  # the answer, or None
+    localized: LocalizedPhoto | None  # the answer, or None
     failure: str = ""  # why there is none, or ""
     flight: str = ""  # it was taken on, where that was looked for
     hint: str = ""  # what would help, or ""
@@ -193,7 +193,7 @@ class PhotoAnswer:
     @property
     def trust(self) -> str:
         """Returns how far the answer may be trusted, in a word."""
-        return "failed" if self.found is None else self.found.trust
+        return "failed" if self.localized is None else self.localized.trust
 
     def row(self) -> dict[str, Any]:
         """Returns the row of the table: ``COLUMNS``, None for what is not known."""
@@ -202,13 +202,13 @@ class PhotoAnswer:
         texts = {"photo": str(self.photo), "failure": self.failure, "flight": self.flight}
         values |= {name: writable(text) for name, text in texts.items()} | {"trust": self.trust}
         values["flight"] = values["flight"] or None
-        if self.found is not None:
-            values |= survey_row(self.found.pose, self.found.place, self.found.covariance)
-            values |= {"crs": self.found.crs, "score": round(self.found.score, 4)}
-            values["notes"] = "; ".join(self.found.method_notes)
-            values["moved_m"] = round(self.found.moved.translation_m, 3)
-            if self.found.probability is not None:
-                values["probability"] = rounded_down(self.found.probability, 4)
+        if self.localized is not None:
+            values |= survey_row(self.localized.pose, self.localized.place, self.localized.covariance)
+            values |= {"crs": self.localized.crs, "score": round(self.localized.score, 4)}
+            values["notes"] = "; ".join(self.localized.method_notes)
+            values["moved_m"] = round(self.localized.moved.translation_m, 3)
+            if self.localized.probability is not None:
+                values["probability"] = rounded_down(self.localized.probability, 4)
         return values
 
 
@@ -227,9 +227,9 @@ class Answers:
         return numbered(self.folder / TABLE_FILE, self.number)
 
     @property
-    def found(self) -> list[LocalizedPhoto]:
+    def localized(self) -> list[LocalizedPhoto]:
         """Returns the photos that have an answer."""
-        return [answer.found for answer in self.photos if answer.found is not None]
+        return [answer.localized for answer in self.photos if answer.localized is not None]
 
     @property
     def view(self) -> Path:
@@ -262,16 +262,16 @@ def photos_of(paths: Sequence[Path], masks: Path | None = None, *others: Path | 
     Raises:
         DatasetError: A path is not there, or a folder holds no photos.
     """
-    found: dict[Path, Path] = {}
+    unique: dict[Path, Path] = {}
     for path in paths:
         if not path.exists():
             raise DatasetError(f"{path} does not exist.", "Check the path.")
         for photo in find_photos(path, masks, *others):
-            found.setdefault(photo.resolve(), photo)
+            unique.setdefault(photo.resolve(), photo)
     outside = [
-        path for whole, path in found.items() if masks is None or not whole.is_relative_to(masks.resolve())
+        path for whole, path in unique.items() if masks is None or not whole.is_relative_to(masks.resolve())
     ]
-    photos = outside or list(found.values())
+    photos = outside or list(unique.values())
     require_photos(photos, paths[0])
     return photos
 
@@ -293,7 +293,7 @@ def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path |
     }
 
     def keep() -> str:
-        if all(answer.found is None for answer in answers.values()):
+        if all(answer.localized is None for answer in answers.values()):
             return ""
         left = (PhotoAnswer(photo, None, "stopped before its turn") for photo in photos)
         write_answers(request.out, [answers.get(row) or other for row, other in enumerate(left)])
@@ -379,10 +379,10 @@ def _write_table(path: Path, answers: Sequence[PhotoAnswer]) -> None:
 def _features(answers: Sequence[PhotoAnswer]) -> list[dict[str, Any]]:
     features: list[dict[str, Any]] = []
     for answer in answers:
-        if answer.found is None:
+        if answer.localized is None:
             features.append(nowhere_feature({"name": answer.photo.name, "failure": answer.failure}))
         else:
-            features += [{**f, "properties": _stated(answer, f)} for f in answer.found.features]
+            features += [{**f, "properties": _stated(answer, f)} for f in answer.localized.features]
     return features
 
 
@@ -395,7 +395,10 @@ def _stated(answer: PhotoAnswer, feature: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_view(
-    path: Path, request: PhotoRequest, found: Sequence[LocalizedPhoto], pages: Mapping[str, str] | None = None
+    path: Path,
+    request: PhotoRequest,
+    photos: Sequence[LocalizedPhoto],
+    pages: Mapping[str, str] | None = None,
 ) -> None:
     """Writes a page of city, photos, rough poses and answers; it leads to ``pages``, addresses by name."""
     city = open_city(request.city, request.lod, request.options, request.roof_height)
@@ -410,19 +413,19 @@ def write_view(
             truth=None,
             photo=each.thumbnail if number < maps.MAX_PHOTOS else None,
         )
-        for number, each in enumerate(found)
+        for number, each in enumerate(photos)
     ]
-    title = f"{len(found)} photo{'s' if len(found) > 1 else ''} over {request.city.name}"
+    title = f"{len(photos)} photo{'s' if len(photos) > 1 else ''} over {request.city.name}"
     write_text(path, maps.draw_view3d(title, city.scene, cameras, pages))
 
 
-def _facts(found: LocalizedPhoto) -> dict[str, str]:
-    row = survey_row(found.pose, found.place)
-    columns = flight_words.place_columns(found.place is not None)
+def _facts(localized: LocalizedPhoto) -> dict[str, str]:
+    row = survey_row(localized.pose, localized.place)
+    columns = flight_words.place_columns(localized.place is not None)
     x, y, *others = [format(row[name], spec) for _, name, spec in columns]
     place = {", ".join(head for head, _, _ in columns[:2]): f"{x}, {y}", "height m": others[0]}
-    facts = {"trust": found.trust} | place | {"heading, pitch, roll deg": ", ".join(others[1:])}
-    if found.probability is not None:
-        facts["sure"] = percent_text(found.probability)
-    moved = f"{found.moved.translation_m:.2f} m, {found.moved.rotation_deg:.2f} deg"
-    return {**facts, "from the prior": moved, "score": table_heads.finite_text(found.score, ".3f")}
+    facts = {"trust": localized.trust} | place | {"heading, pitch, roll deg": ", ".join(others[1:])}
+    if localized.probability is not None:
+        facts["sure"] = percent_text(localized.probability)
+    moved = f"{localized.moved.translation_m:.2f} m, {localized.moved.rotation_deg:.2f} deg"
+    return {**facts, "from the prior": moved, "score": table_heads.finite_text(localized.score, ".3f")}

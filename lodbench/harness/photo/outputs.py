@@ -189,17 +189,17 @@ def contradictions(scene: Scene, findings: Mapping[str, Any]) -> list[tuple[dict
     def outline(name: str) -> Outline:
         return building_outline(scene, rows[name]) if name in rows else []
 
-    found: list[tuple[dict[str, Any], Outline]] = [
+    conflicts: list[tuple[dict[str, Any], Outline]] = [
         ({"kind": "height", **each}, outline(each["id"]))
         for each in flight_words.doubted_buildings(findings.get("buildings", []))
     ]
     for change in findings.get("changes", []):
         stated = {key: value for key, value in change.items() if key != "outline"}
         if change["kind"] == "demolished":
-            found.append((stated, outline(change["id"])))
+            conflicts.append((stated, outline(change["id"])))
         else:
-            found.append((stated, [[np.array(ring, dtype=np.float64)] for ring in change["outline"]]))
-    return found
+            conflicts.append((stated, [[np.array(ring, dtype=np.float64)] for ring in change["outline"]]))
+    return conflicts
 
 
 def contradiction_features(

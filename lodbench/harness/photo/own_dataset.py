@@ -164,9 +164,9 @@ def _images(
 ) -> tuple[list[own.OwnImage], own.LeftOut, str, tuple[str, ...]]:
     """Returns the images, those left out, what they were read from, and what the reader should know of it."""
     if request.poses is not None:
-        kind, found = read_pose_file(request.poses, request.format)
+        kind, listed = read_pose_file(request.poses, request.format)
         placed, reported = brought(
-            [_as_asked(image, request) for image in found], None if frame is None else frame.crs
+            [_as_asked(image, request) for image in listed], None if frame is None else frame.crs
         )
         images, left_out = own.images_from_poses(
             placed,

@@ -55,7 +55,7 @@ class PlacedFeature:
 
     name: str  # of it: ``812 604``, or ``region 1``
     pixel: Floats  # (2,) the pixel, or the region's inner point
-    found: LocatedPixel  # its place, in the city's coordinates
+    point: LocatedPixel  # its place, in the city's coordinates
     outline: shapely.Geometry | None = None  # of a region, east and north; None for a pixel
     heights_m: tuple[float, float] | None = None  # lowest and highest of the outline
     shows: tuple[str, ...] = ()  # all that it shows
@@ -78,7 +78,7 @@ class PlacedPhoto:
             "trusted": self.localized.is_trusted,
             "crs": self.localized.crs,
             "places": [
-                {**_properties(each, self.frame, self.localized), **earth_of(each.found, self.frame)}
+                {**_properties(each, self.frame, self.localized), **earth_of(each.point, self.frame)}
                 for each in self.features
             ],
             "map": None if self.map is None else str(self.map),
@@ -86,32 +86,32 @@ class PlacedPhoto:
         }
 
 
-def earth_of(found: LocatedPixel, frame: MapFrame | None) -> dict[str, float]:
+def earth_of(point: LocatedPixel, frame: MapFrame | None) -> dict[str, float]:
     """Returns latitude and longitude, WGS 84; nothing without a frame."""
     if frame is None:
         return {}
-    latitude, longitude = frame.latitude_longitude(float(found.place[0]), float(found.place[1]))
+    latitude, longitude = frame.latitude_longitude(float(point.place[0]), float(point.place[1]))
     return {"latitude_deg": latitude, "longitude_deg": longitude}
 
 
-def true_ellipse(found: LocatedPixel, frame: MapFrame | None) -> Ellipse | None:
+def true_ellipse(point: LocatedPixel, frame: MapFrame | None) -> Ellipse | None:
     """Returns the 95 % ellipse, its bearing from true north where a frame says where that is."""
-    ellipse = found.ellipse
+    ellipse = point.ellipse
     if ellipse is None or frame is None:
         return ellipse
-    turn = frame.convergence_deg(float(found.place[0]), float(found.place[1]))
+    turn = frame.convergence_deg(float(point.place[0]), float(point.place[1]))
     return ellipse._replace(bearing_deg=(ellipse.bearing_deg + turn) % 180.0)
 
 
 def _properties(each: PlacedFeature, frame: MapFrame | None, localized: Localized) -> dict[str, Any]:
-    found, ellipse = each.found, true_ellipse(each.found, frame)
-    east, north, height = (round(float(value), 3) for value in found.place)
+    point, ellipse = each.point, true_ellipse(each.point, frame)
+    east, north, height = (round(float(value), 3) for value in point.place)
     values: dict[str, Any] = {
         "kind": _KIND,
         "name": each.name,
         "pixel": [round(float(value), 2) for value in each.pixel],
-        "surface": found.surface,
-        "building": found.building,
+        "surface": point.surface,
+        "building": point.building,
         "shows": list(each.shows),
         "east": east,
         "north": north,
@@ -119,10 +119,10 @@ def _properties(each: PlacedFeature, frame: MapFrame | None, localized: Localize
         "crs": localized.crs,
         "trust": localized.trust,
     }
-    if found.covariance is not None and ellipse is not None:
+    if point.covariance is not None and ellipse is not None:
         values |= {
-            "covariance_m2": found.covariance.round(6).tolist(),
-            "height_sigma_m": round(float(np.sqrt(found.covariance[2, 2])), 3),
+            "covariance_m2": point.covariance.round(6).tolist(),
+            "height_sigma_m": round(float(np.sqrt(point.covariance[2, 2])), 3),
             "ellipse95_major_m": round(ellipse.major_m, 3),
             "ellipse95_minor_m": round(ellipse.minor_m, 3),
             "ellipse95_bearing_deg": round(ellipse.bearing_deg, 2),
@@ -130,7 +130,7 @@ def _properties(each: PlacedFeature, frame: MapFrame | None, localized: Localize
     if each.outline is not None and each.heights_m is not None:
         values |= {"area_m2": round(each.outline.area, 3)}
         values |= dict(zip(("lowest_m", "highest_m"), (round(v, 3) for v in each.heights_m), strict=True))
-    return {**values, "beside": list(found.beside), "notes": list(found.notes)}
+    return {**values, "beside": list(point.beside), "notes": list(point.notes)}
 
 
 def _feature(each: PlacedFeature, frame: MapFrame, localized: Localized) -> dict[str, Any]:
@@ -146,7 +146,7 @@ def _feature(each: PlacedFeature, frame: MapFrame, localized: Localized) -> dict
         if len(rings) == 1:
             geometry = {"type": "Polygon", "coordinates": rings[0]}
     else:
-        geometry = {"type": "Point", "coordinates": on_earth(each.found.place[None, :2], frame)[0]}
+        geometry = {"type": "Point", "coordinates": on_earth(each.point.place[None, :2], frame)[0]}
     return {"type": "Feature", "geometry": geometry, "properties": _properties(each, frame, localized)}
 
 
@@ -221,8 +221,8 @@ class _Placer:
     def _places(self, pixels: Floats, known: Uncertainty | None = None) -> list[LocatedPixel | None]:
         origin, where = self.surfaces.scene.origin, self.localized
         pose = where.pose.shifted(-origin)
-        found = places_of(self.surfaces, where.camera, pose, pixels, known or self.known, self.laser)
-        return [None if each is None else shifted(each, origin) for each in found]
+        points = places_of(self.surfaces, where.camera, pose, pixels, known or self.known, self.laser)
+        return [None if each is None else shifted(each, origin) for each in points]
 
     def pixels(self, pixels: Floats) -> list[PlacedFeature]:
         """Returns the places of (N, 2) pixels.
@@ -231,10 +231,10 @@ class _Placer:
             LodbenchError: One shows no place.
         """
         features = []
-        for pixel, found in zip(pixels, self._places(pixels), strict=True):
-            if found is None:
+        for pixel, point in zip(pixels, self._places(pixels), strict=True):
+            if point is None:
                 raise nowhere(pixel)
-            features.append(PlacedFeature(f"{pixel[0]:g} {pixel[1]:g}", pixel, found, shows=(found.shows,)))
+            features.append(PlacedFeature(f"{pixel[0]:g} {pixel[1]:g}", pixel, point, shows=(point.shows,)))
         return features
 
     def region(self, name: str, region: shapely.Polygon) -> PlacedFeature | None:
@@ -253,9 +253,9 @@ class _Placer:
         return PlacedFeature(name, inner[0], middle, shape, (min(heights), max(heights)), shows)
 
     def _ring(self, ring: shapely.LinearRing) -> list[LocatedPixel] | None:
-        found = self._places(np.array(ring.coords), Uncertainty(None))
-        places = [each for each in found if each is not None]
-        return places if len(places) == len(found) else None
+        points = self._places(np.array(ring.coords), Uncertainty(None))
+        places = [each for each in points if each is not None]
+        return places if len(places) == len(points) else None
 
 
 def _regions(path: Path, camera: Camera) -> list[shapely.Polygon]:

@@ -181,11 +181,11 @@ def prepare_photo(request: PhotoRequest, requires: Collection[str]) -> PreparedP
         knows_look=rough is not None,
         knows_camera=request.camera is not None,
     )
-    found = rough_camera(request, stated)
-    pinhole = pinhole_of(found.camera)
-    mask = pinhole_mask(request, found.camera, pinhole) if Input.MASK in requires else None
-    known = found.source, found.lens_percent, found.camera_sigmas, request.measured_of(stated)
-    return PreparedPhoto(request, stated, found.camera, *known, pinhole, mask)
+    camera = rough_camera(request, stated)
+    pinhole = pinhole_of(camera.camera)
+    mask = pinhole_mask(request, camera.camera, pinhole) if Input.MASK in requires else None
+    known = camera.source, camera.lens_percent, camera.camera_sigmas, request.measured_of(stated)
+    return PreparedPhoto(request, stated, camera.camera, *known, pinhole, mask)
 
 
 def undistorted_photo(view: PhotoView, folder: Path) -> Path:

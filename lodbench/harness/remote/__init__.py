@@ -97,9 +97,9 @@ def numbered(message: Any, number: int) -> dict[str, Any]:
     """
     if not isinstance(message, dict):
         raise MalformedMessage("a message is no word")
-    found = message.get("number")
-    if type(found) is not int or found != number:
-        raise MalformedMessage(f"a message has the number {str(found)[:20]} where {number} was due")
+    message_number = message.get("number")
+    if type(message_number) is not int or message_number != number:
+        raise MalformedMessage(f"a message has the number {str(message_number)[:20]} where {number} was due")
     return message
 
 
@@ -131,10 +131,10 @@ def unpacked(read: Read) -> Any:
     try:
         tree, kinds, wanted = json.loads(read(length))
         arrays = [_array(read, np.dtype(kind), [int(side) for side in shape]) for kind, shape in kinds]
-        found = 0
+        checksum = 0
         for array in arrays:
-            found = zlib.crc32(array.data if array.size else b"", found)
-        if found != wanted:
+            checksum = zlib.crc32(array.data if array.size else b"", checksum)
+        if checksum != wanted:
             raise MalformedMessage("a message whose arrays have another checksum")
         return _whole(tree, arrays)
     except (MalformedMessage, OSError, EOFError):

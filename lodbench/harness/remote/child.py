@@ -53,13 +53,13 @@ class Pipe:
         """Returns the next message; ends the process where there is none, or not the one due."""
 
         def read(count: int) -> bytes:
-            found = self._source.read(count)
-            if len(found) < count:
+            chunk = self._source.read(count)
+            if len(chunk) < count:
                 # Who asked is gone, perhaps without a word: nothing that a method started here stays.
                 if os.getpgrp() == os.getpid():
                     os.killpg(0, signal.SIGKILL)
                 raise SystemExit(0)
-            return found
+            return chunk
 
         self._number += 1
         try:
@@ -121,11 +121,11 @@ class RemoteMap:
 
     def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
         """Returns the similarity of N silhouettes to a query: drawn there, compared here, some at a time."""
-        found = [
+        similarities = [
             fit(self._pipe.ask("draw", "silhouettes", {}, camera, rotations[part], centers[part]))
             for part in portions(camera, "silhouettes", len(centers))
         ]
-        return np.concatenate(found)
+        return np.concatenate(similarities)
 
 
 def portions(camera: Camera, kind: str, count: int) -> list[slice]:

@@ -156,10 +156,10 @@ class RemoteMethod:
         def answer(words: list[Any]) -> Any:
             return answered(words, query, city_map, streams)
 
-        found = self._call(["localize", query, offers], answer, self._runner.timeout_s)
-        if not isinstance(found, Estimate):
-            raise TypeError(f"localize returned {type(found).__name__} instead of an Estimate")
-        return found
+        estimate = self._call(["localize", query, offers], answer, self._runner.timeout_s)
+        if not isinstance(estimate, Estimate):
+            raise TypeError(f"localize returned {type(estimate).__name__} instead of an Estimate")
+        return estimate
 
     def close(self) -> None:
         """Ends the process, if there is one."""

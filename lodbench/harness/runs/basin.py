@@ -308,7 +308,7 @@ def measure_cost_maps(
     with Progress("cost around the truth", len(entries)) as progress:
         for entry in entries:
             if entry.key not in ledger:
-                ledger.record(entry.key, {"iou": _around_truth(preparation, scorer, entry, grid)})
+                ledger.record(entry.key, {"iou": _iou_at_offsets(preparation, scorer, entry, grid)})
             progress.advance()
     rows = [row for row in (ledger[entry.key]["iou"] for entry in entries) if row is not None]
     if not rows:
@@ -347,7 +347,7 @@ def cost_csv(maps: CostMaps) -> str:
     )
 
 
-def _around_truth(
+def _iou_at_offsets(
     preparation: Preparation, scorer: Scorer, entry: Entry, grid: CostGrid
 ) -> list[float] | None:
     """Returns the IoU at every offset: x-y by rows of y, then z, then yaw; None without a query."""

@@ -99,7 +99,7 @@ def paired_comparison(
     first: StoredRun, second: StoredRun, thresholds: Sequence[pose_errors.Threshold]
 ) -> list[Comparison]:
     """Returns the tests of each split: recall at each threshold, and the median errors."""
-    found = []
+    tests = []
     for split in first.summary["splits"]:
         scored = of_split(first.queries, split)
         if scored.empty:
@@ -109,12 +109,12 @@ def paired_comparison(
         for threshold in thresholds:
             hits = pose_errors.hits_of(a, threshold), pose_errors.hits_of(b, threshold)
             before, after = (100.0 * float(hit.mean()) for hit in hits)
-            found.append(Comparison(split, f"recall {threshold.label}", "%", before, after, mcnemar(*hits)))
+            tests.append(Comparison(split, f"recall {threshold.label}", "%", before, after, mcnemar(*hits)))
         for column, (name, unit) in enumerate((("median translation", "m"), ("median rotation", "deg"))):
             x, y = a[:, column], b[:, column]
             medians = float(np.median(x)), float(np.median(y))
-            found.append(Comparison(split, name, unit, *medians, paired_medians(x, y)))
-    return found
+            tests.append(Comparison(split, name, unit, *medians, paired_medians(x, y)))
+    return tests
 
 
 def why_other_photos(first: StoredRun, second: StoredRun) -> str:
@@ -131,9 +131,9 @@ def why_other_photos(first: StoredRun, second: StoredRun) -> str:
     photos = {run.summary["dataset"].get("images") for run in (first, second)}
     if not is_scored and len(photos - {None}) > 1:
         return "the photos differ"
-    found = answers_apart(first, second)
-    reach = sum(run.queries.loc[list(found), list(ERROR)].to_numpy() for run in (first, second))
-    errors = np.array([each.error for each in found.values()]).reshape(-1, 2)
+    differences = answers_apart(first, second)
+    reach = sum(run.queries.loc[list(differences), list(ERROR)].to_numpy() for run in (first, second))
+    errors = np.array([each.error for each in differences.values()]).reshape(-1, 2)
     if (errors > reach + TOLERANCE_M).any():  # never where a truth, NaN, is not known
         return "the names are the same, but not the true poses"
     return ""
@@ -149,14 +149,14 @@ def agreement(first: StoredRun, second: StoredRun) -> Agreement | None:
     """Returns how far the answers of two runs lie apart; None where no photo has an answer of both."""
     if why_other_photos(first, second):
         return None
-    found = answers_apart(first, second).values()
-    if not found:
+    differences = answers_apart(first, second).values()
+    if not differences:
         return None
-    errors = np.array([each.error for each in found])
-    parts = np.abs([[each.parts.horizontal_m, each.parts.vertical_m] for each in found])
+    errors = np.array([each.error for each in differences])
+    parts = np.abs([[each.parts.horizontal_m, each.parts.vertical_m] for each in differences])
     within = int(pose_errors.hits_of(errors, pose_errors.PROBABILITY_THRESHOLD).sum())
     medians = [*np.median(errors, axis=0), *np.median(parts, axis=0)]
-    return Agreement(len(found), within, *map(float, medians))
+    return Agreement(len(differences), within, *map(float, medians))
 
 
 def budget_panels(runs: Sequence[StoredRun]) -> dict[str, Curves]:
@@ -222,7 +222,7 @@ def _differing_words(runs: Sequence[StoredRun]) -> dict[str, set[str]]:
         for key, value in _words(run.summary).items():
             values[run.summary["method"]["name"]][key].add(value)
     return {
-        name: {key for key, found in settings.items() if len(found) > 1} for name, settings in values.items()
+        name: {key for key, words in settings.items() if len(words) > 1} for name, settings in values.items()
     }
 
 
@@ -239,9 +239,9 @@ def comparison_page(
     scored = [(run, name) for run, name in zip(runs, names, strict=True) if has_truth(run.queries).any()]
     pictures = [
         Picture(
-            figures.draw_comparison(_curves(found, split))["svg"], "svg+xml", _caption(split, of), "chart"
+            figures.draw_comparison(_curves(members, split))["svg"], "svg+xml", _caption(split, of), "chart"
         )
-        for (split, of), found in _charts(scored).items()
+        for (split, of), members in _charts(scored).items()
     ]
     pairs = []
     for run, name in zip(runs[1:], names[1:], strict=True):
@@ -285,9 +285,9 @@ def _charts(scored: Sequence[tuple[StoredRun, str]]) -> dict[tuple[str, str], li
                 groups.setdefault((split, words, keys), []).append((run, name))
     per_split = Counter(split for split, _, _ in groups)
     charts: dict[tuple[str, str], list[tuple[StoredRun, str]]] = {}
-    for number, ((split, words, keys), found) in enumerate(groups.items(), start=1):
+    for number, ((split, words, keys), members) in enumerate(groups.items(), start=1):
         of = f"{words}, {count_of(len(keys), 'queries')}" if per_split[split] > 1 else ""
-        charts[split, f"{of}, chart {number}" if (split, of) in charts else of] = found
+        charts[split, f"{of}, chart {number}" if (split, of) in charts else of] = members
     return charts
 
 

@@ -217,14 +217,14 @@ def _ordered(queries: pd.DataFrame) -> pd.DataFrame:
 def _shown_picture(verdict: Verdict, scene: Scene, tilt: str, entry: Entry) -> overlays.OverlayInput:
     assert verdict.dataset is not None  # noqa: S101 - there are entries
     assert entry.camera is not None  # noqa: S101 - the caller has looked
-    found = verdict.stored.predictions.get(entry.key)
+    prediction = verdict.stored.predictions.get(entry.key)
 
     def local(pose: Pose | None) -> Pose | None:
         return None if pose is None else pose.shifted(-np.asarray(scene.origin))
 
     return overlays.OverlayInput(
         camera=entry.camera,
-        mask=None if found is None else found.mask,
+        mask=None if prediction is None else prediction.mask,
         image=entry.image,
         prior=local(prior_of(entry, verdict.dataset, tilt)),
         estimate=local(verdict.stored.poses.get(entry.key)),
@@ -234,14 +234,14 @@ def _shown_picture(verdict: Verdict, scene: Scene, tilt: str, entry: Entry) -> o
 
 
 def _place_caption(verdict: Verdict, row: pd.Series[Any]) -> str:
-    found = verdict.stored.predictions.get(str(row.name))
-    if found is None or found.pose is None:
+    prediction = verdict.stored.predictions.get(str(row.name))
+    if prediction is None or prediction.pose is None:
         return f"{row.name}: {own_failure(row['failure'])}"
     metres, degrees = row[list(ERROR)]
     words = [] if math.isnan(metres) else [f"{metres:.2f} m, {degrees:.2f} deg"]
     words += [] if math.isnan(row["score"]) else [f"score {row['score']:.3f}"]
-    if found.probability is not None:
-        words.append(f"probability {answers.percent_text(found.probability)}")
-    if answers.trust_of(found) != "-":
-        words.append(answers.trust_of(found))
-    return f"{row.name}: {'; '.join([', '.join(words), *answers.why_of(found)])}"
+    if prediction.probability is not None:
+        words.append(f"probability {answers.percent_text(prediction.probability)}")
+    if answers.trust_of(prediction) != "-":
+        words.append(answers.trust_of(prediction))
+    return f"{row.name}: {'; '.join([', '.join(words), *answers.why_of(prediction)])}"

@@ -104,9 +104,9 @@ def code_digest(*parts: object, names: Collection[object] = ()) -> str:
     elsewhere = [list(getattr(part, "remote_code", ())) for part in parts if hasattr(part, "remote_code")]
     named = [each for group in KINDS for each in installed(group) if not each.is_ours and each.name in names]
     modules = {type(part).__module__ for part in parts} | {each.point.module for each in named}
-    tops = {module.partition(".")[0] for module in modules} - {_OURS, "__main__"}
-    required = required_by(tops)
-    files = [file_digest(file) for top in sorted(tops) for file in package_files(top)]
+    packages = {module.partition(".")[0] for module in modules} - {_OURS, "__main__"}
+    required = required_by(packages)
+    files = [file_digest(file) for package in sorted(packages) for file in package_files(package)]
     # What is edited in place keeps its version.
     files += [file_digest(file) for each in sorted(required, key=_name_of) for file in _edited_files(each)]
     versions = sorted(f"{each.name}=={each.version}" for each in required)
@@ -122,20 +122,20 @@ def required_by(packages: Collection[str]) -> list[Distribution]:
     offered = packages_distributions() if packages else {}
     waiting = [name for package in packages for name in offered.get(package, ())]
     read = set(waiting)
-    found: dict[str, Distribution] = {}
+    by_name: dict[str, Distribution] = {}
     while waiting:
         name = waiting.pop()
         plain = re.sub(r"[-_.]+", "-", name).lower()
-        if plain in found or plain == _OURS:
+        if plain in by_name or plain == _OURS:
             continue
         try:
-            found[plain] = distribution(name)
+            by_name[plain] = distribution(name)
         except PackageNotFoundError:
             continue
-        needs = [text for text in found[plain].requires or () if "extra" not in text.partition(";")[2]]
+        needs = [text for text in by_name[plain].requires or () if "extra" not in text.partition(";")[2]]
         waiting += [match[0] for match in map(_NAME.match, needs) if match]
     # The packages themselves count by their files.
-    return [each for each in found.values() if each.name not in read]
+    return [each for each in by_name.values() if each.name not in read]
 
 
 def _name_of(package: Distribution) -> str:
@@ -152,13 +152,13 @@ def _edited_files(package: Distribution) -> list[Path]:
         return []
     if not is_editable:
         return []
-    tops = _read(package, "top_level.txt").split()
-    if tops:
-        return [file for top in tops for file in package_files(top)]
+    names = _read(package, "top_level.txt").split()
+    if names:
+        return [file for name in names for file in package_files(name)]
     # Not every builder says which packages it holds: all there is, but environments in it.
-    found = ((file, file.relative_to(folder).parts) for file in folder.rglob("*.py"))
+    candidates = ((file, file.relative_to(folder).parts) for file in folder.rglob("*.py"))
     return sorted(
-        file for file, parts in found if "site-packages" not in parts and not parts[0].startswith(".")
+        file for file, parts in candidates if "site-packages" not in parts and not parts[0].startswith(".")
     )
 
 

@@ -322,7 +322,7 @@ def _pairs(
     runs: tuple[StoredRun, StoredRun], drawn: tuple[DrawnRun, DrawnRun] | None, beside: Path
 ) -> list[PhotoPair]:
     first, second = runs
-    found = answers_apart(first, second)
+    differences = answers_apart(first, second)
     truth = {} if drawn is None else drawn[0].dataset.truth
     keys = dict.fromkeys(str(key) for run in runs for key in run.queries.index)
     views = [quote(link_to(run.folder / _VIEW, beside)) for run in runs]
@@ -330,7 +330,7 @@ def _pairs(
     return [
         PhotoPair(
             key,
-            found.get(key),
+            differences.get(key),
             answers[0].get(key, _NOT_ASKED),
             answers[1].get(key, _NOT_ASKED),
             Spot(
@@ -403,7 +403,7 @@ def _with_pictures(
     entries = drawn[0].entries
     first = make_renderer("silhouette", scenes[0])
     second = first if scenes[0] is scenes[1] else make_renderer("silhouette", scenes[1])
-    found = []
+    pictured = []
     with Progress("pictures", min(len(pairs), MAX_PICTURES)) as progress:
         for number, pair in enumerate(pairs):
             entry = entries.get(pair.key)
@@ -412,10 +412,10 @@ def _with_pictures(
                 pair = pair._replace(
                     pictures=_pictures(pair, drawn, (first, second), entry.image, entry.camera)
                 )
-            found.append(pair)
+            pictured.append(pair)
             if number < MAX_PICTURES:
                 progress.advance()
-    return found
+    return pictured
 
 
 def _pictures(
@@ -436,18 +436,18 @@ def _pictures(
         "a": [(renderers[0], pose) for pose in [first.stored.poses.get(key)] if pose is not None],
         "b": [(renderers[1], pose) for pose in [second.stored.poses.get(key)] if pose is not None],
     }
-    found = {
+    pictures = {
         "photo": Picture(overlays.jpeg_bytes(overlays.read_background(image, camera)), "jpeg", pair.caption)
     }
-    found |= {name: Picture(layer, "webp", "") for name, layer in _masks(drawn, key).items()}
+    pictures |= {name: Picture(layer, "webp", "") for name, layer in _masks(drawn, key).items()}
     for name, posed in outlines.items():
         masks = [
             renderer.render(camera, pose.shifted(-np.asarray(renderer.scene.origin)))
             for renderer, pose in posed
         ]
         if masks:
-            found[name] = Picture(overlays.outline_layer(masks, _COLOURS[name], _WIDTHS[name]), "webp", "")
-    return found
+            pictures[name] = Picture(overlays.outline_layer(masks, _COLOURS[name], _WIDTHS[name]), "webp", "")
+    return pictures
 
 
 def _masks(drawn: tuple[DrawnRun, DrawnRun], key: str) -> dict[str, bytes]:

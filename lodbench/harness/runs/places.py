@@ -65,8 +65,10 @@ def draw_places(
     spots = []
     for entry in verdict.entries:
         prior, estimate, truth = map(place, _poses(verdict, entry, tilt, scene))
-        found = verdict.stored.predictions.get(entry.key)
-        spots.append(maps.Spot(entry.key, prior, estimate, truth, "-" if found is None else trust_of(found)))
+        answer = verdict.stored.predictions.get(entry.key)
+        spots.append(
+            maps.Spot(entry.key, prior, estimate, truth, "-" if answer is None else trust_of(answer))
+        )
     if scene is None:
         return maps.draw_map(spots, None, None)
     return maps.draw_map(spots, scene.vertices + scene.origin, scene.triangles, view=view, imagery=imagery)
@@ -105,16 +107,16 @@ def _poses(
 
 
 def _facts(verdict: Verdict, key: str) -> dict[str, str]:
-    found = verdict.stored.predictions.get(key)
+    answer = verdict.stored.predictions.get(key)
     if key not in verdict.stored.queries.index:
         return {}
     row: pd.Series[Any] = verdict.stored.queries.loc[key]  # type: ignore[assignment]
     facts = {"error": _error(row, ERROR), "prior": _error(row, PRIOR_ERROR)}
-    if found is not None:
-        facts |= {"score": "" if found.score is None else f"{found.score:.3f}", "trust": trust_of(found)}
-        if found.probability is not None:
-            facts["sure"] = percent_text(found.probability)
-        facts["why"] = "; ".join(why_of(found))
+    if answer is not None:
+        facts |= {"score": "" if answer.score is None else f"{answer.score:.3f}", "trust": trust_of(answer)}
+        if answer.probability is not None:
+            facts["sure"] = percent_text(answer.probability)
+        facts["why"] = "; ".join(why_of(answer))
     return {**facts, "failure": own_failure(str(row["failure"]))}
 
 
@@ -141,12 +143,12 @@ def survey_table(run: StoredRun, crs: str | None) -> pd.DataFrame:
         frame = None if crs is None else MapFrame(crs)
     rows = []
     for key, query in run.queries.iterrows():
-        found, pose = run.predictions[str(key)], run.poses.get(str(key))
+        answer, pose = run.predictions[str(key)], run.poses.get(str(key))
         row = dict.fromkeys(_COLUMNS) | {"photo": query["query"], "split": query["split"]}
         if pose is not None:
-            row |= survey_row(pose, None if frame is None else frame.place_of(pose), found.covariance)
-        probability = None if found.probability is None else rounded_down(found.probability, 4)
-        row |= {"probability": probability, "trust": trust_of(found), "crs": crs}
+            row |= survey_row(pose, None if frame is None else frame.place_of(pose), answer.covariance)
+        probability = None if answer.probability is None else rounded_down(answer.probability, 4)
+        row |= {"probability": probability, "trust": trust_of(answer), "crs": crs}
         rows.append(row | {"failure": own_failure(query["failure"])})
     numbers = dict.fromkeys((*SURVEY_COLUMNS, "probability"), float)
     return pd.DataFrame(rows, index=run.queries.index, columns=list(_COLUMNS)).astype(numbers)
@@ -164,10 +166,10 @@ def pages_of_run(
     verdict: Verdict, scene: Scene, tilt: str, view: str = "", imagery: maps.Underlay | None = None
 ) -> dict[str, str]:
     """Returns the pages of a run's flights, by the name of the file of what each says."""
-    found = flight_findings(verdict)
+    findings = flight_findings(verdict)
     return {
         name: _page_of_sequence(verdict, scene, tilt, name, stated, view, imagery)
-        for name, stated in found.items()
+        for name, stated in findings.items()
     }
 
 
@@ -177,9 +179,9 @@ def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
     Raises:
         DatasetError: A file is not a JSON object, or says something else.
     """
-    found = {}
+    findings = {}
     for file in sorted((verdict.stored.folder / FLIGHTS_FOLDER).glob("*.json")):
-        stated = found[file.stem] = read_json(file)
+        stated = findings[file.stem] = read_json(file)
         try:
             for change in stated.get("changes", []):
                 change["kind"] = _KINDS_OF_0_1.get(change["kind"], change["kind"])
@@ -193,7 +195,7 @@ def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
                 f"{file} has no constants, buildings and changes as of `method=flight` ({error!r}).",
                 "Run the method again.",
             ) from error
-    return found
+    return findings
 
 
 def _page_of_sequence(
@@ -212,22 +214,22 @@ def _page_of_sequence(
     left_out: list[tuple[str, str]] = []
     surveyed = survey_table(stored, scene.crs).replace({math.nan: None}).to_dict("index")
     for entry in entries:
-        found = stored.predictions.get(entry.key)
-        if found is None or found.pose is None:
-            left_out.append((entry.name, "not asked" if found is None else found.failure))
+        answer = stored.predictions.get(entry.key)
+        if answer is None or answer.pose is None:
+            left_out.append((entry.name, "not asked" if answer is None else answer.failure))
             continue
-        poses = prior_of(entry, dataset, tilt), found.pose, dataset.truth.get(entry.key)
-        spread = _full(found.covariance)
+        poses = prior_of(entry, dataset, tilt), answer.pose, dataset.truth.get(entry.key)
+        spread = _full(answer.covariance)
         photos.append(
             flight_words.photo_on_page(
                 entry.name,
                 poses,
                 spread,
-                found.probability,
-                found.score,
-                trust_of(found),
+                answer.probability,
+                answer.score,
+                trust_of(answer),
                 cast("Mapping[str, float | None]", surveyed[entry.key]),
-                why_of(found),
+                why_of(answer),
             )
         )
     chosen = set(flight_words.chosen_for_pictures([photo.spot.key for photo in photos]))

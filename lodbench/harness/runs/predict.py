@@ -247,9 +247,9 @@ def _open_here(work: Work) -> None:
     textured = None
     if dataset.textured_map is not None:
         textured = open_textured_map(dataset.textured_map, scene, options=dataset.city_options)
-    found = {"roofs": "", "textured_map": "" if textured is None else textured.digest()}
-    found |= city_digests(scene)
-    if any(work.inputs.get(name, "") != digest for name, digest in found.items()):
+    digests = {"roofs": "", "textured_map": "" if textured is None else textured.digest()}
+    digests |= city_digests(scene)
+    if any(work.inputs.get(name, "") != digest for name, digest in digests.items()):
         reason = f"{dataset.city_model} is another city for a worker, or has changed since the start."
         raise DatasetError(reason, "Let all workers see the same files.")
     city_map = CityMap(scene, work.renderer, work.threads, textured)

@@ -162,21 +162,21 @@ class Preparation:
     def _probability(self, entry: Entry, camera: Camera, pose: Pose) -> NDArray[np.float32]:
         """Returns the checked mask of a query, guided from a pose (scene frame) where the segmenter is."""
         if isinstance(self.segmenter, Oracle):
-            found = self._from_truth(self.segmenter, entry, camera)
+            probability = self._from_truth(self.segmenter, entry, camera)
         elif isinstance(self.segmenter, segmentation.MapGuidedSegmenter):
-            found = self.segmenter.segment_from(entry, pose, self._map)
+            probability = self.segmenter.segment_from(entry, pose, self._map)
         else:
-            found = self.segmenter.segment(entry)
-        return segmentation.check_mask(found, camera)
+            probability = self.segmenter.segment(entry)
+        return segmentation.check_mask(probability, camera)
 
     def _instances(self, entry: Entry, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         if isinstance(self.segmenter, Oracle):
             small, truth = self._true_view(self.segmenter, entry, camera)
-            (seen,) = self._raster.buildings(small, truth.rotation[None], truth.center[None])
-            return self.segmenter.from_buildings(seen, entry.key)
+            (buildings,) = self._raster.buildings(small, truth.rotation[None], truth.center[None])
+            return self.segmenter.from_buildings(buildings, entry.key)
         if isinstance(self.segmenter, segmentation.MapGuidedInstanceSegmenter):
-            found = self.segmenter.segment_instances_from(entry, pose, self._map)
-            return segmentation.check_instances(found, camera)
+            masks = self.segmenter.segment_instances_from(entry, pose, self._map)
+            return segmentation.check_instances(masks, camera)
         if not isinstance(self.segmenter, segmentation.InstanceSegmenter):
             raise QueryFault(f"segmenter={self.segmenter.name} has no segment_instances")
         return segmentation.check_instances(self.segmenter.segment_instances(entry), camera)
@@ -184,8 +184,8 @@ class Preparation:
     def _classes(self, entry: Entry, camera: Camera) -> NDArray[np.uint8]:
         if isinstance(self.segmenter, Oracle):
             small, truth = self._true_view(self.segmenter, entry, camera)
-            (seen,) = self._raster.classes(small, truth.rotation[None], truth.center[None])
-            return self.segmenter.from_classes(seen, entry.key)
+            (classes,) = self._raster.classes(small, truth.rotation[None], truth.center[None])
+            return self.segmenter.from_classes(classes, entry.key)
         if not isinstance(self.segmenter, segmentation.ClassSegmenter):
             raise QueryFault(f"segmenter={self.segmenter.name} has no segment_classes")
         return segmentation.check_classes(self.segmenter.segment_classes(entry), camera)
@@ -247,24 +247,25 @@ class PendingQuery:
 
 
 def _stored_estimate(
-    found: Estimate, prepare_s: float, mask_png: str, preparation: Preparation
+    estimate: Estimate, prepare_s: float, mask_png: str, preparation: Preparation
 ) -> Prediction:
-    fault = number_fault(found) or uncertainty_fault(found) or note_fault(found)
+    fault = number_fault(estimate) or uncertainty_fault(estimate) or note_fault(estimate)
     if fault:
         raise ValueError(fault)
     return Prediction(
-        pose=Pose.from_matrix(preparation.in_dataset_frame(found.pose).cam_from_world),
-        score=float(found.score) if math.isfinite(found.score) else None,
-        hypotheses=int(found.hypotheses),
-        seconds={"prepare": prepare_s, **{stage: float(spent) for stage, spent in found.seconds.items()}},
-        trace={stage: tuple(map(float, scores)) for stage, scores in found.trace.items()},
-        probability=None if found.probability is None else float(found.probability),
-        covariance=_upper_triangle(found.covariance),
+        pose=Pose.from_matrix(preparation.in_dataset_frame(estimate.pose).cam_from_world),
+        score=float(estimate.score) if math.isfinite(estimate.score) else None,
+        hypotheses=int(estimate.hypotheses),
+        seconds={"prepare": prepare_s, **{stage: float(spent) for stage, spent in estimate.seconds.items()}},
+        trace={stage: tuple(map(float, scores)) for stage, scores in estimate.trace.items()},
+        probability=None if estimate.probability is None else float(estimate.probability),
+        covariance=_upper_triangle(estimate.covariance),
         alternatives=tuple(
-            Pose.from_matrix(preparation.in_dataset_frame(pose).cam_from_world) for pose in found.alternatives
+            Pose.from_matrix(preparation.in_dataset_frame(pose).cam_from_world)
+            for pose in estimate.alternatives
         ),
-        alternative_probabilities=tuple(map(float, found.alternative_probabilities)),
-        notes=tuple(map(writable, found.notes)),
+        alternative_probabilities=tuple(map(float, estimate.alternative_probabilities)),
+        notes=tuple(map(writable, estimate.notes)),
         mask_png=mask_png,
     )
 
@@ -319,15 +320,15 @@ def _answer_flight(
     """Fills in the estimates of a flight's photos; what it says besides goes to the run's folder."""
     first = ready[0][0].entry
     streams = [each.streams for each, _ in ready]
-    found = answered_flight(method, [query for _, query in ready], city_map, streams, folder, first.key)
-    for (each, _), answer in zip(ready, found.estimates, strict=True):
+    solution = answered_flight(method, [query for _, query in ready], city_map, streams, folder, first.key)
+    for (each, _), answer in zip(ready, solution.estimates, strict=True):
         with _failing(each, folder):
             if isinstance(answer, QueryFault):
                 raise answer
             each.estimate = answer
-    if found.findings:
+    if solution.findings:
         make_folder(folder / FLIGHTS_FOLDER)
-        reported = json.dumps(found.findings, indent=1, sort_keys=True)
+        reported = json.dumps(solution.findings, indent=1, sort_keys=True)
         write_text(folder / FLIGHTS_FOLDER / f"{flight_name(first)}.json", reported + "\n")
 
 

@@ -64,7 +64,7 @@ def score_pictures(folder: Path, queries: pd.DataFrame, splits: Sequence[str]) -
 
 def evidence_pictures(predictions: Mapping[str, Prediction]) -> list[page.Picture]:
     """Returns by how much each answer is ahead of the query's other candidates, closest first; or none."""
-    reported = [figures.Trace(key, _behind(found.trace)) for key, found in predictions.items()]
+    reported = [figures.Trace(key, _behind(prediction.trace)) for key, prediction in predictions.items()]
     traces = [trace for trace in reported if any(len(nats) > 1 for nats in trace.stages.values())]
     if not traces:
         return []
@@ -84,14 +84,14 @@ def _stages(
     folder: Path, queries: pd.DataFrame, splits: Sequence[str]
 ) -> list[tuple[str, dict[str, tuple[float, ...]]]]:
     stored = open_predictions(folder, read_only=True)
-    found = []
+    traces = []
     for split in splits:
         for kind, chosen in reversed(chosen_queries(queries, split).items()):
             for key in chosen.index:
                 stages = stored[key].get("trace", {}) if key in stored else {}
                 title = f"{kind.replace('_', ' ')}: {key}"
-                found.append((title, {name: tuple(values) for name, values in stages.items()}))
-    return found
+                traces.append((title, {name: tuple(values) for name, values in stages.items()}))
+    return traces
 
 
 def _scores(stages: dict[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
@@ -132,7 +132,7 @@ def run_report(
         ("evidence", "Other candidates", "", evidence_pictures(stored.predictions)),
         ("provenance", "Provenance", _provenance(verdict), []),
     ]
-    answered = sum(found.pose is not None for found in stored.predictions.values())
+    answered = sum(prediction.pose is not None for prediction in stored.predictions.values())
     return page.rendered(
         "run.html.jinja",
         title=title_of(verdict),
@@ -152,7 +152,7 @@ def run_report(
 
 def _counts(predictions: Mapping[str, Prediction]) -> str:
     """Returns how many answers are good, doubtful and not to be trusted; "" where no probability is known."""
-    if all(found.probability is None for found in predictions.values()):
+    if all(prediction.probability is None for prediction in predictions.values()):
         return ""
     return f": {answers.trust_counts(map(answers.trust_of, predictions.values()))}"
 
@@ -200,8 +200,8 @@ def _query_table(verdict: Verdict, tilt: str, crs: str | None) -> str:
     is_scored = has_truth(queries).any()
     stated = [verdict.stored.predictions.get(str(key)) for key in queries.index]
     frame = queries.assign(
-        trust=["-" if found is None else answers.trust_of(found) for found in stated],
-        why=["" if found is None else "; ".join(answers.why_of(found)) for found in stated],
+        trust=["-" if prediction is None else answers.trust_of(prediction) for prediction in stated],
+        why=["" if prediction is None else "; ".join(answers.why_of(prediction)) for prediction in stated],
     )
     if not is_scored:
         # That there is no truth is no failure of an answer.
@@ -273,8 +273,8 @@ def _calibration(queries: pd.DataFrame, splits: Sequence[str]) -> list[page.Pict
     for split in splits:
         mine = of_split(queries, split)
         if mine["probability"].notna().any():
-            found = hits_of(mine[list(ERROR)].to_numpy(), PROBABILITY_THRESHOLD)
-            curves[split] = calibrate(mine["probability"].fillna(0.0).to_numpy(), found)
+            hits = hits_of(mine[list(ERROR)].to_numpy(), PROBABILITY_THRESHOLD)
+            curves[split] = calibrate(mine["probability"].fillna(0.0).to_numpy(), hits)
     if not curves:
         return []
     caption = "Left: share within over confidence. Right: error rate over coverage, most confident first."
@@ -284,10 +284,10 @@ def _calibration(queries: pd.DataFrame, splits: Sequence[str]) -> list[page.Pict
 def _flights(verdict: Verdict) -> str:
     stated = {
         name: [
-            *flight_words.constants_in_words(found.get("constants", {}), "poses"),
-            *flight_words.map_in_words(found),
+            *flight_words.constants_in_words(findings.get("constants", {}), "poses"),
+            *flight_words.map_in_words(findings),
         ]
-        for name, found in flight_findings(verdict).items()
+        for name, findings in flight_findings(verdict).items()
     }
     return page.rendered("run_flights.html.jinja", flights=stated) if stated else ""
 

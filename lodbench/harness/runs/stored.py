@@ -166,7 +166,7 @@ def read_run(folder: str | Path) -> StoredRun:
     """
     folder = Path(folder)
     summary = summaries.read_summary(folder)
-    found = _read_poses(folder / "poses.txt")
+    poses = _read_poses(folder / "poses.txt")
     queries = _read_queries(folder / "queries.csv")
     names = queries.index if queries["split"].nunique() > 1 else queries["query"]
     keys = dict(zip(names, queries.index, strict=True))
@@ -178,8 +178,8 @@ def read_run(folder: str | Path) -> StoredRun:
         summary=summary,
         provenance=_read_provenance(provenance) if provenance.is_file() else {},
         queries=queries,
-        poses={keys[name]: pose for name, pose in found.items() if name in keys},
-        strays=tuple(name for name in found if name not in keys),
+        poses={keys[name]: pose for name, pose in poses.items() if name in keys},
+        strays=tuple(name for name in poses if name not in keys),
         digests={name: sha256(_read(folder / name).encode()).hexdigest() for name in files},
     )
 

@@ -132,8 +132,8 @@ def verify_run(
     )
     # Plug-ins may have come and gone since.
     unknown = plugin_metrics(stored.summary) ^ plugin_metrics(computed)
-    found, expected = (without_metrics(each, unknown) for each in (stored.summary, computed))
-    differences += compare_values(found, expected, "summary.json")
+    actual, expected = (without_metrics(each, unknown) for each in (stored.summary, computed))
+    differences += compare_values(actual, expected, "summary.json")
     differences += _wrong_name(folder, config, inputs)
     return Verdict(
         stored,
@@ -147,25 +147,25 @@ def verify_run(
     )
 
 
-def compare_values(found: Any, expected: Any, where: str) -> list[str]:
+def compare_values(actual: Any, expected: Any, where: str) -> list[str]:
     """Returns a line for each place where a JSON value differs from the expected one."""
-    if isinstance(found, dict) and isinstance(expected, dict):
+    if isinstance(actual, dict) and isinstance(expected, dict):
         lines = []
-        for key in dict.fromkeys([*expected, *found]):
-            if key not in found or key not in expected:
+        for key in dict.fromkeys([*expected, *actual]):
+            if key not in actual or key not in expected:
                 lines.append(f"{where}: {key} is {'missing' if key in expected else 'not expected'}")
             else:
-                lines += compare_values(found[key], expected[key], f"{where}: {key}")
+                lines += compare_values(actual[key], expected[key], f"{where}: {key}")
         return lines
-    if isinstance(found, list) and isinstance(expected, list) and len(found) == len(expected):
-        pairs = enumerate(zip(found, expected, strict=True))
+    if isinstance(actual, list) and isinstance(expected, list) and len(actual) == len(expected):
+        pairs = enumerate(zip(actual, expected, strict=True))
         return [line for i, (a, b) in pairs for line in compare_values(a, b, f"{where}[{i}]")]
-    if isinstance(found, float) and isinstance(expected, float):
-        same = math.isclose(found, expected, rel_tol=_RELATIVE)
+    if isinstance(actual, float) and isinstance(expected, float):
+        same = math.isclose(actual, expected, rel_tol=_RELATIVE)
     else:
         # 1, 1.0 and true are equal in Python, not in a file; a whole number may be written either way.
-        same = found == expected and isinstance(found, bool) == isinstance(expected, bool)
-    return [] if same else [f"{where} is {found!r}, not {expected!r}"]
+        same = actual == expected and isinstance(actual, bool) == isinstance(expected, bool)
+    return [] if same else [f"{where} is {actual!r}, not {expected!r}"]
 
 
 def changed_files(stored: StoredRun) -> list[str]:
@@ -210,18 +210,18 @@ def _changed_errors(
     priors = {entry.key: prior_of(entry, dataset, tilt) for entry in there}
     columns = metrics.protocol_named(dataset.protocol).columns
     expected = evaluate(there, stored.predictions, dataset.truth, priors, scorer, tilt, columns)
-    found = rows.loc[expected.index]
+    actual = rows.loc[expected.index]
     known = metrics.has_truth(expected)
-    for key in expected.index[known == found["failure"].map(metrics.is_without_truth).astype(bool)]:
-        lines.append(f"queries.csv: {key} fails with {found['failure'][key]!r}, against the truth list")
-    return lines + [line for column in _COMPARED for line in _other_numbers(found, expected, *column)]
+    for key in expected.index[known == actual["failure"].map(metrics.is_without_truth).astype(bool)]:
+        lines.append(f"queries.csv: {key} fails with {actual['failure'][key]!r}, against the truth list")
+    return lines + [line for column in _COMPARED for line in _other_numbers(actual, expected, *column)]
 
 
 def _other_numbers(
-    found: pd.DataFrame, expected: pd.DataFrame, name: str, words: str, unit: str, tolerance: float
+    actual: pd.DataFrame, expected: pd.DataFrame, name: str, words: str, unit: str, tolerance: float
 ) -> list[str]:
     """Returns a line for each query whose number in a column is not the expected one."""
-    a, b = found[name], expected[name]
+    a, b = actual[name], expected[name]
     with np.errstate(invalid="ignore"):
         apart = (a - b).map(wrap_deg).abs() if name == "yaw_error_deg" else (a - b).abs()
     is_same = (apart <= tolerance) | (a == b) | (a.isna() & b.isna())

@@ -69,15 +69,15 @@ def parse_tracing(values: Mapping[str, Any], where: str, photos: Collection[str]
         listed = values["traced"]
         if not isinstance(listed, list):
             raise ValueError("traced is not a list")
-    found = []
+    traced = []
     for number, item in enumerate(listed, start=1):
         with LayoutGuard(f"{where}, item {number}", _LAYOUT):
-            found.append(_parsed(item, photos))
-    names = [item.name for item in found if item.kind == "roof"]
+            traced.append(_parsed(item, photos))
+    names = [item.name for item in traced if item.kind == "roof"]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise DatasetError(f"{where}: two roofs are called {twice}.", "Give each building a name of its own.")
-    return tuple(found)
+    return tuple(traced)
 
 
 def _parsed(item: Any, photos: Collection[str]) -> Traced:
@@ -190,11 +190,11 @@ def footprints_of(path: Path) -> list[Footprint]:
     model = read_city_model(path)
     plans, owner, _, top = part_blocks(model, model.lods[0])
     names = model.building_ids if model.objects is None else model.objects.ids
-    found = []
+    footprints = []
     for plan, number in zip(plans, owner.tolist(), strict=True):
         outline = Polygon(get_coordinates(plan.exterior) + model.origin[:2])
-        found.append(Footprint(names[number], outline, float(top[number] + model.origin[2])))
-    return found
+        footprints.append(Footprint(names[number], outline, float(top[number] + model.origin[2])))
+    return footprints
 
 
 def compared(buildings: Sequence[Building], others: Sequence[Footprint]) -> list[dict[str, Any]]:
@@ -255,7 +255,7 @@ def to_json(solved: TracedMap) -> list[dict[str, Any]]:
                 "ground_m": building.ground,
                 "ground_sigma_m": building.ground_sigma,
                 "residual_px": roof.residual_px,
-                "edges_found": roof.found,
+                "edges_found": roof.matched_share,
                 "photos": roof.photos,
                 "moved_plan_m": plan,
                 "moved_height_m": up,
@@ -330,8 +330,8 @@ class TraceServer(LocalServer):
         near, far = np.quantile(depths, _DEPTH_SHARES)
         at = np.geomspace(near / _BEYOND, far * _BEYOND, _LINE_POINTS)
         shown = self.model.views[other].project(view.pose.center + at[:, None] * ray)
-        found: list[list[float]] = np.round(shown[np.isfinite(shown).all(axis=1)], 1).tolist()
-        return found
+        pixels: list[list[float]] = np.round(shown[np.isfinite(shown).all(axis=1)], 1).tolist()
+        return pixels
 
     def _page(self, names: list[str]) -> bytes:
         from jinja2 import Environment

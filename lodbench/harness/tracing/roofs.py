@@ -26,7 +26,7 @@ _TRACED_PX = 4.0
 # An edge is looked at every so many pixels, and this far from its ends, as a share.
 _EVERY_PX, _MARGIN = 12.0, 0.08
 # Segments are parallel to an edge within this, degrees; an edge is found where one is this near, pixels.
-_PARALLEL_DEG, _FOUND_PX = 8.0, 3.0
+_PARALLEL_DEG, _MATCHED_PX = 8.0, 3.0
 # Heights, and ways across each edge, tried: standard deviations of the tracing.
 _STEPS = np.linspace(-2.5, 2.5, 41)
 # Beyond this a segment counts less and less, pixels; a fit is as good as a segment is near in it.
@@ -70,12 +70,12 @@ class View:
     def rays(self, pixels: Floats) -> Floats:
         """Returns (N, 3) unit directions, world axes, of (N, 2) pixels."""
         camera = self.camera
-        seen = (pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-        plain = seen
+        distorted = (pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+        plain = distorted
         if camera.distortion:
             for _ in range(_LENS_ROUNDS):
                 bent = np.stack(distort(camera.lens, camera.distortion, plain[:, 0], plain[:, 1]), axis=1)
-                plain = plain + seen - bent
+                plain = plain + distorted - bent
         rays = np.column_stack([plain, np.ones(len(plain))]) @ self.pose.rotation
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
@@ -90,9 +90,9 @@ class View:
 
         if not self.kept:
             grey = cv2.cvtColor(read_photo(self.photo), cv2.COLOR_RGB2GRAY)
-            found = cv2.createLineSegmentDetector().detect(grey)[0]
+            lines = cv2.createLineSegmentDetector().detect(grey)[0]
             # OpenCV counts from pixel centres.
-            ends = np.zeros((0, 4)) if found is None else np.reshape(found, (-1, 4)).astype(np.float64) + 0.5
+            ends = np.zeros((0, 4)) if lines is None else np.reshape(lines, (-1, 4)).astype(np.float64) + 0.5
             self.kept.append(ends[np.hypot(*(ends[:, 2:] - ends[:, :2]).T) >= _SHORTEST_PX])
         return self.kept[0]
 
@@ -132,7 +132,7 @@ class Roof:
     # corners to those traced.
     residual_px: float
     # Share of the places along its edges for which a segment was found; NaN where not snapped.
-    found: float = np.nan
+    matched_share: float = np.nan
     photos: int = 0  # how many show it
 
     @property
@@ -165,15 +165,15 @@ def traced_roof(traced: Traced, views: Mapping[str, View]) -> Roof:
         gaps = [views[name].project(points) - pixels for name, pixels in traced.pixels.items()]
         return np.nan_to_num(np.concatenate(gaps), nan=1e4).ravel()
 
-    found = scipy.optimize.least_squares(
+    solution = scipy.optimize.least_squares(
         residuals, np.append(start[:, :2].ravel(), np.median(start[:, 2])), loss="soft_l1", f_scale=_TRACED_PX
     )
-    corners, height = _numbers(found.x)
+    corners, height = _numbers(solution.x)
     if not Polygon(corners).is_valid:
         hint = "Its corners must be in one order in all photos."
         raise DatasetError(f"The outline of {traced.name} crosses itself.", hint)
-    away = np.hypot(*residuals(found.x).reshape(-1, 2).T)
-    covariance = _TRACED_PX**2 * np.linalg.pinv(found.jac.T @ found.jac)
+    away = np.hypot(*residuals(solution.x).reshape(-1, 2).T)
+    covariance = _TRACED_PX**2 * np.linalg.pinv(solution.jac.T @ solution.jac)
     return Roof(traced.name, corners, height, covariance, float(np.median(away)), np.nan, len(traced.pixels))
 
 
@@ -211,9 +211,9 @@ def snapped_roof(roof: Roof, views: Sequence[View]) -> Roof:
     corners, height = _numbers(now)
     if not Polygon(corners).is_valid:  # a corner between two short edges: as traced
         corners, height, rival = roof.corners, roof.height, roof.covariance
-    away, found = _edges(_points(np.append(corners.ravel(), height)), shown)
+    away, share = _edges(_points(np.append(corners.ravel(), height)), shown)
     covariance = inverse @ (hold + spread) @ inverse + rival
-    return Roof(roof.name, corners, height, covariance, away, found, len(shown))
+    return Roof(roof.name, corners, height, covariance, away, share, len(shown))
 
 
 class Shown:
@@ -266,7 +266,7 @@ class Shown:
         ahead = np.roll(points, -1, axis=0)
         places, directions, edge, share = self._places(points, ahead)
         away, best = self.nearest(places, directions)
-        near = away < 2.0 * _FOUND_PX
+        near = away < 2.0 * _MATCHED_PX
         edge, share, best, places = edge[near], share[near], best[near], places[near]
         normal = self._normal[best]
         gap = np.sum(normal * places, axis=1) - self._offset[best]
@@ -301,7 +301,7 @@ class Shown:
 
 def _edges(points: Floats, shown: Sequence[Shown]) -> tuple[float, float]:
     away = np.concatenate([np.zeros(0), *(each.away(points, np.roll(points, -1, axis=0)) for each in shown)])
-    near = away[away <= _FOUND_PX]
+    near = away[away <= _MATCHED_PX]
     return (float(np.median(near)) if len(near) else np.nan), len(near) / max(1, len(away))
 
 

@@ -25,7 +25,7 @@ from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
 # Points this near a wall are on it; they are taken from this far around, then from further, metres.
-_WALL_M, _AROUND_M, _FEWEST_POINTS = 1.0, (10.0, 20.0, 40.0, 80.0), 60
+_WALL_M, _REACHES_M, _FEWEST_POINTS = 1.0, (10.0, 20.0, 40.0, 80.0), 60
 # Ground is even to so much; so many points, and this share of those at the height with most, are a peak.
 _BAND_M, _PEAK_POINTS, _PEAK_SHARE, _POINT_M = 0.8, 4.0, 0.15, 0.1
 # Fewer traced places on the ground span no plane.
@@ -193,8 +193,8 @@ def ground_height(
     low = points[points[:, 2] < roof - 2.0]
     for other in plans:
         low = low[~contains_xy(other.buffer(_WALL_M), low[:, 0], low[:, 1])]
-    for around in _AROUND_M:
-        heights = np.sort(low[contains_xy(plan.buffer(around), low[:, 0], low[:, 1]), 2])
+    for reach_m in _REACHES_M:
+        heights = np.sort(low[contains_xy(plan.buffer(reach_m), low[:, 0], low[:, 1]), 2])
         if len(heights) >= _FEWEST_POINTS:
             break
     else:

@@ -122,14 +122,14 @@ def _mixture(aligner: Aligner, tracks: list[_Track]) -> Refined:
     """Returns what is left as a mixture of Gaussians: Eq. (C12) of docs/methods/contour_alignment.md."""
     best = max(tracks, key=lambda track: track.evidence)
     # A hypothesis followed on several tracks counts once: where it explains most.
-    found: dict[tuple[str, bool, bool], Hypothesis] = {}
+    by_key: dict[tuple[str, bool, bool], Hypothesis] = {}
     for track in tracks:
         apart = np.append(track.vector - best.vector, np.zeros(3))
         for each in track.hypotheses:
-            known = found.get(each.key)
+            known = by_key.get(each.key)
             if known is None or known.evidence < each.evidence:
-                found[each.key] = replace(each, step=each.step + apart)
-    hypotheses = sorted(found.values(), key=lambda each: -each.evidence)
+                by_key[each.key] = replace(each, step=each.step + apart)
+    hypotheses = sorted(by_key.values(), key=lambda each: -each.evidence)
     weights = mode_probabilities(np.array([each.evidence for each in hypotheses]))
     return Refined(best.vector, tuple(hypotheses), weights, aligner.overlap(best.vector))
 

@@ -106,7 +106,8 @@ def edge_terms(
     shown = list(spread(look, range(len(photos))))
     # In the order of photos.
     parts = [
-        None if each is None else roofs.tops_and_feet(each.buildings, each.points[:, :2]) for each in shown
+        None if each is None else roofs.roof_and_foot_numbers(each.buildings, each.points[:, :2])
+        for each in shown
     ]
 
     def terms(k: int) -> PhotoTerms | None:
@@ -148,8 +149,8 @@ def _terms(
     slopes = np.column_stack([camera[:, :6], none, up * rises, up * (1.0 - rises), camera[:, 6:], none])
     seen = Residuals(pixels, -distances, slopes, chances, lines.buildings[inside], lines.points[inside, :2])
     near = distances[chances > 0.5]
-    found_px = 1.4826 * float(np.median(np.abs(near))) if len(near) else _NOISE_PX[1]
-    noise_px = float(np.clip(found_px, *_NOISE_PX))
+    spread_px = 1.4826 * float(np.median(np.abs(near))) if len(near) else _NOISE_PX[1]
+    noise_px = float(np.clip(spread_px, *_NOISE_PX))
     return summed_up(
         seen,
         lines.buildings[inside],
@@ -284,11 +285,11 @@ def footprint_covariance(
     shown = [roofs.building[term.parts] for term in terms if term is not None]
     buildings = np.concatenate([np.zeros(0, np.int64), *shown])
     counts = np.bincount(buildings[buildings >= 0]).astype(np.float64)
-    found = np.zeros((size, size))
+    covariance = np.zeros((size, size))
     # Weights as parts of roofs that photos show: so many buildings of one weight would say as much.
     alike = counts.sum() ** 2 / (counts**2).sum() if counts.any() else 1.0
-    found[0, 0] = found[1, 1] = footprint_m**2 / alike
-    return found
+    covariance[0, 0] = covariance[1, 1] = footprint_m**2 / alike
+    return covariance
 
 
 # Masks are compared at this width, pixels.
@@ -386,14 +387,14 @@ class Ends:
         return np.cov(self.shifts, rowvar=False), np.cov(self.constants, rowvar=False)
 
 
-def ends_of(found: Sequence[tuple[Floats, Floats, float]]) -> Ends:
+def ends_of(ends: Sequence[tuple[Floats, Floats, float]]) -> Ends:
     """Returns where starts end, but for those that fit worse. Eq. (F16) of docs/methods/flight.md.
 
     Args:
-        found: Of each end (P, 6) poses of the same photos, (13,) what they share, and the mean IoU; the first
+        ends: Of each end (P, 6) poses of the same photos, (13,) what they share, and the mean IoU; the first
             is the one that the others are compared with.
     """
-    best = max(iou for _, _, iou in found)
-    kept = [found[0], *(end for end in found[1:] if end[2] > best - _WORSE_IOU)]
-    shifts = [np.median(differences(vectors, found[0][0]), axis=0) for vectors, _, _ in kept]
+    best = max(iou for _, _, iou in ends)
+    kept = [ends[0], *(end for end in ends[1:] if end[2] > best - _WORSE_IOU)]
+    shifts = [np.median(differences(vectors, ends[0][0]), axis=0) for vectors, _, _ in kept]
     return Ends(np.array(shifts), np.array([constants for _, constants, _ in kept]))

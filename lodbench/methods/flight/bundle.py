@@ -79,23 +79,23 @@ def observations_of(pairs: Sequence[PairMatches]) -> Observations:
     size = len(where)
     graph = scipy.sparse.coo_matrix((np.ones(links.shape[1]), (links[0], links[1])), (size, size))
     _, points = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    found = Observations(photos[where].astype(np.int64), points.astype(np.int64), rays[where])
+    merged = Observations(photos[where].astype(np.int64), points.astype(np.int64), rays[where])
     _, twice, counts = np.unique(
-        found.points * (found.photos.max() + 1) + found.photos, return_inverse=True, return_counts=True
+        merged.points * (merged.photos.max() + 1) + merged.photos, return_inverse=True, return_counts=True
     )
     is_wrong = np.zeros(points.max() + 1, dtype=bool)
-    is_wrong[found.points[counts[twice] > 1]] = True
-    return found.of(~is_wrong[found.points])
+    is_wrong[merged.points[counts[twice] > 1]] = True
+    return merged.of(~is_wrong[merged.points])
 
 
 def block_of(
     pairs: Sequence[PairMatches], vectors: Floats, sigmas: Floats, focal_px: float
 ) -> dict[int, Pose]:
     """Returns the poses of photos that matches tie into one block, by number; see ``adjusted``."""
-    seen = observations_of(pairs)
-    if not len(seen.photos):
+    observations = observations_of(pairs)
+    if not len(observations.photos):
         return {}
-    vectors, members = adjusted(seen, vectors, sigmas, focal_px)
+    vectors, members = adjusted(observations, vectors, sigmas, focal_px)
     return {int(k): pose_from_vector(vectors[k]) for k in members}
 
 
@@ -112,65 +112,67 @@ def adjusted(
         sigmas: (6,) how far each may be from there.
         focal_px: Pixels of the focal length, for the scale of what features err by.
     """
-    start, seen = vectors, observations
+    start, kept = vectors, observations
     points = np.zeros((0, 3))
     for number, reach_px in enumerate(_REACHES_PX):
         # Points follow poses that move by metres only if they are laid anew.
-        points = _triangulated(seen, vectors) if number < len(_REACHES_PX) // 2 else points
-        step, moved, residuals = _step(seen, vectors, points, start, sigmas, reach_px / focal_px)
+        points = _triangulated(kept, vectors) if number < len(_REACHES_PX) // 2 else points
+        step, moved, residuals = _step(kept, vectors, points, start, sigmas, reach_px / focal_px)
         vectors, points = vectors + step, points + moved
         if number == len(_REACHES_PX) // 2:
             is_right = np.linalg.norm(residuals, axis=1) < 3.0 * _WRONG_PX / focal_px
-            seen = seen.of(is_right & _is_wide(seen, vectors, points)[seen.points])
-            if not len(seen.photos):  # nothing is left that tells how far it is: photos from one place
+            kept = kept.of(is_right & _is_wide(kept, vectors, points)[kept.points])
+            if not len(kept.photos):  # nothing is left that tells how far it is: photos from one place
                 return start, np.zeros(0, dtype=np.int64)
-            points = _triangulated(seen, vectors)
-    counts = np.bincount(seen.photos, minlength=len(vectors))
+            points = _triangulated(kept, vectors)
+    counts = np.bincount(kept.photos, minlength=len(vectors))
     return vectors, np.flatnonzero(counts >= _FEWEST)
 
 
-def _triangulated(seen: Observations, vectors: Floats) -> Floats:
+def _triangulated(observations: Observations, vectors: Floats) -> Floats:
     """Returns (T, 3) the points nearest to their rays, scene metres."""
-    centers, rays = _lines(seen, vectors)
+    centers, rays = _lines(observations, vectors)
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    count = int(seen.points.max(initial=-1)) + 1
+    count = int(observations.points.max(initial=-1)) + 1
     normal, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    np.add.at(normal, seen.points, across)
-    np.add.at(right, seen.points, (across @ centers[:, :, None])[..., 0])
+    np.add.at(normal, observations.points, across)
+    np.add.at(right, observations.points, (across @ centers[:, :, None])[..., 0])
     # Rays that are nearly parallel leave the depth open: a little curvature keeps an inverse.
     return np.asarray(np.linalg.solve(normal + 1e-9 * np.eye(3), right[..., None])[..., 0])
 
 
-def _lines(seen: Observations, vectors: Floats) -> tuple[Floats, Floats]:
+def _lines(observations: Observations, vectors: Floats) -> tuple[Floats, Floats]:
     """Returns the centres (N, 3) and directions (N, 3) of rays, scene frame."""
     poses = [pose_from_vector(vector) for vector in vectors]
     rotations, centers = np.array([p.rotation for p in poses]), np.array([p.center for p in poses])
-    rays = np.column_stack([seen.rays, np.ones(len(seen.rays))])
-    rays = np.einsum("nij,ni->nj", rotations[seen.photos], rays / np.linalg.norm(rays, axis=1)[:, None])
-    return centers[seen.photos], rays
+    rays = np.column_stack([observations.rays, np.ones(len(observations.rays))])
+    rays = np.einsum(
+        "nij,ni->nj", rotations[observations.photos], rays / np.linalg.norm(rays, axis=1)[:, None]
+    )
+    return centers[observations.photos], rays
 
 
-def _is_wide(seen: Observations, vectors: Floats, points: Floats) -> NDArray[np.bool_]:
+def _is_wide(observations: Observations, vectors: Floats, points: Floats) -> NDArray[np.bool_]:
     """Returns (T,) whether a point's rays meet at an angle that shows how far it is."""
-    _, rays = _lines(seen, vectors)
+    _, rays = _lines(observations, vectors)
     count = len(points)
     mean = np.zeros((count, 3))
-    np.add.at(mean, seen.points, rays)
+    np.add.at(mean, observations.points, rays)
     mean /= np.maximum(np.linalg.norm(mean, axis=1), 1e-12)[:, None]
     away = np.zeros(count)
-    cosines = (rays * mean[seen.points]).sum(axis=1)
-    np.maximum.at(away, seen.points, np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))))
+    cosines = (rays * mean[observations.points]).sum(axis=1)
+    np.maximum.at(away, observations.points, np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))))
     return np.asarray(2.0 * away > _LEAST_ANGLE_DEG)
 
 
 def _step(
-    seen: Observations, vectors: Floats, points: Floats, start: Floats, sigmas: Floats, reach: float
+    observations: Observations, vectors: Floats, points: Floats, start: Floats, sigmas: Floats, reach: float
 ) -> tuple[Floats, Floats, Floats]:
     """Returns a Gauss-Newton step of poses (P, 6) and of points (T, 3), and residuals (N, 2) before it.
 
     Eq. (F9) of docs/methods/flight.md.
     """
-    of_pose, of_point, residuals = _linearized(seen, vectors, points)
+    of_pose, of_point, residuals = _linearized(observations, vectors, points)
     weights = 1.0 / (1.0 + (residuals**2).sum(axis=1) / reach**2) / reach**2
     in_front = np.isfinite(weights)
     weights = np.where(in_front, weights, 0.0)
@@ -178,8 +180,8 @@ def _step(
     weighted = of_point * weights[:, None, None]
     curvature = np.zeros((len(points), 3, 3))
     slope = np.zeros((len(points), 3))
-    np.add.at(curvature, seen.points, np.einsum("nki,nkj->nij", weighted, of_point))
-    np.add.at(slope, seen.points, np.einsum("nki,nk->ni", weighted, residuals))
+    np.add.at(curvature, observations.points, np.einsum("nki,nkj->nij", weighted, of_point))
+    np.add.at(slope, observations.points, np.einsum("nki,nk->ni", weighted, residuals))
     trace = np.trace(curvature, axis1=1, axis2=2)
     inverse = np.linalg.inv(curvature + (_DAMPING * trace + 1e-12)[:, None, None] * np.eye(3))
     mixed = np.einsum("nki,nkj->nij", of_pose * weights[:, None, None], of_point)
@@ -187,29 +189,31 @@ def _step(
     precision = sigmas**-2.0
     own = np.einsum("nki,nkj->nij", of_pose * weights[:, None, None], of_pose)
     pull = np.einsum("nki,nk->ni", of_pose * weights[:, None, None], residuals)
-    pull -= np.einsum("nij,njk,nk->ni", mixed, inverse[seen.points], slope[seen.points])
+    pull -= np.einsum("nij,njk,nk->ni", mixed, inverse[observations.points], slope[observations.points])
     count = len(vectors)
     for photo in range(count):
-        mine = seen.photos == photo
+        mine = observations.photos == photo
         away = vectors[photo] - start[photo]
         equations.add(
             6 * photo + np.arange(6),
             own[mine].sum(axis=0) + np.diag(precision),
             pull[mine].sum(axis=0) + precision * away,
         )
-    equations.add_sparse(-_eliminated(seen, mixed, inverse, vectors.size))
+    equations.add_sparse(-_eliminated(observations, mixed, inverse, vectors.size))
     _, step = equations.solve(count)
     poses = step.reshape(-1, 6)
     at_points = np.zeros((len(points), 3))
-    np.add.at(at_points, seen.points, np.einsum("nij,ni->nj", mixed, poses[seen.photos]))
+    np.add.at(at_points, observations.points, np.einsum("nij,ni->nj", mixed, poses[observations.photos]))
     moved = -np.einsum("nij,nj->ni", inverse, slope + at_points)
     return poses, moved, residuals
 
 
-def _eliminated(seen: Observations, mixed: Floats, inverse: Floats, size: int) -> scipy.sparse.coo_matrix:
+def _eliminated(
+    observations: Observations, mixed: Floats, inverse: Floats, size: int
+) -> scipy.sparse.coo_matrix:
     """Returns what eliminated points take from the curvature of poses, (size, size)."""
-    rows = 6 * seen.photos[:, None, None] + np.arange(6)[:, None] + np.zeros(3, np.int64)
-    columns = 3 * seen.points[:, None, None] + np.arange(3) + np.zeros((6, 1), np.int64)
+    rows = 6 * observations.photos[:, None, None] + np.arange(6)[:, None] + np.zeros(3, np.int64)
+    columns = 3 * observations.points[:, None, None] + np.arange(3) + np.zeros((6, 1), np.int64)
     to_points = scipy.sparse.csr_matrix(
         (mixed.ravel(), (rows.ravel(), columns.ravel())), (size, 3 * len(inverse))
     )
@@ -218,12 +222,12 @@ def _eliminated(seen: Observations, mixed: Floats, inverse: Floats, size: int) -
     return scipy.sparse.coo_matrix(to_points @ of_points @ to_points.T)
 
 
-def _linearized(seen: Observations, vectors: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
+def _linearized(observations: Observations, vectors: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
     """Returns slopes by pose (N, 2, 6) and by point (N, 2, 3), and residuals (N, 2), depth 1."""
     poses = [pose_from_vector(vector) for vector in vectors]
-    rotations = np.array([pose.rotation for pose in poses])[seen.photos]
-    away = points[seen.points] - np.array([pose.center for pose in poses])[seen.photos]
-    derivatives = np.array([rotation_derivatives(vector) for vector in vectors])[seen.photos]
+    rotations = np.array([pose.rotation for pose in poses])[observations.photos]
+    away = points[observations.points] - np.array([pose.center for pose in poses])[observations.photos]
+    derivatives = np.array([rotation_derivatives(vector) for vector in vectors])[observations.photos]
     local = np.einsum("nij,nj->ni", rotations, away)
     local[local[:, 2] <= _NEAREST_M] = np.nan
     shown = project(local, _AT_DEPTH_1)
@@ -231,4 +235,4 @@ def _linearized(seen: Observations, vectors: Floats, points: Floats) -> tuple[Fl
     of_point = per_local @ rotations
     turned = np.einsum("nkij,nj->nki", derivatives, away)
     of_angles = np.einsum("nij,nkj->nik", per_local, turned)
-    return np.concatenate([-of_point, of_angles], axis=2), of_point, shown - seen.rays
+    return np.concatenate([-of_point, of_angles], axis=2), of_point, shown - observations.rays

@@ -90,7 +90,7 @@ def _standing(
     """
     if not claims:
         return set()
-    seen: dict[int, list[tuple[int, float, float]]] = {row: [] for row in claims}
+    excesses: dict[int, list[tuple[int, float, float]]] = {row: [] for row in claims}
     errors, has_edges = LensErrors(*(float(v) for v in lens[:4])), False
     for k, query in enumerate(queries):
         photo = edge_photo(query, city_map)
@@ -103,18 +103,18 @@ def _standing(
         shows = _excess(photo, lines, vectors[k], errors, 0.0) is not None
         for row in np.intersect1d(lines.buildings, list(claims)).tolist():
             own = lines.of(lines.buildings == row)
-            found = _excesses(photo, own, vectors[k], errors, claims[row])
-            if found is None and claims[row] is None and shows and len(own.points) >= FEWEST_POINTS:
+            pair = _excesses(photo, own, vectors[k], errors, claims[row])
+            if pair is None and claims[row] is None and shows and len(own.points) >= FEWEST_POINTS:
                 # Not one edge near its lines, in a photo that has edges on others.
-                found = 0.0, 0.0
-            if found is not None:
-                seen[row].append((k, *found))
+                pair = 0.0, 0.0
+            if pair is not None:
+                excesses[row].append((k, *pair))
     middles = roof_middles(city_map.scene)
     if not has_edges:
         return set()
     return {
         row
-        for row, photos in seen.items()
+        for row, photos in excesses.items()
         if _stands(photos, middles[row], vectors[:, :3]) or (claims[row] is None and not _is_gone(photos))
     }
 
@@ -203,15 +203,15 @@ def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, A
     Eq. (F23) of docs/methods/flight.md. Each with ``id``, ``probability``, the ``photos`` that should show it
     and do not, and ``apart_deg`` between the directions that they look from: photos from one side err alike.
     """
-    seen = [shares_held(view, city_map) for view in views]
-    rows = [(building, k, pixels, held) for k, one in enumerate(seen) for building, pixels, held in one]
+    per_view = [shares_held(view, city_map) for view in views]
+    rows = [(building, k, pixels, held) for k, one in enumerate(per_view) for building, pixels, held in one]
     if not rows:
         return []
     building, photo, pixels, held = (np.array(column) for column in zip(*rows, strict=True))
     missed, size = held < _MISSED, np.round(np.log2(pixels) / _SIZE_STEP).astype(np.int64)
     shares = {step: _shares_missed(building, missed, size, step) for step in np.unique(size).tolist()}
     centers, places = np.array([view.pose.center for view in views]), roof_middles(city_map.scene)
-    found = []
+    changes = []
     for each in np.unique(building):
         mine = building == each
         apart = apart_deg(places[int(each)], centers[photo[missed & mine]])
@@ -229,7 +229,7 @@ def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, A
         if probability > _SURE:
             photos = [views[k].name for k in photo[mine & missed]]
             name = city_map.scene.building_ids[each]
-            found.append(
+            changes.append(
                 {
                     "kind": "demolished",
                     "id": name,
@@ -238,7 +238,7 @@ def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, A
                     "apart_deg": apart,
                 }
             )
-    return sorted(found, key=lambda change: -change["probability"])
+    return sorted(changes, key=lambda change: -change["probability"])
 
 
 def shares_held(view: View, city_map: CityMap) -> list[tuple[int, int, float]]:
@@ -248,14 +248,14 @@ def shares_held(view: View, city_map: CityMap) -> list[tuple[int, int, float]]:
     crops = [instances.crop(k) for k in range(len(instances))]
     for shape, top, left in crops:
         covers[top : top + shape.shape[0], left : left + shape.shape[1]] += shape
-    found = []
+    shares = []
     for row, (shape, top, left) in zip(instances.buildings, crops, strict=True):
         window = slice(top, top + shape.shape[0]), slice(left, left + shape.shape[1])
         alone = shape & (covers[window] == 1)
         count = int(np.count_nonzero(alone))
         if count >= _LEAST_PX:
-            found.append((int(row), count, float(np.count_nonzero(alone & view.mask[window])) / count))
-    return found
+            shares.append((int(row), count, float(np.count_nonzero(alone & view.mask[window])) / count))
+    return shares
 
 
 def _shares_missed(

@@ -80,7 +80,7 @@ def building_heights(
     by_outlines = dict(_by_outlines(aligned, params))
     (_, rises), common = floors_and_rises(scene), _common(curves)
     by_pixels = {} if common is None else curves
-    found = {}
+    heights = {}
     for row in sorted({*by_outlines, *by_pixels}):
         nats = _beforehand(params.roof_m, float(rises[row]))
         outlines, curve = by_outlines.get(row), by_pixels.get(row)
@@ -96,8 +96,8 @@ def building_heights(
             nats = nats + np.interp(_HEIGHTS_M, heights_m, curve.nats, left=usual, right=usual)
         height = _height(nats, 0 if curve is None else curve.photos, float(rises[row]))
         if outlines is not None or height.sigma_m < _WORST_M:
-            found[row] = height
-    return found
+            heights[row] = height
+    return heights
 
 
 def _beforehand(roof_m: float, rise_m: float) -> Floats:
@@ -180,7 +180,7 @@ _NAMES = (
 # and of those that all others of the flight show; the deviation per median of absolute values.
 _DOUBT_SIGMAS, _PER_MEDIAN = 3.0, 1.4826
 # Where photos narrow a number by less than this, they do not tell it.
-_TOLD = 0.7
+_DETERMINED = 0.7
 # A focal length that photos leave open, and whose error goes with the height's by more than this, is not
 # estimated.
 _HEIGHT, _ALIKE = 2, 0.5
@@ -241,7 +241,7 @@ def constants_of(aligned: Aligned, params: FlightParams, of_ends: Floats) -> dic
             "value": float(state.constants[k]),
             "sigma": float(spread[k]),
             "unit": unit,
-            "determined": bool(spread[k] < _TOLD * beforehand[k]),
+            "determined": bool(spread[k] < _DETERMINED * beforehand[k]),
         }
         for k, (name, unit) in enumerate(_NAMES)
         if beforehand[k] > 1e-3 * (1.0 if unit == "m" else 0.1)
@@ -260,13 +260,13 @@ def _buildings(
                 photos[row].append(k)
     places, cameras = roof_middles(scene), aligned.state.vectors[:, :3]
     far = _sigmas_of_doubt(heights.values())
-    found = []
+    buildings = []
     for row, height in heights.items():
         # Pixels were compared in photos that may show no outline of it: any of the flight.
         witnesses = cameras[photos[row]] if height.photos <= len(photos[row]) else centers
         apart = apart_deg(places[row], witnesses)
         is_far = abs(height.higher_m) > far * height.sigma_m
-        found.append(
+        buildings.append(
             {
                 "id": scene.building_ids[row],
                 "higher_m": height.higher_m,
@@ -277,7 +277,7 @@ def _buildings(
                 "doubt": height.is_in_doubt and apart >= APART_DEG and is_far,
             }
         )
-    return found
+    return buildings
 
 
 def _sigmas_of_doubt(heights: Iterable[BuildingHeight]) -> float:
@@ -293,5 +293,5 @@ def cannot_tell_focal(solution: joint.Solution, params: FlightParams) -> bool:
         return False
     spread = joint.shared_covariance(solution, np.array([_HEIGHT, joint.FOCAL]))
     height, focal = np.sqrt(np.diag(spread))
-    is_told = focal < _TOLD * params.constant_sigmas()[joint.FOCAL]
-    return bool(not is_told and abs(spread[0, 1]) > _ALIKE * height * focal)
+    is_determined = focal < _DETERMINED * params.constant_sigmas()[joint.FOCAL]
+    return bool(not is_determined and abs(spread[0, 1]) > _ALIKE * height * focal)

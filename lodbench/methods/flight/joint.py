@@ -175,13 +175,13 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: FlightParams
     similarity = takeoff + (len(pressed) > 1)
     size = similarity + (0 if state.reconstruction is None else UNKNOWNS)
     equations = NormalEquations(size)
-    of_roofs, of_parts, of_feet, of_centres, of_turns, of_ties = groups = [
+    of_roofs, of_parts, of_bases, of_centres, of_turns, of_ties = groups = [
         ErrorGroup(equations, scale) for scale in state.scales
     ]
     precision = params.constant_sigmas(state.scales) ** -2.0
     equations.add(shared + np.arange(CONSTANTS), np.diag(precision), precision * state.constants)
     _add_roofs(of_roofs, of_parts, state, shared, buildings, params)
-    _add_feet(of_feet, state, shared, parts, params)
+    _add_bases(of_bases, state, shared, parts, params)
     if len(pressed) > 1:
         _add_barometer(equations, state, np.array(pressed), takeoff)
     own = state.own_sigmas(params.own_sigmas()) ** -2.0
@@ -274,16 +274,16 @@ def _add_roofs(
     _add_alike(of_parts, parts, below[above], state.roofs.heights_m[is_roof] - heights[above], params.part_m)
 
 
-def _add_feet(group: ErrorGroup, state: State, shared: int, first: int, params: FlightParams) -> None:
+def _add_bases(group: ErrorGroup, state: State, shared: int, first: int, params: FlightParams) -> None:
     """Adds that feet of walls lie around all feet; the first column of parts is ``first``."""
     is_foot = state.roofs.building < 0
     gaps = state.roofs.heights_m[is_foot] - state.constants[BASE_OFFSET]
     _add_alike(group, first + np.flatnonzero(is_foot), shared + BASE_OFFSET, gaps, params.foot_m)
 
 
-def _add_alike(group: ErrorGroup, these: Rows, those: Rows | int, gaps: Floats, told_m: float) -> None:
+def _add_alike(group: ErrorGroup, these: Rows, those: Rows | int, gaps: Floats, sigma_m: float) -> None:
     """Adds that heights are alike to others, with Student's t for what they err by."""
-    precisions = precisions_of(gaps, group.scale * told_m)
+    precisions = precisions_of(gaps, group.scale * sigma_m)
     group.add_differences(these, np.broadcast_to(those, these.shape), gaps, precisions)
 
 
@@ -308,8 +308,8 @@ def covariance_of(solution: Solution, sums: Floats) -> Floats:
     first, last = solution.photo_steps.size, solution.photo_steps.size + sums.shape[1]
     whole = np.zeros((solution.photo_steps.size + len(solution.shared_step), len(sums)))
     whole[first:last] = sums.T
-    found = sums @ solution.factorised.solve(whole)[first:last]
-    return np.asarray(0.5 * (found + found.T))
+    covariance = sums @ solution.factorised.solve(whole)[first:last]
+    return np.asarray(0.5 * (covariance + covariance.T))
 
 
 def photo_covariance(solution: Solution, photo: int) -> Floats:
@@ -317,5 +317,5 @@ def photo_covariance(solution: Solution, photo: int) -> Floats:
     rows = slice(6 * photo, 6 * photo + 6)
     unit = np.zeros((solution.photo_steps.size + len(solution.shared_step), 6))
     unit[rows] = np.eye(6)
-    found = solution.factorised.solve(unit)[rows]
-    return np.asarray(0.5 * (found + found.T))
+    covariance = solution.factorised.solve(unit)[rows]
+    return np.asarray(0.5 * (covariance + covariance.T))

@@ -65,10 +65,10 @@ class FlightMethod:
         Raises:
             QueryFault: As for ``ContourAlignment.localize``.
         """
-        (found,) = self.localize_flight([query], city_map, [streams]).estimates
-        if isinstance(found, QueryFault):
-            raise found
-        return found
+        (estimate,) = self.localize_flight([query], city_map, [streams]).estimates
+        if isinstance(estimate, QueryFault):
+            raise estimate
+        return estimate
 
     def localize_flight(
         self, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
@@ -114,7 +114,7 @@ class FlightMethod:
 
         The start is where sensors and ties have photos, if that is known already.
         """
-        faults = [found for found in alone if isinstance(found, QueryFault)]
+        faults = [estimate for estimate in alone if isinstance(estimate, QueryFault)]
         if len(faults) == len(alone):
             return FlightEstimate(faults)
         start = self._start(queries, city_map, alone) if start is None else start
@@ -124,10 +124,10 @@ class FlightMethod:
             # Edges begin where priors that err together lead; what is said does not rest on such priors.
             method._with_covariances(queries, start, aligned, city_map)
             aligned, method = FlightMethod(scattered)._aligned_by_masks(queries, alone, city_map, start)
-        found = method._finished(queries, start, aligned, city_map)
+        estimate = method._finished(queries, start, aligned, city_map)
         if method.params.focal < self.params.focal:
-            found.findings["notes"] = [_SAME_SCALE]
-        return self._refined_by_edges(queries, start, (begun, aligned.state), found, city_map)
+            estimate.findings["notes"] = [_SAME_SCALE]
+        return self._refined_by_edges(queries, start, (begun, aligned.state), estimate, city_map)
 
     def _aligned_by_masks(
         self,
@@ -139,9 +139,9 @@ class FlightMethod:
         """Returns where masks have a flight, and the method, its focal length held if they do not tell it."""
         offsets = np.array(
             [
-                differences(vector_from_pose(found.pose)[None], vector[None])[0]
-                for found, vector in zip(alone, start.vectors, strict=True)
-                if isinstance(found, Estimate)
+                differences(vector_from_pose(estimate.pose)[None], vector[None])[0]
+                for estimate, vector in zip(alone, start.vectors, strict=True)
+                if isinstance(estimate, Estimate)
             ]
         )
         offset, _ = aligning.flight_error(queries, start.vectors, offsets, city_map, self.params)
@@ -157,29 +157,29 @@ class FlightMethod:
         queries: Sequence[Query],
         start: State,
         states: tuple[State, State],
-        found: FlightEstimate,
+        flight: FlightEstimate,
         city_map: CityMap,
     ) -> FlightEstimate:
         """Returns a flight that masks have placed where edges have it, if these lie on the map's lines.
 
         Findings about the map stay those of masks, without those that edges contradict; what is said of the
-        drone goes with the poses. ``states`` are where edges begin, and where ``found`` has the photos.
+        drone goes with the poses. ``states`` are where edges begin, and where ``flight`` has the photos.
         """
         begun, state = states
         if all(query.image is None for query in queries):
-            return found
+            return flight
         if start.reconstruction is None:
-            return _checked(found, queries, state, city_map)
+            return _checked(flight, queries, state, city_map)
         method = FlightMethod(replace(self.params, single="region"))
         begun = replace(start, vectors=begun.vectors).begun(np.arange(len(queries)), np.zeros(6))
         aligned, method = method._aligned_by_edges(queries, begun, city_map)
         if aligning.mean_iou(aligned.terms) < _LEAST_EDGES:
-            return _checked(found, queries, state, city_map)
+            return _checked(flight, queries, state, city_map)
         refined = method._with_covariances(queries, begun, aligned, city_map)
         by_edges = constants_of(aligned, method.params, np.array(refined.findings["of_constants"]))
-        by_masks = found.findings["constants"]
+        by_masks = flight.findings["constants"]
         constants = {name: by_masks.get(name) if name == MASKS else each for name, each in by_edges.items()}
-        findings = {**found.findings, **lost_of(aligned.state, queries)}
+        findings = {**flight.findings, **lost_of(aligned.state, queries)}
         findings["constants"] = {name: each for name, each in constants.items() if each is not None}
         return _checked(FlightEstimate(refined.estimates, findings), queries, aligned.state, city_map)
 
@@ -187,7 +187,7 @@ class FlightMethod:
         self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
     ) -> FlightEstimate:
         """Returns the same of photos without masks, which are compared by their edges."""
-        if len(queries) == 1 or all(isinstance(found, QueryFault) for found in alone):
+        if len(queries) == 1 or all(isinstance(estimate, QueryFault) for estimate in alone):
             return FlightEstimate(alone)
         start = self._start(queries, city_map, alone)
         if start.reconstruction is None:
@@ -195,8 +195,8 @@ class FlightMethod:
         aligned, method = self._aligned_by_edges(queries, start, city_map)
         # Masks are made for what stands in the map or on the ground only: poses do not rest on them.
         masked = with_masks_by_looks(queries, aligned.state.vectors, aligned.state.weights, city_map)
-        found = method._finished(masked, start, aligned, city_map)
-        return _checked(found, queries, aligned.state, city_map)
+        estimate = method._finished(masked, start, aligned, city_map)
+        return _checked(estimate, queries, aligned.state, city_map)
 
     def _aligned_by_edges(
         self, queries: Sequence[Query], start: State, city_map: CityMap
@@ -225,10 +225,10 @@ class FlightMethod:
         self, queries: Sequence[Query], start: State, aligned: aligning.Aligned, city_map: CityMap
     ) -> FlightEstimate:
         """Returns the poses of an aligned flight, and what it says of drone and map."""
-        found = self._with_covariances(queries, start, aligned, city_map)
-        of_constants = np.array(found.findings["of_constants"])
+        flight = self._with_covariances(queries, start, aligned, city_map)
+        of_constants = np.array(flight.findings["of_constants"])
         return FlightEstimate(
-            found.estimates, findings_of(aligned, queries, city_map, self.params, of_constants)
+            flight.estimates, findings_of(aligned, queries, city_map, self.params, of_constants)
         )
 
     def _with_covariances(
@@ -275,18 +275,18 @@ class FlightMethod:
             aligned.state.offset - start.offset,
         )
         if len(photos) < len(queries) and len(starts_m):
-            starts_m, found = np.vstack([np.zeros(3), starts_m]), []
+            starts_m, ends = np.vstack([np.zeros(3), starts_m]), []
         else:
             iou = aligning.mean_iou([aligned.terms[k] for k in photos])
-            found = [(aligned.state.vectors[photos], aligned.state.constants, iou)]
+            ends = [(aligned.state.vectors[photos], aligned.state.constants, iou)]
         # Restarts look at the same photos: each is made ready once.
         some = [queries[k] for k in photos]
         evidence = aligning.Evidence.of(some, city_map, self.params) if len(starts_m) else None
         for start_m in starts_m:
             begun = start.begun(photos, offset + np.append(start_m, np.zeros(3)))
             again = aligning.align(some, begun, city_map, self.params, evidence)
-            found.append((again.state.vectors, again.state.constants, aligning.mean_iou(again.terms)))
-        return aligning.ends_of(found)
+            ends.append((again.state.vectors, again.state.constants, aligning.mean_iou(again.terms)))
+        return aligning.ends_of(ends)
 
     def _start(
         self, queries: Sequence[Query], city_map: CityMap, alone: Sequence[Estimate | QueryFault]
@@ -355,28 +355,28 @@ class FlightMethod:
 
 
 def _checked(
-    found: FlightEstimate, queries: Sequence[Query], state: State, city_map: CityMap
+    flight: FlightEstimate, queries: Sequence[Query], state: State, city_map: CityMap
 ) -> FlightEstimate:
     """Returns a flight without the findings about its map that edges of its photos contradict."""
-    kept = without_contradicted(found.findings, queries, state.vectors, state.lens, city_map)
-    return FlightEstimate(found.estimates, kept)
+    kept = without_contradicted(flight.findings, queries, state.vectors, state.lens, city_map)
+    return FlightEstimate(flight.estimates, kept)
 
 
 def _places(vectors: Floats, alone: Sequence[Estimate | QueryFault]) -> Floats:
     """Returns (P, 6) where photos found themselves, or else where sensors and ties have them."""
-    found = [
+    poses = [
         vector if isinstance(each, QueryFault) else vector_from_pose(each.pose)
         for vector, each in zip(vectors, alone, strict=True)
     ]
-    return np.array(found)
+    return np.array(poses)
 
 
 def _in_block(block: Reconstruction, vectors: Floats) -> Floats:
     """Returns (P, 6) poses of photos as a block has them, or as given of those that are not in it."""
-    found = vectors.copy()
+    poses = vectors.copy()
     for photo, pose in block.poses.items():
-        found[photo] = vector_from_pose(pose)
-    return found
+        poses[photo] = vector_from_pose(pose)
+    return poses
 
 
 def _alone(

@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 SINGLE_METHODS = ("contour_alignment", "region")
 RELATIVE_POSES = ("auto", "reconstruction", "tracks", "none")
-_AS_TOLD: Floats = np.ones(6)
+_AS_DECLARED: Floats = np.ones(6)
 # Standard deviations of heights beside edges, metres: of all roofs alike, each roof, and parts of one.
 _EDGES_ROOFS_M, _EDGES_ROOF_M, _EDGES_PART_M = 0.5, 0.7, 0.5
 # The same of the principal point, shares of the width: masks alone do not tell it from the tilt.
@@ -186,7 +186,7 @@ class FlightParams:
         center = 0.01 * worst.center_percent if self.single == "region" else 0.0
         return replace(self, focal=focal, distortion=distortion, center=max(self.center, center))
 
-    def constant_sigmas(self, scales: Floats = _AS_TOLD) -> Floats:
+    def constant_sigmas(self, scales: Floats = _AS_DECLARED) -> Floats:
         """Returns (13,) standard deviations beforehand of what photos share, in the order of ``joint``.
 
         Roofs, feet of walls and more err by shares of what is declared.

@@ -68,18 +68,18 @@ class RoofParts:
         keys, inverse = np.unique(
             (buildings * _MOST_CELLS + cells[:, 0]) * _MOST_CELLS + cells[:, 1], return_inverse=True
         )
-        found = keys.tolist()
-        new = [key for key in found if key not in self._numbers]
+        unique_keys = keys.tolist()
+        new = [key for key in unique_keys if key not in self._numbers]
         if new:
             self._numbers.update(zip(new, range(len(self), len(self) + len(new)), strict=True))
             owners = np.array(new, dtype=np.int64) // _MOST_CELLS**2
             heights = [self._height_of(building) for building in owners.tolist()]
             self.building = np.concatenate([self.building, owners])
             self.heights_m = np.concatenate([self.heights_m, heights])
-        numbers = np.array([self._numbers[key] for key in found], dtype=np.int64)
+        numbers = np.array([self._numbers[key] for key in unique_keys], dtype=np.int64)
         return numbers[inverse]
 
-    def tops_and_feet(
+    def roof_and_foot_numbers(
         self, buildings: NDArray[np.int64], places: Floats
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Returns ``numbers_of`` roofs, and of where walls end: these have heights of their own."""
@@ -168,12 +168,12 @@ def flight_terms(
     """
     spread = map if threads is None else threads.map
     is_last = reach_px is None
-    seen = list(spread(lambda k: _look(aligners[k], vectors[k], lens, is_last), range(len(aligners))))
+    looks = list(spread(lambda k: _look(aligners[k], vectors[k], lens, is_last), range(len(aligners))))
     # In the order of photos.
-    parts = [None if one is None else roofs.tops_and_feet(rows, one.places) for one, _, rows in seen]
+    parts = [None if one is None else roofs.roof_and_foot_numbers(rows, one.places) for one, _, rows in looks]
 
     def terms(k: int) -> PhotoTerms | None:
-        (one, fit, rows), numbers = seen[k], parts[k]
+        (one, fit, rows), numbers = looks[k], parts[k]
         if one is None or numbers is None:
             return None
         return _terms(one, fit, rows, numbers, roofs, reach_px, aligners[k].model, trust)
@@ -189,14 +189,14 @@ def _look(
     points, iou = aligner.outline(np.append(vector, 0.0), aligner.model.size)
     # Only what is answered is compared with mapped buildings alone.
     fit = Fit(iou, aligner.overlap(np.append(vector, 0.0)) if is_last else iou)
-    seen = _through_lens(aligner, points, lens, aligner.model.size)
-    if len(seen.distances) < _FEWEST_POINTS:
+    residuals = _through_lens(aligner, points, lens, aligner.model.size)
+    if len(residuals.distances) < _FEWEST_POINTS:
         return None, fit, np.zeros(0, dtype=np.int64)
-    return seen, fit, aligner.edges.buildings[seen.buildings]
+    return residuals, fit, aligner.edges.buildings[residuals.buildings]
 
 
 def _terms(
-    seen: Residuals,
+    residuals: Residuals,
     fit: Fit,
     rows: NDArray[np.int64],
     numbers: tuple[NDArray[np.int64], NDArray[np.int64]],
@@ -206,19 +206,19 @@ def _terms(
     trust: tuple[float, float],
 ) -> PhotoTerms:
     """Returns what outline points say, given the numbers of the parts of roofs and feet that they are of."""
-    tops, feet = numbers
+    roof, foot = numbers
     # The silhouette stands where roofs are drawn: the heights found move it from there, to first order.
-    lifted = seen.slopes[:, TOP] * (roofs.heights_m[tops] - roofs.drawn_m[rows])
-    lifted = lifted + seen.slopes[:, FOOT] * roofs.heights_m[feet]
-    seen = replace(seen, distances=seen.distances + lifted)
-    noise_px, weights = _outline_noise(seen, reach_px)
+    lifted = residuals.slopes[:, TOP] * (roofs.heights_m[roof] - roofs.drawn_m[rows])
+    lifted = lifted + residuals.slopes[:, FOOT] * roofs.heights_m[foot]
+    residuals = replace(residuals, distances=residuals.distances + lifted)
+    noise_px, weights = _outline_noise(residuals, reach_px)
     lengths_px = model.outline_px, model.roof_part_px
     subsets = _MOST_SUBSETS if reach_px is None else 1
-    return summed_up(seen, rows, numbers, fit, (noise_px, weights), lengths_px, subsets, trust)
+    return summed_up(residuals, rows, numbers, fit, (noise_px, weights), lengths_px, subsets, trust)
 
 
 def summed_up(
-    seen: Residuals,
+    residuals: Residuals,
     rows: NDArray[np.int64],
     numbers: tuple[NDArray[np.int64], NDArray[np.int64]],
     fit: Fit,
@@ -233,7 +233,7 @@ def summed_up(
     Eq. (F3) of docs/methods/flight.md.
 
     Args:
-        seen: The residuals, where the heights found have moved the points.
+        residuals: The residuals, where the heights found have moved the points.
         rows: (N,) of the scene's buildings that they are of.
         numbers: (N,) of the parts of roofs, and (N,) of feet, that they are of.
         fit: How well the photo fits.
@@ -251,7 +251,7 @@ def summed_up(
     columns = np.vstack([6 + LENS + column.reshape(2, -1), first + 2 * place, first + 2 * place + 1])
     size = first + 2 * len(buildings)
     products = np.zeros((size + 1, size + 1))
-    count = len(seen.distances)
+    count = len(residuals.distances)
     subsets = -(-count // _MOST_POINTS)
     used = min(subsets, most_subsets)
     for k in range(used):
@@ -260,7 +260,7 @@ def summed_up(
         here, local = np.unique(columns[:, chosen], return_inverse=True)
         local = 6 + LENS + local.reshape(4, -1)
         where = np.concatenate([np.arange(6 + LENS), here, [size]])
-        slopes = seen.slopes[chosen]
+        slopes = residuals.slopes[chosen]
         jacobian = np.zeros((len(slopes), len(where)))
         jacobian[:, :6], jacobian[:, 6 : 6 + LENS] = slopes[:, :6], slopes[:, _LENS]
         lines = np.arange(len(jacobian))
@@ -268,8 +268,8 @@ def summed_up(
         by_map = slopes[:, TOP], slopes[:, FOOT], -slopes[:, 0], -slopes[:, 1]
         for numbers_of_column, slope in zip(local, by_map, strict=True):
             jacobian[lines, numbers_of_column] += slope
-        jacobian[:, -1] = seen.distances[chosen]
-        whiten(_covariance(seen, chosen, noise, lengths_px, trust[0], view_place_m), jacobian)
+        jacobian[:, -1] = residuals.distances[chosen]
+        whiten(_covariance(residuals, chosen, noise, lengths_px, trust[0], view_place_m), jacobian)
         sums = np.zeros((len(where), len(where)))
         add_products(jacobian, 1.0 / (used * trust[1]), sums)
         products[np.ix_(where, where)] += sums
@@ -278,7 +278,7 @@ def summed_up(
 
 
 def _covariance(
-    seen: Residuals,
+    residuals: Residuals,
     chosen: slice,
     noise: tuple[float, Floats],
     lengths_px: tuple[float, float],
@@ -287,13 +287,13 @@ def _covariance(
 ) -> Floats:
     """Returns the lower half of the covariance of some points' distances; see ``outline_covariance``."""
     noise_px, weights = noise[0], noise[1][chosen]
-    by_map = seen.slopes[chosen, TOP], seen.slopes[chosen, FOOT]
+    by_map = residuals.slopes[chosen, TOP], residuals.slopes[chosen, FOOT]
     errors_m2 = (0.0, view_roof_m**2, 0.0)
     matrix = outline_covariance(
-        seen.pixels[chosen], *by_map, seen.buildings[chosen], noise_px, lengths_px, errors_m2
+        residuals.pixels[chosen], *by_map, residuals.buildings[chosen], noise_px, lengths_px, errors_m2
     )
     if view_place_m > 0.0:
-        moves, building = view_place_m * seen.slopes[chosen, :2], seen.buildings[chosen]
+        moves, building = view_place_m * residuals.slopes[chosen, :2], residuals.buildings[chosen]
         matrix += np.tril(moves @ moves.T) * (building[:, None] == building)
     add_outliers(matrix, noise_px, weights)
     return matrix
@@ -326,16 +326,16 @@ def _through_lens(aligner: Aligner, points: OutlinePoints, lens: Floats, size: t
     )
 
 
-def _outline_noise(seen: Residuals, reach_px: float | None) -> tuple[float, Floats]:
+def _outline_noise(residuals: Residuals, reach_px: float | None) -> tuple[float, Floats]:
     """Returns the standard deviation of the mask's outline in pixels, and (N,) how far points count.
 
     Eq. (F4) of docs/methods/flight.md. Points are on the outline, or on none: trees and holes cut into a
     mask, yards and neighbours add to it. How often they do either, and how far the rest is off, comes from
     the view itself (expectation maximisation of a Gaussian between two uniform densities).
     """
-    distances, near = seen.distances, near_distances(seen.distances, seen.agreement)
+    distances, near = residuals.distances, near_distances(residuals.distances, residuals.agreement)
     noise_px = outline_noise(near)
-    agreement = np.maximum(seen.agreement, 1e-3)
+    agreement = np.maximum(residuals.agreement, 1e-3)
     if reach_px is not None:
         kernel = 1.0 / (1.0 + (distances / reach_px) ** 2)
         return noise_px, np.maximum(kernel**2 * agreement, LEAST_WEIGHT)

@@ -54,12 +54,12 @@ class RelativePose:
         here, there = (pose_from_vector(vectors[k]) for k in (self.first, self.second))
         baseline = here.center - there.center
         length = max(float(np.linalg.norm(baseline)), _NEAREST_M)
-        seen = there.rotation @ baseline / length
+        direction = there.rotation @ baseline / length
         across = tangents(self.direction)
         turn = there.rotation @ here.rotation.T
-        residuals = np.concatenate([rotation_vector(turn @ self.rotation.T), across @ seen])
+        residuals = np.concatenate([rotation_vector(turn @ self.rotation.T), across @ direction])
         jacobian = np.zeros((5, 13))
-        per_metre = across @ (np.eye(3) - np.outer(seen, seen)) @ there.rotation / length
+        per_metre = across @ (np.eye(3) - np.outer(direction, direction)) @ there.rotation / length
         jacobian[3:, :3], jacobian[3:, 6:9] = per_metre, -per_metre
         for angle in range(3):
             of_first = there.rotation @ derivatives[self.first][angle].T
@@ -133,8 +133,8 @@ class Reconstruction:
     def part(self, numbers: Mapping[int, int], vectors: Floats) -> Reconstruction | None:
         """Returns it of some photos, by new numbers, at their poses, (P, 6); None of too few of them."""
         poses = {numbers[photo]: pose for photo, pose in self.poses.items() if photo in numbers}
-        found = placed(poses, vectors, self.information)
-        return None if found is None else replace(found, mount=self.mount)
+        reconstruction = placed(poses, vectors, self.information)
+        return None if reconstruction is None else replace(reconstruction, mount=self.mount)
 
     def moved(self, step: Floats) -> Reconstruction:
         """Returns it after a step of its (10,) unknowns. Eq. (F10) of docs/methods/flight.md."""
@@ -216,7 +216,7 @@ _NEIGHBOURS, _ALIKE_DEG = 4, 50.0
 _REACH_PX, _FEWEST, _NOISE_PX, _HEAT = 1.5, 30, 0.3, 4.0
 # So many pairs ahead features are looked for while others are compared.
 _AHEAD = 4
-_Seen = tuple[Features, Camera]
+_PhotoFeatures = tuple[Features, Camera]
 # What is burned into both photos stands still to so many pixels. So does all of a pair from one place, of
 # which less than this share moves.
 _STILL_PX, _FEW_MOVE = 2.0, 0.1
@@ -252,20 +252,20 @@ def relative_poses(queries: Sequence[Query], vectors: Floats) -> tuple[list[Rela
 
 def _features_of_pairs(
     queries: Sequence[Query], pairs: Sequence[tuple[int, int]], sift: Sift, widest: int
-) -> Iterator[tuple[tuple[int, int], _Seen, _Seen]]:
+) -> Iterator[tuple[tuple[int, int], _PhotoFeatures, _PhotoFeatures]]:
     """Yields pairs whose photos can be read with both features; another thread is some pairs ahead.
 
     Features are held no longer than they are needed: hundreds of photos have gigabytes.
     """
     last = {photo: number for number, pair in enumerate(pairs) for photo in pair}
-    found: dict[int, Future[_Seen | None]] = {}
+    futures: dict[int, Future[_PhotoFeatures | None]] = {}
     with ThreadPoolExecutor(1) as other:
         for number, pair in enumerate(pairs):
             for photo in (photo for near in pairs[number : number + _AHEAD] for photo in near):
-                if photo not in found:
-                    found[photo] = other.submit(_features, queries[photo], sift, widest)
+                if photo not in futures:
+                    futures[photo] = other.submit(_features, queries[photo], sift, widest)
             here, there = (
-                (found.pop(photo) if last[photo] == number else found[photo]).result() for photo in pair
+                (futures.pop(photo) if last[photo] == number else futures[photo]).result() for photo in pair
             )
             if here is not None and there is not None:
                 yield pair, here, there
@@ -320,10 +320,10 @@ def _refined(
     def residuals(step: Floats) -> Floats:
         return _sampson(first, second, *_stepped(rotation, direction, across, step))
 
-    found = scipy.optimize.least_squares(
+    solution = scipy.optimize.least_squares(
         residuals, np.zeros(5), loss="cauchy", f_scale=reach, x_scale=0.01, max_nfev=20
     )
-    rotation, direction = _stepped(rotation, direction, across, found.x)
+    rotation, direction = _stepped(rotation, direction, across, solution.x)
     across = tangents(direction)
     here, small = _sampson(first, second, rotation, direction), 1e-6
     moved = (_stepped(rotation, direction, across, small * unit) for unit in np.eye(5))
@@ -346,7 +346,7 @@ def _sampson(first: Floats, second: Floats, rotation: Floats, direction: Floats)
     return np.asarray((other * line).sum(axis=1) / np.maximum(steep, 1e-12))
 
 
-def _features(query: Query, sift: Sift, widest: int) -> _Seen | None:
+def _features(query: Query, sift: Sift, widest: int) -> _PhotoFeatures | None:
     """Returns a photo's features, and the camera they are pixels of; None for one that cannot be read."""
     camera = query.camera
     picture = None if query.image is None else read_picture(query.image)

@@ -88,26 +88,26 @@ _ADDED = 0.5
 # So many points are looked at at once: OpenCV takes maps of 32,767 columns.
 _AT_ONCE = 16_384
 # Points of one roof err together: N say as much as _ALONE * sqrt(N) of them, and no more than so many do.
-_ALONE, _MOST_SEEN = 0.7, 2000
+_ALONE, _MOST_POINTS = 0.7, 2000
 
 
 class EdgeEvidence(NamedTuple):
     """How strong a roof's edges are in photos, by its height."""
 
     logs: Floats  # (H,) sums of logarithms over points and photos
-    seen: int  # how many points of all photos were summed
+    points: int  # how many points of all photos were summed
     photos: int  # how many photos
 
     def nats(self) -> Floats:
         """Returns (H,) how well each height explains the photos. Eq. (F22) of docs/methods/flight.md."""
-        return np.asarray(_ALONE * math.sqrt(min(self.seen, _MOST_SEEN)) * self.logs / self.seen)
+        return np.asarray(_ALONE * math.sqrt(min(self.points, _MOST_POINTS)) * self.logs / self.points)
 
 
 def edge_evidence(
     pictures: Sequence[SweepPicture],
     near: Sequence[NDArray[np.int64]],
     edges: Mapping[int, Floats],
-    is_seen_of: Sequence[NDArray[np.bool_]],
+    visible_of: Sequence[NDArray[np.bool_]],
     heights_m: Floats,
 ) -> dict[int, EdgeEvidence]:
     """Returns how strong edges are in the photos that show them, by row of the building.
@@ -116,24 +116,24 @@ def edge_evidence(
         pictures: The photos.
         near: By photo, rows of the buildings whose edges are looked at in it.
         edges: Their points, see ``edge_points``.
-        is_seen_of: By photo, which of the points of all its buildings it shows, one after the other.
+        visible_of: By photo, which of the points of all its buildings it shows, one after the other.
         heights_m: (H,) by how much higher than in the map a building may be.
     """
-    found: dict[int, EdgeEvidence] = {}
-    for picture, rows, is_seen in zip(pictures, near, is_seen_of, strict=True):
-        if not is_seen.any():
+    evidence: dict[int, EdgeEvidence] = {}
+    for picture, rows, is_visible in zip(pictures, near, visible_of, strict=True):
+        if not is_visible.any():
             continue
-        points = np.concatenate([edges[row] for row in rows.tolist()])[is_seen]
-        owner = np.repeat(np.arange(len(rows)), [len(edges[row]) for row in rows.tolist()])[is_seen]
+        points = np.concatenate([edges[row] for row in rows.tolist()])[is_visible]
+        owner = np.repeat(np.arange(len(rows)), [len(edges[row]) for row in rows.tolist()])[is_visible]
         structure = _structure(picture.pixels)
         parts = np.split(points, range(_AT_ONCE, len(points), _AT_ONCE))
         logs = np.concatenate([_log_strengths(picture, *structure, p, heights_m) for p in parts], axis=1)
         shown, first, counts = np.unique(owner, return_index=True, return_counts=True)
         sums = np.add.reduceat(logs, first, axis=1).T
         for row, summed, count in zip(rows[shown].tolist(), sums, counts.tolist(), strict=True):
-            before = found.get(row, EdgeEvidence(np.zeros(len(heights_m)), 0, 0))
-            found[row] = EdgeEvidence(before.logs + summed, before.seen + count, before.photos + 1)
-    return found
+            before = evidence.get(row, EdgeEvidence(np.zeros(len(heights_m)), 0, 0))
+            evidence[row] = EdgeEvidence(before.logs + summed, before.points + count, before.photos + 1)
+    return evidence
 
 
 def _log_strengths(

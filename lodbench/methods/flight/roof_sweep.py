@@ -51,12 +51,12 @@ def roof_points(triangles: Floats) -> Floats:
     step = max(_SPACING_M, math.sqrt(float(np.prod(high - low)) / _MOST_POINTS))
     sides = [np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)]
     places = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 1, 2)
-    tops = np.full(len(places), -np.inf)
+    heights = np.full(len(places), -np.inf)
     for first in range(0, len(flat), _TRIANGLES):
-        tops = np.maximum(tops, _heights_over(flat[first : first + _TRIANGLES], places))
+        heights = np.maximum(heights, _heights_over(flat[first : first + _TRIANGLES], places))
     floor, top = triangles[..., 2].min(), triangles[..., 2].max()
-    points = np.column_stack([places[:, 0], tops, (tops - floor) / max(top - floor, 1e-6)])
-    return np.asarray(points[np.isfinite(tops)])
+    points = np.column_stack([places[:, 0], heights, (heights - floor) / max(top - floor, 1e-6)])
+    return np.asarray(points[np.isfinite(heights)])
 
 
 def _heights_over(triangles: Floats, places: Floats) -> Floats:
@@ -163,10 +163,10 @@ def sweep_roofs(
     near = _near(city_map.scene, pictures)
     rows, counts = np.unique(np.concatenate(near), return_counts=True)
     roofs = _roofs(city_map.scene, rows[counts >= _FEWEST_PHOTOS])
-    seen = _seen(pictures, near, roofs, city_map, heights_m)
+    roof_photos = _roof_photos(pictures, near, roofs, city_map, heights_m)
     edges = _edge_evidence(pictures, near, city_map, heights_m)
-    _take_exposures_away(roofs, seen)
-    curves = {row: _curve(roofs[row], photos, heights_m) for row, photos in seen.items()}
+    _take_exposures_away(roofs, roof_photos)
+    curves = {row: _curve(roofs[row], photos, heights_m) for row, photos in roof_photos.items()}
     return {
         row: curve for row in {**edges, **curves} if (curve := _together(curves.get(row), edges.get(row)))
     }
@@ -181,8 +181,8 @@ def sweep_place(
     them.
     """
     rising = np.column_stack([points, np.ones(len(points))])
-    seen = [(picture, _sees(picture, points, city_map, heights_m)) for picture in pictures]
-    photos = [shown for shown in seen if shown[1].mean() >= _SHARE]
+    candidates = [(picture, _sees(picture, points, city_map, heights_m)) for picture in pictures]
+    photos = [shown for shown in candidates if shown[1].mean() >= _SHARE]
     if len(photos) < _FEWEST_PHOTOS:
         return None
     return _curve(rising, photos if len(photos) <= _MOST_PHOTOS else _best(rising, photos), heights_m)
@@ -206,31 +206,31 @@ def _edge_evidence(
         for row in rows[counts >= _FEWEST_OF_EDGES].tolist()
         if len(points := edge_points(_triangles(city_map.scene, row))) >= _FEWEST_POINTS
     }
-    shown, is_seen_of = [], []
+    shown, visible_of = [], []
     for picture, of_photo in zip(pictures, near, strict=True):
         rows = np.array([row for row in of_photo.tolist() if row in edges], dtype=np.int64)
         points = np.concatenate([edges[row][:, :3] for row in rows.tolist()] or [np.zeros((0, 3))])
-        is_seen = _sees(picture, points, city_map, heights_m)
+        is_visible = _sees(picture, points, city_map, heights_m)
         owner = np.repeat(np.arange(len(rows)), [len(edges[row]) for row in rows.tolist()])
-        shares = np.bincount(owner, is_seen, len(rows)) / np.maximum(
+        shares = np.bincount(owner, is_visible, len(rows)) / np.maximum(
             np.bincount(owner, minlength=len(rows)), 1
         )
         shown.append(rows)
-        is_seen_of.append(is_seen & (shares >= _SHARE)[owner])
-    found = edge_evidence(pictures, shown, edges, is_seen_of, heights_m)
-    return {row: evidence for row, evidence in found.items() if evidence.photos >= _FEWEST_OF_EDGES}
+        visible_of.append(is_visible & (shares >= _SHARE)[owner])
+    by_row = edge_evidence(pictures, shown, edges, visible_of, heights_m)
+    return {row: evidence for row, evidence in by_row.items() if evidence.photos >= _FEWEST_OF_EDGES}
 
 
 def _near(scene: Scene, pictures: Sequence[SweepPicture]) -> list[NDArray[np.int64]]:
     """Returns by photo the rows of the buildings whose roofs it may show, ascending."""
     low, high, building = building_boxes(scene)
-    tops = low[:, None] + _TOP * (high - low)[:, None]
-    tree, near = scipy.spatial.cKDTree(tops[:, 0]), []
+    points = low[:, None] + _TOP * (high - low)[:, None]
+    tree, near = scipy.spatial.cKDTree(points[:, 0]), []
     for picture in pictures:
         reach_m = _COARSEST_M * picture.camera.fx
-        around = np.array(sorted(tree.query_ball_point(picture.pose.center, reach_m)), dtype=np.int64)
-        is_held = picture.holds(*picture.project(tops[around])).any(axis=1)
-        near.append(building[around[is_held]])
+        nearby = np.array(sorted(tree.query_ball_point(picture.pose.center, reach_m)), dtype=np.int64)
+        is_held = picture.holds(*picture.project(points[nearby])).any(axis=1)
+        near.append(building[nearby[is_held]])
     return near
 
 
@@ -249,7 +249,7 @@ def _triangles(scene: Scene, row: int) -> Floats:
     return np.asarray(scene.vertices[scene.triangles[faces]], dtype=np.float64)
 
 
-def _seen(
+def _roof_photos(
     pictures: Sequence[SweepPicture],
     near: Sequence[NDArray[np.int64]],
     roofs: Mapping[int, Floats],
@@ -257,19 +257,19 @@ def _seen(
     heights_m: Floats,
 ) -> dict[int, list[_Shown]]:
     """Returns by building the photos that show its roof best, and which of its points."""
-    found: dict[int, list[_Shown]] = {row: [] for row in roofs}
+    roof_photos: dict[int, list[_Shown]] = {row: [] for row in roofs}
     for picture, of_photo in zip(pictures, near, strict=True):
         rows = [row for row in of_photo.tolist() if row in roofs]
         if not rows:
             continue
         points, ends = np.concatenate([roofs[row] for row in rows]), np.cumsum([len(roofs[r]) for r in rows])
-        is_seen_of = np.split(_sees(picture, points[:, :3], city_map, heights_m), ends[:-1])
-        for row, is_seen in zip(rows, is_seen_of, strict=True):
-            if is_seen.mean() >= _SHARE:
-                found[row].append((picture, is_seen.copy()))
+        visible_of = np.split(_sees(picture, points[:, :3], city_map, heights_m), ends[:-1])
+        for row, is_visible in zip(rows, visible_of, strict=True):
+            if is_visible.mean() >= _SHARE:
+                roof_photos[row].append((picture, is_visible.copy()))
     return {
         row: photos if len(photos) <= _MOST_PHOTOS else _best(roofs[row], photos)
-        for row, photos in found.items()
+        for row, photos in roof_photos.items()
         if len(photos) >= _FEWEST_PHOTOS
     }
 
@@ -281,22 +281,22 @@ def _best(points: Floats, photos: Sequence[_Shown]) -> list[_Shown]:
 def _sees(picture: SweepPicture, points: Floats, city_map: CityMap, heights_m: Floats) -> NDArray[np.bool_]:
     """Returns which of (N, 3) points of the map a photo shows, at every height they may have."""
     pixels, depths = picture.project(points)
-    is_seen = picture.holds(pixels, depths) & (depths < _COARSEST_M * picture.camera.fx)
+    is_visible = picture.holds(pixels, depths) & (depths < _COARSEST_M * picture.camera.fx)
     for end_m in (heights_m[0], heights_m[-1]):
-        is_seen &= picture.holds(*picture.project(points + np.array([0.0, 0.0, end_m])))
+        is_visible &= picture.holds(*picture.project(points + np.array([0.0, 0.0, end_m])))
     turn, center = picture.pose.rotation[None], picture.pose.center[None]
     # The map is drawn through a pinhole.
-    straight = picture.project(points[is_seen], 0.0)[0].astype(np.int64)
+    straight = picture.project(points[is_visible], 0.0)[0].astype(np.int64)
     column, line = np.clip(straight, 0, [picture.camera.width - 1, picture.camera.height - 1]).T
     before = city_map.depth(picture.camera, turn, center)[0][line, column]
-    is_seen[is_seen] = (before == 0) | (before > depths[is_seen] - _BEFORE_M)
-    return is_seen
+    is_visible[is_visible] = (before == 0) | (before > depths[is_visible] - _BEFORE_M)
+    return is_visible
 
 
-def _take_exposures_away(roofs: Mapping[int, Floats], seen: Mapping[int, Sequence[_Shown]]) -> None:
+def _take_exposures_away(roofs: Mapping[int, Floats], roof_photos: Mapping[int, Sequence[_Shown]]) -> None:
     """Shifts each photo's colours by what all roofs, as the map has them, differ by from other photos."""
     apart: dict[SweepPicture, list[NDArray[np.float32]]] = {}
-    for row, photos in seen.items():
+    for row, photos in roof_photos.items():
         colours, counts = _colours(roofs[row], photos, np.zeros(1))
         away = (colours[..., :3] - _medians(colours[..., :3], counts))[:, 0]
         for (picture, _), of_photo in zip(photos, away, strict=True):
@@ -397,25 +397,25 @@ def footprint_heights(queries: Sequence[Query], scene: Scene) -> dict[int, Swept
     poses = [query.prior for query in queries]
     city_map = CityMap(scene)
     flat_map = corrected_map(city_map, _LOWEST_M - rises, 0.0)[0]
-    found: dict[int, SweptHeight] = {}
+    heights: dict[int, SweptHeight] = {}
     for highest_m in _HIGHEST_M:
         rising = np.arange(0.0, highest_m - _LOWEST_M + 0.1, _STEP_M)
         curves = sweep_roofs(open_pictures(queries, poses, np.zeros(2)), flat_map, rising)
         for row, curve in curves.items():
-            if row not in found and _share_at_peak(curve, rising) >= _LEAST_SHARE:
-                found[row] = _swept(curve, _LOWEST_M + rising)
-        if len(found) == np.count_nonzero(rises > 0):
+            if row not in heights and _share_at_peak(curve, rising) >= _LEAST_SHARE:
+                heights[row] = _swept(curve, _LOWEST_M + rising)
+        if len(heights) == np.count_nonzero(rises > 0):
             break
     for _ in range(_FINE_SWEEPS):
         drawn_m = np.full(len(rises), _LOWEST_M)
-        for row, height in found.items():
+        for row, height in heights.items():
             drawn_m[row] = max(height.height_m, _LOWEST_M)
         drawn = corrected_map(city_map, drawn_m - rises, 0.0)[0]
         curves = sweep_roofs(open_pictures(queries, poses, np.zeros(2)), drawn)
-        found = {
-            row: _swept(curve, drawn_m[row] + HEIGHTS_M) for row, curve in curves.items() if row in found
+        heights = {
+            row: _swept(curve, drawn_m[row] + HEIGHTS_M) for row, curve in curves.items() if row in heights
         }
-    return {row: height for row, height in found.items() if height.sigma_m <= _WORST_SIGMA_M}
+    return {row: height for row, height in heights.items() if height.sigma_m <= _WORST_SIGMA_M}
 
 
 def _density(curve: RoofCurve, heights_m: Floats) -> Floats:

@@ -65,32 +65,32 @@ def with_masks_by_looks(
     believed as far as (P,), 0 to 1.
     """
     looks = [look_of(query, vector, city_map) for query, vector in zip(queries, vectors, strict=True)]
-    seen = [k for k, look in enumerate(looks) if look is not None]
+    indices = [k for k, look in enumerate(looks) if look is not None]
     shown = [look for look in looks if look is not None]
-    nats = dict(zip(seen, _nats(shown, trusts[seen]), strict=True)) if shown else {}
-    found = []
+    nats = dict(zip(indices, _nats(shown, trusts[indices]), strict=True)) if shown else {}
+    masked = []
     for k, (query, look) in enumerate(zip(queries, looks, strict=True)):
         if look is None:
             size = query.camera.height, query.camera.width
-            found.append(replace(query, building_probability=np.zeros(size, np.float32)))
+            masked.append(replace(query, building_probability=np.zeros(size, np.float32)))
             continue
         silhouette = look.kinds != _GROUND
         own = cross_fitted(look.picture, silhouette) if silhouette.any() else np.zeros(silhouette.shape)
         mask = cut(look.picture, silhouette, 0.5 * (nats[k] + own)) if silhouette.any() else nats[k] > 0
-        found.append(replace(query, building_probability=np.asarray(mask, np.float32)))
-    return found
+        masked.append(replace(query, building_probability=np.asarray(mask, np.float32)))
+    return masked
 
 
 def agreed_places(
-    priors: Floats, found: Sequence[Estimate | QueryFault], params: FlightParams
+    priors: Floats, alone: Sequence[Estimate | QueryFault], params: FlightParams
 ) -> tuple[Floats, Floats]:
     """Returns (P, 6) about where photos were taken, and (P,) how far each place is believed.
 
     Photos whose answers, at least one, lie where most say that sensors err are believed; the others are put
     there. Priors, (P, 6), are what sensors and ties say.
     """
-    known = np.array([k for k, each in enumerate(found) if isinstance(each, Estimate)])
-    estimates = [each for each in found if isinstance(each, Estimate)]
+    known = np.array([k for k, each in enumerate(alone) if isinstance(each, Estimate)])
+    estimates = [each for each in alone if isinstance(each, Estimate)]
     poses = np.array([vector_from_pose(each.pose) for each in estimates])
     chances = np.array([max(each.probability or 0.0, _LEAST_TRUST) for each in estimates])
     offsets = differences(poses, priors[known])
@@ -127,7 +127,7 @@ def _nats(looks: Sequence[Look], trusts: Floats) -> list[Floats]:
         for kind in (_GROUND, _ROOF, _WALL):
             mine = look.kinds == kind
             each[k, kind] = trusts[k] * np.bincount(of_photo[mine], look.weights[mine], count)
-    pooled, found = each.sum(axis=0), []
+    pooled, log_odds = each.sum(axis=0), []
     for k, of_photo in enumerate(bins):
         # Of a photo by itself there are no others.
         others = pooled - each[k] if len(looks) > 1 else pooled
@@ -135,8 +135,8 @@ def _nats(looks: Sequence[Look], trusts: Floats) -> list[Floats]:
         shares = others[1:].sum(axis=1) + 1.0
         built = shares @ chances[1:] / shares.sum()
         nats = np.log(built) - np.log(chances[_GROUND])
-        found.append(cv2.GaussianBlur(nats[of_photo], (0, 0), 1.0))
-    return found
+        log_odds.append(cv2.GaussianBlur(nats[of_photo], (0, 0), 1.0))
+    return log_odds
 
 
 def exposures(looks: Sequence[Look]) -> Floats:

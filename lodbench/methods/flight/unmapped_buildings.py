@@ -177,9 +177,9 @@ def _pixels(view: View, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.i
     """Returns which of (N, 3) points a photo shows, and their pixels, (M, 2)."""
     local = (points - view.pose.center) @ view.pose.rotation.T
     ahead = np.flatnonzero(local[:, 2] > 1.0)
-    seen = project(local[ahead], view.camera)
-    inside = ((seen >= 0) & (seen < [view.camera.width, view.camera.height])).all(axis=1)
-    return ahead[inside], np.floor(seen[inside]).astype(np.int64)
+    projected = project(local[ahead], view.camera)
+    inside = ((projected >= 0) & (projected < [view.camera.width, view.camera.height])).all(axis=1)
+    return ahead[inside], np.floor(projected[inside]).astype(np.int64)
 
 
 def _components(
@@ -193,7 +193,7 @@ def _components(
     pictures: Sequence[SweepPicture],
 ) -> list[dict[str, Any]]:
     """Returns the connected places of (N, 2) cells that are large enough."""
-    found = []
+    changes = []
     for rows in _connected(built):
         cells = built[rows]
         area = len(cells) * _CELL_M**2
@@ -225,7 +225,7 @@ def _components(
         shape[tuple((cells - lowest).T)] = True
         west_south = corner + _CELL_M * lowest + city_map.scene.origin[:2]
         outline = [(ring + west_south).tolist() for ring in _outline(shape)]
-        found.append(
+        changes.append(
             {
                 "kind": "unmapped",
                 "outline": outline,
@@ -236,7 +236,7 @@ def _components(
                 "apart_deg": apart,
             }
         )
-    return sorted(found, key=lambda change: -change["area_m2"])
+    return sorted(changes, key=lambda change: -change["area_m2"])
 
 
 def _height(

@@ -319,8 +319,8 @@ def local_maxima(fits: Floats, grid: PoseGrid, turns_around: bool, most: int) ->
     values = fits.reshape([axis.count for axis in (grid.yaw, grid.x, grid.y, grid.z)])
     highest = values
     for axis in range(values.ndim):
-        around = [(1, 1) if axis == k else (0, 0) for k in range(values.ndim)]
-        padded = np.pad(highest, around, mode="wrap" if turns_around and axis == 0 else "edge")
+        pad_width = [(1, 1) if axis == k else (0, 0) for k in range(values.ndim)]
+        padded = np.pad(highest, pad_width, mode="wrap" if turns_around and axis == 0 else "edge")
         highest = np.lib.stride_tricks.sliding_window_view(padded, 3, axis).max(axis=-1)
     is_maximum = (values >= highest).ravel()
     grid_indices = np.stack(np.unravel_index(np.arange(len(fits)), values.shape), axis=1)

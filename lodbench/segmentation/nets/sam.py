@@ -77,11 +77,11 @@ def _size(size: str) -> tuple[int, int, list[int], list[int], list[int], int]:
 def encoder_weights(weights: dict[str, Tensor]) -> dict[str, Tensor]:
     """Returns the encoder's weights under transformers' names, whoever named them; all else is left out."""
     prefix = next((p for p in _PREFIXES if any(name.startswith(p) for name in weights)), "")
-    found = {}
+    renamed = {}
     for name, value in weights.items():
         if name.startswith(prefix):
-            found[transformers_name(name.removeprefix(prefix))] = value
-    return found
+            renamed[transformers_name(name.removeprefix(prefix))] = value
+    return renamed
 
 
 def transformers_name(name: str) -> str:

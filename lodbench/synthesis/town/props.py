@@ -39,11 +39,11 @@ def add_greenery(builder: MeshBuilder, town: Town) -> None:
     chances = random_stream(town.seed, "demo", "trees")
     kinds = (_along_streets, _in_yards, _along_river)
     places = np.concatenate([part for kind in kinds for part in kind(town, chances)])
-    places = places[town.occupancy.is_free_around(places, 2.4)]
+    places = places[town.occupancy.is_free_near(places, 2.4)]
     # How wide a crown may grow: it may touch a wall.
     room_m = np.full(len(places), 2.6)
     for gap in (3.2, 4.0, 5.0):
-        room_m[town.occupancy.is_free_around(places, gap)] = gap
+        room_m[town.occupancy.is_free_near(places, gap)] = gap
     add_trees(builder, town.terrain.on_ground(places), chances, town.look.broadleaf, room_m)
     woods = town.terrain.on_ground(_in_woods(town, chances))
     add_trees(builder, woods, chances, town.look.broadleaf, is_far=True)

@@ -175,7 +175,7 @@ class Wall(NamedTuple):
     """A wall as viewed from outside."""
 
     face: int  # its number in the builder
-    feet: tuple[int, int]  # its lower left and lower right point in the builder
+    base_ends: tuple[int, int]  # its lower left and lower right point in the builder
     left: Points  # (2,) its lower left corner
     along: Points  # (2,) unit direction to the right
     length: float  # metres

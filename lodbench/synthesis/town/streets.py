@@ -282,11 +282,11 @@ class Occupancy:
         """Returns (N,) who is at places, (N, 2) metres: 1 + a number, or `NOBODY`."""
         cells = np.floor((points + self._reach_m) / _CELL_M).astype(np.int64)
         inside = ((cells >= 0) & (cells < len(self._cells))).all(axis=1)
-        found = np.full(len(points), NOBODY, np.int32)
-        found[inside] = self._cells[cells[inside, 1], cells[inside, 0]]
-        return found
+        occupants = np.full(len(points), NOBODY, np.int32)
+        occupants[inside] = self._cells[cells[inside, 1], cells[inside, 0]]
+        return occupants
 
-    def is_free_around(self, points: Points, gap_m: float) -> NDArray[np.bool_]:
+    def is_free_near(self, points: Points, gap_m: float) -> NDArray[np.bool_]:
         """Returns (N,) whether nobody is within about a distance of places, (N, 2) metres."""
         ring = np.linspace(0, 2 * np.pi, 8, endpoint=False)
         free = self.at(points) == NOBODY

@@ -106,13 +106,13 @@ def _ground(
     grounds: list[Sample], shape: tuple[int, ...], generator: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Returns pieces of two photos without buildings, of a view's shape: for the ground and for roofs."""
-    found = []
+    crops = []
     for _ in range(2):
         photo, mask = grounds[int(generator.integers(len(grounds)))].read(0, square=False)
         photo, mask = flipped(photo, mask, generator, (1, 0))
         square, _ = random_crop(photo, mask, max(shape[:2]), _GROUND_SCALE, generator)
-        found.append(square[: shape[0], : shape[1]])
-    return found[0], found[1]
+        crops.append(square[: shape[0], : shape[1]])
+    return crops[0], crops[1]
 
 
 def as_floats(photo: NDArray[np.uint8]) -> Floats:
@@ -165,10 +165,10 @@ def validation_iou(
         photo, mask = sample.read(size, square)
         images, truth = as_tensors([as_floats(photo)], [mask])
         logits = against_rest(Padding(net, stride)(images.to(device))[0].float().cpu())
-        for found, wanted in zip(logits[0] >= 0, truth[0] >= 0.5, strict=True):
+        for predicted, wanted in zip(logits[0] >= 0, truth[0] >= 0.5, strict=True):
             if wanted.float().mean() >= LEAST_SHARE:
-                shared_counts.append(int((found & wanted).sum()))
-                union_counts.append(int((found | wanted).sum()))
+                shared_counts.append(int((predicted & wanted).sum()))
+                union_counts.append(int((predicted | wanted).sum()))
         advance()
     net.train(was_training)
     if not union_counts:
@@ -215,12 +215,12 @@ def load_checkpoint(folder: Path, identity: str) -> dict[str, Any] | None:
         return None
     try:
         state: dict[str, Any] = read_torch_file(path)
-        found = state["identity"]
+        stored = state["identity"]
     except Exception as error:
         raise ConfigError(
             f"{path} is no checkpoint of lodbench train.", "Name another `out=FOLDER`."
         ) from error
-    if found != identity:
+    if stored != identity:
         raise ConfigError(
             f"{folder} holds the training of other settings, other views or other code.",
             "Name another `out=FOLDER`, or set `resume=false` to start anew there.",

@@ -480,8 +480,8 @@ def run_training(
         stored = load_checkpoint(out, identity) if params.resume else None
         if params.init and stored is None:
             pictures = islice(batches(train, params, 0, 0, 0, 1), _PICTURED_BATCHES)
-            seen = (images.to(place.device) for images, _ in pictures)
-            adapt_norms(Padding(net, segmenter.stride), seen)
+            inputs = (images.to(place.device) for images, _ in pictures)
+            adapt_norms(Padding(net, segmenter.stride), inputs)
         state = make_state(net, params)
         if stored is not None:
             state.restore(stored)

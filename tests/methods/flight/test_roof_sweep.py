@@ -69,7 +69,7 @@ def test_a_roof_of_one_colour_is_found_where_photos_have_its_edges(higher_m):
     is_seen = [np.ones(len(edges[7]), bool)] * 2 + [np.zeros(len(edges[7]), bool)]
     found = edge_evidence(pictures, near, edges, is_seen, EDGE_HEIGHTS_M)
     assert list(found) == [7]
-    assert (found[7].photos, found[7].seen) == (2, 2 * len(edges[7]))
+    assert (found[7].photos, found[7].points) == (2, 2 * len(edges[7]))
     nats = found[7].nats()
     assert EDGE_HEIGHTS_M[np.argmax(nats)] == pytest.approx(higher_m, abs=0.3)
     assert nats.max() - np.median(nats) > 2.0
